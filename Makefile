@@ -1,0 +1,44 @@
+# Every command of the README. `make` alone lists them.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+# Rebuild the extension when the firmware core, its schema or the packaging changes.
+CORE   := $(shell find firmware/core firmware/virtual -name '*.h' -o -name '*.cpp' -o -name CMakeLists.txt) pyproject.toml
+
+.PHONY: help install explore test lint bench clean
+help:
+	@echo "make explore  set up everything, then explore the default room on the emulator"
+	@echo "make test     set up everything, then lint and run every test"
+	@echo "make install  set up $(VENV) only"
+	@echo "make lint     types, style, layers, generated files"
+	@echo "make bench    the large studies (minutes)"
+
+install: .stamps/install
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+.stamps/install: $(BIN)/python $(CORE)
+	@mkdir -p .stamps
+	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet scikit-build-core nanobind cmake ninja
+	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench]'
+	@touch $@
+
+explore: install
+	$(BIN)/thigmo explore
+
+lint: install
+	$(BIN)/python protocol/generate.py --check
+	$(BIN)/ruff check host tests tools protocol
+	$(BIN)/ruff format --check host tests tools protocol
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	git ls-files '*.h' '*.cpp' '*.c' '*.ino' | xargs $(BIN)/clang-format --dry-run --Werror
+
+test: lint
+	$(BIN)/pytest
+
+bench: install
+	$(BIN)/thigmo bench
+
+clean:
+	rm -rf $(VENV) build .stamps

@@ -1,0 +1,73 @@
+"""Typed errors. Each says in one line what happened and what to do next.
+
+Raised by every layer, printed by the command line, caught by programs that drive the robot.
+`str(error)` is the operator's line: "what happened; next step".
+"""
+
+from __future__ import annotations
+
+
+class ThigmoError(Exception):
+    """Base of all errors that an operator can act on.
+
+    Args:
+        what: what happened, without a final stop.
+        next_step: what to do now, as an imperative clause.
+    """
+
+    def __init__(self, what: str, next_step: str = "") -> None:
+        self.what = what
+        self.next_step = next_step
+        super().__init__(f"{what}; {next_step}" if next_step else what)
+
+
+class LinkError(ThigmoError):
+    """The connection to the board failed."""
+
+
+class PortError(LinkError):
+    """The port is missing, busy or not allowed."""
+
+
+class NotARobotError(LinkError):
+    """Something answers on the port, or nothing, but no thigmo board."""
+
+
+class SchemaMismatchError(LinkError):
+    """Board and host were built from different protocol schemas."""
+
+
+class CommandTimeoutError(LinkError):
+    """A command found no answer before its deadline."""
+
+
+class BoardResetError(LinkError):
+    """The board restarted in the middle of a conversation: its state and length are gone."""
+
+
+class CommandRefusedError(ThigmoError):
+    """The board answered, and refused: `reason` is the schema's name for why."""
+
+    def __init__(self, what: str, next_step: str = "", *, reason: str = "") -> None:
+        self.reason = reason
+        super().__init__(what, next_step)
+
+
+class RobotFaultError(ThigmoError):
+    """The board's supervisor latched a fault: `faults` holds the schema's names."""
+
+    def __init__(self, what: str, next_step: str = "", *, faults: tuple[str, ...] = ()) -> None:
+        self.faults = faults
+        super().__init__(what, next_step)
+
+
+class ConfigError(ThigmoError):
+    """A robot.toml or scene file is malformed."""
+
+
+class DataError(ThigmoError, ValueError):
+    """Input data (arrays, CSV) that cannot be used as given."""
+
+
+class RunFolderError(ThigmoError):
+    """A run folder cannot be written or read."""
