@@ -1,0 +1,64 @@
+"""robot.toml: what is written is read back, and what is wrong is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from thigmo.config import Body, RobotConfig, TanhMap
+from thigmo.errors import ConfigError
+
+
+def test_default_survives_a_round_trip(tmp_path: Path) -> None:
+    config = RobotConfig(name="round trip")
+    assert config.save(tmp_path / "robot.toml") is None
+    assert RobotConfig.load(tmp_path / "robot.toml") == config
+
+
+def test_an_existing_file_is_kept_aside_each_time(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    RobotConfig(name="first").save(path)
+    backups = [RobotConfig(name=name).save(path) for name in ("second", "third")]
+    assert [RobotConfig.load(str(backup)).name for backup in backups] == ["first", "second"]
+    assert RobotConfig.load(path).name == "third"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("version = 2", "version"),
+        ("nmae = 'typo'", "nmae"),
+        ("[body]\nlength_cm = -1", "body.length_cm"),
+        ("[body]\nlength_cm = nan", "body.length_cm"),
+        ("[body]\nlength_cm = 40\nzones = [{until_cm = 40, pressure_psi = 1}]", "beyond"),
+        ("[[sensors.left]]\ncenter_cm = 51", "sensors.left[0]"),
+        ("[body]\nzones = [{until_cm = 53, pressure_psi = 1}]", "one map for each"),
+        ("= nonsense", "not valid TOML"),
+    ],
+)
+def test_a_wrong_entry_is_named_in_one_line(tmp_path: Path, text: str, named: str) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        RobotConfig.load(path)
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_unwritable_files_say_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="check the path"):
+        RobotConfig.load(tmp_path / "none.toml")
+    with pytest.raises(ConfigError, match="you may write to"):
+        RobotConfig().save(tmp_path / "no-such-folder" / "robot.toml")
+
+
+@pytest.mark.parametrize(
+    ("length_cm", "zone"), [(0.0, 0), (26.5, 0), (26.6, 1), (35.3, 1), (53.0, 2)]
+)
+def test_zone_boundaries_belong_to_the_zone_below(length_cm: float, zone: int) -> None:
+    assert Body().zone_at(length_cm) == zone
+
+
+def test_actuator_map_is_zero_at_zero_pressure() -> None:
+    assert TanhMap(offset_psi=3.0).curvature(0.0) == pytest.approx(0.0, abs=1e-15)
