@@ -1,0 +1,119 @@
+// The Board policy: all that the robot controller asks of the hardware.
+//
+// `Robot<Board>` (robot.h) is a template over a class with the members of `BoardPolicy` below; the
+// bindings are firmware/mega (pins and registers) and firmware/virtual (inside Python). A binding
+// moves bytes, counts and duties and decides nothing: every limit, unit, filter, state and safe
+// reaction is the core's, so that all boards compute identical integers from identical inputs.
+//
+// Who calls what. The binding constructs one Robot<Board>, calls `robot.begin()` once, then
+// `robot.loop()` for ever, as often as it can. All members below are called from there only, never
+// from an interrupt routine, so the binding makes the reads of what its own interrupts write atomic
+// inside these members; the core holds no critical section and disables no interrupt.
+//
+// Time. There is one clock: the 1 kHz control tick. Tick n begins at n * 1000 us (tick 0 at start);
+// `micros()` counts on the same clock, so that sampling instants, control steps and time stamps are
+// exact multiples of each other. The core does the work of tick n when the ADC frame of tick n
+// arrives (about 832 us into it); it kicks the watchdog only after such a pass, so that a dead ADC,
+// a dead tick timer and a hung loop all end in a reset. A pass must follow each frame within
+// kAdcFrames ticks.
+//
+// Any member that starts something (eeprom_write, tx_write) returns at once.
+#ifndef THIGMO_CORE_BOARD_H_
+#define THIGMO_CORE_BOARD_H_
+
+#include <stdint.h>
+
+#include "flash.h"
+#include "link/protocol.h"
+
+namespace thigmo {
+
+// Sides as on the wire: 0 = left, 1 = right. Sensors are numbered left base first.
+constexpr uint8_t kSides = 2;
+constexpr uint8_t kSensorsPerSide = 5;
+constexpr uint8_t kSensors = kSides * kSensorsPerSide;
+
+constexpr int16_t kDriveFull = 1599;  // transducer duty of 20 mA
+constexpr int16_t kMotorFull = 800;   // motor duty of full voltage
+
+// ADC channels: flex left 0..4 (A0..A4), flex right 5..9 (A5..A9), pressure left 10, right 11.
+constexpr uint8_t kPressureChannel = 10;
+constexpr uint8_t kAdcSlots = 8;   // conversions in each tick, 104 us each: 832 us of 1000
+constexpr uint8_t kAdcFrames = 4;  // frames that a binding must be able to hold for the core
+constexpr uint16_t kAdcTop = 1023;
+
+// Channel converted in a slot of a tick: both pressures, both base sensors, then four of the other
+// eight sensors, left ones on even ticks and right ones on odd ticks. Usable in an interrupt.
+constexpr uint8_t adc_channel(bool odd_tick, uint8_t slot) {
+  return slot == 0   ? 10
+         : slot == 1 ? 11
+         : slot == 2 ? 0
+         : slot == 3 ? 5
+                     : static_cast<uint8_t>(slot - 3 + (odd_tick ? 5 : 0));
+}
+
+// The conversions of one tick, count[slot] of adc_channel(tick & 1, slot), 0..1023 each.
+struct AdcFrame {
+  uint32_t tick;
+  uint16_t count[kAdcSlots];
+};
+
+// Ring sizes that the binding should have; powers of two of at most 256 let an 8-bit chip use
+// one-byte indices, which are atomic. The core never has more than about 180 bytes in the tx ring,
+// because a long queue would delay events.
+constexpr uint16_t kRxRing = 256;
+constexpr uint16_t kTxRing = 256;
+
+// Bytes of EEPROM that the core uses, from address 0: boot counter and two configuration slots.
+// (config/store.h lays them out; a binding may use what lies beyond.)
+constexpr uint16_t kEepromUsed = 2048;
+
+// The policy itself. This class is documentation and is never defined: a binding is any class with
+// these members (static or not).
+class BoardPolicy {
+ public:
+  static constexpr protocol::Board kKind = protocol::Board::kMega;  // reported in the hello
+
+  // --- clock -------------------------------------------------------------------------------------
+  uint32_t micros();  // tick * 1000 + microseconds into the tick; wraps
+
+  // --- analog ------------------------------------------------------------------------------------
+  // The oldest completed frame not yet taken, or false. Frames come in order of tick; when the core
+  // is late by more than kAdcFrames, the binding drops the newest and the core sees the gap in
+  // `tick`. Frame 0 is that of tick 0.
+  bool take_frame(AdcFrame* frame);
+
+  // --- outputs -----------------------------------------------------------------------------------
+  // All outputs are off from reset until the core's first call.
+  void drive(uint8_t side, int16_t duty);  // transducer current, 0..kDriveFull = 0..20 mA
+  void drive_off(uint8_t side);            // true zero: compare output disconnected, pin low
+  // Motor duty -kMotorFull..kMotorFull, positive pays out. The core passes through brake() or 0 for
+  // at least one control period (5 ms) before the sign changes; set DIR then.
+  void motor(int16_t duty);
+  void brake();  // PWM 0, driver braking
+
+  // --- inputs ------------------------------------------------------------------------------------
+  int32_t encoder_count();  // x4 counts since start, positive = paying out; wraps
+  uint16_t supply_mv();     // latest measurement; a binding may refresh it at 10 Hz or so
+  bool estop();             // true = pressed (or its wire broken); not debounced
+
+  // --- UART --------------------------------------------------------------------------------------
+  bool rx_read(uint8_t* byte);  // next received byte, or false
+  uint16_t rx_overruns();       // received bytes lost (ring full, or hardware overrun) since start
+  uint16_t tx_free();           // bytes that tx_write accepts now
+  uint16_t tx_pending();        // bytes not yet handed to the wire
+  void tx_write(const uint8_t* bytes, uint8_t count);  // count <= tx_free()
+
+  // --- EEPROM ------------------------------------------------------------------------------------
+  bool eeprom_ready();                                 // no write in progress
+  uint8_t eeprom_read(uint16_t address);               // called only while ready
+  void eeprom_write(uint16_t address, uint8_t value);  // called only while ready; returns at once
+
+  // --- start and stop ----------------------------------------------------------------------------
+  protocol::ResetCause reset_cause();  // of this start
+  void kick_watchdog();                // every tick; time-out 120..500 ms
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_BOARD_H_
