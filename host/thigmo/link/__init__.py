@@ -1,0 +1,1 @@
+"""Bytes to typed messages: transports, framing, requests, clock."""

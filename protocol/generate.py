@@ -1,0 +1,911 @@
+"""Generate the protocol's code, document and test vectors from schema.yaml.
+
+One source keeps board, host and document from drifting apart. Run without arguments after a
+change of the schema and commit all outputs; `--check` (make lint, CI) fails when one differs.
+
+    firmware/core/link/protocol.h    host/thigmo/link/protocol.py
+    protocol/PROTOCOL.md             protocol/golden.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import random
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import crcmod.predefined
+import yaml
+from cobs import cobs
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+OUTPUTS = {
+    "cpp": ROOT / "firmware/core/link/protocol.h",
+    "python": ROOT / "host/thigmo/link/protocol.py",
+    "markdown": HERE / "PROTOCOL.md",
+    "golden": HERE / "golden.json",
+}
+
+HEADER = struct.Struct("<BHH")
+CRC_BYTES = 2
+# COBS adds one byte to frames of up to 254, the delimiter is one more.
+OVERHEAD = HEADER.size + CRC_BYTES + 2
+EVENT_WIRE_BYTES = 24
+COLUMNS = 100
+KINDS = ("command", "reply", "datagram", "telemetry", "event")
+# type: (struct code, C++ type, bytes, low, high)
+TYPES = {
+    "u8": ("B", "uint8_t", 1, 0, 0xFF),
+    "u16": ("H", "uint16_t", 2, 0, 0xFFFF),
+    "i16": ("h", "int16_t", 2, -0x8000, 0x7FFF),
+    "u32": ("I", "uint32_t", 4, 0, 0xFFFF_FFFF),
+    "i32": ("i", "int32_t", 4, -0x8000_0000, 0x7FFF_FFFF),
+}
+BIT_ENUMS = ("Fault", "Condition", "SweepOption")
+
+
+class SchemaError(Exception):
+    """The schema breaks one of its own rules."""
+
+
+class _UniqueLoader(yaml.SafeLoader):
+    """YAML that refuses a key given twice, which would silently drop a message."""
+
+
+def _mapping(loader: _UniqueLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    loader.flatten_mapping(node)
+    pairs = [
+        (loader.construct_object(k, deep=True), loader.construct_object(v, deep=True))
+        for k, v in node.value
+    ]
+    result = dict(pairs)
+    if len(result) != len(pairs):
+        raise SchemaError(f"a key is given twice near line {node.start_mark.line + 1}")
+    return result
+
+
+_UniqueLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a message."""
+
+    name: str
+    type: str
+    count: int
+    unit: str
+    enum: str
+    doc: str
+
+    @property
+    def code(self) -> str:
+        """Its struct format."""
+        return (str(self.count) if self.count > 1 else "") + TYPES[self.type][0]
+
+    @property
+    def size(self) -> int:
+        """Bytes on the wire."""
+        return TYPES[self.type][2] * self.count
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message."""
+
+    name: str
+    id: int
+    kind: str
+    reply: str
+    deadline_ms: int
+    doc: str
+    fields: tuple[Field, ...]
+
+    @property
+    def camel(self) -> str:
+        """Its type's name in both languages."""
+        return camel(self.name)
+
+    @property
+    def format(self) -> str:
+        """Its struct format, little-endian."""
+        return "<" + "".join(field.code for field in self.fields)
+
+    @property
+    def size(self) -> int:
+        """Payload bytes."""
+        return sum(field.size for field in self.fields)
+
+    @property
+    def wire(self) -> int:
+        """Most bytes on the wire, delimiter included."""
+        return self.size + OVERHEAD
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter, perhaps an array."""
+
+    name: str
+    index: int
+    count: int
+    unit: str
+    low: int
+    high: int
+    defaults: tuple[int, ...]
+    doc: str
+
+
+@dataclass(frozen=True)
+class Value:
+    """One member of an enumeration."""
+
+    name: str
+    value: int
+    doc: str
+
+
+@dataclass(frozen=True)
+class Schema:
+    """The whole schema, checked."""
+
+    protocol: int
+    max_wire: int
+    crc: str
+    deadline_ms: int
+    map_points: int
+    map_step_cpsi: int
+    hash: int
+    enums: dict[str, tuple[str, tuple[Value, ...]]]
+    messages: tuple[Message, ...]
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def parameter_count(self) -> int:
+        """Indices in all."""
+        return sum(p.count for p in self.parameters)
+
+
+def camel(name: str) -> str:
+    """`hello_reply` -> `HelloReply`."""
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+def without_docs(node: Any) -> Any:
+    """The schema's tree without its documentation, which changes no byte on the wire."""
+    if isinstance(node, dict):
+        return {k: without_docs(v) for k, v in node.items() if k != "doc"}
+    if isinstance(node, list):
+        return [without_docs(v) for v in node]
+    return node
+
+
+def schema_hash(tree: Any) -> int:
+    """First four bytes of SHA-256 over the canonical JSON of the schema without docs."""
+    canonical = json.dumps(without_docs(tree), sort_keys=True, separators=(",", ":"))
+    return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "big")
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise SchemaError(message)
+
+
+def load(path: Path) -> Schema:
+    """Read and check the schema.
+
+    Raises:
+        SchemaError: a rule of the protocol is broken; the message says which and where.
+    """
+    tree = yaml.load(path.read_text(), Loader=_UniqueLoader)
+    enums: dict[str, tuple[str, tuple[Value, ...]]] = {}
+    for name, members in tree["enums"].items():
+        values = tuple(
+            Value(key, body["value"], body["doc"]) for key, body in members.items() if key != "doc"
+        )
+        numbers = [v.value for v in values]
+        _require(len(set(numbers)) == len(numbers), f"enums.{name}: a value is used twice")
+        top = 15 if name in BIT_ENUMS else 255
+        _require(all(0 <= n <= top for n in numbers), f"enums.{name}: values must be 0..{top}")
+        enums[name] = (members["doc"], values)
+
+    messages = []
+    for name, body in tree["messages"].items():
+        where = f"messages.{name}"
+        unknown = set(body) - {"id", "kind", "reply", "deadline_ms", "frozen", "doc", "fields"}
+        _require(not unknown, f"{where}: unknown keys {sorted(unknown)}")
+        fields = []
+        for f in body.get("fields", []):
+            unknown = set(f) - {"name", "type", "count", "unit", "enum", "doc"}
+            _require(not unknown, f"{where}.{f['name']}: unknown keys {sorted(unknown)}")
+            _require(f["type"] in TYPES, f"{where}.{f['name']}: unknown type {f['type']}")
+            enum = f.get("enum", "")
+            _require(not enum or enum in enums, f"{where}.{f['name']}: unknown enum {enum}")
+            _require(not enum or f["type"] == "u8", f"{where}.{f['name']}: enums travel as u8")
+            fields.append(
+                Field(f["name"], f["type"], f.get("count", 1), f.get("unit", ""), enum, f["doc"])
+            )
+        names = [f.name for f in fields]
+        _require(len(set(names)) == len(names), f"{where}: a field name is used twice")
+        kind = body["kind"]
+        _require(kind in KINDS, f"{where}: unknown kind {kind}")
+        message = Message(
+            name,
+            body["id"],
+            kind,
+            body.get("reply", ""),
+            body.get("deadline_ms", tree["deadline_ms"]),
+            body["doc"],
+            tuple(fields),
+        )
+        _require(
+            message.wire <= tree["max_wire_bytes"],
+            f"{where}: {message.wire} bytes on the wire, {tree['max_wire_bytes']} allowed",
+        )
+        if kind == "event":
+            _require(
+                message.wire <= EVENT_WIRE_BYTES, f"{where}: {message.wire} > {EVENT_WIRE_BYTES}"
+            )
+        if kind == "reply":
+            _require(
+                bool(fields) and fields[0].name == "status" and fields[0].enum == "Status",
+                f"{where}: a reply's first field is its status",
+            )
+        frozen = body.get("frozen")
+        _require(
+            frozen is None or frozen == message.format,
+            f"{where}: its layout is frozen as {frozen}, found {message.format}",
+        )
+        messages.append(message)
+    ids = [m.id for m in messages]
+    _require(len(set(ids)) == len(ids), "messages: an id is used twice")
+    _require(all(0 < i < 256 for i in ids), "messages: ids must be 1..255")
+    replies = {m.name for m in messages if m.kind == "reply"}
+    for m in messages:
+        _require(
+            (m.kind == "command") == bool(m.reply), f"messages.{m.name}: commands name a reply"
+        )
+        _require(not m.reply or m.reply in replies, f"messages.{m.name}: unknown reply {m.reply}")
+
+    parameters = []
+    index = 0
+    for name, body in tree["parameters"].items():
+        where = f"parameters.{name}"
+        unknown = set(body) - {"count", "unit", "range", "default", "doc"}
+        _require(not unknown, f"{where}: unknown keys {sorted(unknown)}")
+        count = body.get("count", 1)
+        low, high = body["range"]
+        default = body["default"]
+        defaults = tuple(default) if isinstance(default, list) else (default,) * count
+        _require(len(defaults) == count, f"{where}: {len(defaults)} defaults for {count}")
+        _require(
+            TYPES["i32"][3] <= low < high <= TYPES["i32"][4], f"{where}: bad range {low}..{high}"
+        )
+        _require(all(low <= d <= high for d in defaults), f"{where}: default outside its range")
+        parameters.append(
+            Parameter(name, index, count, body.get("unit", ""), low, high, defaults, body["doc"])
+        )
+        index += count
+    return Schema(
+        tree["protocol"],
+        tree["max_wire_bytes"],
+        tree["crc"],
+        tree["deadline_ms"],
+        tree["map"]["points"],
+        tree["map"]["step_cpsi"],
+        schema_hash(tree),
+        enums,
+        tuple(messages),
+        tuple(parameters),
+    )
+
+
+# --- C++ -----------------------------------------------------------------------------------------
+
+
+def _enumerator(name: str) -> str:
+    return "k" + camel(name)
+
+
+def _cpp_type(field: Field) -> str:
+    return field.enum or TYPES[field.type][1]
+
+
+def _cpp_put(field: Field, offset: int) -> list[str]:
+    width = TYPES[field.type][2]
+    put = {1: "put8", 2: "put16", 4: "put32"}[width]
+    cast = {1: "uint8_t", 2: "uint16_t", 4: "uint32_t"}[width]
+    if field.count == 1:
+        return [f"    detail::{put}(out + {offset}, static_cast<{cast}>({field.name}));"]
+    return [
+        f"    for (uint8_t i = 0; i < {field.count}; ++i) {{",
+        f"      detail::{put}(out + {offset} + {width} * i, static_cast<{cast}>({field.name}[i]));",
+        "    }",
+    ]
+
+
+def _cpp_get(field: Field, offset: int) -> list[str]:
+    width = TYPES[field.type][2]
+    get = {1: "get8", 2: "get16", 4: "get32"}[width]
+    cast = _cpp_type(field)
+    if field.count == 1:
+        return [f"    out->{field.name} = static_cast<{cast}>(detail::{get}(in + {offset}));"]
+    return [
+        f"    for (uint8_t i = 0; i < {field.count}; ++i) {{",
+        f"      out->{field.name}[i] = static_cast<{cast}>(detail::{get}(in + {offset} + "
+        f"{width} * i));",
+        "    }",
+    ]
+
+
+def _cpp_struct(m: Message) -> list[str]:
+    lines = [f"// {m.doc}", f"struct {m.camel} {{"]
+    lines += [
+        f"  static constexpr uint8_t kId = k{m.camel};",
+        f"  static constexpr uint8_t kSize = {m.size};",
+    ]
+    for f in m.fields:
+        array = f"[{f.count}]" if f.count > 1 else ""
+        unit = f" ({f.unit})" if f.unit else ""
+        lines.append(f"  {_cpp_type(f)} {f.name}{array};  // {f.doc}{unit}")
+    out, source, target = ("out", "in", "out") if m.fields else ("", "", "")
+    lines.append(f"  void encode(uint8_t* {out}) const {{")
+    offset = 0
+    for f in m.fields:
+        lines += _cpp_put(f, offset)
+        offset += f.size
+    lines += [
+        "  }",
+        f"  static bool decode(const uint8_t* {source}, uint8_t length, {m.camel}* {target}) {{",
+        "    if (length != kSize) return false;",
+    ]
+    offset = 0
+    for f in m.fields:
+        lines += _cpp_get(f, offset)
+        offset += f.size
+    return [*lines, "    return true;", "  }", "};", ""]
+
+
+def cpp(schema: Schema) -> str:
+    """The C++ header: C++14, <stdint.h> only, as avr-gcc 5.4 has no standard library."""
+    out = [
+        "// Generated by protocol/generate.py from protocol/schema.yaml: do not edit.",
+        "//",
+        "// Messages, enumerations and parameter table, as protocol/PROTOCOL.md documents them.",
+        "// Each message encodes itself into, and decodes itself from, its little-endian payload.",
+        "#ifndef THIGMO_CORE_LINK_PROTOCOL_H_",
+        "#define THIGMO_CORE_LINK_PROTOCOL_H_",
+        "",
+        "#include <stdint.h>",
+        "",
+        "// Where constant tables live; a board whose flash is apart from its memory defines it.",
+        "#ifndef THIGMO_PROGMEM",
+        "#define THIGMO_PROGMEM",
+        "#endif",
+        "",
+        "namespace thigmo {",
+        "namespace protocol {",
+        "",
+        f"constexpr uint8_t kProtocol = {schema.protocol};",
+        f"constexpr uint32_t kSchemaHash = 0x{schema.hash:08X}u;",
+        f"constexpr uint8_t kMaxWire = {schema.max_wire};  // bytes of a frame, delimiter included",
+        f"constexpr uint8_t kMaxFrame = {schema.max_wire - 2};  // header to check sequence",
+        f"constexpr uint8_t kMaxPayload = {schema.max_wire - OVERHEAD};",
+        f"constexpr uint8_t kHeaderSize = {HEADER.size};  // id u8, seq u16, session u16",
+        f"constexpr uint8_t kCrcSize = {CRC_BYTES};",
+        f"constexpr uint8_t kMapPoints = {schema.map_points};",
+        f"constexpr int16_t kMapStepCpsi = {schema.map_step_cpsi};",
+        "",
+    ]
+    for name, (doc, values) in schema.enums.items():
+        out += [f"// {doc}", f"enum class {name} : uint8_t {{"]
+        out += [f"  {_enumerator(v.name)} = {v.value},  // {v.doc}" for v in values]
+        out += ["};", f"constexpr uint8_t k{name}Count = {len(values)};", ""]
+    out += ["// Bit masks of the enumerations that number bits."]
+    out += [
+        f"constexpr uint16_t mask({name} bit) {{ "
+        "return static_cast<uint16_t>(1u << static_cast<uint8_t>(bit)); }"
+        for name in BIT_ENUMS
+    ]
+    out += ["", "// Message ids."]
+    out += [f"constexpr uint8_t k{m.camel} = 0x{m.id:02X};" for m in schema.messages]
+    out += [
+        "",
+        "// Payload size of a message that the host may send, or kUnknownMessage.",
+        "constexpr uint8_t kUnknownMessage = 255;",
+        "constexpr uint8_t inboundSize(uint8_t id) {",
+        "  switch (id) {",
+    ]
+    inbound = [m for m in schema.messages if m.kind == "command" or m.name == "heartbeat"]
+    for m in inbound:
+        out += [f"    case k{m.camel}: return {m.size};"]
+    out += [
+        "    default: return kUnknownMessage;",
+        "  }",
+        "}",
+        "",
+        "namespace detail {",
+        "inline void put8(uint8_t* out, uint8_t value) { out[0] = value; }",
+        "inline void put16(uint8_t* out, uint16_t value) {",
+        "  out[0] = static_cast<uint8_t>(value);",
+        "  out[1] = static_cast<uint8_t>(value >> 8);",
+        "}",
+        "inline void put32(uint8_t* out, uint32_t value) {",
+        "  put16(out, static_cast<uint16_t>(value));",
+        "  put16(out + 2, static_cast<uint16_t>(value >> 16));",
+        "}",
+        "inline uint8_t get8(const uint8_t* in) { return in[0]; }",
+        "inline uint16_t get16(const uint8_t* in) {",
+        "  return static_cast<uint16_t>(in[0] | static_cast<uint16_t>(in[1]) << 8);",
+        "}",
+        "inline uint32_t get32(const uint8_t* in) {",
+        "  return get16(in) | static_cast<uint32_t>(get16(in + 2)) << 16;",
+        "}",
+        "}  // namespace detail",
+        "",
+    ]
+    for m in schema.messages:
+        out += _cpp_struct(m)
+    out += [
+        "// Parameters: first index of each; arrays take consecutive ones.",
+        "enum class Param : uint16_t {",
+    ]
+    for p in schema.parameters:
+        unit = f" ({p.unit})" if p.unit else ""
+        size = f" [{p.count}]" if p.count > 1 else ""
+        out.append(f"  {_enumerator(p.name)} = {p.index},  // {p.doc}{unit}{size}")
+    out += [
+        "};",
+        f"constexpr uint16_t kParamCount = {schema.parameter_count};",
+        "struct ParamRow {",
+        "  int32_t low, high, initial;",
+        "};",
+        "constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {",
+    ]
+    for p in schema.parameters:
+        out += [f"    {{{p.low}, {p.high}, {d}}},  // {p.name}" for d in p.defaults]
+    out += [
+        "};",
+        "",
+        "}  // namespace protocol",
+        "}  // namespace thigmo",
+        "",
+        "#endif  // THIGMO_CORE_LINK_PROTOCOL_H_",
+    ]
+    return _run(_tool("clang-format"), "--assume-filename", str(OUTPUTS["cpp"]), text=out)
+
+
+# --- Python --------------------------------------------------------------------------------------
+
+
+def _py_type(field: Field) -> str:
+    if field.count > 1:
+        return "tuple[int, ...]"
+    return field.enum or "int"
+
+
+def _docstring(text: str, indent: str) -> list[str]:
+    line = f'{indent}"""{text}"""'
+    if len(line) <= COLUMNS:
+        return [line]
+    wrapped = textwrap.wrap(text, COLUMNS - len(indent) - 6)
+    return [f'{indent}"""{wrapped[0]}', *(indent + w for w in wrapped[1:]), f'{indent}"""']
+
+
+def _string(text: str, width: int = 80) -> str:
+    """A literal, in pieces when it is long."""
+    if len(text) <= width:
+        return json.dumps(text)
+    pieces = textwrap.wrap(text, width, drop_whitespace=False)
+    return "(" + " ".join(json.dumps(piece) for piece in pieces) + ")"
+
+
+def _py_message(m: Message) -> list[str]:
+    out = ["@dataclass(frozen=True, slots=True)", f"class {m.camel}(Message):"]
+    out += [*_docstring(m.doc, "    "), ""]
+    out += [
+        f"    ID: ClassVar[int] = 0x{m.id:02X}",
+        f"    SIZE: ClassVar[int] = {m.size}",
+        f'    NAME: ClassVar[str] = "{m.name}"',
+        f'    KIND: ClassVar[str] = "{m.kind}"',
+    ]
+    if m.kind == "command":
+        out += [
+            f'    REPLY: ClassVar[str] = "{m.reply}"',
+            f"    DEADLINE_S: ClassVar[float] = {m.deadline_ms / 1000}",
+        ]
+    out.append("")
+    for f in m.fields:
+        unit = f" [{f.unit}]" if f.unit else ""
+        out += [f"    {f.name}: {_py_type(f)}", *_docstring(f.doc + unit, "    ")]
+    struct_name = f"_{m.name.upper()}"
+    out += ["", "    def pack(self) -> bytes:", '        """The payload."""']
+    if m.fields:
+        args = ", ".join(("*" if f.count > 1 else "") + f"self.{f.name}" for f in m.fields)
+        out.append(f"        return {struct_name}.pack({args})")
+    else:
+        out.append('        return b""')
+    out += [
+        "",
+        "    @classmethod",
+        f"    def unpack(cls, payload: bytes) -> {m.camel}:",
+        '        """Read a payload; raises ValueError on a bad size or an unknown enum value."""',
+        "        if len(payload) != cls.SIZE:",
+        "            raise ValueError(_bad_size(cls, payload))",
+    ]
+    if m.fields:
+        out.append(f"        v = {struct_name}.unpack(payload)")
+        args, at = [], 0
+        for f in m.fields:
+            if f.count > 1:
+                args.append(f"v[{at}:{at + f.count}]")
+            else:
+                args.append(f"{f.enum}(v[{at}])" if f.enum else f"v[{at}]")
+            at += f.count
+        out.append(f"        return cls({', '.join(args)})")
+    else:
+        out.append("        return cls()")
+    return [*out, "", ""]
+
+
+def python(schema: Schema) -> str:
+    """The typed Python module."""
+    out = [
+        '"""Generated by protocol/generate.py from protocol/schema.yaml: do not edit.',
+        "",
+        "Messages, enumerations and the parameter table, as protocol/PROTOCOL.md documents them.",
+        "Integers are as on the wire; the scale is in each name and unit.",
+        '"""',
+        "",
+        "from __future__ import annotations",
+        "",
+        "from dataclasses import dataclass",
+        "from enum import IntEnum",
+        "from struct import Struct",
+        "from typing import ClassVar, Self",
+        "",
+        f"PROTOCOL = {schema.protocol}",
+        f"SCHEMA_HASH = 0x{schema.hash:08X}",
+        f"MAX_WIRE = {schema.max_wire}",
+        f"MAX_FRAME = {schema.max_wire - 2}",
+        f"MAX_PAYLOAD = {schema.max_wire - OVERHEAD}",
+        f'CRC = "{schema.crc}"',
+        f"MAP_POINTS = {schema.map_points}",
+        f"MAP_STEP_CPSI = {schema.map_step_cpsi}",
+        "",
+        "",
+        "class Documented(IntEnum):",
+        '    """An enumeration whose members carry their sentences of the schema."""',
+        "",
+        "    doc: str",
+        "",
+        "    def __new__(cls, value: int, doc: str) -> Self:",
+        '        """A member with its sentence."""',
+        "        member = int.__new__(cls, value)",
+        "        member._value_ = value",
+        "        member.doc = doc",
+        "        return member",
+        "",
+        "    @property",
+        "    def key(self) -> str:",
+        '        """The name as the schema writes it."""',
+        "        return self.name.lower()",
+        "",
+        "    @property",
+        "    def mask(self) -> int:",
+        '        """The member as a bit mask (enumerations of bits)."""',
+        "        return 1 << self.value",
+        "",
+        "    @classmethod",
+        "    def from_mask(cls, mask: int) -> tuple[Self, ...]:",
+        '        """The members whose bits are set in a mask."""',
+        "        return tuple(member for member in cls if mask >> int(member) & 1)",
+        "",
+        "",
+    ]
+    for name, (doc, values) in schema.enums.items():
+        out += [f"class {name}(Documented):", f'    """{doc}"""', ""]
+        out += [f"    {v.name.upper()} = {v.value}, {_string(v.doc)}" for v in values]
+        out += ["", ""]
+    out += [
+        "class Message:",
+        '    """Base of all messages."""',
+        "",
+        "    __slots__ = ()",
+        "    ID: ClassVar[int]",
+        "    SIZE: ClassVar[int]",
+        "    NAME: ClassVar[str]",
+        "    KIND: ClassVar[str]",
+        '    REPLY: ClassVar[str] = ""',
+        f"    DEADLINE_S: ClassVar[float] = {schema.deadline_ms / 1000}",
+        "",
+        "    def pack(self) -> bytes:",
+        '        """The payload."""',
+        "        raise NotImplementedError",
+        "",
+        "    @classmethod",
+        "    def unpack(cls, payload: bytes) -> Message:",
+        '        """Read a payload; raises ValueError on a bad size or an unknown enum value."""',
+        "        raise NotImplementedError",
+        "",
+        "",
+        "def _bad_size(message: type[Message], payload: bytes) -> str:",
+        '    return f"{message.NAME}: {len(payload)} bytes of payload, {message.SIZE} expected"',
+        "",
+        "",
+    ]
+    out += [f'_{m.name.upper()} = Struct("{m.format}")' for m in schema.messages if m.fields]
+    out += ["", ""]
+    for m in schema.messages:
+        out += _py_message(m)
+    out += [
+        "MESSAGES: dict[int, type[Message]] = {",
+        *[f"    0x{m.id:02X}: {m.camel}," for m in schema.messages],
+        "}",
+        "BY_NAME: dict[str, type[Message]] = {m.NAME: m for m in MESSAGES.values()}",
+        "",
+        "",
+        "@dataclass(frozen=True, slots=True)",
+        "class Parameter:",
+        '    """A row of the parameter table; arrays take `count` consecutive indices."""',
+        "",
+        "    name: str",
+        "    index: int",
+        "    count: int",
+        "    unit: str",
+        "    low: int",
+        "    high: int",
+        "    defaults: tuple[int, ...]",
+        "    doc: str",
+        "",
+        "",
+        "PARAMETERS: dict[str, Parameter] = {",
+        "    parameter.name: parameter",
+        "    for parameter in (",
+    ]
+    for p in schema.parameters:
+        out.append(
+            f"        Parameter({json.dumps(p.name)}, {p.index}, {p.count}, {json.dumps(p.unit)}, "
+            f"{p.low}, {p.high}, {p.defaults!r}, {_string(p.doc)}),"
+        )
+    out += ["    )", "}", f"PARAMETER_COUNT = {schema.parameter_count}"]
+    formatted = _run(_tool("ruff"), "format", "--stdin-filename", str(OUTPUTS["python"]), text=out)
+    long = [n for n, line in enumerate(formatted.splitlines(), 1) if len(line) > COLUMNS]
+    _require(not long, f"protocol.py: lines {long} exceed 100 columns; shorten those docs")
+    return formatted
+
+
+# --- document ------------------------------------------------------------------------------------
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def markdown(schema: Schema) -> str:
+    """The protocol's document."""
+    out = [
+        "# Protocol",
+        "",
+        "Generated by `protocol/generate.py` from `protocol/schema.yaml`: do not edit.",
+        "",
+        f"Protocol {schema.protocol}, schema `{schema.hash:08x}`.",
+        "",
+        "## Frame",
+        "",
+        "```",
+        "COBS( id u8 | seq u16 | session u16 | payload | crc u16 ) 0x00",
+        "```",
+        "",
+        f"Integers are little-endian. A frame takes at most {schema.max_wire} bytes on the wire, "
+        f"delimiter included, an event at most {EVENT_WIRE_BYTES}. The check sequence is "
+        f"`{schema.crc}` (polynomial 0x1021, start 0xFFFF, unreflected) over id, seq, session and "
+        "payload. A receiver drops, and counts, what is not a whole good frame, and finds the "
+        "next one at the next 0x00.",
+        "",
+        "## Rules",
+        "",
+        "- **Hello** opens a session: header session 0, any seq. The board issues a session number "
+        "and sets the last seq to the hello's. A hello repeated with the nonce of the running "
+        "session gets the stored reply and changes nothing; the board remembers the nonces of its "
+        "last hellos and drops one that comes again later, so that a replayed hello ends no "
+        "conversation. A hello with another schema hash is refused, with the board's hash, and "
+        "changes nothing. The layouts of hello, hello_reply, announce and ack never change, so "
+        "that boards and hosts of different schemas can tell each other so.",
+        "- **Commands** carry the session, and a seq one above the last. One is outstanding at a "
+        "time. The same seq again gets the stored reply, or `in_progress` while the work lasts. "
+        "Any other seq is stale: dropped and counted. Another session: dropped, counted, and "
+        "answered by an ack `bad_session`.",
+        "- **Replies** carry the seq and session of the frame that they answer. Every refusal is "
+        "an `ack`, except hello's.",
+        "- The host repeats a command after a time-out measured from past round trips, until the "
+        "command's deadline. A command that found no answer ends its session: the host says hello "
+        "again, which makes late copies of the command stale.",
+        "- **Telemetry** counts its frames in seq, from each hello on, and is never repeated. "
+        "It starts with the first hello.",
+        "- **Events** are repeated until acknowledged (`ack_event`), the oldest first, and leave "
+        "before waiting telemetry. Their header's seq is 0, their session the current one.",
+        "- **Heartbeats** keep energised outputs alive: current session, counter above the last "
+        "one of the session. Others are dropped and counted.",
+        "- After a reset the board announces itself twice a second until the first hello. A host "
+        "that opens a port stays silent for at least 1 s (boot loader) unless it hears an "
+        "announce.",
+        "",
+        "## Messages",
+        "",
+    ]
+    for m in schema.messages:
+        title = f"### `{m.name}` 0x{m.id:02X}"
+        out += [title, "", m.doc, ""]
+        facts = [m.kind, f"{m.size} bytes of payload", f"at most {m.wire} on the wire"]
+        if m.kind == "command":
+            facts += [f"answered by `{m.reply}`", f"within {m.deadline_ms} ms"]
+        out += ["; ".join(facts).capitalize() + ".", ""]
+        if m.fields:
+            out += ["| offset | field | type | unit | meaning |", "| --- | --- | --- | --- | --- |"]
+            offset = 0
+            for f in m.fields:
+                kind = f.type + (f"[{f.count}]" if f.count > 1 else "")
+                kind += f" {f.enum}" if f.enum else ""
+                out.append(f"| {offset} | `{f.name}` | {kind} | {f.unit} | {_cell(f.doc)} |")
+                offset += f.size
+            out.append("")
+    out += ["## Enumerations", ""]
+    for name, (doc, values) in schema.enums.items():
+        out += [f"### {name}", "", doc, "", "| value | name | meaning |", "| --- | --- | --- |"]
+        out += [f"| {v.value} | `{v.name}` | {_cell(v.doc)} |" for v in values]
+        out.append("")
+    out += [
+        "## Parameters",
+        "",
+        "Each value is an i32. Arrays take consecutive indices: flex arrays run over the ten "
+        "sensors, left base first; arrays of two are left, right.",
+        "",
+        "| index | name | unit | range | default | meaning |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for p in schema.parameters:
+        index = str(p.index) if p.count == 1 else f"{p.index}..{p.index + p.count - 1}"
+        same = len(set(p.defaults)) == 1
+        default = str(p.defaults[0]) if same else ", ".join(str(d) for d in p.defaults)
+        out.append(
+            f"| {index} | `{p.name}` | {p.unit} | {p.low}..{p.high} | {default} | {_cell(p.doc)} |"
+        )
+    return "\n".join(out) + "\n"
+
+
+# --- golden vectors ------------------------------------------------------------------------------
+
+
+def _vector_value(field: Field, which: str, rng: random.Random, schema: Schema) -> int:
+    _, _, _, low, high = TYPES[field.type]
+    if field.enum:
+        values = [v.value for v in schema.enums[field.enum][1]]
+        return rng.choice(values) if which == "random" else values[-1 if which == "high" else 0]
+    return {"low": low, "high": high, "zero": 0}.get(which, rng.randint(low, high))
+
+
+def golden(schema: Schema) -> str:
+    """Vectors: every message at its extremes and at random values, and frames to be refused."""
+    crc = crcmod.predefined.mkPredefinedCrcFun(schema.crc)
+    rng = random.Random(schema.protocol)
+    vectors: list[dict[str, Any]] = []
+    for m in schema.messages:
+        for which in ("zero", "low", "high", "random") if m.fields else ("zero",):
+            fields: dict[str, Any] = {}
+            flat: list[int] = []
+            for f in m.fields:
+                values = [_vector_value(f, which, rng, schema) for _ in range(f.count)]
+                fields[f.name] = values if f.count > 1 else values[0]
+                flat += values
+            seq = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
+            session = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
+            payload = struct.pack(m.format, *flat)
+            body = HEADER.pack(m.id, seq, session) + payload
+            frame = body + struct.pack("<H", crc(body))
+            vectors.append(
+                {
+                    "message": m.name,
+                    "id": m.id,
+                    "seq": seq,
+                    "session": session,
+                    "fields": fields,
+                    "payload": payload.hex(),
+                    "frame": frame.hex(),
+                    "wire": (cobs.encode(frame) + b"\0").hex(),
+                }
+            )
+    good = bytes.fromhex(vectors[-1]["frame"])
+    flipped = bytes([good[0] ^ 1]) + good[1:]
+    short = good[: HEADER.size + 1]
+    long_body = bytes(range(1, schema.max_wire))
+    long_frame = long_body + struct.pack("<H", crc(long_body))
+    bad = [
+        {"why": "one bit flipped", "wire": (cobs.encode(flipped) + b"\0").hex()},
+        {"why": "truncated", "wire": (cobs.encode(good[:-1]) + b"\0").hex()},
+        {
+            "why": "shorter than header and check sequence",
+            "wire": (cobs.encode(short) + b"\0").hex(),
+        },
+        {"why": "longer than allowed", "wire": (cobs.encode(long_frame) + b"\0").hex()},
+        {"why": "stuffing points beyond the end", "wire": "ff010200"},
+        {"why": "empty", "wire": "00"},
+    ]
+    document = {
+        "about": "Generated by protocol/generate.py; read by the tests of both languages.",
+        "schema_hash": schema.hash,
+        "vectors": vectors,
+        "bad": bad,
+    }
+    text = json.dumps(document, indent=1)
+    return re.sub(r"\[\s+([-\d,\s]+?)\s+\]", lambda g: f"[{' '.join(g[1].split())}]", text) + "\n"
+
+
+# --- main ----------------------------------------------------------------------------------------
+
+
+def _tool(name: str) -> str:
+    beside = Path(sys.executable).with_name(name)
+    found = str(beside) if beside.exists() else shutil.which(name)
+    _require(found is not None, f"{name} is missing; run `make install`")
+    return str(found)
+
+
+def _run(*command: str, text: list[str]) -> str:
+    done = subprocess.run(
+        command, input="\n".join(text) + "\n", text=True, capture_output=True, cwd=ROOT, check=False
+    )
+    _require(done.returncode == 0, f"{command[0]} failed: {done.stderr}")
+    return done.stdout
+
+
+def render(schema: Schema) -> dict[str, str]:
+    """All outputs."""
+    return {
+        "cpp": cpp(schema),
+        "python": python(schema),
+        "markdown": markdown(schema),
+        "golden": golden(schema),
+    }
+
+
+def main() -> int:
+    """Write the outputs, or compare them with --check."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="compare instead of writing")
+    check = parser.parse_args().check
+    try:
+        outputs = render(load(HERE / "schema.yaml"))
+    except SchemaError as error:
+        print(f"schema.yaml: {error}", file=sys.stderr)
+        return 1
+    stale = []
+    for key, text in outputs.items():
+        path = OUTPUTS[key]
+        if path.exists() and path.read_text() == text:
+            continue
+        stale.append(str(path.relative_to(ROOT)))
+        if not check:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+    if check and stale:
+        print(
+            f"{', '.join(stale)}: not what schema.yaml gives; run `python protocol/generate.py`",
+            file=sys.stderr,
+        )
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
