@@ -1,0 +1,509 @@
+"""Global L1 fit of one contact by enumeration.
+
+For a given arc the objective is piecewise linear in f, so it is least on one of the curves
+f = y_i / phi_i(a) on which a residual vanishes, at f = 0 or at a bound of f. Between the ends of
+spans and the places where two such curves meet, the objective along a curve is
+c + B(t) / phi_i(t) with a quadratic B whose t^2 part comes only from sensors in whose span the
+contact lies: monotone without it, with it one stationary point in closed form. The global minimum
+is therefore at one of: f = 0; the ends of spans, 0 and L; pair roots; those stationary points; and
+if f has a finite bound, the same along f = bound. All of them are tried.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.localization.exact.compiled import compiled
+from thigmo.localization.exact.response import (
+    INNER_END,
+    find_edges,
+    first_influence,
+    objective_l1,
+)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CANDIDATES = 256  # near-best candidates kept to find the optimum set
+PIECES = 4
+
+
+@compiled
+def profile_l1(
+    arc: float,
+    y: Floats,
+    low: Floats,
+    span: Floats,
+    inverse: Floats,
+    w: Floats,
+    f_low: float,
+    f_high: float,
+) -> tuple[float, float]:
+    """Least objective over f at one arc, and that f (small N: every vanishing residual tried)."""
+    f_best = min(max(0.0, f_low), f_high)
+    best = objective_l1(arc, f_best, y, low, span, inverse, w)
+    for i in range(y.shape[0] + 2):
+        if i < y.shape[0]:
+            inside = min(max(arc - low[i], 0.0), span[i])
+            phi = inside * inside * inverse[i] + (max(arc - low[i], span[i]) - span[i])
+            if phi <= 0.0 or y[i] == 0.0:
+                continue
+            f = y[i] / phi
+            if not f_low <= f <= f_high:
+                continue
+        else:
+            f = f_low if i == y.shape[0] else f_high
+            if not abs(f) < np.inf:
+                continue
+        value = objective_l1(arc, f, y, low, span, inverse, w)
+        if value < best:
+            best = value
+            f_best = f
+    return best, f_best
+
+
+@compiled
+def fit_l1(
+    y: Floats,
+    low: Floats,
+    span: Floats,
+    inverse: Floats,
+    w: Floats,
+    edges: Floats,
+    n_edges: int,
+    f_low: float,
+    f_high: float,
+    tolerance: float,
+    roots: Floats,
+    n_roots: Ints,
+    near: Floats,
+    cuts: Floats,
+    ranges: Floats,
+) -> tuple[float, float, float, int]:
+    """One problem. Work arrays: roots (N, 4 N), n_roots (N,), near (2, CANDIDATES), cuts (6 N + 8,).
+
+    Args:
+        y: (N,) readings above free curvature.
+        low: (N,) near ends of the spans.
+        span: (N,).
+        inverse: (N,) 1 / (2 span), or 0.
+        w: (N,) weights.
+        edges: from `find_edges`.
+        n_edges: how many.
+        f_low: least f.
+        f_high: largest f.
+        tolerance: relative to the objective at f = 0.
+        roots: work.
+        n_roots: work.
+        near: work.
+        cuts: work.
+        ranges: (PIECES, 2), written: the optimum set.
+
+    Returns:
+        objective, arc, force, number of ranges.
+    """
+    n = y.shape[0]
+    length = edges[n_edges - 1]
+    rest = 0.0
+    for j in range(n):
+        rest += w[j] * abs(y[j])
+        n_roots[j] = 0
+    f_zero = min(max(0.0, f_low), f_high)
+    start = first_influence(low, edges, n_edges)
+
+    # f = 0 (or the bound next to it) is open to every arc; proximal to all sensors f is idle.
+    best = rest
+    best_arc = length
+    best_force = f_zero
+    n_near = 0
+    idle = True  # no sensor answers at edges[start]
+    for j in range(n):
+        idle = idle and low[j] >= edges[start]
+    if f_zero != 0.0:
+        best = objective_l1(0.0, f_zero, y, low, span, inverse, w)
+        best_arc = 0.0
+        near[0, 0] = 0.0
+        near[1, 0] = best
+        n_near = 1
+        if start > 0:
+            near[0, 1] = edges[start]
+            near[1, 1] = best
+            n_near = 2
+
+    slack = tolerance * max(rest, best)
+
+    # Pair roots, remembered by curve.
+    for i in range(n):
+        if y[i] == 0.0 or w[i] == 0.0:
+            continue
+        for j in range(i + 1, n):
+            if y[i] * y[j] <= 0.0 or w[j] == 0.0:
+                continue
+            for form in range(4):
+                # The contact is beyond (linear) or inside (quadratic) the spans of i and j.
+                i_inside = form == 1 or form == 3
+                j_inside = form == 2 or form == 3
+                if (i_inside and span[i] == 0.0) or (j_inside and span[j] == 0.0):
+                    continue
+                begin = max(
+                    low[i] if i_inside else low[i] + span[i],
+                    low[j] if j_inside else low[j] + span[j],
+                )
+                begin = max(begin, 0.0)
+                end = length
+                if i_inside:
+                    end = min(end, low[i] + span[i])
+                if j_inside:
+                    end = min(end, low[j] + span[j])
+                if begin >= end:
+                    continue
+                first = np.nan
+                second = np.nan
+                if form == 0:
+                    xi = low[i] + 0.5 * span[i]
+                    xj = low[j] + 0.5 * span[j]
+                    if y[i] != y[j]:
+                        first = xi + y[i] * (xj - xi) / (y[i] - y[j])
+                elif form == 3:
+                    ratio = np.sqrt(y[j] * span[j] / (y[i] * span[i]))
+                    if ratio != 1.0:
+                        first = low[i] + (low[j] - low[i]) / (1.0 - ratio)
+                else:
+                    q = i if i_inside else j  # the quadratic one
+                    m = j if i_inside else i
+                    # y_m t^2 / (2 l) = y_q (t + d), t from low[q], d = low[q] - x[m]
+                    d = low[q] - (low[m] + 0.5 * span[m])
+                    half = y[q] / y[m] * span[q]
+                    square = half * half + 2.0 * half * d
+                    if square >= 0.0:
+                        far = half + np.sqrt(square)
+                        first = low[q] + far
+                        if far > 0.0:
+                            second = low[q] - 2.0 * half * d / far
+                for _ in range(2):
+                    arc = first
+                    if begin <= arc <= end:
+                        roots[i, n_roots[i]] = arc
+                        n_roots[i] += 1
+                        roots[j, n_roots[j]] = arc
+                        n_roots[j] += 1
+                        inside = min(max(arc - low[i], 0.0), span[i])
+                        phi = inside * inside * inverse[i]
+                        phi += max(arc - low[i], span[i]) - span[i]
+                        force = y[i] / phi
+                        if phi > 0.0 and f_low <= force <= f_high:
+                            value = objective_l1(arc, force, y, low, span, inverse, w)
+                            if value <= best + slack:
+                                if value < best:
+                                    best = value
+                                    best_arc = arc
+                                    best_force = force
+                                if n_near < CANDIDATES:
+                                    near[0, n_near] = arc
+                                    near[1, n_near] = value
+                                    n_near += 1
+                    first = second
+
+    # Edges, from the tip; what sensors beyond the contact read is lost whatever f is.
+    lost = 0.0
+    for e in range(n_edges - 1, start - 1, -1):
+        arc = edges[e]
+        if e == start and idle:
+            arc += INNER_END * (edges[e + 1] - arc)
+        lost = 0.0
+        for j in range(n):
+            if low[j] >= arc:
+                lost += w[j] * abs(y[j])
+        if lost > best + slack:
+            break
+        value, force = profile_l1(arc, y, low, span, inverse, w, f_low, f_high)
+        if value <= best + slack:
+            if value < best:
+                best = value
+                best_arc = arc
+                best_force = force
+            if n_near < CANDIDATES:
+                near[0, n_near] = arc
+                near[1, n_near] = value
+                n_near += 1
+
+    # Stationary points along the curves, in the cells that lie inside some span.
+    for e in range(n_edges - 2, start - 1, -1):
+        begin = edges[e]
+        end = edges[e + 1]
+        middle = 0.5 * (begin + end)
+        lost = 0.0
+        curved = False
+        for j in range(n):
+            if low[j] >= middle:
+                lost += w[j] * abs(y[j])
+            elif low[j] + span[j] > middle:
+                curved = True
+        if lost > best + slack:
+            break
+        if not curved:
+            continue
+        for i in range(n):
+            if y[i] == 0.0 or w[i] == 0.0 or low[i] >= middle:
+                continue
+            i_inside = low[i] + span[i] > middle
+            # Cuts of this curve within the cell, sorted.
+            cuts[0] = begin
+            n_cuts = 1
+            for k in range(n_roots[i]):
+                root = roots[i, k]
+                if begin < root < end:
+                    m = n_cuts
+                    while cuts[m - 1] > root:
+                        cuts[m] = cuts[m - 1]
+                        m -= 1
+                    cuts[m] = root
+                    n_cuts += 1
+            cuts[n_cuts] = end
+            origin = low[i] if i_inside else low[i] + 0.5 * span[i]
+            for k in range(n_cuts):
+                left = cuts[k] - origin
+                right = cuts[k + 1] - origin
+                if not right > left:
+                    continue
+                mid = 0.5 * (left + right)
+                phi = mid * mid * inverse[i] if i_inside else mid
+                force = y[i] / phi
+                b0 = 0.0
+                b1 = 0.0
+                b2 = 0.0
+                for j in range(n):
+                    if low[j] >= middle or j == i:
+                        continue
+                    if low[j] + span[j] > middle:
+                        shift = origin - low[j]
+                        c2 = inverse[j]
+                        c1 = 2.0 * shift * c2
+                        c0 = shift * shift * c2
+                    else:
+                        c2 = 0.0
+                        c1 = 1.0
+                        c0 = origin - (low[j] + 0.5 * span[j])
+                    s = w[j] if y[j] > force * (c0 + mid * (c1 + mid * c2)) else -w[j]
+                    b0 += s * c0
+                    b1 += s * c1
+                    b2 += s * c2
+                if i_inside:
+                    # B / t^2: stationary at t = -2 b0 / b1, a minimum of J if y b0 < 0.
+                    if y[i] * b0 >= 0.0 or b0 * b1 >= 0.0:
+                        continue
+                    t = -2.0 * b0 / b1
+                else:
+                    # B / t: stationary at t^2 = b0 / b2.
+                    if y[i] * b2 >= 0.0 or b0 * b2 <= 0.0:
+                        continue
+                    t = np.sqrt(b0 / b2)
+                if not left < t < right:
+                    continue
+                arc = origin + t
+                phi = t * t * inverse[i] if i_inside else t
+                force = y[i] / phi
+                if not f_low <= force <= f_high:
+                    continue
+                value = objective_l1(arc, force, y, low, span, inverse, w)
+                if value <= best + slack:
+                    if value < best:
+                        best = value
+                        best_arc = arc
+                        best_force = force
+                    if n_near < CANDIDATES:
+                        near[0, n_near] = arc
+                        near[1, n_near] = value
+                        n_near += 1
+
+    # Along a finite bound of f the objective has its kinks where a residual vanishes.
+    for side in range(2):
+        force = f_low if side == 0 else f_high
+        if not 0.0 < abs(force) < np.inf:
+            continue
+        n_cuts = 0
+        for e in range(start, n_edges):
+            cuts[n_cuts] = edges[e]
+            n_cuts += 1
+        for i in range(n):
+            phi = y[i] / force
+            if phi > 0.0:
+                arc = low[i]
+                if phi >= 0.5 * span[i]:
+                    arc += 0.5 * span[i] + phi
+                else:
+                    arc += np.sqrt(2.0 * span[i] * phi)
+                if edges[start] < arc < length:
+                    m = n_cuts
+                    while cuts[m - 1] > arc:
+                        cuts[m] = cuts[m - 1]
+                        m -= 1
+                    cuts[m] = arc
+                    n_cuts += 1
+        for k in range(n_cuts):
+            for inner in range(2):
+                if inner == 0:
+                    arc = cuts[k]
+                else:
+                    if k + 1 == n_cuts or not cuts[k + 1] > cuts[k]:
+                        continue
+                    middle = 0.5 * (cuts[k] + cuts[k + 1])
+                    d0 = 0.0
+                    d1 = 0.0
+                    for j in range(n):
+                        if low[j] >= middle:
+                            continue
+                        t = middle - low[j]
+                        if t >= span[j]:
+                            s = w[j] if y[j] > force * (t - 0.5 * span[j]) else -w[j]
+                            d0 += s
+                        else:
+                            s = w[j] if y[j] > force * t * t * inverse[j] else -w[j]
+                            d1 += 2.0 * s * inverse[j]
+                            d0 -= 2.0 * s * inverse[j] * low[j]
+                    if d1 == 0.0:
+                        continue
+                    arc = -d0 / d1
+                    if not cuts[k] < arc < cuts[k + 1]:
+                        continue
+                value = objective_l1(arc, force, y, low, span, inverse, w)
+                if value <= best + slack:
+                    if value < best:
+                        best = value
+                        best_arc = arc
+                        best_force = force
+                    if n_near < CANDIDATES:
+                        near[0, n_near] = arc
+                        near[1, n_near] = value
+                        n_near += 1
+
+    if f_zero == 0.0 and rest <= best + slack:
+        ranges[0, 0] = 0.0
+        ranges[0, 1] = length
+        return best, best_arc, best_force, 1
+
+    # The optimum set: ends of its ranges are candidates; between two, the middle decides.
+    count = 0
+    for k in range(n_near):
+        if near[1, k] <= best + slack:
+            arc = near[0, k]
+            m = count
+            while m > 0 and near[0, m - 1] > arc:
+                near[0, m] = near[0, m - 1]
+                m -= 1
+            near[0, m] = arc
+            count += 1
+    pieces = 0
+    for k in range(count):
+        arc = near[0, k]
+        joined = False
+        if pieces > 0:
+            last = ranges[pieces - 1, 1]
+            if arc - last <= 1e-12 * length:
+                joined = True
+            else:
+                value, force = profile_l1(
+                    0.5 * (last + arc), y, low, span, inverse, w, f_low, f_high
+                )
+                joined = value <= best + slack or pieces == PIECES
+        if joined:
+            ranges[pieces - 1, 1] = max(ranges[pieces - 1, 1], arc)
+        else:
+            ranges[pieces, 0] = arc
+            ranges[pieces, 1] = arc
+            pieces += 1
+    widest = 0
+    for k in range(1, pieces):
+        if ranges[k, 1] - ranges[k, 0] > ranges[widest, 1] - ranges[widest, 0]:
+            widest = k
+    if ranges[widest, 1] > ranges[widest, 0]:
+        arc = 0.5 * (ranges[widest, 0] + ranges[widest, 1])
+        value, force = profile_l1(arc, y, low, span, inverse, w, f_low, f_high)
+        if value <= best + slack:
+            best_arc = arc
+            best_force = force
+    return best, best_arc, best_force, pieces
+
+
+@compiled
+def fit_l1_rows(
+    y: Floats,
+    low: Floats,
+    span: Floats,
+    w: Floats,
+    length: Floats,
+    f_low: float,
+    f_high: float,
+    tolerance: float,
+    out: Floats,
+    pieces: Ints,
+    ranges: Floats,
+) -> None:
+    """Every row of a batch.
+
+    Args:
+        y: (B, N), NaN for a missing sensor.
+        low: (B or 1, N).
+        span: (B or 1, N).
+        w: (B or 1, N).
+        length: (B or 1,).
+        f_low: least f.
+        f_high: largest f.
+        tolerance: relative.
+        out: (B, 3) objective, arc, force; written.
+        pieces: (B,) number of ranges; written.
+        ranges: (B, PIECES, 2); written up to `pieces`.
+    """
+    rows, n = y.shape
+    shared = low.shape[0] == 1 and span.shape[0] == 1 and length.shape[0] == 1
+    r_y = np.empty(n)
+    r_low = np.empty(n)
+    r_span = np.empty(n)
+    r_inverse = np.empty(n)
+    r_w = np.empty(n)
+    edges = np.empty(2 * n + 2)
+    roots = np.empty((n, 4 * n + 1))
+    n_roots = np.empty(n, np.int64)
+    near = np.empty((2, CANDIDATES))
+    cuts = np.empty(6 * n + 8)
+    n_edges = 0
+    if shared:
+        n_edges = find_edges(low[0], span[0], length[0], edges)
+    for b in range(rows):
+        b_low = b if low.shape[0] > 1 else 0
+        b_span = b if span.shape[0] > 1 else 0
+        b_w = b if w.shape[0] > 1 else 0
+        m = 0
+        for j in range(n):
+            if y[b, j] == y[b, j]:
+                r_y[m] = y[b, j]
+                r_low[m] = low[b_low, j]
+                r_span[m] = span[b_span, j]
+                r_inverse[m] = 0.5 / r_span[m] if r_span[m] > 0.0 else 0.0
+                r_w[m] = w[b_w, j]
+                m += 1
+        if not shared:
+            b_length = b if length.shape[0] > 1 else 0
+            n_edges = find_edges(r_low[:m], r_span[:m], length[b_length], edges)
+        value, arc, force, count = fit_l1(
+            r_y[:m],
+            r_low[:m],
+            r_span[:m],
+            r_inverse[:m],
+            r_w[:m],
+            edges,
+            n_edges,
+            f_low,
+            f_high,
+            tolerance,
+            roots,
+            n_roots,
+            near,
+            cuts,
+            ranges[b],
+        )
+        out[b, 0] = value
+        out[b, 1] = arc
+        out[b, 2] = force
+        pieces[b] = count

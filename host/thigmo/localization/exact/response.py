@@ -1,0 +1,93 @@
+"""What the compiled solvers share: sensor response, objective, optimum ranges.
+
+A sensor is given by its near end `low`, span `span` and `inverse` = 1 / (2 span), 0 for a point
+sensor, so that its response needs no branch. Everything is homogeneous in the units.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.localization.exact.compiled import compiled
+
+Floats = NDArray[np.float64]
+
+INNER_END = 1e-9  # where in the first cell its open end is looked at, as a share of the cell
+
+
+@compiled
+def response(arc: float, low: float, span: float, inverse: float) -> float:
+    """Influence phi of a unit force at `arc` on one sensor (METHODS: average over the span)."""
+    inside = min(max(arc - low, 0.0), span)
+    return inside * inside * inverse + (max(arc - low, span) - span)
+
+
+@compiled
+def objective_l1(
+    arc: float, force: float, y: Floats, low: Floats, span: Floats, inverse: Floats, w: Floats
+) -> float:
+    """Sum of w |y - f phi|."""
+    total = 0.0
+    for j in range(y.shape[0]):
+        inside = min(max(arc - low[j], 0.0), span[j])
+        phi = inside * inside * inverse[j] + (max(arc - low[j], span[j]) - span[j])
+        total += w[j] * abs(y[j] - force * phi)
+    return total
+
+
+@compiled
+def objective_l2(
+    arc: float, force: float, y: Floats, low: Floats, span: Floats, inverse: Floats, w: Floats
+) -> float:
+    """Sum of (w (y - f phi))^2."""
+    total = 0.0
+    for j in range(y.shape[0]):
+        inside = min(max(arc - low[j], 0.0), span[j])
+        phi = inside * inside * inverse[j] + (max(arc - low[j], span[j]) - span[j])
+        r = w[j] * (y[j] - force * phi)
+        total += r * r
+    return total
+
+
+@compiled
+def find_edges(low: Floats, span: Floats, length: float, edges: Floats) -> int:
+    """Sorted distinct ends of spans within [0, length], 0 and length included; returns how many.
+
+    Args:
+        low: (N,).
+        span: (N,).
+        length: everted length.
+        edges: (2 N + 2,), written.
+    """
+    n = low.shape[0]
+    count = 2
+    edges[0] = 0.0
+    edges[1] = length
+    for j in range(n):
+        for side in range(2):
+            e = low[j] + side * span[j]
+            if e <= 0.0 or e >= length or (side == 1 and span[j] == 0.0):
+                continue
+            k = count - 1
+            while edges[k] > e:
+                k -= 1
+            if edges[k] == e:
+                continue
+            for m in range(count, k + 1, -1):
+                edges[m] = edges[m - 1]
+            edges[k + 1] = e
+            count += 1
+    return count
+
+
+@compiled
+def first_influence(low: Floats, edges: Floats, n_edges: int) -> int:
+    """Index of the last edge at which no sensor answers yet (0 if one answers at the base)."""
+    least = np.inf
+    for j in range(low.shape[0]):
+        least = min(least, low[j])
+    k = 0
+    while k + 2 < n_edges and edges[k + 1] <= least:
+        k += 1
+    return k
