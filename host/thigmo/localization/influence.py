@@ -1,0 +1,127 @@
+"""What one unit contact force does to each sensor: the influence phi(a; x, l).
+
+A flex sensor reads the average curvature over its span, so a unit force at arc `a` (EI = 1, EI is
+not known) moves it by the average over the span of the lever from the point of the body to `a`.
+Straight beam: lever = a - s (Euler-Bernoulli, small deflection). Bent beam: the normal force at `a`
+turns with the body, and the lever is the integral from s to a of cos(theta(u) - theta(a)). Both are
+compiled here for every estimator of this package; lengths are fractions of the everted length.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.compiled import compiled
+
+Array = npt.NDArray[np.float64]
+
+# A shape is a table over uniform arcs 0..1: heading, x, y and the integrals of x and y.
+STRAIGHT: Array = np.zeros((0, 5))
+NO_EDGES: Array = np.zeros((0, 4))
+
+
+@compiled
+def influence(arc: float, low: Array, high: Array, table: Array, edges: Array, out: Array) -> float:
+    """Fill `out` (N,) with each sensor's reading for a unit normal force at `arc`.
+
+    Args:
+        arc: place of the force, fraction of the length.
+        low: (N,) near end of each sensor.
+        high: (N,) far end; equal to `low` for a point sensor.
+        table: (G, 5) shape of the body, or no rows for a straight one.
+        edges: (N, 4) from `sensor_edges`, ignored for a straight body.
+        out: (N,) written.
+
+    Returns:
+        The lever at the base, the contact's base moment for a unit force.
+    """
+    n = low.shape[0]
+    if table.shape[0] == 0:
+        for i in range(n):
+            reach = arc - low[i]
+            if reach <= 0.0:
+                out[i] = 0.0
+            elif arc >= high[i]:
+                out[i] = arc - 0.5 * (low[i] + high[i])
+            else:
+                out[i] = 0.5 * reach * reach / (high[i] - low[i])
+        return arc
+    last = table.shape[0] - 1
+    place = arc * last
+    j = min(int(place), last - 1)
+    t = place - j
+    heading = table[j, 0] * (1.0 - t) + table[j + 1, 0] * t
+    x = table[j, 1] * (1.0 - t) + table[j + 1, 1] * t
+    y = table[j, 2] * (1.0 - t) + table[j + 1, 2] * t
+    sum_x = table[j, 3] * (1.0 - t) + table[j + 1, 3] * t
+    sum_y = table[j, 4] * (1.0 - t) + table[j + 1, 4] * t
+    c = np.cos(heading)
+    s = np.sin(heading)
+    for i in range(n):
+        reach = arc - low[i]
+        if reach <= 0.0:
+            out[i] = 0.0
+        elif arc >= high[i]:
+            out[i] = c * (x - edges[i, 0]) + s * (y - edges[i, 1])
+        else:
+            moment = c * (x * reach - (sum_x - edges[i, 2]))
+            moment += s * (y * reach - (sum_y - edges[i, 3]))
+            out[i] = moment / (high[i] - low[i])
+    return c * x + s * y
+
+
+def shape_table(curvature: Array) -> Array:
+    """Shape of a body of unit length from its curvature on uniform arcs.
+
+    Args:
+        curvature: (G,) curvature times length at G uniform arcs 0..1, G >= 2.
+
+    Returns:
+        (G, 5) heading (rad), x, y, integral of x, integral of y.
+    """
+    step = 1.0 / (len(curvature) - 1)
+
+    def integral(values: Array) -> Array:
+        out = np.zeros_like(values)
+        np.cumsum(0.5 * step * (values[1:] + values[:-1]), out=out[1:])
+        return out
+
+    heading = integral(curvature)
+    x, y = integral(np.cos(heading)), integral(np.sin(heading))
+    return np.column_stack([heading, x, y, integral(x), integral(y)])
+
+
+def shape_columns(table: Array, arc: Array) -> Array:
+    """Rows of a shape table at any arcs; behind the base (arc < 0) the body is straight.
+
+    Args:
+        table: (G, 5).
+        arc: (M,) fractions of the length.
+
+    Returns:
+        (M, 5).
+    """
+    grid = np.linspace(0.0, 1.0, len(table))
+    out = np.column_stack([np.interp(arc, grid, table[:, c]) for c in range(5)])
+    behind = arc < 0.0
+    out[behind, 1] = arc[behind]
+    out[behind, 3] = 0.5 * arc[behind] ** 2
+    return out
+
+
+def sensor_edges(table: Array, low: Array, high: Array) -> Array:
+    """What `influence` needs of each sensor on a bent body.
+
+    Returns:
+        (N, 4) mean x and mean y over the span; integrals of x and y up to the near end.
+    """
+    if len(table) == 0:
+        return np.zeros((len(low), 4))
+    near, far = shape_columns(table, low), shape_columns(table, high)
+    span = high - low
+    point = span <= 0.0
+    safe = np.where(point, 1.0, span)
+    mean_x = np.where(point, near[:, 1], (far[:, 3] - near[:, 3]) / safe)
+    mean_y = np.where(point, near[:, 2], (far[:, 4] - near[:, 4]) / safe)
+    return np.column_stack([mean_x, mean_y, near[:, 3], near[:, 4]])
