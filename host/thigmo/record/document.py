@@ -1,0 +1,151 @@
+"""contacts.json: what a run found, as plain data.
+
+Written by the exploration after every stage, read by the report, by `thigmo info` and by whoever
+plans with the map. Lengths in cm, forces over EI in 1/cm^2, times in s; x along the straight
+robot, y to its left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A measured centreline of the robot.
+
+    Attributes:
+        side: the muscle that was inflated, "left" or "right".
+        pressure_psi: its pressure, filtered by the calibrated lag.
+        poses: base to tip, evenly spaced in arc length.
+    """
+
+    side: str
+    pressure_psi: float
+    poses: list[Pose]
+
+
+@dataclass(frozen=True, slots=True)
+class Trigger:
+    """The board's contact trigger in a sweep.
+
+    Attributes:
+        side: active muscle.
+        t_s: device time.
+        excess_per_cm: base curvature minus free curvature when it fired.
+        status: what the localizer made of the peak's readings.
+        message: the localizer's reason.
+    """
+
+    side: str
+    t_s: float
+    excess_per_cm: float
+    status: str
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MapContact:
+    """A contact in the room.
+
+    Attributes:
+        arc_cm: along the body, from the base.
+        x_cm, y_cm: the point of the skin that touches.
+        force_per_cm2: signed, F/EI; positive pushes towards +y of the body there.
+        interval_cm: 95 % interval of the arc.
+        status: "localized" or "ambiguous".
+        everted_length_cm: stage at which it was felt.
+        side: active muscle.
+        normal_rad: direction from the centreline to the contact point.
+        covariance_cm2: of (x, y), from the interval along the body and the shape's uncertainty.
+        track: the interval drawn along the skin, low end to high end.
+        model: the localizer's model.
+        readings: number of sensors used.
+        merged: earlier stages whose contact is the same one.
+    """
+
+    arc_cm: float
+    x_cm: float
+    y_cm: float
+    force_per_cm2: float
+    interval_cm: tuple[float, float]
+    status: str
+    everted_length_cm: float
+    side: str
+    normal_rad: float
+    covariance_cm2: tuple[tuple[float, float], tuple[float, float]]
+    track: list[tuple[float, float]]
+    model: str
+    readings: int
+    merged: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One stop of the growth: swept both ways."""
+
+    everted_length_cm: float
+    body_pressure_psi: float
+    t_s: float
+    shapes: list[Shape] = field(default_factory=list)
+    triggers: list[Trigger] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class TrueContact:
+    """A contact as the room knows it."""
+
+    x_cm: float
+    y_cm: float
+    arc_cm: float
+    everted_length_cm: float
+    peg: int
+
+
+@dataclass(frozen=True, slots=True)
+class TruePeg:
+    """A round peg of the room."""
+
+    x_cm: float
+    y_cm: float
+    radius_cm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What the emulator knows: pegs, and the contact forces at the moments of measurement."""
+
+    pegs: list[TruePeg] = field(default_factory=list)
+    contacts: list[TrueContact] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class RunDocument:
+    """The whole of contacts.json.
+
+    Attributes:
+        outcome: "running", "full length", "peg ahead", or "aborted: why".
+        contacts: merged contacts, in the order of their discovery.
+        error_x_cm: |x error| of the best contact against the true contact point (the thesis's
+            measure), null without truth or contact.
+        error_cm: distance in the plane from it to the true contact point.
+        robot_time_s: device time that the run took.
+        wall_time_s: the operator's time that it took, from connecting on.
+    """
+
+    thigmo: str
+    name: str
+    url: str
+    started: str
+    outcome: str = "running"
+    seed: int | None = None
+    contacts: list[MapContact] = field(default_factory=list)
+    stages: list[Stage] = field(default_factory=list)
+    truth: Truth | None = None
+    error_x_cm: float | None = None
+    error_cm: float | None = None
+    robot_time_s: float = 0.0
+    wall_time_s: float = 0.0
+    version: int = 1

@@ -1,0 +1,122 @@
+"""The run folder on disk: made, filled while the run goes on, closed, found again."""
+
+from __future__ import annotations
+
+import os
+import re
+from datetime import datetime
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from thigmo.config import RobotConfig
+from thigmo.errors import RunFolderError
+from thigmo.record.document import RunDocument
+from thigmo.record.log import Log, LogWriter, read_log
+
+_DOCUMENT = TypeAdapter(RunDocument)
+
+
+class RunFolder:
+    """One run's folder.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    @classmethod
+    def create(cls, parent: str | os.PathLike[str], name: str, started: datetime) -> RunFolder:
+        """Make `parent/DATE-NAME`; a number is appended if it exists.
+
+        Raises:
+            RunFolderError: the folder cannot be made or written.
+        """
+        slug = re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.") or "run"
+        stem = f"{started:%Y%m%d-%H%M%S}-{slug}"
+        for number in range(1, 1000):
+            path = Path(parent) / (stem if number == 1 else f"{stem}-{number}")
+            try:
+                path.mkdir(parents=True, exist_ok=False)
+            except FileExistsError as error:
+                if Path(parent).is_dir():
+                    continue
+                raise RunFolderError(
+                    f"cannot make a run folder in {parent}: it is not a folder",
+                    "choose another with --out",
+                ) from error
+            except OSError as error:
+                raise RunFolderError(
+                    f"cannot make a run folder in {parent}: {error.strerror}",
+                    "choose another with --out",
+                ) from error
+            return cls(path)
+        raise RunFolderError(f"{parent} holds too many runs of this second", "wait a second")
+
+    @property
+    def map_path(self) -> Path:
+        """The picture of the map."""
+        return self.path / "map.png"
+
+    def open_log(self, metadata: dict[str, str]) -> LogWriter:
+        """Start `run.mcap`.
+
+        Raises:
+            RunFolderError: it exists already or cannot be written.
+        """
+        return LogWriter(self.path / "run.mcap", metadata)
+
+    def read_log(self) -> Log:
+        """Read `run.mcap`.
+
+        Raises:
+            RunFolderError: missing, or not an MCAP file.
+        """
+        return read_log(self.path / "run.mcap")
+
+    def write_document(self, document: RunDocument, name: str = "contacts.json") -> Path:
+        """Write contacts.json whole or not at all.
+
+        Raises:
+            RunFolderError: the folder cannot be written.
+        """
+        target = self.path / name
+        partial = self.path / f"{name}.partial"
+        try:
+            partial.write_bytes(_DOCUMENT.dump_json(document, indent=2) + b"\n")
+            partial.replace(target)
+        except OSError as error:
+            raise RunFolderError(
+                f"cannot write {target}: {error.strerror}", "free some space, or check permissions"
+            ) from error
+        return target
+
+    def read_document(self) -> RunDocument:
+        """Read contacts.json.
+
+        Raises:
+            RunFolderError: missing or malformed.
+        """
+        path = self.path / "contacts.json"
+        try:
+            return _DOCUMENT.validate_json(path.read_bytes())
+        except OSError as error:
+            raise RunFolderError(
+                f"cannot read {path}: {error.strerror}", "give a run folder"
+            ) from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise RunFolderError(
+                f"{path}: {where}: {first['msg']}", "run `thigmo replay` on the folder"
+            ) from error
+
+    def read_config(self) -> RobotConfig:
+        """Read robot.toml as it was used.
+
+        Raises:
+            ConfigError: missing or malformed.
+        """
+        return RobotConfig.load(self.path / "robot.toml")

@@ -1,0 +1,57 @@
+"""A CSV of readings: what is good is read, what is bad is named with its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from thigmo.errors import DataError
+from thigmo.record import read_readings
+
+
+def _write(path: Path, text: str) -> Path:
+    (path / "r.csv").write_text(text)
+    return path / "r.csv"
+
+
+def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
+    file = _write(tmp_path, "# lab\nspan, note, Curvature ,position\n5.5,a,0.01,5\n4,b,-0.02,15\n")
+    table = read_readings(file, length=53)
+    assert table.position.tolist() == [5, 15]
+    assert table.curvature.tolist() == [0.01, -0.02]
+    assert table.span is not None
+    assert table.span.tolist() == [5.5, 4]
+    assert read_readings(_write(tmp_path, "position,curvature\n1,2\n"), length=5).span is None
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "is empty"),
+        ("position,curvature\n", "no rows"),
+        ("position,bend\n5,0.01\n", "no column `curvature`"),
+        ("5,0.01\n15,0.01\n", "no column `position`"),
+        ("position,curvature\n5,nan\n", "line 2: curvature is nan"),
+        ("position,curvature\n5,0.01\n15,inf\n", "line 3: curvature is inf"),
+        ("position,curvature\n5,wide\n", "line 2: curvature is 'wide'"),
+        ("position,curvature\n5\n", "line 2: no curvature"),
+        ("position,curvature\n5,0.01\n\n54,0.01\n", "line 4: a sensor at 54 lies outside 0..53"),
+        ("position,curvature\n-1,0.01\n", "outside"),
+        ("position,curvature,span\n5,0.01,-2\n", "negative"),
+    ],
+)
+def test_a_bad_table_is_named_in_one_line(tmp_path: Path, text: str, named: str) -> None:
+    with pytest.raises(DataError) as caught:
+        read_readings(_write(tmp_path, text), length=53)
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "; " in str(caught.value)  # what to do next
+
+
+def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(DataError, match="not a text file"):
+        read_readings(tmp_path / "b.csv", length=53)
+    with pytest.raises(DataError, match="cannot read"):
+        read_readings(tmp_path / "none.csv", length=53)

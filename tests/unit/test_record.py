@@ -1,0 +1,175 @@
+"""Run folders: what is written is read back, also when the writer was killed at any byte."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from thigmo.errors import RunFolderError
+from thigmo.record import (
+    LogWriter,
+    MapContact,
+    RunDocument,
+    RunFolder,
+    Shape,
+    Stage,
+    Trigger,
+    TrueContact,
+    TruePeg,
+    Truth,
+    read_log,
+)
+
+NOON = datetime(2024, 5, 17, 12, 0, 0)
+
+
+def _frames(count: int) -> list[bytes]:
+    return [bytes((n * 7 + k) % 255 + 1 for k in range(70)) for n in range(count)]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    with LogWriter(path, {"thigmo": "1"}) as log:
+        for number, frame in enumerate(_frames(1000)):
+            log.frame("rx" if number % 5 else "tx", frame, number * 0.005)
+        log.note("state", 5.0, state="SWEEP")
+    return path.read_bytes()
+
+
+def test_frames_notes_and_metadata_survive_in_order(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    log = read_log(path)
+    assert [e.frame for e in log.entries] == _frames(1000)
+    assert [e.direction for e in log.entries[:6]] == ["tx", "rx", "rx", "rx", "rx", "tx"]
+    assert log.entries[200].t_s == pytest.approx(1.0)
+    assert log.notes == [(5.0, {"topic": "state", "state": "SWEEP"})]
+    assert log.metadata == {"thigmo": "1"}
+    assert not log.truncated
+
+
+@settings(max_examples=60, deadline=None)
+@given(share=st.floats(0.0, 0.999))
+def test_a_record_cut_anywhere_gives_a_prefix_and_says_so(
+    tmp_path_factory: pytest.TempPathFactory, whole: bytes, share: float
+) -> None:
+    path = tmp_path_factory.mktemp("cut") / "run.mcap"
+    path.write_bytes(whole[: int(share * len(whole))])
+    try:
+        log = read_log(path)
+    except RunFolderError:
+        assert share * len(whole) < 1000  # nothing but a torn header
+        return
+    assert log.truncated
+    count = len(log.entries)
+    assert [e.frame for e in log.entries] == _frames(1000)[:count]
+    # At most the open chunk is lost: 16 KiB of about 200 frames, and its index.
+    assert count >= 1000 * share - 300
+
+
+@settings(max_examples=60, deadline=None)
+@given(place=st.integers(200, 30_000), value=st.integers(0, 255))
+def test_a_flipped_byte_never_invents_a_frame(
+    tmp_path_factory: pytest.TempPathFactory, whole: bytes, place: int, value: int
+) -> None:
+    data = bytearray(whole)
+    data[place % len(data)] = value
+    path = tmp_path_factory.mktemp("flip") / "run.mcap"
+    path.write_bytes(data)
+    try:
+        log = read_log(path)
+    except RunFolderError:
+        return
+    known = set(_frames(1000))
+    assert all(e.frame in known for e in log.entries)
+
+
+def test_a_killed_writer_leaves_all_but_its_last_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    script = f"""
+import os, signal
+from pathlib import Path
+from thigmo.record import LogWriter
+log = LogWriter(Path({str(path)!r}), {{}})
+for n in range(2000):
+    log.frame("rx", os.urandom(70), n * 0.005)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", script], check=False)
+    assert done.returncode == -9
+    log = read_log(path)
+    assert log.truncated
+    assert 1800 <= len(log.entries) < 2000
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_text("not a record at all")
+    with pytest.raises(RunFolderError, match="not an MCAP file"):
+        read_log(tmp_path / "run.mcap")
+    with pytest.raises(RunFolderError, match="cannot read"):
+        read_log(tmp_path / "none.mcap")
+
+
+def test_run_folders_of_the_same_second_are_kept_apart(tmp_path: Path) -> None:
+    paths = [RunFolder.create(tmp_path / "runs", "peg / one", NOON).path.name for _ in range(3)]
+    assert paths == [f"20240517-120000-peg-one{tail}" for tail in ("", "-2", "-3")]
+
+
+def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(RunFolderError, match="--out"):
+            RunFolder.create(place, "x", NOON)
+
+
+def test_the_document_survives_a_round_trip(tmp_path: Path) -> None:
+    contact = MapContact(
+        arc_cm=51.0,
+        x_cm=37.0,
+        y_cm=28.0,
+        force_per_cm2=-3e-4,
+        interval_cm=(46.0, 53.0),
+        status="localized",
+        everted_length_cm=53.0,
+        side="left",
+        normal_rad=1.2,
+        covariance_cm2=((1.0, 0.1), (0.1, 2.0)),
+        track=[(36.0, 27.0), (37.0, 28.0)],
+        model="beam",
+        readings=4,
+        merged=[50.0],
+    )
+    document = RunDocument(
+        thigmo="0",
+        name="n",
+        url="emulator://default",
+        started="now",
+        contacts=[contact],
+        stages=[
+            Stage(
+                53.0,
+                0.49,
+                1.0,
+                [Shape("left", 18.0, [(0.0, 0.0, 0.0), (1.0, 0.0, 0.1)])],
+                [Trigger("left", 0.5, -0.006, "localized")],
+            )
+        ],
+        truth=Truth([TruePeg(1, 2, 3)], [TrueContact(1, 2, 3, 53, 0)]),
+        error_x_cm=1.0,
+    )
+    folder = RunFolder(tmp_path)
+    folder.write_document(document)
+    assert folder.read_document() == document
+
+
+def test_a_malformed_document_is_named(tmp_path: Path) -> None:
+    (tmp_path / "contacts.json").write_text('{"thigmo": "0"}')
+    with pytest.raises(RunFolderError, match=r"contacts\.json"):
+        RunFolder(tmp_path).read_document()
