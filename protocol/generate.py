@@ -589,7 +589,7 @@ def python(schema: Schema) -> str:
         "",
         "    doc: str",
         "",
-        "    def __new__(cls, value: int, doc: str) -> Self:",
+        '    def __new__(cls, value: int, doc: str = "") -> Self:',
         '        """A member with its sentence."""',
         "        member = int.__new__(cls, value)",
         "        member._value_ = value",

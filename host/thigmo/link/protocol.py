@@ -26,7 +26,7 @@ class Documented(IntEnum):
 
     doc: str
 
-    def __new__(cls, value: int, doc: str) -> Self:
+    def __new__(cls, value: int, doc: str = "") -> Self:
         """A member with its sentence."""
         member = int.__new__(cls, value)
         member._value_ = value
