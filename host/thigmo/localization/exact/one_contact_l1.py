@@ -76,12 +76,18 @@ def fit_l1(
     f_high: float,
     tolerance: float,
     roots: Floats,
+    others: Ints,
     n_roots: Ints,
     near: Floats,
     cuts: Floats,
+    forms: Floats,
+    signed: Floats,
+    turns: Ints,
+    place: Ints,
     ranges: Floats,
 ) -> tuple[float, float, float, int]:
-    """One problem. Work arrays: roots (N, 4 N), n_roots (N,), near (2, CANDIDATES), cuts (6 N + 8,).
+    """One problem. Work arrays: roots (N, 4 N), n_roots (N,), near (2, CANDIDATES), cuts (6 N + 8,),
+    forms (5, N).
 
     Args:
         y: (N,) readings above free curvature.
@@ -95,9 +101,14 @@ def fit_l1(
         f_high: largest f.
         tolerance: relative to the objective at f = 0.
         roots: work.
+        others: work.
         n_roots: work.
         near: work.
         cuts: work.
+        forms: work.
+        signed: work.
+        turns: work.
+        place: work.
         ranges: (PIECES, 2), written: the optimum set.
 
     Returns:
@@ -133,90 +144,97 @@ def fit_l1(
 
     slack = tolerance * max(rest, best)
 
-    # Pair roots, remembered by curve.
+    # Pair roots, remembered by curve. Form 0: the contact is beyond both spans; 1: beyond the first
+    # and inside the second; 2: inside both (q is the span that ends last).
     for i in range(n):
         if y[i] == 0.0 or w[i] == 0.0:
             continue
         for j in range(i + 1, n):
             if y[i] * y[j] <= 0.0 or w[j] == 0.0:
                 continue
-            for form in range(4):
-                # The contact is beyond (linear) or inside (quadratic) the spans of i and j.
-                i_inside = form == 1 or form == 3
-                j_inside = form == 2 or form == 3
-                if (i_inside and span[i] == 0.0) or (j_inside and span[j] == 0.0):
-                    continue
-                begin = max(
-                    low[i] if i_inside else low[i] + span[i],
-                    low[j] if j_inside else low[j] + span[j],
-                )
-                begin = max(begin, 0.0)
-                end = length
-                if i_inside:
-                    end = min(end, low[i] + span[i])
-                if j_inside:
-                    end = min(end, low[j] + span[j])
-                if begin >= end:
-                    continue
-                first = np.nan
+            m = i
+            q = j
+            if low[i] + span[i] > low[j] + span[j]:
+                m = j
+                q = i
+            m_end = low[m] + span[m]
+            q_end = low[q] + span[q]
+            for form in range(3):
                 second = np.nan
                 if form == 0:
-                    xi = low[i] + 0.5 * span[i]
-                    xj = low[j] + 0.5 * span[j]
-                    if y[i] != y[j]:
-                        first = xi + y[i] * (xj - xi) / (y[i] - y[j])
-                elif form == 3:
-                    ratio = np.sqrt(y[j] * span[j] / (y[i] * span[i]))
-                    if ratio != 1.0:
-                        first = low[i] + (low[j] - low[i]) / (1.0 - ratio)
-                else:
-                    q = i if i_inside else j  # the quadratic one
-                    m = j if i_inside else i
+                    begin = max(q_end, 0.0)
+                    end = length
+                    if begin >= end or y[m] == y[q]:
+                        continue
+                    d = q_end - m_end + 0.5 * (span[m] - span[q])
+                    first = m_end - 0.5 * span[m] + y[m] * d / (y[m] - y[q])
+                elif form == 1:
+                    begin = max(max(low[q], m_end), 0.0)
+                    end = min(q_end, length)
+                    if begin >= end:
+                        continue
                     # y_m t^2 / (2 l) = y_q (t + d), t from low[q], d = low[q] - x[m]
-                    d = low[q] - (low[m] + 0.5 * span[m])
+                    d = low[q] - m_end + 0.5 * span[m]
                     half = y[q] / y[m] * span[q]
-                    square = half * half + 2.0 * half * d
-                    if square >= 0.0:
-                        far = half + np.sqrt(square)
-                        first = low[q] + far
-                        if far > 0.0:
-                            second = low[q] - 2.0 * half * d / far
+                    square = half * (half + 2.0 * d)
+                    if square < 0.0:
+                        continue
+                    far = half + np.sqrt(square)
+                    first = low[q] + far
+                    if d < 0.0:
+                        second = low[q] - 2.0 * half * d / far
+                else:
+                    begin = max(max(low[q], low[m]), 0.0)
+                    end = min(m_end, length)
+                    if begin >= end:
+                        continue
+                    ratio = np.sqrt(y[q] * span[q] / (y[m] * span[m]))
+                    if ratio == 1.0:
+                        continue
+                    first = low[m] + (low[q] - low[m]) / (1.0 - ratio)
                 for _ in range(2):
                     arc = first
-                    if begin <= arc <= end:
-                        roots[i, n_roots[i]] = arc
-                        n_roots[i] += 1
-                        roots[j, n_roots[j]] = arc
-                        n_roots[j] += 1
-                        inside = min(max(arc - low[i], 0.0), span[i])
-                        phi = inside * inside * inverse[i]
-                        phi += max(arc - low[i], span[i]) - span[i]
-                        force = y[i] / phi
-                        if phi > 0.0 and f_low <= force <= f_high:
-                            value = objective_l1(arc, force, y, low, span, inverse, w)
-                            if value <= best + slack:
-                                if value < best:
-                                    best = value
-                                    best_arc = arc
-                                    best_force = force
-                                if n_near < CANDIDATES:
-                                    near[0, n_near] = arc
-                                    near[1, n_near] = value
-                                    n_near += 1
                     first = second
+                    if not begin <= arc <= end:
+                        continue
+                    roots[i, n_roots[i]] = arc
+                    others[i, n_roots[i]] = j
+                    n_roots[i] += 1
+                    roots[j, n_roots[j]] = arc
+                    others[j, n_roots[j]] = i
+                    n_roots[j] += 1
+                    inside = min(max(arc - low[i], 0.0), span[i])
+                    phi = inside * inside * inverse[i]
+                    phi += max(arc - low[i], span[i]) - span[i]
+                    force = y[i] / phi
+                    if phi > 0.0 and f_low <= force <= f_high:
+                        value = objective_l1(arc, force, y, low, span, inverse, w)
+                        if value <= best + slack:
+                            if value < best:
+                                best = value
+                                best_arc = arc
+                                best_force = force
+                            if n_near < CANDIDATES:
+                                near[0, n_near] = arc
+                                near[1, n_near] = value
+                                n_near += 1
 
-    # Edges, from the tip; what sensors beyond the contact read is lost whatever f is.
-    lost = 0.0
+    # Arcs where the objective has a kink whatever the signs: 0, L and point sensors. (The end of a
+    # span is none: phi is smooth there.) What sensors beyond the contact read is lost for every f.
     for e in range(n_edges - 1, start - 1, -1):
         arc = edges[e]
+        kink = e == start or e == n_edges - 1
         if e == start and idle:
             arc += INNER_END * (edges[e + 1] - arc)
         lost = 0.0
         for j in range(n):
             if low[j] >= arc:
                 lost += w[j] * abs(y[j])
+                kink = kink or (span[j] == 0.0 and low[j] == arc)
         if lost > best + slack:
             break
+        if not kink:
+            continue
         value, force = profile_l1(arc, y, low, span, inverse, w, f_low, f_high)
         if value <= best + slack:
             if value < best:
@@ -228,83 +246,112 @@ def fit_l1(
                 near[1, n_near] = value
                 n_near += 1
 
-    # Stationary points along the curves, in the cells that lie inside some span.
+    # Stationary points along the curves, in the cells that lie inside some span. Within a cell
+    # phi_j = c0 + c1 t + c2 t^2, t from the cell's near end (`forms`).
     for e in range(n_edges - 2, start - 1, -1):
         begin = edges[e]
         end = edges[e + 1]
         middle = 0.5 * (begin + end)
         lost = 0.0
         curved = False
+        m = 0
         for j in range(n):
+            t = begin - low[j]
             if low[j] >= middle:
                 lost += w[j] * abs(y[j])
-            elif low[j] + span[j] > middle:
-                curved = True
+            else:
+                if low[j] + span[j] > middle:
+                    curved = True
+                    forms[0, m] = t * t * inverse[j]
+                    forms[1, m] = 2.0 * t * inverse[j]
+                    forms[2, m] = inverse[j]
+                else:
+                    forms[0, m] = t - 0.5 * span[j]
+                    forms[1, m] = 1.0
+                    forms[2, m] = 0.0
+                forms[3, m] = y[j]
+                forms[4, m] = w[j]
+                place[j] = m
+                m += 1
         if lost > best + slack:
             break
         if not curved:
             continue
+        width = end - begin
         for i in range(n):
             if y[i] == 0.0 or w[i] == 0.0 or low[i] >= middle:
                 continue
             i_inside = low[i] + span[i] > middle
-            # Cuts of this curve within the cell, sorted.
-            cuts[0] = begin
+            # Cuts of this curve within the cell, sorted, each with the sensor that changes sign.
+            cuts[0] = 0.0
             n_cuts = 1
             for k in range(n_roots[i]):
-                root = roots[i, k]
-                if begin < root < end:
-                    m = n_cuts
-                    while cuts[m - 1] > root:
-                        cuts[m] = cuts[m - 1]
-                        m -= 1
-                    cuts[m] = root
+                root = roots[i, k] - begin
+                if 0.0 < root < width:
+                    c = n_cuts
+                    while cuts[c - 1] > root:
+                        cuts[c] = cuts[c - 1]
+                        turns[c] = turns[c - 1]
+                        c -= 1
+                    cuts[c] = root
+                    turns[c] = place[others[i, k]]
                     n_cuts += 1
-            cuts[n_cuts] = end
-            origin = low[i] if i_inside else low[i] + 0.5 * span[i]
+            cuts[n_cuts] = width
+            origin = (low[i] if i_inside else low[i] + 0.5 * span[i]) - begin
+            known = False
+            a0 = 0.0
+            a1 = 0.0
+            a2 = 0.0
             for k in range(n_cuts):
-                left = cuts[k] - origin
-                right = cuts[k + 1] - origin
-                if not right > left:
+                left = cuts[k]
+                right = cuts[k + 1]
+                if right - left <= INNER_END * width:
+                    known = False  # too near each other to trust their order
                     continue
-                mid = 0.5 * (left + right)
-                phi = mid * mid * inverse[i] if i_inside else mid
-                force = y[i] / phi
-                b0 = 0.0
-                b1 = 0.0
-                b2 = 0.0
-                for j in range(n):
-                    if low[j] >= middle or j == i:
-                        continue
-                    if low[j] + span[j] > middle:
-                        shift = origin - low[j]
-                        c2 = inverse[j]
-                        c1 = 2.0 * shift * c2
-                        c0 = shift * shift * c2
-                    else:
-                        c2 = 0.0
-                        c1 = 1.0
-                        c0 = origin - (low[j] + 0.5 * span[j])
-                    s = w[j] if y[j] > force * (c0 + mid * (c1 + mid * c2)) else -w[j]
-                    b0 += s * c0
-                    b1 += s * c1
-                    b2 += s * c2
+                if known:
+                    c = turns[k]
+                    s = -2.0 * signed[c]
+                    signed[c] = -signed[c]
+                    a0 += s * forms[0, c]
+                    a1 += s * forms[1, c]
+                    a2 += s * forms[2, c]
+                else:
+                    known = True
+                    mid = 0.5 * (left + right)
+                    t = mid - origin
+                    phi = t * t * inverse[i] if i_inside else t
+                    force = y[i] / phi
+                    a0 = 0.0
+                    a1 = 0.0
+                    a2 = 0.0
+                    for c in range(m):
+                        model = force * (forms[0, c] + mid * (forms[1, c] + mid * forms[2, c]))
+                        s = forms[4, c] if forms[3, c] > model else -forms[4, c]
+                        signed[c] = s
+                        a0 += s * forms[0, c]
+                        a1 += s * forms[1, c]
+                        a2 += s * forms[2, c]
+                # Sensor i itself adds a constant to B / phi_i. Shift to the curve's own origin.
+                b0 = a0 + origin * (a1 + origin * a2)
+                b1 = a1 + 2.0 * origin * a2
+                b2 = a2
                 if i_inside:
                     # B / t^2: stationary at t = -2 b0 / b1, a minimum of J if y b0 < 0.
                     if y[i] * b0 >= 0.0 or b0 * b1 >= 0.0:
                         continue
-                    t = -2.0 * b0 / b1
+                    arc = origin - 2.0 * b0 / b1
                 else:
                     # B / t: stationary at t^2 = b0 / b2.
                     if y[i] * b2 >= 0.0 or b0 * b2 <= 0.0:
                         continue
-                    t = np.sqrt(b0 / b2)
-                if not left < t < right:
+                    arc = origin + np.sqrt(b0 / b2)
+                if not left - INNER_END * width <= arc <= right + INNER_END * width:
                     continue
-                arc = origin + t
+                t = arc - origin
+                arc += begin
                 phi = t * t * inverse[i] if i_inside else t
                 force = y[i] / phi
-                if not f_low <= force <= f_high:
+                if not f_low <= force <= f_high or arc > length:
                     continue
                 value = objective_l1(arc, force, y, low, span, inverse, w)
                 if value <= best + slack:
@@ -413,6 +460,32 @@ def fit_l1(
             ranges[pieces, 0] = arc
             ranges[pieces, 1] = arc
             pieces += 1
+    # A flat stretch may also end where a span does.
+    for k in range(pieces):
+        for e in range(start, n_edges - 1):
+            if edges[e + 1] > ranges[k, 1]:
+                value, force = profile_l1(edges[e + 1], y, low, span, inverse, w, f_low, f_high)
+                if value > best + slack:
+                    break
+                ranges[k, 1] = edges[e + 1]
+        for e in range(n_edges - 1, start, -1):
+            arc = edges[e - 1]
+            if e - 1 == start and idle:
+                arc += INNER_END * (edges[e] - arc)
+            if arc < ranges[k, 0]:
+                value, force = profile_l1(arc, y, low, span, inverse, w, f_low, f_high)
+                if value > best + slack:
+                    break
+                ranges[k, 0] = arc
+    merged = 0
+    for k in range(1, pieces):
+        if ranges[k, 0] <= ranges[merged, 1]:
+            ranges[merged, 1] = max(ranges[merged, 1], ranges[k, 1])
+        else:
+            merged += 1
+            ranges[merged, 0] = ranges[k, 0]
+            ranges[merged, 1] = ranges[k, 1]
+    pieces = merged + 1
     widest = 0
     for k in range(1, pieces):
         if ranges[k, 1] - ranges[k, 0] > ranges[widest, 1] - ranges[widest, 0]:
@@ -463,10 +536,15 @@ def fit_l1_rows(
     r_inverse = np.empty(n)
     r_w = np.empty(n)
     edges = np.empty(2 * n + 2)
-    roots = np.empty((n, 4 * n + 1))
+    roots = np.empty((n, 4 * n))
+    others = np.empty((n, 4 * n), np.int64)
     n_roots = np.empty(n, np.int64)
     near = np.empty((2, CANDIDATES))
     cuts = np.empty(6 * n + 8)
+    forms = np.empty((5, n))
+    signed = np.empty(n)
+    turns = np.empty(6 * n + 8, np.int64)
+    place = np.empty(n, np.int64)
     n_edges = 0
     if shared:
         n_edges = find_edges(low[0], span[0], length[0], edges)
@@ -498,9 +576,14 @@ def fit_l1_rows(
             f_high,
             tolerance,
             roots,
+            others,
             n_roots,
             near,
             cuts,
+            forms,
+            signed,
+            turns,
+            place,
             ranges[b],
         )
         out[b, 0] = value
