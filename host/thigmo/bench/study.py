@@ -132,11 +132,12 @@ def connect_cluster(address: str) -> Any:
             "the dask backend needs dask", "run `pip install 'thigmo[bench]'`"
         ) from error
     try:
-        return Client(address, timeout="10s")
+        client: Any = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as error:
         raise DataError(
             f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"
         ) from error
+    return client
 
 
 def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:

@@ -1,0 +1,25 @@
+"""`thigmo bench`: speed against accuracy, stability where methods fail, scaling, and honesty.
+
+One module a study; `STUDIES` names them in the order in which they run. Studies load on use: some
+need the extra packages of `pip install thigmo[bench]`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from thigmo.bench.study import Context, Outcome, Study
+
+STUDIES: dict[str, str] = {
+    "speed-accuracy": "speed against accuracy of every method",
+    "stability": "error and failures as conditions get harder",
+    "scaling": "time over sensors, contacts and batch size",
+}
+
+__all__ = ["STUDIES", "Context", "Outcome", "load"]
+
+
+def load(name: str) -> Study:
+    """The study of that name (a key of STUDIES)."""
+    study: Study = import_module(f"thigmo.bench.{name.replace('-', '_')}").run
+    return study

@@ -1,0 +1,164 @@
+"""Speed against accuracy: every method on the same readings, in one run.
+
+A method's time is the median of single calls from Python on one core, and times are compared only
+within the run, as ratios, because machines are noisy. Its error is |arc - true arc|, contacts
+ordered along the body; an answer without a contact, or more than 10 cm off, is a failure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thigmo.bench.attempt import attempt, mean_and_failures
+from thigmo.bench.scenes import SCENES
+from thigmo.bench.study import Claim, Context, Outcome, Table
+from thigmo.localization import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method's results on one kind of scene."""
+
+    scene: str
+    method: str
+    mean_cm: float
+    median_cm: float
+    p95_cm: float
+    failures: float
+    time_us: float
+    slower: float  # times the exact method's median time
+
+
+def _case_scores(task: tuple[str, int, int, tuple[str, ...]]) -> list[tuple[float, float]]:
+    """All methods on one case, one after the other, so that all see the same machine."""
+    scene, seed, index, methods = task
+    case = SCENES[scene](np.random.default_rng([seed, index]))
+    return [attempt(case, method) for method in methods]
+
+
+def score(context: Context, scene: str, methods: tuple[str, ...], cases: int) -> list[Score]:
+    """Run the methods over random cases of one kind of scene."""
+    _case_scores((scene, context.seed, cases, methods))  # compiles; not counted
+    rows = context.map(_case_scores, [(scene, context.seed, i, methods) for i in range(cases)])
+    table = np.array(rows)  # (cases, methods, 2)
+    exact = float(np.median(table[:, methods.index("exact"), 1]))
+    scores = []
+    for column, method in enumerate(methods):
+        errors, times = table[:, column, 0], table[:, column, 1]
+        mean, failures = mean_and_failures(errors)
+        some = errors[np.isfinite(errors)] if np.isfinite(mean) else np.array([np.nan])
+        scores.append(
+            Score(
+                scene,
+                method,
+                mean,
+                float(np.median(some)),
+                float(np.percentile(some, 95)),
+                failures,
+                float(np.median(times)),
+                float(np.median(times)) / exact,
+            )
+        )
+    return scores
+
+
+def pareto(scores: list[Score]) -> list[Score]:
+    """Methods that no other one beats in both time and mean error, fastest first."""
+    front: list[Score] = []
+    for candidate in sorted(scores, key=lambda s: (s.time_us, s.mean_cm)):
+        if np.isfinite(candidate.mean_cm) and (not front or candidate.mean_cm < front[-1].mean_cm):
+            front.append(candidate)
+    return front
+
+
+def chart(scores: list[Score]) -> Figure:
+    """Mean error against time, a panel a kind of scene, with the Pareto front."""
+    from matplotlib.figure import Figure
+
+    scenes = list(dict.fromkeys(s.scene for s in scores))
+    columns = 2 if len(scenes) > 1 else 1
+    rows = -(-len(scenes) // columns)
+    figure = Figure(figsize=(6.4 * columns, 4.6 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axis, scene in zip(axes, scenes, strict=False):
+        here = [s for s in scores if s.scene == scene and np.isfinite(s.mean_cm)]
+        front = pareto(here)
+        axis.plot(
+            [s.time_us for s in front],
+            [s.mean_cm for s in front],
+            color="tab:green",
+            linewidth=1.2,
+            drawstyle="steps-post",
+            zorder=1,
+            label="Pareto front",
+        )
+        for one in here:
+            best = one in front
+            axis.scatter(
+                one.time_us,
+                one.mean_cm,
+                s=30 + 170 * one.failures,
+                color="tab:green" if best else "tab:gray",
+                zorder=2,
+            )
+            axis.annotate(
+                one.method,
+                (one.time_us, one.mean_cm),
+                textcoords="offset points",
+                xytext=(6, 4),
+                fontsize=8,
+                color="black" if best else "dimgray",
+            )
+        axis.set(
+            xscale="log",
+            yscale="log",
+            title=scene,
+            xlabel="median time of one call (us)",
+            ylabel="mean error of the arc (cm)",
+        )
+        axis.grid(which="both", alpha=0.2)
+        axis.legend(loc="upper left", fontsize=8)
+    for axis in axes[len(scenes) :]:
+        axis.set_axis_off()
+    figure.suptitle(
+        "Speed against accuracy (dot size: share of failures, no answer or > 10 cm off)"
+    )
+    return figure
+
+
+def run(context: Context) -> Outcome:
+    """The study: all methods on all kinds of scene."""
+    methods = tuple(METHODS)
+    cases = context.count(12, 200)
+    scores = [s for scene in SCENES for s in score(context, scene, methods, cases)]
+    table = Table(
+        "methods",
+        tuple(Score.__annotations__),
+        [tuple(vars(s).values()) for s in scores],
+    )
+    outcome = Outcome([table], {"chart": chart(scores)})
+    if "alternating" in methods:
+        exact, thesis = (
+            next(s for s in scores if s.scene == "one contact" and s.method == name)
+            for name in ("exact", "alternating")
+        )
+        outcome.claims = [
+            Claim(
+                "one contact: times faster than the thesis's solver",
+                thesis.time_us / exact.time_us,
+                1000.0,
+                at_most=False,
+            ),
+            Claim(
+                "one contact: mean error over the thesis's solver's",
+                exact.mean_cm / thesis.mean_cm,
+                0.5,
+            ),
+        ]
+    return outcome

@@ -1,0 +1,108 @@
+"""`thigmo bench`: the studies behind the project's numbers and figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(bench)
+
+
+def bench(
+    studies: Annotated[
+        list[str] | None,
+        typer.Argument(help="Studies to run; all when left out. `list` names them."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path("bench-out"),
+    scale: Annotated[
+        str, typer.Option(help="quick (a look) or full (the published figures).")
+    ] = "full",
+    seed: Annotated[int, typer.Option(help="Every random number comes from it.")] = 0,
+    jobs: Annotated[int, typer.Option(help="Processes on this machine.")] = 1,
+    backend: Annotated[
+        str, typer.Option(help="loky (processes here) or dask (a cluster).")
+    ] = "loky",
+    scheduler: Annotated[str | None, typer.Option(help="Address of the Dask scheduler.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Chart speed against accuracy, and show where each method fails."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from thigmo.bench import STUDIES, Context, load
+    from thigmo.bench.study import connect_cluster, write
+    from thigmo.errors import DataError
+
+    names = list(studies or STUDIES)
+    if names == ["list"]:
+        for name, text in STUDIES.items():
+            typer.echo(f"{name:18} {text}")
+        return
+    for name in names:
+        if name not in STUDIES:
+            raise DataError(f"there is no study {name!r}", f"choose from {', '.join(STUDIES)}")
+    if scale not in ("quick", "full"):
+        raise DataError(f"--scale is {scale!r}", "choose quick or full")
+    if backend not in ("loky", "dask"):
+        raise DataError(f"--backend is {backend!r}", "choose loky or dask")
+    if backend == "dask" and not scheduler:
+        raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
+    cluster = connect_cluster(scheduler) if backend == "dask" and scheduler else None
+    found = []
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        disable=as_json,
+    )
+    with bar:
+        for name in names:
+            task = bar.add_task(f"{name}: {STUDIES[name]}", total=None)
+
+            def progress(done: int, total: int, task: object = task) -> None:
+                bar.update(task, completed=done, total=total)  # type: ignore[arg-type]
+
+            context = Context(
+                seed=seed,
+                scale="quick" if scale == "quick" else "full",
+                jobs=jobs,
+                backend=backend,
+                progress=progress,
+            )
+            outcome = load(name)(context)
+            paths = write(outcome, name, out)
+            bar.update(task, completed=1, total=1)
+            found.append((name, outcome, paths))
+            if not as_json:
+                for claim in outcome.claims:
+                    bar.console.print(f"  {claim}")
+                bar.console.print(f"  wrote {len(paths)} files to {out}/{name}-*")
+    if cluster is not None:
+        cluster.close()
+    if as_json:
+        print_json(
+            [
+                {
+                    "study": name,
+                    "claims": [
+                        {
+                            "claim": claim.text,
+                            "value": claim.value,
+                            "limit": claim.limit,
+                            "unit": claim.unit,
+                            "holds": claim.holds,
+                        }
+                        for claim in outcome.claims
+                    ],
+                    "files": [str(path) for path in paths],
+                }
+                for name, outcome, paths in found
+            ]
+        )
