@@ -511,7 +511,8 @@ def _string(text: str, width: int = 80) -> str:
 
 
 def _py_message(m: Message) -> list[str]:
-    out = ["@dataclass(frozen=True, slots=True)", f"class {m.camel}(Message):"]
+    base = f"Command[{camel(m.reply)}]" if m.kind == "command" else "Message"
+    out = ["@dataclass(frozen=True, slots=True)", f"class {m.camel}({base}):"]
     out += [*_docstring(m.doc, "    "), ""]
     out += [
         f"    ID: ClassVar[int] = 0x{m.id:02X}",
@@ -521,7 +522,7 @@ def _py_message(m: Message) -> list[str]:
     ]
     if m.kind == "command":
         out += [
-            f'    REPLY: ClassVar[str] = "{m.reply}"',
+            f"    REPLY: ClassVar[type[Message]] = {camel(m.reply)}",
             f"    DEADLINE_S: ClassVar[float] = {m.deadline_ms / 1000}",
         ]
     out.append("")
@@ -572,7 +573,7 @@ def python(schema: Schema) -> str:
         "from dataclasses import dataclass",
         "from enum import IntEnum",
         "from struct import Struct",
-        "from typing import ClassVar, Self",
+        "from typing import ClassVar, Generic, Self, TypeVar",
         "",
         f"PROTOCOL = {schema.protocol}",
         f"SCHEMA_HASH = 0x{schema.hash:08X}",
@@ -626,8 +627,6 @@ def python(schema: Schema) -> str:
         "    SIZE: ClassVar[int]",
         "    NAME: ClassVar[str]",
         "    KIND: ClassVar[str]",
-        '    REPLY: ClassVar[str] = ""',
-        f"    DEADLINE_S: ClassVar[float] = {schema.deadline_ms / 1000}",
         "",
         "    def pack(self) -> bytes:",
         '        """The payload."""',
@@ -639,6 +638,17 @@ def python(schema: Schema) -> str:
         "        raise NotImplementedError",
         "",
         "",
+        'R = TypeVar("R", bound=Message)',
+        "",
+        "",
+        "class Command(Message, Generic[R]):",
+        '    """A message that the board answers with an R, or refuses with an Ack."""',
+        "",
+        "    __slots__ = ()",
+        "    REPLY: ClassVar[type[Message]]",
+        "    DEADLINE_S: ClassVar[float]",
+        "",
+        "",
         "def _bad_size(message: type[Message], payload: bytes) -> str:",
         '    return f"{message.NAME}: {len(payload)} bytes of payload, {message.SIZE} expected"',
         "",
@@ -646,7 +656,7 @@ def python(schema: Schema) -> str:
     ]
     out += [f'_{m.name.upper()} = Struct("{m.format}")' for m in schema.messages if m.fields]
     out += ["", ""]
-    for m in schema.messages:
+    for m in sorted(schema.messages, key=lambda m: m.kind == "command"):
         out += _py_message(m)
     out += [
         "MESSAGES: dict[int, type[Message]] = {",

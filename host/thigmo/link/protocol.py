@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
-from typing import ClassVar, Self
+from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
 SCHEMA_HASH = 0xDAA61086
@@ -290,8 +290,6 @@ class Message:
     SIZE: ClassVar[int]
     NAME: ClassVar[str]
     KIND: ClassVar[str]
-    REPLY: ClassVar[str] = ""
-    DEADLINE_S: ClassVar[float] = 2.0
 
     def pack(self) -> bytes:
         """The payload."""
@@ -301,6 +299,17 @@ class Message:
     def unpack(cls, payload: bytes) -> Message:
         """Read a payload; raises ValueError on a bad size or an unknown enum value."""
         raise NotImplementedError
+
+
+R = TypeVar("R", bound=Message)
+
+
+class Command(Message, Generic[R]):
+    """A message that the board answers with an R, or refuses with an Ack."""
+
+    __slots__ = ()
+    REPLY: ClassVar[type[Message]]
+    DEADLINE_S: ClassVar[float]
 
 
 def _bad_size(message: type[Message], payload: bytes) -> str:
@@ -336,671 +345,6 @@ _PULSE = Struct("<II")
 _ANNOUNCE = Struct("<BI3BBIB")
 _TELEMETRY = Struct("<I10HhhhhHHihhhBH")
 _EVENT = Struct("<HBIHi")
-
-
-@dataclass(frozen=True, slots=True)
-class Hello(Message):
-    """Opens a session. The only command accepted with session 0; resets the sequence. A repeat
-    with the running session's nonce gets the stored reply; nonces of the last 8 hellos that
-    come again are dropped.
-    """
-
-    ID: ClassVar[int] = 0x01
-    SIZE: ClassVar[int] = 9
-    NAME: ClassVar[str] = "hello"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "hello_reply"
-    DEADLINE_S: ClassVar[float] = 3.0
-
-    protocol: int
-    """Protocol version."""
-    schema_hash: int
-    """Hash of this schema."""
-    host_nonce: int
-    """Random; echoed, so that a replayed reply is told apart."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _HELLO.pack(self.protocol, self.schema_hash, self.host_nonce)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Hello:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _HELLO.unpack(payload)
-        return cls(v[0], v[1], v[2])
-
-
-@dataclass(frozen=True, slots=True)
-class GetStatus(Message):
-    """The board's whole state."""
-
-    ID: ClassVar[int] = 0x02
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "get_status"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "status_report"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetStatus:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class Arm(Message):
-    """Leave safe for ready. Refused while a fault is latched or the configuration is bad."""
-
-    ID: ClassVar[int] = 0x03
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "arm"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Arm:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class Vent(Message):
-    """Both muscles to 0 mA; ends a sweep or a press; state stays ready."""
-
-    ID: ClassVar[int] = 0x04
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "vent"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Vent:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class Stop(Message):
-    """At once: valves 0 mA, motor braked, activity aborted, state safe. Accepted in every state."""
-
-    ID: ClassVar[int] = 0x05
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "stop"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Stop:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class ClearFaults(Message):
-    """Clears latched faults whose cause is gone; detail holds what remains."""
-
-    ID: ClassVar[int] = 0x06
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "clear_faults"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    mask: int
-    """Fault bits to clear."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _CLEAR_FAULTS.pack(self.mask)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ClearFaults:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _CLEAR_FAULTS.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class SetPressure(Message):
-    """Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks."""
-
-    ID: ClassVar[int] = 0x07
-    SIZE: ClassVar[int] = 6
-    NAME: ClassVar[str] = "set_pressure"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    left_cpsi: int
-    """Left set point; at most one side above zero. [0.01 psi]"""
-    right_cpsi: int
-    """Right set point. [0.01 psi]"""
-    ramp_cpsi_s: int
-    """Slew rate; 0 = as fast as configured. [0.01 psi/s]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SET_PRESSURE.pack(self.left_cpsi, self.right_cpsi, self.ramp_cpsi_s)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetPressure:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SET_PRESSURE.unpack(payload)
-        return cls(v[0], v[1], v[2])
-
-
-@dataclass(frozen=True, slots=True)
-class GrowTo(Message):
-    """Pay out to an everted length. Refused when the length is unknown or a muscle is not
-    vented.
-    """
-
-    ID: ClassVar[int] = 0x08
-    SIZE: ClassVar[int] = 8
-    NAME: ClassVar[str] = "grow_to"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    length_um: int
-    """Target everted length. [um]"""
-    speed_um_s: int
-    """Tip speed; 0 = as configured. [um/s]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GROW_TO.pack(self.length_um, self.speed_um_s)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GrowTo:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GROW_TO.unpack(payload)
-        return cls(v[0], v[1])
-
-
-@dataclass(frozen=True, slots=True)
-class RetractTo(Message):
-    """Wind in to an everted length. Refused unless vented, for a bent body buckles."""
-
-    ID: ClassVar[int] = 0x09
-    SIZE: ClassVar[int] = 8
-    NAME: ClassVar[str] = "retract_to"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    length_um: int
-    """Target everted length. [um]"""
-    speed_um_s: int
-    """Tip speed; 0 = as configured. [um/s]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _RETRACT_TO.pack(self.length_um, self.speed_um_s)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> RetractTo:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _RETRACT_TO.unpack(payload)
-        return cls(v[0], v[1])
-
-
-@dataclass(frozen=True, slots=True)
-class Home(Message):
-    """Wind in slowly until the spool stalls at the base; length becomes 0. Refused unless
-    vented.
-    """
-
-    ID: ClassVar[int] = 0x0A
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "home"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Home:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class ConfirmLength(Message):
-    """The operator vouches for the everted length (after a reset, a stall or a slip)."""
-
-    ID: ClassVar[int] = 0x0B
-    SIZE: ClassVar[int] = 5
-    NAME: ClassVar[str] = "confirm_length"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    length_um: int
-    """Measured everted length. [um]"""
-    settled: int
-    """1: everted sensors have rested long enough already; 0: start their settle clocks now."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _CONFIRM_LENGTH.pack(self.length_um, self.settled)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ConfirmLength:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _CONFIRM_LENGTH.unpack(payload)
-        return cls(v[0], v[1])
-
-
-@dataclass(frozen=True, slots=True)
-class SelectZone(Message):
-    """Tells which body pressure holds, hence which maps and which critical moment."""
-
-    ID: ClassVar[int] = 0x0C
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "select_zone"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    zone: int
-    """0..2; 255 = unknown."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SELECT_ZONE.pack(self.zone)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SelectZone:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SELECT_ZONE.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class Sweep(Message):
-    """One or more half sines of pressure, left then right; side with amplitude 0 is left out."""
-
-    ID: ClassVar[int] = 0x0D
-    SIZE: ClassVar[int] = 10
-    NAME: ClassVar[str] = "sweep"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    left_cpsi: int
-    """Amplitude of the left half. [0.01 psi]"""
-    right_cpsi: int
-    """Amplitude of the right half. [0.01 psi]"""
-    period_ms: int
-    """Period of the whole sine; each half takes half of it. [ms]"""
-    cycles: int
-    """Whole periods, at least 1."""
-    options: int
-    """Bits of SweepOption."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SWEEP.pack(
-            self.left_cpsi, self.right_cpsi, self.period_ms, self.cycles, self.options
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Sweep:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SWEEP.unpack(payload)
-        return cls(v[0], v[1], v[2], v[3], v[4])
-
-
-@dataclass(frozen=True, slots=True)
-class ZeroSensors(Message):
-    """Average the named sensors' readings into their zeros. Only vented, settled, drift-free;
-    ends with event zeroed or activity_aborted.
-    """
-
-    ID: ClassVar[int] = 0x0E
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "zero_sensors"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    mask: int
-    """Sensors, bit 0 = left base."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _ZERO_SENSORS.pack(self.mask)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ZeroSensors:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _ZERO_SENSORS.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class GetSensor(Message):
-    """One flex sensor's state."""
-
-    ID: ClassVar[int] = 0x0F
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "get_sensor"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "sensor_report"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    sensor: int
-    """0..9, left base first."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_SENSOR.pack(self.sensor)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetSensor:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_SENSOR.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class GetParameter(Message):
-    """Read a parameter."""
-
-    ID: ClassVar[int] = 0x10
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "get_parameter"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "parameter_value"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    index: int
-    """Parameter index; array parameters take consecutive ones."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_PARAMETER.pack(self.index)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetParameter:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_PARAMETER.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class SetParameter(Message):
-    """Set a parameter in memory (save_config stores it). Range-checked. Refused while energised."""
-
-    ID: ClassVar[int] = 0x11
-    SIZE: ClassVar[int] = 6
-    NAME: ClassVar[str] = "set_parameter"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "parameter_value"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    index: int
-    """Parameter index."""
-    value: int
-    """New value, in the parameter's wire unit."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SET_PARAMETER.pack(self.index, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetParameter:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SET_PARAMETER.unpack(payload)
-        return cls(v[0], v[1])
-
-
-@dataclass(frozen=True, slots=True)
-class SetMap(Message):
-    """Set one free-curvature map at 0, 2, .. 20 psi (linear in between). Refused while
-    energised.
-    """
-
-    ID: ClassVar[int] = 0x12
-    SIZE: ClassVar[int] = 25
-    NAME: ClassVar[str] = "set_map"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    zone: int
-    """0..2."""
-    side: Side
-    """Muscle."""
-    branch: Branch
-    """Inflating or deflating."""
-    curvature_e5: tuple[int, ...]
-    """Free curvature, signed (right side negative). [1e-5/cm]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SET_MAP.pack(self.zone, self.side, self.branch, *self.curvature_e5)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetMap:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SET_MAP.unpack(payload)
-        return cls(v[0], Side(v[1]), Branch(v[2]), v[3:14])
-
-
-@dataclass(frozen=True, slots=True)
-class GetMap(Message):
-    """Read one free-curvature map."""
-
-    ID: ClassVar[int] = 0x13
-    SIZE: ClassVar[int] = 3
-    NAME: ClassVar[str] = "get_map"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "map_values"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    zone: int
-    """0..2."""
-    side: Side
-    """Muscle."""
-    branch: Branch
-    """Inflating or deflating."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_MAP.pack(self.zone, self.side, self.branch)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetMap:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_MAP.unpack(payload)
-        return cls(v[0], Side(v[1]), Branch(v[2]))
-
-
-@dataclass(frozen=True, slots=True)
-class SaveConfig(Message):
-    """Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4
-    ms); detail = generation.
-    """
-
-    ID: ClassVar[int] = 0x14
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "save_config"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 15.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SaveConfig:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class LoadDefaults(Message):
-    """Parameters and maps back to the schema's defaults, in memory. Refused while energised."""
-
-    ID: ClassVar[int] = 0x15
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "load_defaults"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LoadDefaults:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class GetSnapshot(Message):
-    """A captured reading."""
-
-    ID: ClassVar[int] = 0x16
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "get_snapshot"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "snapshot"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    index: int
-    """0..9 the peak's readings in time order; 255 the one at the trigger."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_SNAPSHOT.pack(self.index)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetSnapshot:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_SNAPSHOT.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class AckEvent(Message):
-    """Acknowledge events up to and including a number; the board then unlatches them."""
-
-    ID: ClassVar[int] = 0x17
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "ack_event"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "ack"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    number: int
-    """Event number."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _ACK_EVENT.pack(self.number)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> AckEvent:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _ACK_EVENT.unpack(payload)
-        return cls(v[0])
-
-
-@dataclass(frozen=True, slots=True)
-class GetLinkStats(Message):
-    """Counters of the link, as the board sees it."""
-
-    ID: ClassVar[int] = 0x18
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "get_link_stats"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[str] = "link_stats"
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetLinkStats:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
 
 
 @dataclass(frozen=True, slots=True)
@@ -1627,6 +971,671 @@ class Event(Message):
             raise ValueError(_bad_size(cls, payload))
         v = _EVENT.unpack(payload)
         return cls(v[0], EventCode(v[1]), v[2], v[3], v[4])
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(Command[HelloReply]):
+    """Opens a session. The only command accepted with session 0; resets the sequence. A repeat
+    with the running session's nonce gets the stored reply; nonces of the last 8 hellos that
+    come again are dropped.
+    """
+
+    ID: ClassVar[int] = 0x01
+    SIZE: ClassVar[int] = 9
+    NAME: ClassVar[str] = "hello"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = HelloReply
+    DEADLINE_S: ClassVar[float] = 3.0
+
+    protocol: int
+    """Protocol version."""
+    schema_hash: int
+    """Hash of this schema."""
+    host_nonce: int
+    """Random; echoed, so that a replayed reply is told apart."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _HELLO.pack(self.protocol, self.schema_hash, self.host_nonce)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Hello:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _HELLO.unpack(payload)
+        return cls(v[0], v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
+class GetStatus(Command[StatusReport]):
+    """The board's whole state."""
+
+    ID: ClassVar[int] = 0x02
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "get_status"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = StatusReport
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetStatus:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class Arm(Command[Ack]):
+    """Leave safe for ready. Refused while a fault is latched or the configuration is bad."""
+
+    ID: ClassVar[int] = 0x03
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "arm"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Arm:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class Vent(Command[Ack]):
+    """Both muscles to 0 mA; ends a sweep or a press; state stays ready."""
+
+    ID: ClassVar[int] = 0x04
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "vent"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Vent:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class Stop(Command[Ack]):
+    """At once: valves 0 mA, motor braked, activity aborted, state safe. Accepted in every state."""
+
+    ID: ClassVar[int] = 0x05
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "stop"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Stop:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class ClearFaults(Command[Ack]):
+    """Clears latched faults whose cause is gone; detail holds what remains."""
+
+    ID: ClassVar[int] = 0x06
+    SIZE: ClassVar[int] = 2
+    NAME: ClassVar[str] = "clear_faults"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    mask: int
+    """Fault bits to clear."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _CLEAR_FAULTS.pack(self.mask)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ClearFaults:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _CLEAR_FAULTS.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class SetPressure(Command[Ack]):
+    """Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks."""
+
+    ID: ClassVar[int] = 0x07
+    SIZE: ClassVar[int] = 6
+    NAME: ClassVar[str] = "set_pressure"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    left_cpsi: int
+    """Left set point; at most one side above zero. [0.01 psi]"""
+    right_cpsi: int
+    """Right set point. [0.01 psi]"""
+    ramp_cpsi_s: int
+    """Slew rate; 0 = as fast as configured. [0.01 psi/s]"""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _SET_PRESSURE.pack(self.left_cpsi, self.right_cpsi, self.ramp_cpsi_s)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> SetPressure:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _SET_PRESSURE.unpack(payload)
+        return cls(v[0], v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
+class GrowTo(Command[Ack]):
+    """Pay out to an everted length. Refused when the length is unknown or a muscle is not
+    vented.
+    """
+
+    ID: ClassVar[int] = 0x08
+    SIZE: ClassVar[int] = 8
+    NAME: ClassVar[str] = "grow_to"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    length_um: int
+    """Target everted length. [um]"""
+    speed_um_s: int
+    """Tip speed; 0 = as configured. [um/s]"""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _GROW_TO.pack(self.length_um, self.speed_um_s)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GrowTo:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _GROW_TO.unpack(payload)
+        return cls(v[0], v[1])
+
+
+@dataclass(frozen=True, slots=True)
+class RetractTo(Command[Ack]):
+    """Wind in to an everted length. Refused unless vented, for a bent body buckles."""
+
+    ID: ClassVar[int] = 0x09
+    SIZE: ClassVar[int] = 8
+    NAME: ClassVar[str] = "retract_to"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    length_um: int
+    """Target everted length. [um]"""
+    speed_um_s: int
+    """Tip speed; 0 = as configured. [um/s]"""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _RETRACT_TO.pack(self.length_um, self.speed_um_s)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> RetractTo:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _RETRACT_TO.unpack(payload)
+        return cls(v[0], v[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Home(Command[Ack]):
+    """Wind in slowly until the spool stalls at the base; length becomes 0. Refused unless
+    vented.
+    """
+
+    ID: ClassVar[int] = 0x0A
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "home"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Home:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class ConfirmLength(Command[Ack]):
+    """The operator vouches for the everted length (after a reset, a stall or a slip)."""
+
+    ID: ClassVar[int] = 0x0B
+    SIZE: ClassVar[int] = 5
+    NAME: ClassVar[str] = "confirm_length"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    length_um: int
+    """Measured everted length. [um]"""
+    settled: int
+    """1: everted sensors have rested long enough already; 0: start their settle clocks now."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _CONFIRM_LENGTH.pack(self.length_um, self.settled)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ConfirmLength:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _CONFIRM_LENGTH.unpack(payload)
+        return cls(v[0], v[1])
+
+
+@dataclass(frozen=True, slots=True)
+class SelectZone(Command[Ack]):
+    """Tells which body pressure holds, hence which maps and which critical moment."""
+
+    ID: ClassVar[int] = 0x0C
+    SIZE: ClassVar[int] = 1
+    NAME: ClassVar[str] = "select_zone"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    zone: int
+    """0..2; 255 = unknown."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _SELECT_ZONE.pack(self.zone)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> SelectZone:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _SELECT_ZONE.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep(Command[Ack]):
+    """One or more half sines of pressure, left then right; side with amplitude 0 is left out."""
+
+    ID: ClassVar[int] = 0x0D
+    SIZE: ClassVar[int] = 10
+    NAME: ClassVar[str] = "sweep"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    left_cpsi: int
+    """Amplitude of the left half. [0.01 psi]"""
+    right_cpsi: int
+    """Amplitude of the right half. [0.01 psi]"""
+    period_ms: int
+    """Period of the whole sine; each half takes half of it. [ms]"""
+    cycles: int
+    """Whole periods, at least 1."""
+    options: int
+    """Bits of SweepOption."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _SWEEP.pack(
+            self.left_cpsi, self.right_cpsi, self.period_ms, self.cycles, self.options
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Sweep:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _SWEEP.unpack(payload)
+        return cls(v[0], v[1], v[2], v[3], v[4])
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroSensors(Command[Ack]):
+    """Average the named sensors' readings into their zeros. Only vented, settled, drift-free;
+    ends with event zeroed or activity_aborted.
+    """
+
+    ID: ClassVar[int] = 0x0E
+    SIZE: ClassVar[int] = 2
+    NAME: ClassVar[str] = "zero_sensors"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    mask: int
+    """Sensors, bit 0 = left base."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _ZERO_SENSORS.pack(self.mask)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ZeroSensors:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _ZERO_SENSORS.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class GetSensor(Command[SensorReport]):
+    """One flex sensor's state."""
+
+    ID: ClassVar[int] = 0x0F
+    SIZE: ClassVar[int] = 1
+    NAME: ClassVar[str] = "get_sensor"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = SensorReport
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    sensor: int
+    """0..9, left base first."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _GET_SENSOR.pack(self.sensor)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetSensor:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _GET_SENSOR.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class GetParameter(Command[ParameterValue]):
+    """Read a parameter."""
+
+    ID: ClassVar[int] = 0x10
+    SIZE: ClassVar[int] = 2
+    NAME: ClassVar[str] = "get_parameter"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = ParameterValue
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    index: int
+    """Parameter index; array parameters take consecutive ones."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _GET_PARAMETER.pack(self.index)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetParameter:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _GET_PARAMETER.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class SetParameter(Command[ParameterValue]):
+    """Set a parameter in memory (save_config stores it). Range-checked. Refused while energised."""
+
+    ID: ClassVar[int] = 0x11
+    SIZE: ClassVar[int] = 6
+    NAME: ClassVar[str] = "set_parameter"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = ParameterValue
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    index: int
+    """Parameter index."""
+    value: int
+    """New value, in the parameter's wire unit."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _SET_PARAMETER.pack(self.index, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> SetParameter:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _SET_PARAMETER.unpack(payload)
+        return cls(v[0], v[1])
+
+
+@dataclass(frozen=True, slots=True)
+class SetMap(Command[Ack]):
+    """Set one free-curvature map at 0, 2, .. 20 psi (linear in between). Refused while
+    energised.
+    """
+
+    ID: ClassVar[int] = 0x12
+    SIZE: ClassVar[int] = 25
+    NAME: ClassVar[str] = "set_map"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    zone: int
+    """0..2."""
+    side: Side
+    """Muscle."""
+    branch: Branch
+    """Inflating or deflating."""
+    curvature_e5: tuple[int, ...]
+    """Free curvature, signed (right side negative). [1e-5/cm]"""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _SET_MAP.pack(self.zone, self.side, self.branch, *self.curvature_e5)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> SetMap:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _SET_MAP.unpack(payload)
+        return cls(v[0], Side(v[1]), Branch(v[2]), v[3:14])
+
+
+@dataclass(frozen=True, slots=True)
+class GetMap(Command[MapValues]):
+    """Read one free-curvature map."""
+
+    ID: ClassVar[int] = 0x13
+    SIZE: ClassVar[int] = 3
+    NAME: ClassVar[str] = "get_map"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = MapValues
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    zone: int
+    """0..2."""
+    side: Side
+    """Muscle."""
+    branch: Branch
+    """Inflating or deflating."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _GET_MAP.pack(self.zone, self.side, self.branch)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetMap:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _GET_MAP.unpack(payload)
+        return cls(v[0], Side(v[1]), Branch(v[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class SaveConfig(Command[Ack]):
+    """Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4
+    ms); detail = generation.
+    """
+
+    ID: ClassVar[int] = 0x14
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "save_config"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 15.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> SaveConfig:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class LoadDefaults(Command[Ack]):
+    """Parameters and maps back to the schema's defaults, in memory. Refused while energised."""
+
+    ID: ClassVar[int] = 0x15
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "load_defaults"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LoadDefaults:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class GetSnapshot(Command[Snapshot]):
+    """A captured reading."""
+
+    ID: ClassVar[int] = 0x16
+    SIZE: ClassVar[int] = 1
+    NAME: ClassVar[str] = "get_snapshot"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Snapshot
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    index: int
+    """0..9 the peak's readings in time order; 255 the one at the trigger."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _GET_SNAPSHOT.pack(self.index)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetSnapshot:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _GET_SNAPSHOT.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class AckEvent(Command[Ack]):
+    """Acknowledge events up to and including a number; the board then unlatches them."""
+
+    ID: ClassVar[int] = 0x17
+    SIZE: ClassVar[int] = 2
+    NAME: ClassVar[str] = "ack_event"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    number: int
+    """Event number."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _ACK_EVENT.pack(self.number)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> AckEvent:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _ACK_EVENT.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class GetLinkStats(Command[LinkStats]):
+    """Counters of the link, as the board sees it."""
+
+    ID: ClassVar[int] = 0x18
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "get_link_stats"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = LinkStats
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetLinkStats:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
 
 
 MESSAGES: dict[int, type[Message]] = {
