@@ -1,0 +1,130 @@
+"""The board's clock, unwrapped and mapped to the host's.
+
+The board counts 32 bits of microseconds, which wrap every 71.6 minutes, on a resonator that may be
+off by half a percent. Heartbeats and their pulses give pairs of both clocks; those with the
+shortest round trip bound the error best (the idea of Klipper's klippy/clocksync.py), so the best
+pair of each stretch of time is kept and a line is fitted through the best of these.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+_WRAP = 1 << 32
+_STRETCH_S = 2.0
+_STRETCHES = 64
+_MAX_SKEW = 0.02  # a resonator is never so far off; a fit that says so is noise
+_MIN_BASE_S = 5.0  # a slope over less time than this is mostly jitter
+
+
+class Pair(NamedTuple):
+    """One instant by both clocks: host time in the middle of a round trip, device microseconds."""
+
+    host_s: float
+    device_us: int
+    round_trip_s: float
+
+
+class Line(NamedTuple):
+    """host = host_s + slope * (device - device_us) / 1e6."""
+
+    host_s: float
+    device_us: float
+    slope: float
+
+
+@dataclass(slots=True)
+class _Stretch:
+    until_s: float
+    best: Pair
+
+
+class DeviceClock:
+    """Unwraps and maps; bounded memory."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._stretches: deque[_Stretch] = deque(maxlen=_STRETCHES)
+        self._line: Line | None = None
+
+    def reset(self) -> None:
+        """Forget everything: the board restarted."""
+        self._last = None
+        self._stretches.clear()
+        self._line = None
+
+    def unwrap(self, t_us: int) -> int:
+        """Microseconds since the first wrap's start, of a 32-bit stamp.
+
+        Stamps may come out of order by up to 35 minutes either way.
+        """
+        if self._last is None:
+            self._last = t_us
+            return t_us
+        delta = (t_us - self._last) & (_WRAP - 1)
+        if delta >= _WRAP >> 1:  # an older stamp (an event, a snapshot): keep the newest
+            return self._last + delta - _WRAP
+        self._last += delta
+        return self._last
+
+    def pair(self, sent_s: float, received_s: float, device_us: int) -> None:
+        """Take a round trip: host times around an (unwrapped) device stamp."""
+        pair = Pair((sent_s + received_s) / 2, device_us, received_s - sent_s)
+        newest = self._stretches[-1] if self._stretches else None
+        if newest is None or received_s >= newest.until_s:
+            self._stretches.append(_Stretch(received_s + _STRETCH_S, pair))
+        elif pair.round_trip_s < newest.best.round_trip_s:
+            newest.best = pair
+        else:
+            return
+        self._line = None
+
+    @property
+    def synchronised(self) -> bool:
+        """Whether any pair is known."""
+        return bool(self._stretches)
+
+    @property
+    def round_trip_s(self) -> float:
+        """Shortest round trip kept; half of it bounds the error of the map. Infinite at first."""
+        return min((s.best.round_trip_s for s in self._stretches), default=float("inf"))
+
+    def line(self) -> Line:
+        """The map.
+
+        Raises:
+            LookupError: no pair is known yet.
+        """
+        if self._line is None:
+            self._line = self._fit()
+        return self._line
+
+    def to_host(self, device_us: float) -> float:
+        """Host seconds of unwrapped device microseconds; raises LookupError before any pair."""
+        line = self.line()
+        return line.host_s + line.slope * (device_us - line.device_us) * 1e-6
+
+    def to_device(self, host_s: float) -> float:
+        """Unwrapped device microseconds of host seconds; raises LookupError before any pair."""
+        line = self.line()
+        return line.device_us + (host_s - line.host_s) / line.slope * 1e6
+
+    def _fit(self) -> Line:
+        if not self._stretches:
+            raise LookupError("the clocks are not synchronised yet")
+        limit = 1.5 * self.round_trip_s + 0.5e-3
+        pairs = [s.best for s in self._stretches if s.best.round_trip_s <= limit]
+        count = len(pairs)
+        base = pairs[0].device_us  # differences keep the sums small and exact
+        x_mean = sum(p.device_us - base for p in pairs) / count
+        y_mean = sum(p.host_s - pairs[0].host_s for p in pairs) / count
+        slope = 1.0
+        if pairs[-1].host_s - pairs[0].host_s >= _MIN_BASE_S:
+            dx = [(p.device_us - base - x_mean) * 1e-6 for p in pairs]
+            dy = [p.host_s - pairs[0].host_s - y_mean for p in pairs]
+            fitted = sum(a * b for a, b in zip(dx, dy, strict=True)) / sum(a * a for a in dx)
+            if abs(fitted - 1.0) <= _MAX_SKEW:
+                slope = fitted
+        return Line(pairs[0].host_s + y_mean, base + x_mean, slope)

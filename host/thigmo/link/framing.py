@@ -1,0 +1,132 @@
+"""Frames on the wire: COBS stuffing, CRC-16 check sequence, header.
+
+`encode` makes one; `Decoder` finds them in a stream that may lose, flip, insert and replay bytes,
+with bounded memory, and picks up again at the next zero byte. The layout is in protocol/PROTOCOL.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from struct import Struct
+from typing import NamedTuple
+
+import crcmod.predefined
+from cobs import cobs
+
+from thigmo.link.protocol import CRC, MAX_FRAME, MAX_WIRE, MESSAGES, Message
+
+_HEADER = Struct("<BHH")
+_CRC = Struct("<H")
+HEADER_SIZE = _HEADER.size
+MIN_FRAME = _HEADER.size + _CRC.size
+_crc = crcmod.predefined.mkPredefinedCrcFun(CRC)
+
+
+class FrameError(ValueError):
+    """Bytes that are no whole good frame."""
+
+
+class Frame(NamedTuple):
+    """One good frame.
+
+    Attributes:
+        id: of the message.
+        seq, session: header.
+        payload: the message's bytes.
+        wire: the stuffed bytes as they came, without the closing zero.
+    """
+
+    id: int
+    seq: int
+    session: int
+    payload: bytes
+    wire: bytes
+
+    def message(self) -> Message:
+        """The typed message.
+
+        Raises:
+            FrameError: unknown id, wrong size or a value that its enumeration does not have.
+        """
+        kind = MESSAGES.get(self.id)
+        if kind is None:
+            raise FrameError(f"unknown message id 0x{self.id:02X}")
+        try:
+            return kind.unpack(self.payload)
+        except ValueError as error:
+            raise FrameError(str(error)) from error
+
+
+def encode(message: Message, seq: int, session: int) -> bytes:
+    """A message as bytes on the wire, closing zero included."""
+    body = _HEADER.pack(message.ID, seq, session) + message.pack()
+    return cobs.encode(body + _CRC.pack(_crc(body))) + b"\0"
+
+
+def decode(wire: bytes) -> Frame:
+    """One frame from its stuffed bytes, without the closing zero.
+
+    Raises:
+        FrameError: bad stuffing, size or check sequence.
+    """
+    try:
+        raw = cobs.decode(wire)
+    except cobs.DecodeError as error:
+        raise FrameError(str(error)) from error
+    if not MIN_FRAME <= len(raw) <= MAX_FRAME:
+        raise FrameError(f"{len(raw)} bytes, {MIN_FRAME}..{MAX_FRAME} allowed")
+    if _crc(raw[:-2]) != raw[-2] | raw[-1] << 8:
+        raise FrameError("wrong check sequence")
+    return Frame(*_HEADER.unpack_from(raw), raw[5:-2], wire)
+
+
+@dataclass(slots=True)
+class Decoder:
+    """Frames out of a byte stream.
+
+    Attributes:
+        frames: good ones so far.
+        bad: pieces between zero bytes that were no good frame.
+        bad_bytes: bytes in those pieces.
+    """
+
+    frames: int = 0
+    bad: int = 0
+    bad_bytes: int = 0
+    _rest: bytes = b""
+    _overlong: bool = False
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes as they come; return the frames that they complete, in order."""
+        *pieces, rest = data.split(b"\0")
+        found: list[Frame] = []
+        for piece in pieces:
+            whole = self._rest + piece if self._rest else piece
+            self._rest = b""
+            if self._overlong or len(whole) >= MAX_WIRE:
+                self.bad += 1
+                self.bad_bytes += len(whole)
+                self._overlong = False
+            elif whole:  # two zeros in a row are no loss
+                try:
+                    found.append(decode(whole))
+                except FrameError:
+                    self.bad += 1
+                    self.bad_bytes += len(whole)
+        self._rest += rest
+        if len(self._rest) >= MAX_WIRE:  # no frame is so long: drop up to the next zero
+            self.bad_bytes += len(self._rest)
+            self._rest = b""
+            self._overlong = True
+        self.frames += len(found)
+        return found
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept for the frame that is coming in; less than a frame's most."""
+        return len(self._rest)
+
+    @property
+    def garbage(self) -> int:
+        """Bytes that belonged to no good frame, those still waiting for a zero included."""
+        return self.bad_bytes + len(self._rest)

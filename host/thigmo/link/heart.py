@@ -1,0 +1,48 @@
+"""The heartbeat: what keeps the board's outputs energised, and only while the host lives.
+
+Whoever owns the bytes (the port's process, the emulator) beats it, so that a busy main thread
+cannot starve it. The board drops a counter that does not rise, so a replayed beat keeps nobody
+alive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from thigmo.link.framing import encode
+from thigmo.link.protocol import Heartbeat
+
+PERIOD_S = 0.1  # a fifth of the board's default limit of 0.5 s
+
+
+class Beat(NamedTuple):
+    """A heartbeat that was sent: its counter and the host's time just before."""
+
+    counter: int
+    t_s: float
+
+
+@dataclass(slots=True)
+class Heart:
+    """Beats of one session.
+
+    Attributes:
+        session: whose.
+        period_s: between beats.
+        counter: of the last beat; 0 before the first.
+        next_s: when the next one is due, by the clock that `beat` is given.
+    """
+
+    session: int
+    period_s: float = PERIOD_S
+    counter: int = 0
+    next_s: float = float("-inf")
+
+    def beat(self, now_s: float) -> bytes | None:
+        """The frame to send now, or None if none is due. Late beats are not made up for."""
+        if now_s < self.next_s:
+            return None
+        self.next_s = now_s + self.period_s
+        self.counter += 1
+        return encode(Heartbeat(self.counter), 0, self.session)

@@ -1,0 +1,113 @@
+"""What the client needs of a connection, and the one way to open one.
+
+All time of the host's logic comes from `now()`, and waiting is done by `read()`: on hardware that
+is the monotonic clock, in the emulator reading is what advances virtual time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, Protocol
+
+from thigmo.errors import PortError
+from thigmo.link.heart import Beat
+
+
+class Operator(Protocol):
+    """Whoever stands beside the robot and does what its board cannot."""
+
+    def everted_length_cm(self) -> float:
+        """Measure the everted length."""
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Set the body's pressure regulator; return when it is set."""
+
+
+class Transport(Protocol):
+    """A two-way stream of bytes with a clock and a heart.
+
+    Attributes:
+        name: what was opened, for messages.
+        virtual: time is virtual and advances while `read` waits.
+        operator: who answers for the robot's surroundings, if the transport knows one.
+        read_s: host time at which the bytes last returned by `read` had arrived. A main thread
+            that was busy finds old bytes with their true stamps.
+    """
+
+    name: str
+    virtual: bool
+    operator: Operator | None
+    read_s: float
+
+    def now(self) -> float:
+        """Host seconds; monotonic."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; does not wait for them to leave.
+
+        Raises:
+            LinkError: the connection is gone.
+        """
+
+    def read(self, timeout_s: float) -> bytes:
+        """Bytes as soon as there are any; b"" when `timeout_s` passed without.
+
+        Raises:
+            LinkError: the connection is gone.
+        """
+
+    def start_heartbeat(self, session: int, period_s: float) -> None:
+        """Beat a `heart.Heart` of this session from now on, whatever the main thread does."""
+
+    def stop_heartbeat(self) -> None:
+        """Beat no more."""
+
+    def beats(self) -> list[Beat]:
+        """Heartbeats sent since the last call, oldest first (the last 64 at most)."""
+
+    def truth(self) -> Any:
+        """What an emulator knows of the room; None on hardware."""
+
+    def close(self) -> None:
+        """Close; may be called twice."""
+
+
+# Modules that open the URLs of simulated robots. Named, not imported: the link knows nothing of
+# the emulator, and a session on hardware never loads it.
+_EMULATORS = {
+    "emulator": ("thigmo.emulator.transport", "open_emulator"),
+    "mega-sim": ("thigmo.emulator.mega_sim", "open_mega_sim"),
+}
+DEFAULT_BAUD = 250_000  # exact on the Mega's 16 MHz; 500 k after a soak test
+
+
+def open_transport(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
+    """Open a connection by its URL.
+
+    Args:
+        url: `emulator://SCENE`, `mega-sim://SCENE`, or whatever pyserial opens: `/dev/ttyACM0`,
+            `COM3`, `socket://host:port`, `rfc2217://host:port`. A plain port takes
+            `?baud=500000`.
+        seed: of a simulated robot's noise.
+        realtime: pace a simulated robot by the clock.
+
+    Raises:
+        PortError: the port is missing, busy or not allowed, or the URL is malformed.
+        ConfigError: a scene that cannot be used.
+    """
+    scheme = url.partition("://")[0]
+    if scheme in _EMULATORS:
+        module, function = _EMULATORS[scheme]
+        transport: Transport = getattr(import_module(module), function)(
+            url, seed=seed, realtime=realtime
+        )
+        return transport
+    from thigmo.link.serial_port import SerialTransport
+
+    baud = DEFAULT_BAUD
+    if "://" not in url and "?baud=" in url:
+        url, _, text = url.partition("?baud=")
+        if not text.isdecimal() or int(text) == 0:
+            raise PortError(f"?baud={text} is no baud rate", "give a number, as in ?baud=500000")
+        baud = int(text)
+    return SerialTransport(url, baud)
