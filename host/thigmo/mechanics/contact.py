@@ -1,0 +1,91 @@
+"""Pegs and what they do to the body: the records that all mechanics models exchange.
+
+A contact point is on the skin, not on the centreline: tube radius and peg radius separate the two.
+Three kinds of contact: on the side (force along the normal of the centreline at the closest point),
+on a corner of the flat end (oblique force that bears a tube radius off the centreline), and on the
+face of the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Literal
+
+from thigmo.mechanics import kernel
+
+Kind = Literal["side", "corner", "face"]
+_KINDS: tuple[Kind, ...] = ("side", "corner", "face", "corner", "side")
+
+
+@dataclass(frozen=True, slots=True)
+class Peg:
+    """A round obstacle: centre and radius in cm."""
+
+    x: float
+    y: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class PegContact:
+    """One touching peg.
+
+    Attributes:
+        peg: index into the pegs given.
+        arc: arc length of the closest centreline point (cm); the everted length at the end.
+        kind: where on the tube.
+        normal: force along the body's left normal at `arc` (1/cm^2, EI = 1): positive adds positive
+            curvature (the peg is on the right).
+        tangential: force along the body's tangent at `arc` (1/cm^2), negative pushes towards the
+            base; 0 on the side.
+        couple: moment (1/cm, counter-clockwise positive) of the force about the centreline at
+            `arc`: its lever is the tube radius at a corner.
+        x, y: contact point on the skin (cm).
+        force_x, force_y: force on the body in the workspace (1/cm^2).
+    """
+
+    peg: int
+    arc: float
+    kind: Kind
+    normal: float
+    tangential: float
+    couple: float
+    x: float
+    y: float
+    force_x: float
+    force_y: float
+
+    @property
+    def magnitude(self) -> float:
+        """Size of the force (1/cm^2)."""
+        return (self.normal**2 + self.tangential**2) ** 0.5
+
+
+def describe(
+    peg: int,
+    force: float,
+    place: float,
+    pose: tuple[float, float, float],
+    length: float,
+    tube_radius: float,
+    peg_radius: float,
+) -> PegContact:
+    """Turn a contact's force and skin place into a record; pose = x, y, heading at its arc."""
+    arc, off, ot, on, kind = kernel.skin(place, length, tube_radius, peg_radius)
+    x, y, heading = pose
+    c, s = cos(heading), sin(heading)
+    tangential, normal = -force * ot, -force * on
+    end = kind in (1, 2, 3)
+    return PegContact(
+        peg=peg,
+        arc=arc,
+        kind=_KINDS[kind],
+        normal=normal,
+        tangential=tangential,
+        couple=-off * tangential if end else 0.0,
+        x=x - off * s,
+        y=y + off * c,
+        force_x=tangential * c - normal * s,
+        force_y=tangential * s + normal * c,
+    )
