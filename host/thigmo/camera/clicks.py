@@ -1,0 +1,151 @@
+"""Points given by hand where detection fails: typed, read from a file, or clicked in a window."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.camera.errors import CameraError
+
+Pixel = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Clicks:
+    """Pixels given by hand.
+
+    Attributes:
+        tip: the tip of the body's outline.
+        axis: points along the body's middle, base to tip (six or more).
+        obstacles: for each dowel, three or more points on the rim of its top.
+    """
+
+    tip: Pixel | None = None
+    axis: tuple[Pixel, ...] = ()
+    obstacles: tuple[tuple[Pixel, ...], ...] = ()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, so that a picture need be clicked only once."""
+        data = {"tip": self.tip, "axis": self.axis, "obstacles": self.obstacles}
+        Path(path).write_text(json.dumps(data))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Clicks:
+        """Read clicks.
+
+        Raises:
+            CameraError: missing or damaged file.
+        """
+        try:
+            data = json.loads(Path(path).read_text())
+            tip = data.get("tip")
+            return cls(
+                None if tip is None else _pixel(tip),
+                tuple(_pixel(p) for p in data.get("axis", ())),
+                tuple(tuple(_pixel(p) for p in rim) for rim in data.get("obstacles", ())),
+            )
+        except (OSError, ValueError, TypeError, AttributeError, IndexError) as error:
+            raise CameraError(
+                f"cannot read clicks from {path} ({error})", "click again with `--click`"
+            ) from error
+
+
+def _pixel(pair: Any) -> Pixel:
+    return float(pair[0]), float(pair[1])
+
+
+def parse_pixel(text: str) -> Pixel:
+    """`812,440` to a pixel.
+
+    Raises:
+        CameraError: anything else.
+    """
+    parts = text.split(",")
+    try:
+        x, y = (float(part) for part in parts)
+    except ValueError as error:
+        raise CameraError(f"'{text}' is no pixel", "write it as 812,440") from error
+    return x, y
+
+
+class ClickWindow:
+    """A matplotlib window that collects clicks on a picture.
+
+    Left button adds a point, right button takes the last one back, Enter or closing ends.
+    """
+
+    def __init__(self, picture: NDArray[np.uint8], title: str) -> None:
+        import matplotlib.pyplot as plt
+
+        self.points: list[Pixel] = []
+        self.done = False
+        self._plt = plt
+        self.figure, self._axes = plt.subplots(figsize=(14, 8))
+        self._axes.imshow(picture[..., ::-1] if picture.ndim == 3 else picture, cmap="gray")
+        self._axes.set_title(f"{title}  (left: add, right: undo, Enter: done)")
+        (self._dots,) = self._axes.plot([], [], "r+", markersize=12)
+        self.figure.canvas.mpl_connect("button_press_event", self._pressed)
+        self.figure.canvas.mpl_connect("key_press_event", self._typed)
+
+    def _pressed(self, event: Any) -> None:
+        if event.inaxes is not self._axes:
+            return
+        if event.button == 1:
+            self.points.append((float(event.xdata), float(event.ydata)))
+        elif event.button == 3 and self.points:
+            self.points.pop()
+        self._dots.set_data([p[0] for p in self.points], [p[1] for p in self.points])
+        self.figure.canvas.draw_idle()
+
+    def _typed(self, event: Any) -> None:
+        if event.key == "enter":
+            self.done = True
+            self._plt.close(self.figure)
+
+    def wait(self) -> tuple[Pixel, ...]:
+        """Show the window until it is done.
+
+        Raises:
+            CameraError: matplotlib has no interactive back end here.
+        """
+        import matplotlib
+
+        if matplotlib.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template"):
+            raise CameraError(
+                "no window can be opened here",
+                "give the points with `--tip X,Y` or `--points FILE`",
+            )
+        self._plt.show(block=True)
+        return tuple(self.points)
+
+
+def click(picture: NDArray[np.uint8], what: tuple[str, ...] = ("tip",)) -> Clicks:
+    """Ask for points in a window: any of `tip`, `axis`, `obstacles`.
+
+    Raises:
+        CameraError: no window can be opened, or too few points were clicked.
+    """
+    tip: Pixel | None = None
+    axis: tuple[Pixel, ...] = ()
+    rims: list[tuple[Pixel, ...]] = []
+    if "tip" in what:
+        points = ClickWindow(picture, "click the robot's tip").wait()
+        if not points:
+            raise CameraError("no tip was clicked", "click it once, then press Enter")
+        tip = points[-1]
+    if "axis" in what:
+        axis = ClickWindow(picture, "click along the robot's middle, base to tip").wait()
+        if len(axis) < 6:
+            raise CameraError("the axis needs six points", "click more of them")
+    while "obstacles" in what:
+        rim = ClickWindow(picture, "click three points on a dowel's rim; none: done").wait()
+        if len(rim) < 3:
+            break
+        rims.append(rim)
+    return Clicks(tip, axis, tuple(rims))

@@ -1,0 +1,209 @@
+"""Round obstacles (standing dowels) in a picture: centre and radius of their top faces.
+
+Candidates come from OpenCV's Hough transform on the picture laid flat at the dowels' height, where
+a top face is a true circle; each is then fitted to its edge by radial search, robustly, and kept
+only if most of its rim is there. Coins and screws fail on size, scraps on roundness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from thigmo.camera.body import PX_PER_CM, Flat
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+_RAYS = 72
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A round obstacle.
+
+    Attributes:
+        x_cm: centre.
+        y_cm: centre.
+        radius_cm: of its top face.
+        rim: share of its rim that was seen, 0..1 (1 for clicked ones).
+        se_cm: one sigma of the centre, from the rim's scatter.
+    """
+
+    x_cm: float
+    y_cm: float
+    radius_cm: float
+    rim: float
+    se_cm: float
+
+
+def find_obstacles(
+    flat: Flat,
+    radius_cm: tuple[float, float] = (0.65, 2.5),
+    ignore: Sequence[Array] = (),
+    least_rim: float = 0.66,
+) -> list[Obstacle]:
+    """Circles of a picture laid flat at the obstacles' height, best rim first.
+
+    Args:
+        flat: from `flatten` at the height of the obstacles' tops.
+        radius_cm: least and largest radius looked for.
+        ignore: polygons (n, 2) in cm where nothing is looked for (cards, the tip marker).
+        least_rim: share of the rim that must be seen.
+    """
+    channels = _channels(flat)
+    low, high = (r * PX_PER_CM for r in radius_cm)
+    candidates: list[Array] = []
+    for channel in channels:
+        circles = cv2.HoughCircles(
+            channel,
+            cv2.HOUGH_GRADIENT_ALT,
+            dp=1.5,
+            minDist=max(4.0, low),
+            param1=90,
+            param2=0.55,
+            minRadius=max(2, int(0.85 * low)),
+            maxRadius=int(1.15 * high),
+        )
+        if circles is not None:
+            candidates.extend(np.asarray(circles, float).reshape(-1, circles.shape[-1])[:60, :3])
+    # GRADIENT_ALT gives the most voted first, channel by channel.
+    found: list[Obstacle] = []
+    for column, row, radius in candidates:
+        center = flat.places(np.array([column, row]))
+        if any(_inside(polygon, center) for polygon in ignore):
+            continue
+        obstacle = _refine(channels, flat, np.array([column, row]), radius, least_rim)
+        if obstacle is None or not radius_cm[0] <= obstacle.radius_cm <= radius_cm[1]:
+            continue
+        twins = [
+            k
+            for k, other in enumerate(found)
+            if np.hypot(other.x_cm - obstacle.x_cm, other.y_cm - obstacle.y_cm)
+            < 0.9 * (other.radius_cm + obstacle.radius_cm)
+        ]
+        if any(found[k].rim >= obstacle.rim for k in twins):
+            continue
+        found = [other for k, other in enumerate(found) if k not in twins]
+        found.append(obstacle)
+    return sorted(found, key=lambda o: -o.rim)
+
+
+def _channels(flat: Flat) -> list[NDArray[np.uint8]]:
+    """Brightness and two colour differences, contrast stretched."""
+    smooth = cv2.GaussianBlur(flat.image, (0, 0), 1.5)
+    lab = cv2.cvtColor(smooth, cv2.COLOR_BGR2LAB).astype(np.float32)
+    stretched = [lab[..., 0], 3 * (lab[..., 1] - 128) + 128, 3 * (lab[..., 2] - 128) + 128]
+    return [np.clip(channel, 0, 255).astype(np.uint8) for channel in stretched]
+
+
+def _inside(polygon: Array, point: Array) -> bool:
+    outline = np.asarray(polygon, np.float32).reshape(-1, 1, 2)
+    return bool(cv2.pointPolygonTest(outline, (float(point[0]), float(point[1])), False) >= 0)
+
+
+def _refine(
+    channels: Sequence[NDArray[np.uint8]], flat: Flat, center: Array, radius: float, least: float
+) -> Obstacle | None:
+    """Edge points along rays from the centre, then a robust circle; None if too little rim."""
+    angles = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
+    toward = np.column_stack([np.cos(angles), np.sin(angles)])
+    best: Obstacle | None = None
+    for channel in channels:
+        at, size = center.copy(), float(radius)
+        for width in (0.45, 0.2):
+            reach = np.arange((1 - width) * size, (1 + width) * size, 0.25)
+            points = (at + reach[:, None, None] * toward).astype(np.float32)
+            profile = cv2.remap(
+                channel.astype(np.float32), points[..., 0], points[..., 1], cv2.INTER_LINEAR
+            )
+            slope = np.gradient(cv2.GaussianBlur(profile, (1, 9), 0), axis=0)
+            # All the way round a dowel's rim, inside to outside changes the same way.
+            for sign in (1.0, -1.0):
+                strength = sign * slope
+                # The innermost edge of note: beyond it lies the dowel's wall.
+                noted = strength >= 0.5 * strength.max(axis=0)
+                crest = np.ones_like(noted)
+                crest[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
+                peak = np.argmax(noted & crest, axis=0)
+                steep = strength[peak, np.arange(_RAYS)]
+                good = steep > max(1.0, 0.4 * float(np.median(steep)))
+                rim_points = at + reach[peak][:, None] * toward
+                if good.sum() < least * _RAYS:
+                    continue
+                circle = _circle(rim_points[good], at, size)
+                off = np.hypot(*(rim_points - circle[:2]).T) - circle[2]
+                near = good & (np.abs(off) < max(1.0, 0.07 * circle[2]))
+                rim = float(near.mean())
+                if rim < least or (best is not None and rim <= best.rim and width > 0.3):
+                    continue
+                place = flat.places(circle[:2])
+                scatter = float(np.std(off[near])) / PX_PER_CM
+                made = Obstacle(
+                    float(place[0]),
+                    float(place[1]),
+                    float(circle[2] / PX_PER_CM),
+                    rim,
+                    float(scatter * np.sqrt(2 / near.sum()) + 0.02),
+                )
+                if not _solid(channels, circle):
+                    continue
+                if best is None or rim >= best.rim:
+                    best = made
+                    at, size = circle[:2].copy(), float(circle[2])
+    return best
+
+
+def _solid(channels: Sequence[NDArray[np.uint8]], circle: Array) -> bool:
+    """Whether inside and surroundings differ in some channel (in a loop of cable they do not)."""
+    radius = circle[2]
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    toward = np.column_stack([np.cos(angles), np.sin(angles)])
+    rings = [
+        (circle[:2] + radius * share * toward).astype(np.float32)
+        for share in (0.3, 0.6, 1.3, 1.6, 1.9)
+    ]
+    contrast = 0.0
+    for channel in channels:
+        inner, half, *outer = (
+            cv2.remap(
+                channel, ring[None, :, 0].copy(), ring[None, :, 1].copy(), cv2.INTER_LINEAR
+            ).ravel()
+            for ring in rings
+        )
+        core = np.concatenate([inner, half]).astype(float)
+        gap = min(abs(float(np.median(core) - np.median(ring))) for ring in outer)
+        contrast = max(contrast, gap / (8.0 + 2.0 * float(core.std())))
+    return contrast > 1.0
+
+
+def _circle(points: Array, center: Array, radius: float) -> Array:
+    """Robust circle (column, row, radius) through points."""
+
+    def residuals(p: Array) -> Array:
+        return np.asarray(np.hypot(points[:, 0] - p[0], points[:, 1] - p[1]) - p[2])
+
+    start = np.array([center[0], center[1], radius])
+    return np.asarray(least_squares(residuals, start, loss="cauchy", f_scale=0.7).x, float)
+
+
+def circle_through(points_cm: Array) -> Obstacle:
+    """Obstacle from three or more points clicked on its rim (workspace x, y in cm).
+
+    Raises:
+        DataError: fewer than three points, or points on a line.
+    """
+    points = np.asarray(points_cm, float)
+    if points.ndim != 2 or len(points) < 3:
+        raise DataError("a circle needs three or more points", "click three points of its rim")
+    system = np.column_stack([2 * points, np.ones(len(points))])
+    if np.linalg.matrix_rank(system, tol=1e-6) < 3:
+        raise DataError("the points lie on a line", "click points all round the rim")
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    radius = float(np.sqrt(solution[2] + solution[0] ** 2 + solution[1] ** 2))
+    return Obstacle(float(solution[0]), float(solution[1]), radius, 1.0, 0.1)

@@ -1,0 +1,331 @@
+"""The marker sheet: what is printed, where it lies, and what the camera should then see.
+
+One A4 PDF (or PNGs) at true scale: workspace cards of four ArUco markers each, tip markers, and a
+ChArUco board that is held before the lens to calibrate it. The cards are laid around the workspace
+at measured places; `Sheet` records those places and is saved beside the camera's calibration. The
+same drawing is printed and pasted into rendered pictures, so tests see what a lab sees.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from math import cos, radians, sin
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from thigmo.camera.errors import CameraError
+from thigmo.config import Finite, Model, Positive
+
+Gray = NDArray[np.uint8]
+Points = NDArray[np.float64]
+
+DICTIONARY = "DICT_4X4_50"
+BOARD_DICTIONARY = "DICT_5X5_50"
+TIP_MARKER = 40
+_MODULES = 6  # 4x4 bits and the black border
+A4_CM = (21.0, 29.7)
+
+
+class Card(Model):
+    """One workspace card: four markers around a printed cross, which is its reference point."""
+
+    name: str
+    first_id: Annotated[int, Field(ge=0, le=36)]
+    x_cm: Finite
+    y_cm: Finite
+    turn_deg: Finite = 0.0  # of the card's arrow from the x axis, counter-clockwise
+
+
+def _default_cards() -> list[Card]:
+    return [
+        Card(name="base left", first_id=0, x_cm=0.0, y_cm=44.0),
+        Card(name="base right", first_id=4, x_cm=0.0, y_cm=-44.0),
+        Card(name="tip left", first_id=8, x_cm=54.0, y_cm=44.0),
+        Card(name="tip right", first_id=12, x_cm=54.0, y_cm=-44.0),
+    ]
+
+
+class Sheet(Model):
+    """Everything that is printed, and where the cards lie in the workspace (cm, robot's frame)."""
+
+    version: Literal[1] = 1
+    cards: list[Card] = Field(default_factory=_default_cards, min_length=3, max_length=10)
+    marker_cm: Positive = 4.4
+    marker_offset_cm: Positive = 3.1  # marker centres from the cross, in both directions
+    placement_se_cm: Positive = 0.05  # how well the crosses' places are known (tape measure)
+    tip_marker_cm: Positive = 2.4
+    tip_marker_id: Annotated[int, Field(ge=40, le=49)] = TIP_MARKER
+    # Arc from the tip marker's centre to the robot's very tip.
+    tip_offset_cm: Finite = 2.0
+    board_square_cm: Positive = 2.5
+    board_columns: Annotated[int, Field(ge=4, le=12)] = 7
+    board_rows: Annotated[int, Field(ge=4, le=16)] = 10
+    # Lens above the table by tape measure. Worth giving where no lens board was shown: a plane seen
+    # from above tells focal length from distance only poorly.
+    camera_height_cm: Positive | None = None
+    camera_height_se_cm: Positive = 1.0
+    # Printed length of the 10 cm bar, over 10: printers shrink pages.
+    print_scale: Annotated[float, Field(gt=0.5, lt=1.5)] = 1.0
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Sheet:
+        """Read a sheet file (TOML).
+
+        Raises:
+            ConfigError: missing, malformed or invalid.
+        """
+        from thigmo.config import load_toml
+
+        return load_toml(cls, path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the sheet file (TOML)."""
+        import tomlkit
+
+        Path(path).write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
+
+    @property
+    def card_cm(self) -> float:
+        """Side of a cut-out card as printed."""
+        return (2 * self.marker_offset_cm + self.marker_cm + 1.4) * self.print_scale
+
+    def marker_ids(self) -> dict[int, Card]:
+        """Card of each workspace marker."""
+        return {card.first_id + k: card for card in self.cards for k in range(4)}
+
+    def local_corners(self, k: int) -> Points:
+        """Corners (4, 2) of a card's k-th marker, cm from its cross, in the card's frame.
+
+        Marker 0 is upper left (-u, +v), then 1 upper right, 2 lower left, 3 lower right; corners
+        run upper left, upper right, lower right, lower left, as OpenCV reports them.
+        """
+        u = self.marker_offset_cm * (1 if k % 2 else -1)
+        v = self.marker_offset_cm * (-1 if k >= 2 else 1)
+        return (np.array([u, v]) + _square(self.marker_cm)) * self.print_scale
+
+    def corners(self, marker: int) -> Points:
+        """Corners (4, 2) of a workspace marker in the robot's frame, cm."""
+        card = self.marker_ids()[marker]
+        return place(self.local_corners(marker - card.first_id), card)
+
+    def all_corners(self) -> dict[int, Points]:
+        """Corners of every workspace marker, by id."""
+        return {marker: self.corners(marker) for marker in self.marker_ids()}
+
+
+def _square(side: float) -> Points:
+    half = side / 2
+    return np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
+
+
+def place(points: Points, card: Card) -> Points:
+    """Card coordinates (n, 2) to the robot's frame."""
+    turn = radians(card.turn_deg)
+    rotation = np.array([[cos(turn), -sin(turn)], [sin(turn), cos(turn)]])
+    return np.asarray(points @ rotation.T + np.array([card.x_cm, card.y_cm]))
+
+
+def dictionary(name: str = DICTIONARY) -> Any:
+    """OpenCV's predefined ArUco dictionary of that name."""
+    import cv2
+
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def board(sheet: Sheet) -> Any:
+    """The ChArUco board (cv2.aruco.CharucoBoard) in cm."""
+    import cv2
+
+    square = sheet.board_square_cm * sheet.print_scale
+    return cv2.aruco.CharucoBoard(
+        (sheet.board_columns, sheet.board_rows),
+        square,
+        square * 0.72,
+        dictionary(BOARD_DICTIONARY),
+    )
+
+
+@dataclass(frozen=True)
+class Decal:
+    """A printed patch as it lies in the workspace: picture and its corners.
+
+    Attributes:
+        image: gray picture, rows from the top.
+        corners_cm: (4, 3) upper left, upper right, lower right, lower left; cm, z up.
+        name: what it is.
+    """
+
+    image: Gray
+    corners_cm: Points
+    name: str
+
+
+def marker_image(marker: int, pixels_per_module: int = 8) -> Gray:
+    """A marker's picture with black border, without the white margin."""
+    import cv2
+
+    return np.asarray(
+        cv2.aruco.generateImageMarker(dictionary(), marker, _MODULES * pixels_per_module), np.uint8
+    )
+
+
+def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
+    """A card as printed (before the printer's scale): markers, cross, arrow."""
+    import cv2
+
+    side_cm = sheet.card_cm / sheet.print_scale
+    n = round(side_cm * pixels_per_cm)
+    picture = np.full((n, n), 255, np.uint8)
+    size = round(sheet.marker_cm * pixels_per_cm)
+    for k in range(4):
+        upper_left = sheet.local_corners(k)[0] / sheet.print_scale
+        column = round((upper_left[0] + side_cm / 2) * pixels_per_cm)
+        row = round((side_cm / 2 - upper_left[1]) * pixels_per_cm)
+        picture[row : row + size, column : column + size] = cv2.resize(
+            marker_image(card.first_id + k), (size, size), interpolation=cv2.INTER_NEAREST
+        )
+    middle, arm = n // 2, round(0.7 * pixels_per_cm)
+    line = max(1, pixels_per_cm // 20)
+    cv2.line(picture, (middle - arm, middle), (middle + arm, middle), 0, line)
+    cv2.line(picture, (middle, middle - arm), (middle, middle + arm), 0, line)
+    tail = (middle + round(0.9 * pixels_per_cm), middle)
+    head = (middle + round(2.2 * pixels_per_cm), middle)
+    cv2.arrowedLine(picture, tail, head, 0, line, tipLength=0.3)
+    return picture
+
+
+def tip_image(sheet: Sheet, pixels_per_cm: int = 40) -> Gray:
+    """The tip marker with its white margin of one module."""
+    import cv2
+
+    size = round(sheet.tip_marker_cm * pixels_per_cm)
+    margin = round(size / _MODULES)
+    picture = np.full((size + 2 * margin, size + 2 * margin), 255, np.uint8)
+    picture[margin : margin + size, margin : margin + size] = cv2.resize(
+        marker_image(sheet.tip_marker_id), (size, size), interpolation=cv2.INTER_NEAREST
+    )
+    return picture
+
+
+def card_decals(sheet: Sheet) -> list[Decal]:
+    """The workspace cards as they lie on the table."""
+    decals = []
+    for card in sheet.cards:
+        flat = place(_square(sheet.card_cm), card)
+        decals.append(
+            Decal(card_image(sheet, card), np.column_stack([flat, np.zeros(4)]), card.name)
+        )
+    return decals
+
+
+def tip_decal(sheet: Sheet, x_cm: float, y_cm: float, heading: float, height_cm: float) -> Decal:
+    """The tip marker as it rides on a robot whose tip is at (x, y) with that heading (rad)."""
+    side = sheet.tip_marker_cm * (1 + 2 / _MODULES) * sheet.print_scale
+    rotation = np.array([[cos(heading), -sin(heading)], [sin(heading), cos(heading)]])
+    center = np.array([x_cm, y_cm]) - sheet.tip_offset_cm * rotation[:, 0]
+    flat = _square(side) @ rotation.T + center
+    return Decal(tip_image(sheet), np.column_stack([flat, np.full(4, height_cm)]), "tip marker")
+
+
+def pages(sheet: Sheet, pixels_per_cm: int = 40) -> list[tuple[str, Gray]]:
+    """A4 pages as pictures: two cards a page, tip markers, the lens board."""
+    import cv2
+
+    width, height = (round(side * pixels_per_cm) for side in A4_CM)
+    made: list[tuple[str, Gray]] = []
+
+    def page(title: str) -> Gray:
+        picture = np.full((height, width), 255, np.uint8)
+        scale, thick = pixels_per_cm / 55, max(1, pixels_per_cm // 25)
+        at = (pixels_per_cm * 3 // 2, pixels_per_cm * 3 // 2)
+        cv2.putText(picture, title, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, thick)
+        left = (width - 10 * pixels_per_cm) // 2
+        row = height - pixels_per_cm * 3 // 2
+        cv2.line(picture, (left, row), (left + 10 * pixels_per_cm, row), 0, thick)
+        for k in (0, 10):
+            column = left + k * pixels_per_cm
+            cv2.line(picture, (column, row - 12), (column, row + 12), 0, thick)
+        note = "10.0 cm: measure this bar; print at 100 %, not 'fit to page'"
+        below = (left - pixels_per_cm, row + pixels_per_cm * 3 // 4)
+        cv2.putText(picture, note, below, cv2.FONT_HERSHEY_SIMPLEX, scale * 0.8, 0, thick)
+        made.append((title, picture))
+        return picture
+
+    def paste(onto: Gray, what: Gray, column: int, row: int, frame: bool = True) -> None:
+        rows, columns = what.shape
+        onto[row : row + rows, column : column + columns] = what
+        if frame:
+            cv2.rectangle(onto, (column, row), (column + columns, row + rows), 180, 1)
+
+    for start in range(0, len(sheet.cards), 2):
+        two = sheet.cards[start : start + 2]
+        onto = page("thigmo workspace cards: " + ", ".join(card.name for card in two))
+        for slot, card in enumerate(two):
+            what = card_image(sheet, card, pixels_per_cm)
+            row = round((2.2 + slot * (sheet.card_cm + 0.8)) * pixels_per_cm)
+            if row + what.shape[0] > height - 2 * pixels_per_cm:
+                raise CameraError(
+                    "two cards do not fit a page", "choose a smaller marker_cm in the sheet file"
+                )
+            paste(onto, what, (width - what.shape[1]) // 2, row)
+            place_text = f"{card.name}: cross at x {card.x_cm:g}, y {card.y_cm:g} cm"
+            at = (pixels_per_cm, row - pixels_per_cm // 5)
+            cv2.putText(onto, place_text, at, cv2.FONT_HERSHEY_SIMPLEX, pixels_per_cm / 70, 0, 1)
+    onto = page("thigmo tip markers: glue one on the tip, arrow side ahead (spares)")
+    tip = tip_image(sheet, pixels_per_cm)
+    for k in range(6):
+        column = round((2.0 + (k % 3) * 6.0) * pixels_per_cm)
+        paste(onto, tip, column, round((3.0 + (k // 3) * 6.0) * pixels_per_cm))
+    onto = page("thigmo lens board: glue on something flat, show it in 10 poses")
+    squares = (sheet.board_columns, sheet.board_rows)
+    size = tuple(round(n * sheet.board_square_cm * pixels_per_cm) for n in squares)
+    unscaled = board(sheet.model_copy(update={"print_scale": 1.0}))
+    drawn = np.asarray(unscaled.generateImage(size, marginSize=0, borderBits=1), np.uint8)
+    if size[0] > width or size[1] > height - 4 * pixels_per_cm:
+        raise CameraError("the lens board does not fit a page", "choose a smaller board_square_cm")
+    paste(onto, drawn, (width - size[0]) // 2, 2 * pixels_per_cm, frame=False)
+    return made
+
+
+def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
+    """Write the pages at true scale: one PDF, or one PNG a page (`name-1.png` ...) with its dpi.
+
+    Raises:
+        CameraError: another suffix, or a folder that cannot be written.
+    """
+    import matplotlib.backends.backend_pdf as pdf
+    import matplotlib.figure as figures
+
+    target = Path(path)
+    if target.suffix not in (".pdf", ".png"):
+        raise CameraError(f"cannot print to {target.name}", "end the name in .pdf or .png")
+    pixels_per_cm = 40
+    written: list[Path] = []
+    drawn: list[Any] = []
+    for _, picture in pages(sheet, pixels_per_cm):
+        figure = figures.Figure(figsize=(A4_CM[0] / 2.54, A4_CM[1] / 2.54))
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+        axes.set_axis_off()
+        drawn.append(figure)
+    try:
+        if target.suffix == ".pdf":
+            with pdf.PdfPages(target) as book:
+                for figure in drawn:
+                    book.savefig(figure, dpi=pixels_per_cm * 2.54)
+            written.append(target)
+        else:
+            for number, figure in enumerate(drawn, start=1):
+                name = target.with_name(f"{target.stem}-{number}.png")
+                figure.savefig(name, dpi=pixels_per_cm * 2.54)
+                written.append(name)
+    except OSError as error:
+        raise CameraError(
+            f"cannot write {target}: {error.strerror}", "choose a folder that you may write to"
+        ) from error
+    return written

@@ -1,0 +1,322 @@
+"""One picture, read: tip, axis, obstacles, and what was wrong with it.
+
+`look` is what calibration and the command line call. Nothing that fails is passed over: it is
+either raised (no cards, moved camera) or listed in the sighting, and a point clicked by hand can
+stand in for any of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.camera.body import Centerline, Flat, bodyness, fit_centerline, flatten, follow
+from thigmo.camera.clicks import Clicks
+from thigmo.camera.errors import BodyNotSeenError, CameraError, MarkerMissingError
+from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
+from thigmo.camera.obstacles import Obstacle, circle_through, find_obstacles
+from thigmo.camera.sheet import Sheet
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+_WORKSPACE = ((-4.0, -58.0), (60.0, 58.0))
+
+
+@dataclass(frozen=True)
+class TipSighting:
+    """The tip marker, or a clicked tip.
+
+    Attributes:
+        x_cm: of the robot's very tip.
+        y_cm: of the robot's very tip.
+        heading: rad, of the marker (nan if clicked).
+        clicked: given by hand.
+        center_cm: (2,) of the marker (or the clicked point).
+    """
+
+    x_cm: float
+    y_cm: float
+    heading: float
+    clicked: bool
+    center_cm: Array
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What a picture shows.
+
+    Attributes:
+        tip: tip, if seen.
+        axis: fitted axis, if the body was seen.
+        obstacles: dowels.
+        hidden: names of cards that were not seen.
+        problems: what failed, each with its next step.
+        markers: corners px of all markers, for drawing.
+    """
+
+    tip: TipSighting | None
+    axis: Centerline | None
+    obstacles: list[Obstacle]
+    hidden: tuple[str, ...]
+    problems: tuple[CameraError, ...]
+    markers: dict[int, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What to look for, and the sizes that the eye needs.
+
+    Attributes:
+        diameter_cm: of the tube.
+        obstacle_height_cm: of the dowels' tops above the table.
+        obstacle_radius_cm: least and largest.
+        tip: look for the tip marker.
+        body: look for the body.
+        obstacles: look for dowels.
+        constant: the body is a free bend (one curvature).
+    """
+
+    diameter_cm: float = 3.5
+    obstacle_height_cm: float = 6.0
+    obstacle_radius_cm: tuple[float, float] = (0.65, 2.5)
+    tip: bool = True
+    body: bool = True
+    obstacles: bool = True
+    constant: bool = False
+
+
+def look(
+    picture: Picture,
+    camera: CameraModel,
+    sheet: Sheet,
+    wanted: Seen | None = None,
+    *,
+    background: Picture | None = None,
+    clicks: Clicks | None = None,
+) -> Sighting:
+    """Read one picture.
+
+    Args:
+        picture: (h, w, 3) BGR.
+        camera: from `locate`.
+        sheet: the sheet in use.
+        wanted: what to look for.
+        background: the empty table from the same camera.
+        clicks: points given by hand, which replace detection.
+
+    Raises:
+        SheetHiddenError: no card at all is seen.
+        CameraMovedError: the camera moved since it was located.
+    """
+    wanted = wanted or Seen()
+    markers = detect_markers(picture)
+    hidden = judge_still(markers, camera, sheet)
+    problems: list[CameraError] = []
+    tip: TipSighting | None = None
+    if wanted.tip:
+        try:
+            tip = _tip(markers, camera, sheet, wanted, clicks)
+        except MarkerMissingError as error:
+            problems.append(error)
+    axis: Centerline | None = None
+    if wanted.body:
+        try:
+            axis = _axis(picture, camera, sheet, wanted, markers, tip, background, clicks)
+        except BodyNotSeenError as error:
+            problems.append(error)
+        except DataError as error:
+            problems.append(BodyNotSeenError(error.what, error.next_step))
+    found: list[Obstacle] = []
+    if wanted.obstacles:
+        found = _obstacles(picture, camera, wanted, markers, clicks)
+    return Sighting(tip, axis, found, hidden, tuple(problems), markers)
+
+
+def see_tip(
+    picture: Picture, camera: CameraModel, sheet: Sheet, diameter_cm: float = 3.5
+) -> TipSighting:
+    """The tip alone (fast).
+
+    Raises:
+        SheetHiddenError, CameraMovedError, MarkerMissingError: as named.
+    """
+    markers = detect_markers(picture)
+    judge_still(markers, camera, sheet)
+    return _tip(markers, camera, sheet, Seen(diameter_cm=diameter_cm), None)
+
+
+def _tip(
+    markers: dict[int, Array],
+    camera: CameraModel,
+    sheet: Sheet,
+    wanted: Seen,
+    clicks: Clicks | None,
+) -> TipSighting:
+    if clicks is not None and clicks.tip is not None:
+        # A hand clicks the outline's end, which stands at the axis's height.
+        place = camera.to_plane(np.array([clicks.tip]), wanted.diameter_cm / 2)[0]
+        return TipSighting(float(place[0]), float(place[1]), float("nan"), True, place)
+    four = markers.get(sheet.tip_marker_id)
+    if four is None:
+        raise MarkerMissingError(sheet.tip_marker_id)
+    flat = camera.to_plane(four, wanted.diameter_cm)
+    ahead = (flat[1] + flat[2] - flat[0] - flat[3]) / 2
+    heading = float(np.arctan2(ahead[1], ahead[0]))
+    center = flat.mean(axis=0)
+    tip = center + sheet.tip_offset_cm * np.array([np.cos(heading), np.sin(heading)])
+    return TipSighting(float(tip[0]), float(tip[1]), heading, False, center)
+
+
+def _axis(
+    picture: Picture,
+    camera: CameraModel,
+    sheet: Sheet,
+    wanted: Seen,
+    markers: dict[int, Array],
+    tip: TipSighting | None,
+    background: Picture | None,
+    clicks: Clicks | None,
+) -> Centerline:
+    radius = wanted.diameter_cm / 2
+    if clicks is not None and len(clicks.axis) > 0:
+        points = camera.to_plane(np.array(clicks.axis), radius)
+        end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
+        return fit_centerline(points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0)
+    flat = flatten(picture, camera, radius, *_WORKSPACE)
+    empty: Flat | None = None
+    if background is not None:
+        empty = flatten(background, camera, radius, *_WORKSPACE)
+    covers = []
+    four = markers.get(sheet.tip_marker_id)
+    if four is not None:
+        # The white margin belongs to the marker: 8 modules where the corners span 6.
+        middle = four.mean(axis=0)
+        covers.append(camera.to_plane(middle + 1.36 * (four - middle), radius))
+    score = bodyness(flat, radius, covers, empty)
+    track = follow(flat, score, radius)
+    middle, good, end = track.middle, track.good, track.tip
+    if four is not None and tip is not None and not tip.clicked:
+        # The marker hides the flanks under it; its own centre, at its own height, is on the axis.
+        reach = float(np.linalg.norm(covers[0] - covers[0].mean(axis=0), axis=1).max()) + 0.3
+        free = np.linalg.norm(middle - covers[0].mean(axis=0), axis=1) > reach
+        last = int(np.nonzero(~free)[0][0]) if (~free).any() else len(middle)
+        middle = np.vstack([middle[:last], tip.center_cm])
+        good = np.append(good[:last], True)
+        end = np.array([tip.x_cm, tip.y_cm])
+    elif tip is not None and tip.clicked:
+        end = np.array([tip.x_cm, tip.y_cm])
+    return fit_centerline(middle, end, constant=wanted.constant, good=good)
+
+
+def _obstacles(
+    picture: Picture,
+    camera: CameraModel,
+    wanted: Seen,
+    markers: dict[int, Array],
+    clicks: Clicks | None,
+) -> list[Obstacle]:
+    height = wanted.obstacle_height_cm
+    given = []
+    if clicks is not None and clicks.obstacles:
+        given = [circle_through(camera.to_plane(np.array(rim), height)) for rim in clicks.obstacles]
+    flat = flatten(picture, camera, height, *_WORKSPACE)
+    ignore = [camera.to_plane(four, height) for four in markers.values()]
+    found = find_obstacles(flat, wanted.obstacle_radius_cm, ignore)
+    apart = [
+        o
+        for o in found
+        if all(np.hypot(o.x_cm - g.x_cm, o.y_cm - g.y_cm) > g.radius_cm for g in given)
+    ]
+    return given + apart
+
+
+def draw(
+    picture: Picture, camera: CameraModel, sheet: Sheet, sighting: Sighting, wanted: Seen
+) -> Picture:
+    """What was seen, drawn over the picture."""
+    colored = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+    canvas = np.array(colored, np.uint8)
+    card_of = sheet.marker_ids()
+    for marker, four in sighting.markers.items():
+        known = marker in card_of or marker == sheet.tip_marker_id
+        color = (0, 200, 0) if known else (0, 0, 255)
+        _lines(canvas, four, color, closed=True)
+    grid = [np.array([[x, y, 0.0] for y in np.linspace(-40, 40, 60)]) for x in range(0, 51, 10)] + [
+        np.array([[x, y, 0.0] for x in np.linspace(0, 50, 40)]) for y in range(-40, 41, 10)
+    ]
+    for line in grid:
+        _lines(canvas, camera.project(line), (200, 160, 60))
+    origin = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
+    for end, name in ((1, "x"), (2, "y")):
+        cv2.arrowedLine(canvas, _at(origin[0]), _at(origin[end]), (255, 0, 0), 3)
+        _text(canvas, name, origin[end], (255, 0, 0))
+    if sighting.axis is not None:
+        axis = sighting.axis
+        radius = wanted.diameter_cm / 2
+        for side, color in ((0.0, (255, 255, 0)), (1.0, (255, 200, 120)), (-1.0, (255, 200, 120))):
+            x = axis.x_cm - side * radius * np.sin(axis.heading)
+            y = axis.y_cm + side * radius * np.cos(axis.heading)
+            line = np.column_stack([x, y, np.full(len(x), radius)])
+            _lines(canvas, camera.project(line), color)
+        middle = len(axis.arc_cm) // 2
+        at = camera.project(np.array([[axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius]]))[0]
+        mean = (axis.heading[-1] - axis.heading[0]) / axis.length_cm
+        _text(canvas, f"length {axis.length_cm:.1f} cm, mean curvature {mean:+.4f} /cm", at)
+    if sighting.tip is not None:
+        tip = sighting.tip
+        at = camera.project(np.array([[tip.x_cm, tip.y_cm, wanted.diameter_cm / 2]]))[0]
+        cv2.drawMarker(canvas, _at(at), (0, 0, 255), cv2.MARKER_CROSS, 24, 2)
+        _text(canvas, f"tip {tip.x_cm:.2f}, {tip.y_cm:.2f} cm", at + np.array([14, -14]))
+    around = np.linspace(0, 2 * np.pi, 60)
+    for o in sighting.obstacles:
+        ring = np.column_stack(
+            [
+                o.x_cm + o.radius_cm * np.cos(around),
+                o.y_cm + o.radius_cm * np.sin(around),
+                np.full(60, wanted.obstacle_height_cm),
+            ]
+        )
+        seen = camera.project(ring)
+        _lines(canvas, seen, (255, 0, 255), closed=True)
+        _text(canvas, f"({o.x_cm:.1f}, {o.y_cm:.1f}) r {o.radius_cm:.2f}", seen[0], (255, 0, 255))
+    row = 40
+    texts = [f"hidden cards: {', '.join(sighting.hidden)}"] if sighting.hidden else []
+    for text in [*texts, *(str(problem) for problem in sighting.problems)]:
+        _text(canvas, text, np.array([20, row]), (0, 0, 255))
+        row += 34
+    return np.asarray(canvas, np.uint8)
+
+
+def write_picture(path: str | Path, picture: Picture) -> None:
+    """Write a picture file.
+
+    Raises:
+        CameraError: unknown suffix or unwritable folder.
+    """
+    try:
+        written = cv2.imwrite(str(path), picture)
+    except cv2.error as error:
+        raise CameraError(f"cannot write {path}", "end the name in .png or .jpg") from error
+    if not written:
+        raise CameraError(f"cannot write {path}", "choose a folder that you may write to")
+
+
+def _at(point: Array) -> tuple[int, int]:
+    return round(float(point[0])), round(float(point[1]))
+
+
+def _lines(
+    canvas: Picture, points: Array, color: tuple[int, int, int], *, closed: bool = False
+) -> None:
+    vertices = np.round(points * 16).astype(np.int32).reshape(-1, 1, 2)
+    cv2.polylines(canvas, [vertices], closed, color, 2, cv2.LINE_AA, 4)
+
+
+def _text(canvas: Picture, text: str, at: Array, color: tuple[int, int, int] = (0, 0, 0)) -> None:
+    for shade, width in (((255, 255, 255), 5), (color, 2)):
+        cv2.putText(canvas, text, _at(at), cv2.FONT_HERSHEY_SIMPLEX, 0.65, shade, width)

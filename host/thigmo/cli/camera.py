@@ -1,0 +1,245 @@
+"""`thigmo camera ...`: print the sheet, calibrate lens and place, and show what the camera sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from thigmo.camera import Clicks, Sheet, Sighting
+
+group = typer.Typer(help="The overhead camera.", no_args_is_help=True)
+
+SourceArgument = Annotated[
+    str, typer.Argument(help="camera:0, a video, a picture, or a folder of pictures.")
+]
+SheetOption = Annotated[
+    Path, typer.Option("--sheet", help="Sheet file: where the cards lie (TOML).")
+]
+CameraOption = Annotated[
+    Path, typer.Option("--camera", help="Camera file written by `thigmo camera locate`.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group."""
+    app.add_typer(group, name="camera")
+
+
+def load_sheet(path: Path) -> Sheet:
+    """The sheet file, or the default sheet where there is none."""
+    from thigmo.camera import Sheet
+
+    return Sheet.load(path) if path.exists() else Sheet()
+
+
+@group.command()
+def sheet(
+    out: Annotated[Path, typer.Option(help="PDF, or PNG (one a page).")] = Path("sheet.pdf"),
+    sheet_file: SheetOption = Path("sheet.toml"),
+) -> None:
+    """Print the workspace cards, tip markers and lens board at true scale."""
+    from thigmo.camera import print_sheet
+
+    made = load_sheet(sheet_file)
+    written = print_sheet(made, out)
+    if not sheet_file.exists():
+        made.save(sheet_file)
+    for path in written:
+        typer.echo(f"wrote {path}")
+    typer.echo(
+        "Print at 100 % and measure the 10 cm bar: its length over 10 is print_scale in "
+        f"{sheet_file}. Lay the cards' crosses where that file says (origin: the robot's base, "
+        "x along the straight robot), or write where they lie; give camera_height_cm too."
+    )
+
+
+@group.command()
+def lens(
+    source: SourceArgument,
+    sheet_file: SheetOption = Path("sheet.toml"),
+    out: Annotated[Path, typer.Option(help="Lens file.")] = Path("lens.json"),
+    count: Annotated[int, typer.Option(help="Pictures taken from a live camera.")] = 12,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate the lens from pictures of the lens board in several poses."""
+    from thigmo.camera import calibrate_lens, open_source
+    from thigmo.camera.source import Capture, pictures
+
+    opened = open_source(source)
+    try:
+        if isinstance(opened, Capture) and source.removeprefix("camera:").isdigit():
+            shots = []
+            for number in range(count):
+                typer.prompt(
+                    f"picture {number + 1} of {count}: hold the board in a new pose, press Enter",
+                    default="",
+                    show_default=False,
+                )
+                shots.append(opened.read())
+        else:
+            shots = list(pictures(opened))[:200]
+    finally:
+        opened.close()
+    found = calibrate_lens(shots, load_sheet(sheet_file))
+    found.save(out)
+    if as_json:
+        print_json({"rms_px": found.rms_px, "focal_px": found.matrix[0][0], "file": str(out)})
+        return
+    typer.echo(f"lens good: {found.rms_px:.2f} px left; wrote {out}")
+
+
+@group.command()
+def locate(
+    source: SourceArgument,
+    sheet_file: SheetOption = Path("sheet.toml"),
+    lens_file: Annotated[
+        Path, typer.Option("--lens", help="Lens file; fitted to the cards if there is none.")
+    ] = Path("lens.json"),
+    out: Annotated[Path, typer.Option(help="Camera file.")] = Path("camera.json"),
+    as_json: JsonOption = False,
+) -> None:
+    """Find where the camera stands, from the workspace cards."""
+    from thigmo.camera import Lens, open_source
+    from thigmo.camera import locate as find
+
+    opened = open_source(source)
+    try:
+        picture = opened.read()
+    finally:
+        opened.close()
+    known = Lens.load(lens_file) if lens_file.exists() else None
+    model = find(picture, load_sheet(sheet_file), known)
+    model.save(out)
+    if as_json:
+        print_json(
+            {
+                "rms_px": model.rms_px,
+                "accuracy_cm": model.accuracy_cm,
+                "height_cm": float(model.eye_cm[2]),
+                "hidden": list(model.hidden),
+                "file": str(out),
+            }
+        )
+        return
+    verdict = "good" if model.accuracy_cm <= 0.15 else "poor: calibrate the lens, uncover all cards"
+    typer.echo(
+        f"camera {model.eye_cm[2]:.1f} cm above the table; cards fit to {model.rms_px:.2f} px, "
+        f"places to {model.accuracy_cm:.2f} cm (one sigma): {verdict}; wrote {out}"
+    )
+    if model.hidden:
+        typer.echo(f"hidden cards: {', '.join(model.hidden)}")
+
+
+@group.command()
+def check(
+    source: SourceArgument,
+    sheet_file: SheetOption = Path("sheet.toml"),
+    camera_file: CameraOption = Path("camera.json"),
+    out: Annotated[Path, typer.Option(help="The picture, drawn over.")] = Path("check.png"),
+    diameter: Annotated[float, typer.Option(help="Tube diameter, cm.")] = 3.5,
+    peg_height: Annotated[float, typer.Option(help="Height of the dowels, cm.")] = 6.0,
+    peg_radius: Annotated[
+        float | None, typer.Option(help="Radius of the dowels, cm, if known: fewer mistakes.")
+    ] = None,
+    free_bend: Annotated[bool, typer.Option(help="The body is a free bend.")] = False,
+    background: Annotated[
+        Path | None, typer.Option(help="Picture of the empty table, same camera.")
+    ] = None,
+    tip: Annotated[str | None, typer.Option(help="The tip, clicked by hand: X,Y px.")] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="File of clicked points (written by --click).")
+    ] = None,
+    click: Annotated[
+        str | None, typer.Option(help="Click in a window: any of tip,axis,obstacles.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what the camera sees, drawn over the picture."""
+    import numpy as np
+
+    from thigmo.camera import CameraModel, Seen, draw, look, open_source
+    from thigmo.camera import locate as find
+    from thigmo.camera.sight import write_picture
+
+    opened = open_source(source)
+    try:
+        picture = opened.read()
+    finally:
+        opened.close()
+    used = load_sheet(sheet_file)
+    model = CameraModel.load(camera_file) if camera_file.exists() else find(picture, used)
+    radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
+    wanted = Seen(diameter, peg_height, radii, constant=free_bend)
+    empty = None
+    if background is not None:
+        shot = open_source(background)
+        empty = shot.read()
+        shot.close()
+    clicks = _clicks(np.asarray(picture, np.uint8), tip, points, click)
+    seen = look(picture, model, used, wanted, background=empty, clicks=clicks)
+    write_picture(out, draw(picture, model, used, seen, wanted))
+    if as_json:
+        print_json({**sighting_data(seen), "picture": str(out)})
+        return
+    _tell(seen)
+    typer.echo(f"wrote {out}")
+
+
+def _clicks(picture: Any, tip: str | None, points: Path | None, click: str | None) -> Clicks | None:
+    from dataclasses import replace
+
+    from thigmo.camera.clicks import Clicks, parse_pixel
+    from thigmo.camera.clicks import click as ask
+
+    clicks: Clicks | None = None
+    if click is not None:
+        clicks = ask(picture, tuple(click.split(",")))
+        if points is not None:
+            clicks.save(points)
+    elif points is not None:
+        clicks = Clicks.load(points)
+    if tip is not None:
+        clicks = replace(clicks or Clicks(), tip=parse_pixel(tip))
+    return clicks
+
+
+def sighting_data(seen: Sighting) -> dict[str, Any]:
+    """A sighting as plain data."""
+    tip, axis = seen.tip, seen.axis
+    return {
+        "tip": None
+        if tip is None
+        else {"x_cm": tip.x_cm, "y_cm": tip.y_cm, "heading": tip.heading, "clicked": tip.clicked},
+        "axis": None
+        if axis is None
+        else {
+            "length_cm": axis.length_cm,
+            "mean_curvature": float(axis.heading[-1] - axis.heading[0]) / axis.length_cm,
+            "residual_cm": axis.residual_cm,
+        },
+        "obstacles": [
+            {"x_cm": o.x_cm, "y_cm": o.y_cm, "radius_cm": o.radius_cm, "rim": o.rim}
+            for o in seen.obstacles
+        ],
+        "hidden": list(seen.hidden),
+        "problems": [str(problem) for problem in seen.problems],
+    }
+
+
+def _tell(seen: Sighting) -> None:
+    if seen.tip is not None:
+        typer.echo(f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm")
+    if seen.axis is not None:
+        mean = (seen.axis.heading[-1] - seen.axis.heading[0]) / seen.axis.length_cm
+        typer.echo(f"body {seen.axis.length_cm:.1f} cm long, mean curvature {mean:+.5f} 1/cm")
+    for o in seen.obstacles:
+        typer.echo(f"obstacle at x {o.x_cm:.2f}, y {o.y_cm:.2f}, radius {o.radius_cm:.2f} cm")
+    if seen.hidden:
+        typer.echo(f"hidden cards: {', '.join(seen.hidden)}")
+    for problem in seen.problems:
+        typer.echo(str(problem))

@@ -1,0 +1,509 @@
+"""Scene to picture: what an overhead camera would see of the emulated room.
+
+Takes plain shapes (the body's axis, pegs, printed patches) and a true camera, and paints a
+1920 x 1080 colour picture with perspective, lens distortion, heights, occlusion, shadows, uneven
+light, clutter, blur and sensor noise. Calibration and the camera's tests look at these pictures
+and never at the truth behind them. Lengths in cm, z up from the table, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from math import tan
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+Color = tuple[float, float, float]  # blue, green, red, 0..255
+
+_SHIFT = 6  # fractional bits of OpenCV's polygon vertices
+_TABLE_PX_CM = 12
+_LIVE_CM = 90.0  # the table is painted within this distance of the picture's middle
+
+
+class Patch(Protocol):
+    """A printed flat thing: gray image and its corners (4, 3), upper left first, clockwise."""
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """Gray picture."""
+        ...
+
+    @property
+    def corners_cm(self) -> NDArray[np.float64]:
+        """Corners, cm."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrueCamera:
+    """The camera that takes the picture (OpenCV's conventions).
+
+    Attributes:
+        matrix: (3, 3) camera matrix, px.
+        distortion: (5,) k1, k2, p1, p2, k3.
+        rotation: (3,) Rodrigues vector, workspace to camera.
+        translation: (3,) cm.
+        size: width, height in px.
+    """
+
+    matrix: Array
+    distortion: Array
+    rotation: Array
+    translation: Array
+    size: tuple[int, int] = (1920, 1080)
+
+    def project(self, points: Array) -> Array:
+        """Workspace points (n, 3) to pixels (n, 2)."""
+        seen, _ = cv2.projectPoints(
+            np.asarray(points, float).reshape(-1, 1, 3),
+            self.rotation,
+            self.translation,
+            self.matrix,
+            self.distortion,
+        )
+        return np.asarray(seen, float).reshape(-1, 2)
+
+    @cached_property
+    def turn(self) -> Array:
+        """Rotation matrix (3, 3), workspace to camera."""
+        return np.asarray(cv2.Rodrigues(self.rotation)[0], float)
+
+    @cached_property
+    def eye(self) -> Array:
+        """Place (3,) of the camera."""
+        return np.asarray(-self.turn.T @ self.translation, float)
+
+    @cached_property
+    def rays(self) -> NDArray[np.float32]:
+        """Direction (h, w, 3) of every pixel's ray in the workspace (smooth, so interpolated)."""
+        step = 8
+        width, height = self.size
+        columns = np.arange(-step, width + 2 * step, step, dtype=float)
+        rows = np.arange(-step, height + 2 * step, step, dtype=float)
+        grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 1, 2)
+        ends = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
+        flat = cv2.undistortPoints(grid, self.matrix, self.distortion, None, None, None, ends)
+        flat = flat.reshape(len(rows), len(columns), 2).astype(np.float32)
+        full = np.einsum("rR,RCk->rCk", _between(height, step, len(rows)), flat, optimize=True)
+        across = _between(width, step, len(columns))
+        full = np.einsum("cC,rCk->rck", across, full, optimize=True)
+        homogeneous = np.dstack([full, np.ones((height, width), np.float32)])
+        return np.asarray(homogeneous @ self.turn.astype(np.float32), np.float32)
+
+    def plane(self, height_cm: float, box: tuple[slice, slice] = (slice(None), slice(None))) -> Any:
+        """Workspace x and y (h, w) where each pixel's ray meets a height."""
+        rays = self.rays[box]
+        reach = np.float32(height_cm - self.eye[2]) / rays[..., 2]
+        return (
+            np.float32(self.eye[0]) + reach * rays[..., 0],
+            np.float32(self.eye[1]) + reach * rays[..., 1],
+        )
+
+
+@dataclass(frozen=True)
+class BodyShape:
+    """The robot as a tube on the table.
+
+    Attributes:
+        x_cm: (n,) axis, base to tip.
+        y_cm: (n,) axis.
+        radius_cm: tube radius.
+        color: of the fabric.
+    """
+
+    x_cm: Array
+    y_cm: Array
+    radius_cm: float = 1.75
+    color: Color = (40.0, 90.0, 215.0)
+
+
+@dataclass(frozen=True)
+class PegShape:
+    """A standing dowel."""
+
+    x_cm: float
+    y_cm: float
+    radius_cm: float = 1.0
+    height_cm: float = 6.0
+    color: Color = (120.0, 170.0, 205.0)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How kind the room and the sensor are.
+
+    Attributes:
+        blur_px: sigma of lens blur.
+        noise: sigma of the sensor, gray levels.
+        shadow: how dark a shadow is, 0..1.
+        light: (2,) shadow displacement per height.
+        falloff: darkening towards one side and the corners, 0..1.
+        clutter: number of things that lie about.
+        jpeg: quality of the camera's compression; 0 = none.
+        table: colour of the table.
+        wrinkle: unevenness of the fabric, 0..1.
+    """
+
+    blur_px: float = 0.8
+    noise: float = 3.0
+    shadow: float = 0.35
+    light: tuple[float, float] = (0.35, -0.25)
+    falloff: float = 0.25
+    clutter: int = 25
+    jpeg: int = 90
+    table: Color = (190.0, 200.0, 205.0)
+    wrinkle: float = 0.12
+
+
+@dataclass(frozen=True)
+class View:
+    """What stands in the room at the moment of the picture.
+
+    Attributes:
+        body: the robot; None = not there.
+        pegs: dowels.
+        patches: printed things; those above the table lie on the robot.
+        housing: whether the base's box stands behind x = 0.
+    """
+
+    body: BodyShape | None = None
+    pegs: Sequence[PegShape] = ()
+    patches: Sequence[Patch] = field(default_factory=tuple)
+    housing: bool = True
+
+
+def _between(n: int, step: int, knots: int) -> NDArray[np.float32]:
+    """Linear interpolation matrix (n, knots); knot 0 lies one step before pixel 0."""
+    at = np.arange(n) / step + 1
+    left = np.floor(at).astype(int)
+    weights = np.zeros((n, knots), np.float32)
+    weights[np.arange(n), left] = 1 - (at - left)
+    weights[np.arange(n), left + 1] += at - left
+    return weights
+
+
+def overhead_camera(
+    rng: np.random.Generator | None = None, size: tuple[int, int] = (1920, 1080)
+) -> TrueCamera:
+    """A camera above the default workspace, long side across the robot; varied by `rng`.
+
+    Height 95..120 cm, tilt to 6 degrees, roll to 4, barrel distortion to -0.12, focal length such
+    that the cards stay in the picture.
+    """
+    pick = rng or np.random.default_rng(0)
+    vary = 0.0 if rng is None else 1.0
+    height = 105.0 + vary * pick.uniform(-10, 12)
+    # The picture's columns run along -y and its rows along -x: the robot grows upwards.
+    down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    tilt = vary * pick.uniform(-1, 1, 2) * np.radians(6)
+    roll = vary * pick.uniform(-1, 1) * np.radians(4)
+    spin = cv2.Rodrigues(np.array([tilt[0], tilt[1], roll]))[0]
+    turn = spin @ down
+    target = np.array([27.0, 0.0, 0.0]) + vary * np.append(pick.uniform(-2, 2, 2), 0.0)
+    eye = target - height * turn[2]
+    k1 = -0.06 + vary * pick.uniform(-0.06, 0.05)
+    k2 = 0.01 + vary * pick.uniform(-0.01, 0.02)
+    half_view = np.arctan(64.0 / height)
+    focal = size[0] / 2 / tan(half_view) * (1 - 0.3 * k1)
+    jitter = vary * pick.uniform(-12, 12, 2)
+    matrix = np.array(
+        [[focal, 0, size[0] / 2 + jitter[0]], [0, focal, size[1] / 2 + jitter[1]], [0, 0, 1]]
+    )
+    distortion = np.array([k1, k2, vary * pick.normal(0, 4e-4), vary * pick.normal(0, 4e-4), 0.0])
+    return TrueCamera(matrix, distortion, np.ravel(cv2.Rodrigues(turn)[0]), -turn @ eye, size)
+
+
+def random_look(rng: np.random.Generator) -> Look:
+    """A room as labs have them: from good light to poor."""
+    tint = rng.uniform(-18, 18, 3)
+    base = rng.uniform(140, 225)
+    blue, green, red = (float(base + t) for t in tint)
+    return Look(
+        blur_px=float(rng.uniform(0.5, 1.4)),
+        noise=float(rng.uniform(1.5, 6.0)),
+        shadow=float(rng.uniform(0.1, 0.5)),
+        light=(float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5))),
+        falloff=float(rng.uniform(0.05, 0.4)),
+        clutter=int(rng.integers(5, 40)),
+        jpeg=int(rng.integers(75, 96)),
+        table=(blue, green, red),
+        wrinkle=float(rng.uniform(0.05, 0.2)),
+    )
+
+
+def render(
+    camera: TrueCamera,
+    view: View,
+    look: Look | None = None,
+    rng: np.random.Generator | None = None,
+) -> Picture:
+    """The picture (height, width, 3), BGR.
+
+    Raises:
+        DataError: a body axis of fewer than two points or of unequal lengths.
+    """
+    look = look or Look()
+    rng = rng or np.random.default_rng(0)
+    body = view.body
+    if body is not None and (len(body.x_cm) < 2 or len(body.x_cm) != len(body.y_cm)):
+        raise DataError("a body needs two or more points of equal x and y", "pass its whole axis")
+    canvas = _table(camera, view, look, rng)
+    for patch in view.patches:
+        if patch.corners_cm[:, 2].max() < 0.1:
+            _paste(canvas, camera, patch)
+    # A body hides the foot of a peg behind it; a peg's upper part hides the body behind that.
+    split = 2 * body.radius_cm if body is not None else 0.0
+    for peg in view.pegs:
+        _peg(canvas, camera, peg, 0.0, min(split, peg.height_cm), top=False)
+    if view.housing:
+        _housing(canvas, camera)
+    if body is not None:
+        _tube(canvas, camera, body, look, rng)
+    for patch in view.patches:
+        if patch.corners_cm[:, 2].max() >= 0.1:
+            _paste(canvas, camera, patch)
+    for peg in view.pegs:
+        _peg(canvas, camera, peg, min(split, peg.height_cm), peg.height_cm, top=True)
+    return _sensor(canvas, look, rng)
+
+
+def _table(
+    camera: TrueCamera, view: View, look: Look, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Table with grain, clutter and shadows, warped into the picture."""
+    x, y = camera.plane(0.0)
+    low = np.maximum(np.array([x.min(), y.min()]) - 2, np.array([-_LIVE_CM, -_LIVE_CM]))
+    high = np.minimum(np.array([x.max(), y.max()]) + 2, np.array([_LIVE_CM, _LIVE_CM]) + 40)
+    px = _TABLE_PX_CM
+    shape = (int((high[1] - low[1]) * px), int((high[0] - low[0]) * px))
+    flat = np.empty((*shape, 3), np.float32)
+    flat[:] = look.table
+    coarse = rng.normal(0, 1, (shape[0] // 40 + 2, shape[1] // 40 + 2)).astype(np.float32)
+    fine = rng.normal(0, 1, (shape[0] // 2 + 1, shape[1] // 16 + 1)).astype(np.float32)
+    grain: Any = 5 * cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
+    grain += 3 * cv2.resize(fine, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    flat = np.asarray(flat + grain[..., None], np.float32)
+    _clutter(flat, look, rng)
+    shade = np.zeros(shape, np.uint8)
+
+    def pixels(points: Array) -> Any:
+        return np.round((points - low) * px * 16).astype(np.int32).reshape(-1, 1, 2)
+
+    light = np.array(look.light)
+    if view.body is not None:
+        axis = np.column_stack([view.body.x_cm, view.body.y_cm])
+        moved = axis + light * view.body.radius_cm
+        thick = max(1, round(2 * view.body.radius_cm * px))
+        cv2.polylines(shade, [pixels(moved)], False, 255, thick, cv2.LINE_AA, 4)
+    for peg in view.pegs:
+        foot = np.array([peg.x_cm, peg.y_cm])
+        ends = np.stack([foot, foot + light * peg.height_cm])
+        thick = max(1, round(2 * peg.radius_cm * px))
+        cv2.polylines(shade, [pixels(ends)], False, 255, thick, cv2.LINE_AA, 4)
+    soft = cv2.GaussianBlur(shade, (0, 0), 0.35 * px)
+    flat *= 1 - look.shadow * soft.astype(np.float32)[..., None] / 255
+    warped = cv2.remap(
+        flat,
+        (x - np.float32(low[0])) * px - 0.5,
+        (y - np.float32(low[1])) * px - 0.5,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(warped, np.float32)
+
+
+def _clutter(flat: NDArray[np.float32], look: Look, rng: np.random.Generator) -> None:
+    """Pens, scraps of paper, coins and cables, anywhere on the table."""
+    px = _TABLE_PX_CM
+    rows, columns = flat.shape[:2]
+    for _ in range(look.clutter):
+        at = rng.uniform((0, 0), (columns, rows))
+        color = tuple(float(c) for c in rng.uniform(20, 235, 3))
+        kind = rng.integers(4)
+        turn = rng.uniform(0, np.pi)
+        along = np.array([np.cos(turn), np.sin(turn)])
+        if kind == 0:
+            end = at + along * rng.uniform(6, 14) * px
+            cv2.line(flat, _pair(at), _pair(end), color, int(0.8 * px), cv2.LINE_AA)
+        elif kind == 1:
+            size = rng.uniform(2, 9, 2) * px
+            box = cv2.boxPoints((_pair(at), (float(size[0]), float(size[1])), float(turn * 57)))
+            cv2.fillPoly(flat, [box.astype(np.int32)], color, cv2.LINE_AA)
+        elif kind == 2:
+            radius = int(rng.uniform(0.3, 0.6) * px)
+            cv2.circle(flat, _pair(at), radius, color, -1, cv2.LINE_AA)
+        else:
+            steps = np.cumsum(rng.normal(0, 0.35, 40)) + turn
+            walk = at + np.cumsum(
+                np.column_stack([np.cos(steps), np.sin(steps)]) * 0.5 * px, axis=0
+            )
+            cv2.polylines(
+                flat,
+                [walk.astype(np.int32).reshape(-1, 1, 2)],
+                False,
+                color,
+                max(1, int(0.3 * px)),
+                cv2.LINE_AA,
+            )
+
+
+def _pair(point: Array) -> tuple[int, int]:
+    return int(point[0]), int(point[1])
+
+
+def _fill(canvas: NDArray[np.float32], outline: Array, color: Color) -> None:
+    """Fill a polygon of sub-pixel vertices (n, 2)."""
+    vertices = np.round(np.clip(outline, -4000, 8000) * (1 << _SHIFT)).astype(np.int32)
+    cv2.fillPoly(canvas, [vertices.reshape(-1, 1, 2)], color, cv2.LINE_AA, _SHIFT)
+
+
+def _tube(
+    canvas: NDArray[np.float32],
+    camera: TrueCamera,
+    body: BodyShape,
+    look: Look,
+    rng: np.random.Generator,
+) -> None:
+    """The inflated tube: strips along its length, from both flanks up to the crest."""
+    axis = np.column_stack([body.x_cm, body.y_cm])
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
+    fine = np.linspace(0.0, arc[-1], max(2, int(arc[-1] / 0.25)))
+    axis = np.column_stack([np.interp(fine, arc, axis[:, k]) for k in (0, 1)])
+    slope = np.gradient(axis, axis=0)
+    slope /= np.linalg.norm(slope, axis=1)[:, None]
+    normal = np.column_stack([-slope[:, 1], slope[:, 0]])
+    # A rounded end: the last half centimetre narrows, the axis keeps its full length.
+    end = np.clip((fine[-1] - fine) / 0.5, 0, 1)
+    wide = body.radius_cm * np.sqrt(np.clip(1 - 0.25 * (1 - end) ** 2, 0.05, 1))
+    angles = np.radians(np.linspace(105, 0, 16))
+    sun = np.append(-np.array(look.light), 1.0)
+    sun /= np.linalg.norm(sun)
+    folds = 1 + look.wrinkle * cv2.GaussianBlur(rng.normal(0, 1, (1, len(fine))), (0, 0), 3).ravel()
+    for outer, inner in pairwise(angles):
+        for side in (1.0, -1.0):
+            edges = []
+            for angle in (outer, inner):
+                across = side * np.sin(angle) * wide
+                height = body.radius_cm + np.cos(angle) * wide
+                points = np.column_stack([axis + across[:, None] * normal, height])
+                edges.append(camera.project(points))
+            middle = (outer + inner) / 2
+            facing = np.column_stack(
+                [side * np.sin(middle) * normal, np.full(len(fine), np.cos(middle))]
+            )
+            lit = 0.35 + 0.65 * np.clip(facing @ sun, 0, 1)
+            _fill(
+                canvas,
+                np.concatenate([edges[0], edges[1][::-1]]),
+                _scaled(body.color, float(lit.mean())),
+            )
+            for start in range(0, len(fine) - 1, 3):
+                stop = min(start + 4, len(fine))
+                quad = np.concatenate([edges[0][start:stop], edges[1][start:stop][::-1]])
+                bright = float(lit[start:stop].mean() * folds[start:stop].mean())
+                _fill(canvas, quad, _scaled(body.color, bright))
+
+
+def _housing(canvas: NDArray[np.float32], camera: TrueCamera) -> None:
+    """The base's box: walls and lid."""
+    around = np.array([[0.0, 5.0, 0], [0.0, -5.0, 0], [-10.0, -5.0, 0], [-10.0, 5.0, 0]])
+    lid = camera.project(around + np.array([0, 0, 6.0]))
+    hull = cv2.convexHull(np.concatenate([camera.project(around), lid]).astype(np.float32))
+    _fill(canvas, hull.reshape(-1, 2).astype(float), (46.0, 42.0, 40.0))
+    _fill(canvas, lid, (82.0, 76.0, 72.0))
+
+
+def _scaled(color: Color, by: float) -> Color:
+    return color[0] * by, color[1] * by, color[2] * by
+
+
+def _peg(
+    canvas: NDArray[np.float32],
+    camera: TrueCamera,
+    peg: PegShape,
+    low_cm: float,
+    high_cm: float,
+    top: bool,
+) -> None:
+    """A dowel's wall between two heights, and its top face."""
+    around = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    ring = np.column_stack(
+        [
+            peg.x_cm + peg.radius_cm * np.cos(around),
+            peg.y_cm + peg.radius_cm * np.sin(around),
+            np.zeros(72),
+        ]
+    )
+    upper = camera.project(ring + np.array([0, 0, high_cm]))
+    lower = camera.project(ring + np.array([0, 0, low_cm]))
+    hull = cv2.convexHull(np.concatenate([upper, lower]).astype(np.float32)).reshape(-1, 2)
+    _fill(canvas, hull.astype(float), _scaled(peg.color, 0.55))
+    if top:
+        _fill(canvas, upper, peg.color)
+
+
+def _paste(canvas: NDArray[np.float32], camera: TrueCamera, patch: Patch) -> None:
+    """Lay a printed patch, flat at any tilt, into the picture."""
+    corners = np.asarray(patch.corners_cm, float)
+    outline = camera.project(corners)
+    rows, columns = canvas.shape[:2]
+    left, upper = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 2, 0)
+    right, lower = np.ceil(outline.max(axis=0)).astype(int) + 3
+    right, lower = min(int(right), columns), min(int(lower), rows)
+    if right <= left or lower <= upper:
+        return
+    box = (slice(int(upper), lower), slice(int(left), right))
+    across, down = corners[1] - corners[0], corners[3] - corners[0]
+    normal = np.cross(across, down)
+    rays = camera.rays[box].astype(float)
+    from_corner = camera.eye - corners[0]
+    reach = -(from_corner @ normal) / (rays @ normal)
+    at = from_corner + reach[..., None] * rays
+    u = at @ across / (across @ across)
+    v = at @ down / (down @ down)
+    n_rows, n_columns = patch.image.shape
+    # Texels per pixel, for the smoothing that sampling needs.
+    ratio = n_columns / max(1.0, float(np.linalg.norm(outline[1] - outline[0])))
+    smooth = cv2.GaussianBlur(patch.image, (0, 0), max(0.3, 0.4 * ratio)).astype(np.float32)
+    ink = cv2.remap(
+        smooth,
+        (u * n_columns - 0.5).astype(np.float32),
+        (v * n_rows - 0.5).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    pixel_u = 1.0 / max(1.0, float(np.linalg.norm(outline[1] - outline[0])))
+    inside = np.clip(np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v)) / pixel_u + 0.5, 0, 1)
+    # Paper white is not 255, ink is not 0.
+    tone = 22 + ink * (228 - 22) / 255
+    canvas[box] = canvas[box] * (1 - inside[..., None]) + (tone * inside)[..., None]
+
+
+def _sensor(canvas: NDArray[np.float32], look: Look, rng: np.random.Generator) -> Picture:
+    """Uneven light, lens blur, noise, rounding, compression."""
+    rows, columns = canvas.shape[:2]
+    across = np.linspace(-1, 1, columns, dtype=np.float32)
+    down = np.linspace(-1, 1, rows, dtype=np.float32)[:, None]
+    turn = rng.uniform(0, 2 * np.pi)
+    slope = np.float32(np.cos(turn)) * across + np.float32(np.sin(turn)) * down
+    light = 1 - look.falloff * (0.3 * (1 + slope) / 2 + 0.35 * (across**2 + down**2))
+    lit = canvas * light[..., None].astype(np.float32)
+    if look.blur_px > 0:
+        lit = np.asarray(cv2.GaussianBlur(lit, (0, 0), look.blur_px), np.float32)
+    noise = rng.standard_normal(lit.shape, dtype=np.float32) * np.float32(look.noise)
+    # Truncation after adding a half is rounding.
+    picture = np.clip(lit + noise + np.float32(0.5), 0, 255).astype(np.uint8)
+    if look.jpeg:
+        packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, look.jpeg])[1]
+        picture = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)
+    return picture
