@@ -46,6 +46,47 @@ class Lens:
     size: tuple[int, int]
     rms_px: float = 0.0
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the lens as JSON."""
+        Path(path).write_text(json.dumps({"version": 1, **self.as_data()}, indent=1))
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "matrix": self.matrix.tolist(),
+            "distortion": self.distortion.tolist(),
+            "size": list(self.size),
+            "lens_rms_px": self.rms_px,
+        }
+
+    @classmethod
+    def from_data(cls, data: dict[str, Any]) -> Lens:
+        """From plain data."""
+        return cls(
+            np.array(data["matrix"], float),
+            np.array(data["distortion"], float),
+            (int(data["size"][0]), int(data["size"][1])),
+            float(data["lens_rms_px"]),
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Lens:
+        """Read a lens written by `save` (a camera model's file will do as well).
+
+        Raises:
+            CameraError: missing or damaged file.
+        """
+        try:
+            return cls.from_data(json.loads(Path(path).read_text()))
+        except OSError as error:
+            raise CameraError(
+                f"cannot read {path}: {error.strerror}", "run `thigmo camera lens` first"
+            ) from error
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            raise CameraError(
+                f"{path} is no lens calibration ({error})", "run `thigmo camera lens` again"
+            ) from error
+
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -112,10 +153,7 @@ class CameraModel:
         """Write the model as JSON."""
         data = {
             "version": 1,
-            "matrix": self.lens.matrix.tolist(),
-            "distortion": self.lens.distortion.tolist(),
-            "size": list(self.lens.size),
-            "lens_rms_px": self.lens.rms_px,
+            **self.lens.as_data(),
             "rotation": self.rotation.tolist(),
             "translation": self.translation.tolist(),
             "rms_px": self.rms_px,
@@ -134,14 +172,8 @@ class CameraModel:
         """
         try:
             data = json.loads(Path(path).read_text())
-            lens = Lens(
-                np.array(data["matrix"], float),
-                np.array(data["distortion"], float),
-                (int(data["size"][0]), int(data["size"][1])),
-                float(data["lens_rms_px"]),
-            )
             return cls(
-                lens,
+                Lens.from_data(data),
                 np.array(data["rotation"], float),
                 np.array(data["translation"], float),
                 {int(k): np.array(v, float) for k, v in data["corners"].items()},

@@ -46,7 +46,7 @@ def find_obstacles(
     flat: Flat,
     radius_cm: tuple[float, float] = (0.65, 2.5),
     ignore: Sequence[Array] = (),
-    least_rim: float = 0.66,
+    least_rim: float = 0.6,
 ) -> list[Obstacle]:
     """Circles of a picture laid flat at the obstacles' height, best rim first.
 
