@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from thigmo.errors import DataError
+from thigmo.localization.exact.one_contact_l1 import PIECES, fit_l1_rows
+from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
 
 Floats = NDArray[np.float64]
 Norm = Literal[1, 2]
@@ -77,7 +82,23 @@ def one_contact(
     Raises:
         DataError: shapes that do not match, or values that are not finite where they must be.
     """
-    raise NotImplementedError
+    solved = one_contact_batch(
+        np.asarray(curvature, dtype=np.float64)[None],
+        position,
+        length,
+        span=span,
+        weight=weight,
+        norm=norm,
+        force_bounds=force_bounds,
+        tolerance=tolerance,
+    )
+    return Solution(
+        objective=float(solved.objective[0]),
+        arc=solved.arc,
+        force=solved.force,
+        ranges=(tuple((low, high) for low, high in solved.ranges[0, : solved.pieces[0]].tolist()),),
+        gap=0.0,
+    )
 
 
 def one_contact_batch(
@@ -108,7 +129,84 @@ def one_contact_batch(
     Raises:
         DataError: as `one_contact`.
     """
-    raise NotImplementedError
+    y = np.ascontiguousarray(curvature, dtype=np.float64)
+    if y.ndim != 2:
+        raise DataError(f"curvature has shape {y.shape}, not (B, N)", "pass one row per problem")
+    rows, n = y.shape
+    x, spans, w, ends = _layout(position, span, weight, length, rows, n)
+    f_low, f_high = _bounds(force_bounds)
+    if np.isinf(y).any():
+        raise DataError("curvature is infinite", "use NaN for a missing sensor")
+    fit = fit_l1_rows if norm == 1 else fit_l2_rows
+    near_ends = x - 0.5 * spans
+    out = np.empty((rows, 3))
+    pieces = np.zeros(rows, dtype=np.int64)
+    ranges = np.full((rows, PIECES, 2), np.nan)
+
+    def run(part: slice) -> None:
+        fit(
+            y[part],
+            near_ends if len(near_ends) == 1 else near_ends[part],
+            spans if len(spans) == 1 else spans[part],
+            w if len(w) == 1 else w[part],
+            ends if len(ends) == 1 else ends[part],
+            f_low,
+            f_high,
+            tolerance,
+            out[part],
+            pieces[part],
+            ranges[part],
+        )
+
+    if threads > 1 and rows >= 2 * threads:
+        cuts = np.linspace(0, rows, threads + 1).astype(int).tolist()
+        parts = [slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(run, parts))
+    else:
+        run(slice(0, rows))
+    return BatchSolution(
+        objective=out[:, 0],
+        arc=out[:, 1],
+        force=out[:, 2],
+        low=ranges[:, 0, 0],
+        high=ranges[np.arange(rows), np.maximum(pieces, 1) - 1, 1],
+        pieces=pieces,
+        ranges=ranges,
+    )
+
+
+def _layout(
+    position: ArrayLike, span: ArrayLike, weight: ArrayLike, length: ArrayLike, rows: int, n: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Positions, spans, weights as (1 or B, N) and lengths as (1 or B,), checked."""
+    arrays = []
+    for name, given in (("position", position), ("span", span), ("weight", weight)):
+        array = np.asarray(given, dtype=np.float64)
+        if array.ndim < 2:
+            array = array.reshape(1, -1)
+        try:
+            array = np.broadcast_to(array, (len(array), n))
+        except ValueError:
+            array = array[:0]
+        if array.ndim != 2 or len(array) not in (1, rows):
+            raise DataError(f"{name} does not match curvature ({rows}, {n})", "check its shape")
+        if not np.isfinite(array).all() or (name != "position" and (array < 0.0).any()):
+            raise DataError(f"{name} has a value that is not usable", "check that it is finite")
+        arrays.append(np.ascontiguousarray(array))
+    ends = np.atleast_1d(np.asarray(length, dtype=np.float64))
+    if ends.ndim != 1 or len(ends) not in (1, rows):
+        raise DataError(f"length has shape {ends.shape}", "pass one length, or one for each row")
+    if not (np.isfinite(ends).all() and (ends > 0.0).all()):
+        raise DataError("length is not positive", "pass the everted length")
+    return arrays[0], arrays[1], arrays[2], ends
+
+
+def _bounds(force_bounds: tuple[float, float]) -> tuple[float, float]:
+    f_low, f_high = float(force_bounds[0]), float(force_bounds[1])
+    if not f_low <= f_high or f_low == np.inf or f_high == -np.inf:
+        raise DataError(f"force_bounds {force_bounds} hold no force", "pass (least, largest)")
+    return f_low, f_high
 
 
 def several_contacts(
