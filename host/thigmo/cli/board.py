@@ -1,0 +1,93 @@
+"""`thigmo params` and `thigmo retract`: single commands to a board."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(params)
+    app.command()(retract)
+
+
+def params(
+    url: Annotated[str, typer.Argument(help="Where the robot is.")],
+    name: Annotated[str | None, typer.Argument(help="One parameter.")] = None,
+    value: Annotated[
+        list[int] | None, typer.Argument(help="New value in the parameter's wire unit, or values.")
+    ] = None,
+    save: Annotated[bool, typer.Option("--save", help="Store it in the board.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the board's parameters, or one of them, or set it."""
+    from thigmo.errors import ConfigError
+    from thigmo.link import protocol as wire
+    from thigmo.robot import connect
+
+    if name is not None and name not in wire.PARAMETERS:
+        raise ConfigError(f"no parameter {name!r}", "see `thigmo params URL` for their names")
+    with connect(url) as robot:
+        if name is not None and value:
+            robot.set_parameter(name, value)
+        if save:
+            robot.save()
+        names = [name] if name is not None else list(wire.PARAMETERS)
+        values = {each: robot.parameter(each) for each in names}
+    if as_json:
+        print_json({each: _described(each, held) for each, held in values.items()})
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("parameter", "value", "unit", "range", "meaning", box=None)
+    for each, held in values.items():
+        entry = wire.PARAMETERS[each]
+        same = held[:1] if len(set(held)) == 1 and len(held) > 1 else held
+        shown = " ".join(map(str, same)) + (f" (x{len(held)})" if same is not held else "")
+        table.add_row(each, shown, entry.unit, f"{entry.low}..{entry.high}", entry.doc)
+    Console().print(table)
+
+
+def _described(name: str, held: list[int]) -> dict[str, Any]:
+    from thigmo.link import protocol as wire
+
+    entry = wire.PARAMETERS[name]
+    return {
+        "value": held if entry.count > 1 else held[0],
+        "unit": entry.unit,
+        "range": [entry.low, entry.high],
+        "default": list(entry.defaults) if entry.count > 1 else entry.defaults[0],
+        "doc": entry.doc,
+    }
+
+
+def retract(
+    robot: Annotated[str, typer.Option(help="Where the robot is.")],
+    to: Annotated[float, typer.Option(help="Everted length to keep, cm.", min=0.0)] = 0.0,
+    length: Annotated[
+        float | None,
+        typer.Option(help="Everted length now, cm, as measured; asked for when unknown."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
+    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.robot import connect
+
+    console = Console(quiet=as_json)
+    with connect(robot, operator=TerminalOperator(console)) as machine:
+        if length is not None:
+            machine.confirm_length(length)
+        elif machine.status().length_cm is None:
+            machine.confirm_length(machine.operator.everted_length_cm())
+        machine.arm()
+        reached = machine.retract_to(to)
+    if as_json:
+        print_json({"length_cm": reached})
+    else:
+        console.out.print(f"Retracted to {reached:.1f} cm.", highlight=False)

@@ -1,0 +1,151 @@
+"""The terminal: a progress bar of what the robot does, results, and the operator's prompts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from thigmo.errors import DataError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from thigmo.exploration import ExplorationResult
+
+Show = Callable[[str, float], None]
+
+
+def _nothing(doing: str, fraction: float) -> None:
+    """Progress for programs: none."""
+
+
+class Console:
+    """What a command shows. Everything but results goes to stderr; with `quiet`, prompts only."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        from rich.console import Console as RichConsole
+
+        self.quiet = quiet
+        self.out = RichConsole()
+        self.err = RichConsole(stderr=True)
+        self._bar: Progress | None = None
+
+    @contextmanager
+    def progress(self) -> Iterator[Show]:
+        """A bar while the robot works; on a pipe, one line for each thing that it does."""
+        if self.quiet:
+            yield _nothing
+            return
+        if not self.err.is_terminal:
+            yield self._line()
+            return
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+        bar = Progress(
+            BarColumn(24), TaskProgressColumn(), TextColumn("{task.description}"),
+            console=self.err, transient=True,
+        )  # fmt: skip
+        with bar:
+            self._bar = bar
+            task = bar.add_task("connecting", total=1.0)
+            try:
+                yield lambda doing, done: bar.update(task, description=doing, completed=done)
+            finally:
+                self._bar = None
+
+    def _line(self) -> Show:
+        last = ""
+
+        def show(doing: str, fraction: float) -> None:
+            nonlocal last
+            doing = doing.partition(": ")[0]
+            if doing != last:
+                self.err.print(f"{fraction:4.0%} {doing}", highlight=False)
+                last = doing
+
+        return show
+
+    def ask(self, question: str) -> str:
+        """Ask the operator; the bar stands still meanwhile.
+
+        Raises:
+            DataError: nobody is there to answer.
+        """
+        if not sys.stdin.isatty():
+            raise DataError(
+                f"nobody can answer: {question}", "run it in a terminal, beside the robot"
+            )
+        if self._bar:
+            self._bar.stop()
+        try:
+            self.err.print(f"[bold]{question}[/bold] ", end="")
+            return input()
+        except EOFError:
+            raise DataError(f"no answer to: {question}", "run it again, and answer") from None
+        finally:
+            if self._bar:
+                self._bar.start()
+
+    def result(self, result: ExplorationResult) -> None:
+        """Say what an exploration found, where it is kept, and what to do next."""
+        from rich.table import Table
+
+        say, document = self.out.print, result.document
+        if not document.contacts:
+            say(f"[bold]No contact[/bold] in {len(document.stages)} sweeps.")
+        else:
+            table = Table("x", "y", "arc", "95 % interval", "force / EI", "status", box=None)
+            for c in document.contacts:
+                table.add_row(
+                    f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
+                    f"{c.arc_cm:.1f} of {c.everted_length_cm:g} cm",
+                    f"{c.interval_cm[0]:.1f} to {c.interval_cm[1]:.1f} cm",
+                    f"{c.force_per_cm2:.2g} 1/cm²", c.status,
+                )  # fmt: skip
+            say(table)
+        if document.error_x_cm is not None:
+            say(
+                f"Against the room's truth: |x error| {document.error_x_cm:.2f} cm, in the plane "
+                f"{document.error_cm:.2f} cm.",
+                highlight=False,
+            )
+        ratio = document.robot_time_s / max(document.wall_time_s, 1e-9)
+        say(
+            f"{document.robot_time_s:.0f} s of robot time in {document.wall_time_s:.1f} s "
+            f"({ratio:.0f} times real time). Ended: {document.outcome}.",
+            highlight=False,
+        )
+        say(f"Map: {result.folder / 'map.png'}", highlight=False, soft_wrap=True)
+        say(
+            f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
+            f"To retract it: thigmo retract --robot {document.url}",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+class TerminalOperator:
+    """Asks the person beside the robot."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def everted_length_cm(self) -> float:
+        """Ask for the everted length until it is a number."""
+        while True:
+            answer = self._console.ask("Measure the everted length. How many cm?")
+            try:
+                value = float(answer.replace(",", ".").removesuffix("cm"))
+            except ValueError:
+                continue
+            if value >= 0:
+                return value
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Ask for the body pressure to be set."""
+        self._console.ask(
+            f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa), "
+            "then press Enter."
+        )

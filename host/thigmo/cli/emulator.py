@@ -1,0 +1,47 @@
+"""`thigmo emulate` and `thigmo scene check`: the emulated room, for any program and any file."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Annotated, Any
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+# The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
+_SERVE = "thigmo.emulator.serve"
+_SCENE = "thigmo.emulator.scene"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(emulate)
+    scene = typer.Typer(help="Work with scene files.", no_args_is_help=True)
+    scene.command("check")(check)
+    app.add_typer(scene, name="scene")
+
+
+def emulate(
+    scene: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
+    seed: Annotated[int, typer.Option(help="Of the noise.", min=0)] = 0,
+) -> None:
+    """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C."""
+    serve: Any = import_module(_SERVE)
+    try:
+        serve.serve(scene, seed=seed, announce=typer.echo)
+    except KeyboardInterrupt:
+        raise typer.Exit from None
+
+
+def check(
+    file: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Check a scene file and say what it holds."""
+    scenes: Any = import_module(_SCENE)
+    scene = scenes.load_scene(file)
+    if as_json:
+        print_json(scene.model_dump(mode="json"))
+        return
+    typer.echo(f"{file}: {len(scene.pegs)} pegs, robot {scene.robot.name!r}: good")

@@ -1,0 +1,62 @@
+"""`thigmo explore`: the robot's main job, and how it is shown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(explore)
+
+
+def explore(
+    robot: Annotated[
+        str | None,
+        typer.Option(help="Where the robot is: /dev/ttyACM0, COM3, socket://, emulator://SCENE."),
+    ] = None,
+    scene: Annotated[
+        str | None, typer.Option(help="Scene file, or the name of a built-in scene, to emulate.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Of the emulator's noise; same seed, same run.", min=0)
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for run folders.")] = Path("runs"),
+    config: Annotated[
+        Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the run.")] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Let the emulator run at the clock's pace.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Grow, sweep, feel, localize and map, stage by stage to the full length."""
+    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.config import RobotConfig
+    from thigmo.errors import ConfigError
+    from thigmo.exploration import explore as run
+
+    if robot is not None and scene is not None:
+        raise ConfigError("--robot and --scene are both given", "give one of them")
+    console = Console(quiet=as_json)
+    with console.progress() as show:
+        result = run(
+            robot or f"emulator://{scene or 'default'}",
+            config=RobotConfig.load(config) if config else None,
+            seed=seed,
+            out=out,
+            name=name,
+            realtime=realtime,
+            operator=TerminalOperator(console),
+            progress=show,
+        )
+    if as_json:
+        print_json(result.as_json())
+    else:
+        console.result(result)

@@ -1,0 +1,57 @@
+"""Entry point of the `thigmo` command: the list of commands, and how errors end.
+
+Command modules import only typer and the standard library at their top; what a command needs is
+imported when it runs, so that `thigmo --help` stays fast.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from thigmo.cli import board, emulator, explore, localize, runs
+from thigmo.errors import ThigmoError
+
+app = typer.Typer(
+    name="thigmo",
+    help="Make a soft growing robot feel: where along its body, how hard, and where in the room.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+for module in (explore, localize, runs, board, emulator):
+    module.register(app)
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Print the version.",
+            is_eager=True,
+            callback=lambda wanted: _print_version() if wanted else None,
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+def _print_version() -> None:
+    from thigmo import __version__
+
+    typer.echo(f"thigmo {__version__}")
+    raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line; a typed error prints its one line and ends with status 1."""
+    try:
+        app()
+    except ThigmoError as error:
+        typer.echo(f"thigmo: {error}", err=True)
+        sys.exit(1)

@@ -1,0 +1,108 @@
+"""`thigmo replay` and `thigmo info`: what runs left behind, and what a board says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(replay)
+    app.command()(info)
+
+
+def replay(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Run the localizer again over a run's raw record; writes replay.json and replay.png."""
+    from thigmo.exploration import replay as again
+
+    result = again(run)
+    if as_json:
+        print_json(result.as_json())
+        return
+    from rich.console import Console
+
+    console = Console()
+    if result.truncated:
+        console.print(f"{run}: the record is cut short; what is whole was used", highlight=False)
+    for contact in result.document.contacts:
+        low, high = contact.interval_cm
+        console.print(
+            f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:g} cm "
+            f"({low:.1f} to {high:.1f}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm",
+            highlight=False,
+        )
+    if not result.document.contacts:
+        console.print("no contact")
+    console.print(f"{result.sweeps} sweeps; {run / 'replay.json'}", highlight=False)
+
+
+def info(
+    target: Annotated[str, typer.Argument(help="Run folder, or where a robot is.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Describe a run folder, or the robot at a URL."""
+    facts = _run_info(Path(target)) if Path(target).is_dir() else _robot_info(target)
+    if as_json:
+        print_json(facts)
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None)
+    for name, value in facts.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+        table.add_row(name.replace("_", " "), shown)
+    Console().print(table)
+
+
+def _run_info(path: Path) -> dict[str, Any]:
+    from thigmo.errors import RunFolderError
+    from thigmo.record import RunFolder
+
+    folder = RunFolder(path)
+    facts: dict[str, Any] = {"run": str(path)}
+    try:
+        document = folder.read_document()
+    except RunFolderError as error:
+        facts["document"] = str(error)
+    else:
+        facts |= {
+            "name": document.name,
+            "url": document.url,
+            "started": document.started,
+            "thigmo": document.thigmo,
+            "outcome": document.outcome,
+            "stages_cm": [stage.everted_length_cm for stage in document.stages],
+            "contacts": len(document.contacts),
+            "robot_time_s": document.robot_time_s,
+            "wall_time_s": document.wall_time_s,
+        }
+    log = folder.read_log()
+    times = [entry.t_s for entry in log.entries]
+    return facts | {
+        "frames": len(log.entries),
+        "frames_sent": sum(entry.direction == "tx" for entry in log.entries),
+        "recorded_s": round(max(times) - min(times), 3) if times else 0.0,
+        "truncated": log.truncated,
+        "board": dict(log.metadata),
+    }
+
+
+def _robot_info(url: str) -> dict[str, Any]:
+    from thigmo.robot import connect
+
+    with connect(url) as robot:
+        status = asdict(robot.status())
+        status["conditions"] = sorted(status["conditions"])
+        for mask in ("everted", "settled", "zeroed"):
+            status[mask] = [n for n in range(10) if status[mask] >> n & 1]
+        return {"url": url, **robot.identity, **status, "link": robot.link_stats()}

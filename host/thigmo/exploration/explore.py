@@ -1,0 +1,170 @@
+"""`thigmo.explore`: one call from a URL to a run folder with a map."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from thigmo import __version__
+from thigmo.config import RobotConfig
+from thigmo.errors import ThigmoError
+from thigmo.exploration.run import Exploration, Progress
+from thigmo.record import RunDocument, RunFolder
+from thigmo.robot import Operator, Robot, connect
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationResult:
+    """What an exploration found.
+
+    Attributes:
+        document: contacts, stages, truth, errors and times, as in contacts.json.
+        folder: the run folder.
+        length_cm: everted length at the end, which the robot keeps.
+    """
+
+    document: RunDocument
+    folder: Path
+    length_cm: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `thigmo explore --json` prints: the document without its shapes."""
+        plain = asdict(self.document)
+        for stage in plain["stages"]:
+            del stage["shapes"]
+        for contact in plain["contacts"]:
+            del contact["track"]
+        wall = max(self.document.wall_time_s, 1e-9)
+        return {
+            **plain,
+            "robot_per_wall_time": self.document.robot_time_s / wall,
+            "length_cm": self.length_cm,
+            "run": str(self.folder),
+        }
+
+
+class _TerminatedError(BaseException):
+    """SIGTERM, as an exception that no handler of errors swallows."""
+
+
+def explore(
+    url: str = "emulator://default",
+    *,
+    config: RobotConfig | None = None,
+    seed: int | None = None,
+    out: str | os.PathLike[str] = "runs",
+    name: str | None = None,
+    realtime: bool = False,
+    operator: Operator | None = None,
+    progress: Progress | None = None,
+) -> ExplorationResult:
+    """Explore with a robot: grow, sweep, feel, localize and map, to the full length.
+
+    Args:
+        url: where the robot is (`thigmo.connect`).
+        config: robot.toml; None uses what the emulated robot's lab would know, or the defaults.
+        seed: of the emulator's noise.
+        out: folder in which the run folder is made.
+        name: of the run.
+        realtime: pace the emulator by the clock.
+        operator: answers what the board cannot know; the emulator brings its own.
+        progress: told what the robot is doing.
+
+    Returns:
+        Contacts in the room, and where the record is.
+
+    Raises:
+        ThigmoError: with the next step for the operator. The robot is vented and braked, and the
+            run folder says how far it came.
+    """
+    from thigmo.localization import warm_up
+    from thigmo.report import draw_map
+
+    tell = progress or (lambda doing, fraction: None)
+    started = datetime.now(UTC)
+    label = name or Path(url.partition("://")[2] or url).stem or "run"
+    folder = RunFolder.create(out, label, started.astimezone())
+    document = RunDocument(
+        thigmo=__version__,
+        name=label,
+        url=url,
+        started=started.isoformat(timespec="seconds"),
+        seed=seed,
+    )
+    tell("compiling the localizer", 0.0)
+    warm_up()
+    tell("connecting", 0.0)
+    start = time.monotonic()
+    run: Exploration | None = None
+    with _sigterm_raises():
+        try:
+            robot = connect(url, seed=seed, operator=operator, realtime=realtime)
+            with robot:
+                used = config or robot.known_config or RobotConfig()
+                used.save(folder.path / "robot.toml")
+                with folder.open_log(_metadata(robot, document)) as log:
+                    robot.record_frames(log.frame)
+                    run = Exploration(robot, used, folder, log, document, tell)
+                    try:
+                        run.run()
+                    finally:
+                        # Safe outputs first, while the record still listens.
+                        robot.make_safe()
+                        document = replace(run.document, robot_time_s=robot.elapsed_s)
+        except BaseException as error:
+            document = replace(document, outcome=f"aborted: {_why(error)}")
+            raise
+        finally:
+            document = replace(document, wall_time_s=round(time.monotonic() - start, 3))
+            folder.write_document(document)
+    tell("drawing the map", 1.0)
+    draw_map(document, folder.map_path, radius_cm=used.body.radius_cm)
+    return ExplorationResult(document, folder.path, run.length_cm)
+
+
+def _metadata(robot: Robot, document: RunDocument) -> dict[str, str]:
+    return {
+        "thigmo": __version__,
+        "url": document.url,
+        "seed": "" if document.seed is None else str(document.seed),
+        "started": document.started,
+        **robot.identity,
+    }
+
+
+def _why(error: BaseException) -> str:
+    if isinstance(error, ThigmoError):
+        return str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted by the operator"
+    if isinstance(error, _TerminatedError):
+        return "terminated"
+    return f"{type(error).__name__}: {error}"
+
+
+@contextmanager
+def _sigterm_raises() -> Iterator[None]:
+    """Let SIGTERM unwind like Ctrl-C does, so that the robot is vented on the way out."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        raise _TerminatedError
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    except _TerminatedError:
+        raise SystemExit(128 + signal.SIGTERM) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,94 @@
+"""One peak's readings to contacts on the map: what the live run and a replay share.
+
+Averages of the ten peak readings of the inactive side's sensors that were everted, settled and
+zeroed go to the localizer with the free curvature of the map at the lag-filtered pressure; what it
+answers is placed through the bent shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.config import RobotConfig
+from thigmo.exploration.workspace import Bend, centreline, place_contact
+from thigmo.localization import LocalizeResult, localize
+from thigmo.record import MapContact, Shape
+from thigmo.robot import Peak, SensorTable
+
+_PLACED = ("localized", "ambiguous")
+
+
+@dataclass(frozen=True, slots=True)
+class Feeling:
+    """What one peak told.
+
+    Attributes:
+        result: the localizer's answer.
+        contacts: those with a place, in the workspace.
+        shape: the body at the peak.
+    """
+
+    result: LocalizeResult
+    contacts: list[MapContact]
+    shape: Shape
+
+
+def feel(peak: Peak, config: RobotConfig, zone: int) -> Feeling:
+    """Localize the contacts behind a peak's readings and place them.
+
+    Args:
+        peak: the averaged readings.
+        config: robot.toml as used.
+        zone: index of the body-pressure zone that held.
+
+    Raises:
+        DataError: no usable sensor.
+    """
+    table = SensorTable.of(config)
+    use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+    muscle = config.actuators.side(peak.side)
+    result = localize(
+        peak.curvature[use],
+        table.center_cm[use],
+        length=peak.length_cm,
+        span=table.span_cm[use],
+        free_curvature=peak.free_curvature,
+        noise=table.noise[use],
+    )
+    found = [c for c in result.contacts if c.status in _PLACED]
+    bend = Bend(
+        peak.length_cm,
+        peak.free_curvature,
+        tuple((c.arc, c.force) for c in found),
+        result.parameters.get("fold_angle", 0.0),
+    )
+    contacts = []
+    for index, contact in enumerate(found):
+        placed = place_contact(
+            bend,
+            index,
+            contact.interval,
+            radius_cm=config.body.radius_cm,
+            curvature_se=muscle.offset_se,
+        )
+        contacts.append(
+            MapContact(
+                arc_cm=contact.arc,
+                x_cm=placed.x_cm,
+                y_cm=placed.y_cm,
+                force_per_cm2=contact.force,
+                interval_cm=(float(contact.interval[0]), float(contact.interval[1])),
+                status=contact.status,
+                everted_length_cm=peak.length_cm,
+                side=peak.side,
+                normal_rad=placed.normal_rad,
+                covariance_cm2=placed.covariance_cm2,
+                track=placed.track,
+                model=result.model,
+                readings=int(use.sum()),
+            )
+        )
+    shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
+    return Feeling(result, contacts, shape)

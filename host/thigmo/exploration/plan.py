@@ -1,0 +1,78 @@
+"""Where to stop: the lengths at which the robot sweeps, and the pressures on the way there."""
+
+from __future__ import annotations
+
+from itertools import count
+
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import ConfigError
+
+FOLD_MARGIN_CM = 0.5  # keep-out around a sensor's ends for the tip's fold; the board's default
+_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
+
+
+def half_everted(config: RobotConfig, length_cm: float) -> str:
+    """Name of a sensor that lies in the tip's fold at a length, or an empty string."""
+    for side in SIDES:
+        for index, sensor in enumerate(config.sensors.column(side)):
+            start = sensor.center_cm - sensor.span_cm / 2 - FOLD_MARGIN_CM
+            end = sensor.center_cm + sensor.span_cm / 2 + FOLD_MARGIN_CM
+            if sensor.healthy and start < length_cm < end - 1e-6:
+                return f"{side}[{index}]"
+    return ""
+
+
+def stage_lengths(config: RobotConfig) -> list[float]:
+    """Everted lengths (cm) at which to sweep: whole pitches, the last step shorter.
+
+    Pitches at which a sensor would lie in the fold are left out: a bend there would crease it.
+
+    Raises:
+        ConfigError: a sensor lies in the fold at the full length.
+    """
+    full = config.body.length_cm
+    if sensor := half_everted(config, full):
+        raise ConfigError(
+            f"sensors.{sensor} lies in the tip's fold at the full length",
+            "mark it unhealthy, or correct its centre and span in robot.toml",
+        )
+    pitch = config.sensors.pitch_cm
+    lengths: list[float] = []
+    for number in count(1):
+        length = number * pitch
+        if length > full - _SAME_CM:
+            return [*lengths, full]
+        if not half_everted(config, length):
+            lengths.append(length)
+    raise AssertionError
+
+
+def next_stage(config: RobotConfig, length_cm: float, *, swept: bool) -> float | None:
+    """The stage to go to from a length, or None at the end.
+
+    Args:
+        config: the robot.
+        length_cm: everted length now.
+        swept: whether the sweep at this length is done.
+    """
+    for stage in stage_lengths(config):
+        if stage > length_cm + _SAME_CM or (abs(stage - length_cm) <= _SAME_CM and not swept):
+            return stage
+    return None
+
+
+def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
+    """Index of the body-pressure zone for growing on from a length towards a target.
+
+    On a boundary growth needs the next zone's pressure; without growth, the zone of the length.
+    """
+    ahead = min(length_cm + _SAME_CM, target_cm) if target_cm > length_cm + _SAME_CM else target_cm
+    return config.body.zone_at(ahead)
+
+
+def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> float:
+    """How far to grow before the stage or the next body-pressure boundary, whichever is nearer."""
+    for zone in config.body.zones:
+        if length_cm + _SAME_CM < zone.until_cm < stage_cm - _SAME_CM:
+            return zone.until_cm
+    return stage_cm

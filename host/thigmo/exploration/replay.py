@@ -1,0 +1,230 @@
+"""The localizer again over a run's raw record, from the frames that crossed the link.
+
+Nothing is taken from contacts.json: the frames are decoded, zeros, lengths, peaks and triggers are
+read off them as the live run did, and the same functions localize and map. So a newer localizer
+can be tried on an old run, and a doubtful result can be checked.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from thigmo import __version__
+from thigmo.config import RobotConfig
+from thigmo.errors import RunFolderError
+from thigmo.exploration.map import errors, merge
+from thigmo.exploration.stage import feel_sweep, stage_entry
+from thigmo.link import protocol as wire
+from thigmo.link.clock import DeviceClock
+from thigmo.link.framing import FrameError, decode
+from thigmo.record import Entry, Log, MapContact, RunDocument, RunFolder, Stage
+from thigmo.report import draw_map
+from thigmo.robot import (
+    SENSORS,
+    Peak,
+    SensorTable,
+    SnapshotReading,
+    SweepResult,
+    SweepWatcher,
+    average_peak,
+    snapshot_reading,
+)
+
+_OVERSAMPLE = wire.PARAMETERS["oversample_log2"].index
+_ZEROED = 1 << 2  # of sensor_report.flags
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """What the record says now.
+
+    Attributes:
+        document: contacts and triggers found again; truth and errors from the run's document.
+        sweeps: sweeps in the record.
+        bad_frames: frames that could not be decoded.
+        truncated: the record is cut short.
+    """
+
+    document: RunDocument
+    sweeps: int
+    bad_frames: int
+    truncated: bool
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `thigmo replay --json` prints."""
+        plain = asdict(self.document)
+        for stage in plain["stages"]:
+            del stage["shapes"]
+        return {
+            **plain,
+            "sweeps": self.sweeps,
+            "bad_frames": self.bad_frames,
+            "truncated": self.truncated,
+        }
+
+
+@dataclass
+class _Sweep:
+    """A sweep as it is read off the frames."""
+
+    length_cm: float
+    zone: int
+    sensors: int
+    t_s: float
+    watcher: SweepWatcher
+    peaks: list[Peak] = field(default_factory=list)
+
+    def result(self) -> SweepResult:
+        return SweepResult(self.watcher.triggers, self.peaks, self.watcher.frames)
+
+
+class _Reader:
+    """Reads the board's state off its frames, as the robot object does live."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._table = SensorTable.of(config)
+        self._clock = DeviceClock()
+        self._zero_sum = np.full(SENSORS, np.nan)
+        self._oversample = 16
+        self._zone = 0
+        self._status: wire.StatusReport | None = None
+        self._snapshots: list[SnapshotReading] = []
+        self._events: set[int] = set()
+        self._last_sweep = (0, 0)
+        self.sweeps: list[_Sweep] = []
+        self.bad = 0
+
+    def take(self, entry: Entry) -> None:
+        """Take one frame of the record, in its order."""
+        try:
+            frame = decode(entry.frame)
+            message = frame.message()
+        except FrameError:
+            self.bad += 1
+            return
+        match message:
+            case wire.Telemetry() if self.sweeps:
+                self.sweeps[-1].watcher.telemetry(message)
+            case wire.Hello():
+                self._events.clear()
+            case wire.SelectZone():
+                self._zone = message.zone
+            case wire.StatusReport():
+                self._status = message
+            case wire.ParameterValue() if message.index == _OVERSAMPLE:
+                self._oversample = 1 << message.value
+            case wire.SensorReport() if message.flags & _ZEROED:
+                self._zero_sum[message.sensor] = message.zero_sum_q8 / 256
+            case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
+                # A repeat of the same command, whose reply was lost, is no other sweep.
+                self._last_sweep = (frame.session, frame.seq)
+                self._begin(entry.t_s)
+            case wire.Event() if message.number not in self._events:
+                self._events.add(message.number)
+                if message.code == wire.EventCode.CONTACT and self.sweeps:
+                    self.sweeps[-1].watcher.event(message)
+            case wire.Snapshot() if message.index < message.count and self.sweeps:
+                self._snapshot(message)
+
+    def _device_s(self, t_us: int) -> float:
+        return self._clock.unwrap(t_us) / 1e6
+
+    def _begin(self, t_s: float) -> None:
+        status = self._status
+        mask, length = 0, 0.0
+        if status:
+            mask = status.everted_mask & status.settled_mask & status.zeroed_mask
+            length = status.length_um / 1e4
+        watcher = SweepWatcher(self._device_s, list)
+        self.sweeps.append(_Sweep(length, self._zone, mask, t_s, watcher))
+
+    def _snapshot(self, message: wire.Snapshot) -> None:
+        if message.index == 0:
+            self._snapshots = []
+        if message.index != len(self._snapshots):
+            return  # the reply to a repeated request
+        self._snapshots.append(snapshot_reading(message, self._device_s(message.t_us)))
+        if len(self._snapshots) == message.count:
+            sweep = self.sweeps[-1]
+            sweep.peaks.append(
+                average_peak(
+                    self._snapshots,
+                    self._zero_sum,
+                    self._table,
+                    oversample=self._oversample,
+                    sensors=sweep.sensors,
+                    length_cm=sweep.length_cm,
+                )
+            )
+
+
+def replay(run: str | os.PathLike[str]) -> ReplayResult:
+    """Localize again from a run's raw record; writes `replay.json` and `replay.png` into it.
+
+    Args:
+        run: the run folder.
+
+    Raises:
+        RunFolderError: no record, or one of another protocol schema.
+        ConfigError: its robot.toml cannot be read.
+    """
+    folder = RunFolder(run)
+    config = folder.read_config()
+    log = folder.read_log()
+    schema = log.metadata.get("schema_hash", "")
+    if schema != f"{wire.SCHEMA_HASH:08x}":
+        raise RunFolderError(
+            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
+            f"{wire.SCHEMA_HASH:08x}",
+            f"replay it with thigmo {log.metadata.get('thigmo', 'of its time')}",
+        )
+    reader = _Reader(config)
+    for entry in log.entries:
+        reader.take(entry)
+    contacts: list[MapContact] = []
+    stages = []
+    for sweep in reader.sweeps:
+        result = sweep.result()
+        felt = feel_sweep(result, config, sweep.zone)
+        for feeling in felt:
+            for contact in feeling.contacts:
+                contacts = merge(contacts, contact)
+        pressure = config.body.zones[sweep.zone].pressure_psi
+        stages.append(stage_entry(sweep.length_cm, pressure, sweep.t_s, result, felt))
+    document = _document(folder, log, contacts, stages)
+    folder.write_document(document, "replay.json")
+    draw_map(document, folder.path / "replay.png", radius_cm=config.body.radius_cm)
+    return ReplayResult(document, len(reader.sweeps), reader.bad, log.truncated)
+
+
+def _document(
+    folder: RunFolder, log: Log, contacts: list[MapContact], stages: list[Stage]
+) -> RunDocument:
+    """The replay's document; name, truth and outcome are the run's own, if it got so far."""
+    recorded = log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0
+    try:
+        known = folder.read_document()
+    except RunFolderError:
+        known = RunDocument(
+            thigmo=__version__,
+            name=folder.path.name,
+            url=log.metadata.get("url", ""),
+            started=log.metadata.get("started", ""),
+            outcome="cut short",
+        )
+    error_x, error = errors(contacts, known.truth.contacts if known.truth else [])
+    return replace(
+        known,
+        thigmo=__version__,
+        outcome=f"replayed; {known.outcome}",
+        contacts=contacts,
+        stages=stages,
+        error_x_cm=error_x,
+        error_cm=error,
+        robot_time_s=recorded,
+        wall_time_s=0.0,
+    )

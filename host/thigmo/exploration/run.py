@@ -1,0 +1,215 @@
+"""The exploration itself: walks the state table with a robot, and leaves a run folder.
+
+One method for each state, returning the outcome that the table names. Whatever happens (an error,
+Ctrl-C, a termination signal, a pulled cable), the robot is left vented and braked and the run
+folder is closed and readable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from thigmo.config import RobotConfig
+from thigmo.errors import CommandRefusedError
+from thigmo.exploration.feel import Feeling
+from thigmo.exploration.map import errors, merge, peg_ahead
+from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
+from thigmo.exploration.stage import feel_sweep, stage_entry
+from thigmo.exploration.states import State, next_state
+from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
+from thigmo.robot import Robot, SweepResult, sweep_period_s
+
+_MOST_ZERO_TRIES = 5
+
+# Told what the robot does, in words, and the share of the run that is done.
+Progress = Callable[[str, float], None]
+
+
+class Exploration:
+    """Drives one robot through the state table.
+
+    Args:
+        robot: connected, not yet configured.
+        config: robot.toml.
+        folder: the run folder, made.
+        log: its record, open.
+        document: what is known at the start; kept up to date, and written after each stage.
+        progress: called at each state and while waiting.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: RobotConfig,
+        folder: RunFolder,
+        log: LogWriter,
+        document: RunDocument,
+        progress: Progress,
+    ) -> None:
+        self.robot = robot
+        self.config = config
+        self.folder = folder
+        self.log = log
+        self.document = document
+        self.progress = progress
+        self.state = State.CONFIGURE
+        self.length_cm = 0.0
+        self.stage_cm = 0.0
+        self.zone = 0
+        self.swept = False
+        self.sweep: SweepResult | None = None
+        self.feelings: list[Feeling] = []
+        self._zero_tries = 0
+        self._lengths = stage_lengths(config)
+        self._actions: dict[State, Callable[[], str]] = {
+            State.CONFIGURE: self._configure,
+            State.CONFIRM: self._confirm,
+            State.ARM: self._arm,
+            State.PLAN: self._plan,
+            State.PRESSURIZE: self._pressurize,
+            State.GROW: self._grow,
+            State.SETTLE: self._settle,
+            State.ZERO: self._zero,
+            State.SWEEP: self._sweep,
+            State.LOCALIZE: self._localize,
+            State.MAP: self._map,
+            State.VENT: self._vent,
+            State.FINISH: self._finish,
+        }
+
+    def run(self) -> None:
+        """Walk the table to its end.
+
+        Raises:
+            ThigmoError: the robot, the link or the operator stopped it; the document says where.
+        """
+        while self.state is not State.DONE:
+            self._tell()
+            outcome = self._actions[self.state]()
+            after = next_state(self.state, outcome)
+            self.log.note(
+                "state", self.robot.now(), state=self.state.name, outcome=outcome, next=after.name
+            )
+            self.state = after
+
+    def _tell(self, waiting: str = "") -> None:
+        words = self.state.value
+        if self.stage_cm:
+            words += f" at {self.stage_cm:g} cm"
+        done = sum(stage.everted_length_cm for stage in self.document.stages)
+        self.progress(words + (f": {waiting}" if waiting else ""), done / sum(self._lengths))
+
+    # Before the first stage.
+
+    def _configure(self) -> str:
+        self.robot.configure(self.config)
+        return "verified"
+
+    def _confirm(self) -> str:
+        length = self.robot.operator.everted_length_cm()
+        self.robot.confirm_length(length)
+        self.length_cm = length
+        return "length known"
+
+    def _arm(self) -> str:
+        self.robot.arm()
+        return "ready"
+
+    # Each stage.
+
+    def _plan(self) -> str:
+        stage = next_stage(self.config, self.length_cm, swept=self.swept)
+        if stage is None:
+            self.document = replace(self.document, outcome="full length")
+            return "fully deployed"
+        grows = stage > self.length_cm + 0.1
+        radius = self.config.body.radius_cm
+        if grows and peg_ahead(self.document.contacts, self.length_cm, radius):
+            self.document = replace(self.document, outcome="peg ahead")
+            return "peg ahead"
+        self.stage_cm, self.swept, self._zero_tries = stage, False, 0
+        return "grow" if grows else "sweep here"
+
+    def _pressurize(self) -> str:
+        self.zone = growth_zone(self.config, self.length_cm, self.stage_cm)
+        self.robot.operator.set_body_pressure(self.config.body.zones[self.zone].pressure_psi)
+        self.robot.select_zone(self.zone)
+        return "pressure set"
+
+    def _grow(self) -> str:
+        target = growth_target(self.config, self.length_cm, self.stage_cm)
+        if target > self.length_cm + 0.1:
+            self.length_cm = self.robot.grow_to(target)
+        return "whole pitch" if target == self.stage_cm else "pressure boundary"
+
+    def _settle(self) -> str:
+        self.robot.wait_settled(lambda left_s: self._tell(f"{left_s:.0f} s left"))
+        return "settled"
+
+    def _zero(self) -> str:
+        try:
+            self.robot.zero()
+        except CommandRefusedError as error:
+            self._zero_tries += 1
+            if error.reason not in ("drifting", "not_settled") or (
+                self._zero_tries > _MOST_ZERO_TRIES
+            ):
+                raise
+            self.robot.wait(2.0)
+            return "drifting"
+        return "zeroed after sweep" if self.swept else "zeroed after growth"
+
+    def _sweep(self) -> str:
+        actuators = self.config.actuators
+        self.sweep = self.robot.sweep(
+            left_psi=actuators.left.max_pressure_psi,
+            right_psi=actuators.right.max_pressure_psi,
+            period_s=sweep_period_s(self.config, self.zone),
+        )
+        self.swept = True
+        self.feelings = []
+        return "contact" if self.sweep.triggers else "no contact"
+
+    def _localize(self) -> str:
+        assert self.sweep is not None
+        self.feelings = feel_sweep(self.sweep, self.config, self.zone)
+        return "answered"
+
+    def _map(self) -> str:
+        contacts = self.document.contacts
+        for feeling in self.feelings:
+            for contact in feeling.contacts:
+                contacts = merge(contacts, contact)
+        self.document = replace(self.document, contacts=contacts)
+        return "mapped"
+
+    def _vent(self) -> str:
+        self.robot.vent()
+        self._keep_stage()
+        return "vented"
+
+    def _keep_stage(self) -> None:
+        """Put the stage into the document, and the document on the disk."""
+        assert self.sweep is not None
+        pressure = self.config.body.zones[self.zone].pressure_psi
+        stage = stage_entry(self.length_cm, pressure, self.robot.now(), self.sweep, self.feelings)
+        truth = self.document.truth
+        if self.sweep.truth is not None:
+            known = truth.contacts if truth else []
+            truth = Truth(self.sweep.truth.pegs, [*known, *self.sweep.truth.contacts])
+        error_x, error = errors(self.document.contacts, truth.contacts if truth else [])
+        self.document = replace(
+            self.document,
+            stages=[*self.document.stages, stage],
+            truth=truth,
+            error_x_cm=error_x,
+            error_cm=error,
+        )
+        self.folder.write_document(self.document)
+
+    # The end.
+
+    def _finish(self) -> str:
+        self.robot.stop()
+        return "safe"

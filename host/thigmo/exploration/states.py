@@ -1,0 +1,74 @@
+"""The exploration as a state machine: its states and transitions as named data.
+
+The thesis's flow (section 3.5, figure 3.8) with what a real run adds: the body pressure that an
+operator sets, the settling of sensors after eversion, zeroing, and an end that is always safe.
+The run walks this table and nothing else, so a flow chart drawn from it is the code's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class State(StrEnum):
+    """What the exploration is doing; the value is what the operator reads."""
+
+    CONFIGURE = "configuring the board"
+    CONFIRM = "confirming the length"
+    ARM = "arming"
+    PLAN = "planning the next stage"
+    PRESSURIZE = "setting the body pressure"
+    GROW = "growing"
+    SETTLE = "letting sensors settle"
+    ZERO = "zeroing the sensors"
+    SWEEP = "sweeping left and right"
+    LOCALIZE = "localizing a contact"
+    MAP = "mapping"
+    VENT = "venting"
+    FINISH = "venting, keeping the length"
+    DONE = "done"
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """From a state, on an outcome (the words on the flow chart's arrow), to a state."""
+
+    source: State
+    outcome: str
+    target: State
+
+
+TRANSITIONS: tuple[Transition, ...] = (
+    Transition(State.CONFIGURE, "verified", State.CONFIRM),
+    Transition(State.CONFIRM, "length known", State.ARM),
+    Transition(State.ARM, "ready", State.PLAN),
+    Transition(State.PLAN, "grow", State.PRESSURIZE),
+    Transition(State.PLAN, "sweep here", State.PRESSURIZE),
+    Transition(State.PLAN, "fully deployed", State.FINISH),
+    Transition(State.PLAN, "peg ahead", State.FINISH),
+    Transition(State.PRESSURIZE, "pressure set", State.GROW),
+    Transition(State.GROW, "pressure boundary", State.PRESSURIZE),
+    Transition(State.GROW, "whole pitch", State.SETTLE),
+    Transition(State.SETTLE, "settled", State.ZERO),
+    Transition(State.ZERO, "drifting", State.SETTLE),
+    Transition(State.ZERO, "zeroed after growth", State.SWEEP),
+    Transition(State.ZERO, "zeroed after sweep", State.PLAN),
+    Transition(State.SWEEP, "contact", State.LOCALIZE),
+    Transition(State.SWEEP, "no contact", State.VENT),
+    Transition(State.LOCALIZE, "answered", State.MAP),
+    Transition(State.MAP, "mapped", State.VENT),
+    Transition(State.VENT, "vented", State.SETTLE),
+    Transition(State.FINISH, "safe", State.DONE),
+)
+
+_NEXT = {(t.source, t.outcome): t.target for t in TRANSITIONS}
+
+
+def next_state(state: State, outcome: str) -> State:
+    """The state that follows.
+
+    Raises:
+        KeyError: the table has no such transition: a mistake in the program, not of the operator.
+    """
+    return _NEXT[state, outcome]

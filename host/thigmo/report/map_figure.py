@@ -1,0 +1,213 @@
+"""map.png: where the robot was, what it swept, what it touched, and how sure it is of that.
+
+Drawn from contacts.json alone, so that a replay draws the same picture. Everything shown was
+measured, except what is marked as the room's truth, which only the emulator knows.
+"""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thigmo.errors import RunFolderError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from thigmo.record import MapContact, Pose, RunDocument, Shape, Stage
+
+_INK = "#22313f"
+_SWEPT = "#e9eff5"
+_CONTACT = "#c8323c"
+_AMBIGUOUS = "#d98a1f"
+_TRUTH = "#2c7a58"
+_SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
+
+
+def draw_map(
+    document: RunDocument, path: str | os.PathLike[str], *, radius_cm: float, dpi: int = 160
+) -> None:
+    """Draw a run's map.
+
+    Args:
+        document: the run.
+        path: the PNG to write.
+        radius_cm: of the tube, for its outline.
+        dpi: resolution.
+
+    Raises:
+        RunFolderError: the picture cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.2, 7.6), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    _robot(axes, document.stages, radius_cm)
+    for contact in document.contacts:
+        _contact(axes, contact)
+    if document.truth is not None:
+        _truth(axes, document)
+    _frame(axes, document)
+    try:
+        figure.savefig(path, dpi=dpi)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
+        ) from error
+
+
+def _outline(poses: list[Pose], radius_cm: float) -> np.ndarray:
+    """The tube's outline around a centreline, shape (2n, 2): left side out, right side back."""
+    line = np.asarray(poses)
+    normal = np.column_stack((-np.sin(line[:, 2]), np.cos(line[:, 2])))
+    left, right = line[:, :2] + radius_cm * normal, line[:, :2] - radius_cm * normal
+    outline: np.ndarray = np.vstack((left, right[::-1]))
+    return outline
+
+
+def _between(shapes: list[Shape]) -> list[list[Pose]]:
+    """The recorded shapes of a half sweep and the positions passed on the way between them."""
+    ordered = sorted(shapes, key=lambda shape: shape.pressure_psi)
+    if not ordered:
+        return []
+    lines = [np.asarray([(float(i), 0.0, 0.0) for i in range(len(ordered[0].poses))])]
+    span = np.linspace(
+        0.0,
+        np.hypot(*np.diff(np.asarray(ordered[0].poses)[:, :2], axis=0).T).sum(),
+        len(ordered[0].poses),
+    )
+    lines[0][:, 0] = span
+    lines += [np.asarray(shape.poses) for shape in ordered]
+    passed: list[list[Pose]] = []
+    for start, end in pairwise(lines):
+        passed += [[tuple(p) for p in start + (end - start) * w] for w in np.linspace(0, 1, 9)]
+    return passed
+
+
+def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
+    """Swept space as one pale area; over it the widest bends of each stage, darker with length."""
+    from matplotlib import colormaps
+
+    longest = max((stage.everted_length_cm for stage in stages), default=1.0)
+    for stage in stages:
+        for side in ("left", "right"):
+            for poses in _between([s for s in stage.shapes if s.side == side]):
+                axes.fill(*_outline(poses, radius_cm).T, color=_SWEPT, lw=0.6, zorder=1)
+    for stage in stages:
+        shade = colormaps["Blues"](0.35 + 0.6 * stage.everted_length_cm / longest)
+        for side in ("left", "right"):
+            shapes = [shape for shape in stage.shapes if shape.side == side]
+            if shapes:
+                poses = max(shapes, key=lambda shape: shape.pressure_psi).poses
+                axes.plot(*np.asarray(poses).T[:2], color=shade, lw=1.6, zorder=3)
+                axes.plot(*poses[-1][:2], "o", color=shade, ms=3.5, zorder=3)
+        straight = [(0.0, 0.0, 0.0), (stage.everted_length_cm, 0.0, 0.0)]
+        axes.plot(*np.asarray(straight).T[:2], color=shade, lw=1.2, zorder=2)
+        axes.plot(stage.everted_length_cm, 0, "|", color=shade, ms=9, mew=1.6, zorder=2)
+    if stages:
+        last = stages[-1]
+        touched = [s for s in last.shapes if s.side in {t.side for t in last.triggers}]
+        for shape in sorted(touched, key=lambda s: s.pressure_psi)[-1:]:
+            outline = _outline(shape.poses, radius_cm)
+            axes.fill(*outline.T, facecolor="#bcd0e2", alpha=0.55, edgecolor=_INK, lw=0.8, zorder=2)
+        axes.plot([], [], color=colormaps["Blues"](0.85), lw=1.6, label="robot at its widest bends")
+        axes.fill([], [], color=_SWEPT, label="space swept")
+    axes.fill([-2.4, 0, 0, -2.4], [-2.6, -2.6, 2.6, 2.6], color=_INK, zorder=4)
+    axes.text(-1.2, -3.4, "base", ha="center", va="top", fontsize=8, color=_INK)
+
+
+def _contact(axes: Axes, contact: MapContact) -> None:
+    """A contact: point on the skin, interval along the skin, 95 % ellipse, and its words."""
+    from matplotlib.patches import Ellipse
+
+    color = _CONTACT if contact.status == "localized" else _AMBIGUOUS
+    if len(contact.track) > 1:
+        axes.plot(
+            *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
+            solid_capstyle="round", label=_once(axes, "95 % interval along the body"),
+        )  # fmt: skip
+    values, vectors = np.linalg.eigh(np.asarray(contact.covariance_cm2))
+    width, height = 2 * _SIGMA_95 * np.sqrt(np.maximum(values, 0))
+    axes.add_patch(
+        Ellipse(
+            (contact.x_cm, contact.y_cm), width, height,
+            angle=float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))),
+            facecolor="none", edgecolor=color, lw=1.0, ls=(0, (4, 2)), zorder=5,
+            label=_once(axes, "95 % ellipse in the plane"),
+        )
+    )  # fmt: skip
+    axes.plot(
+        contact.x_cm, contact.y_cm, "o", color=color, ms=7, mec="white", mew=1.2, zorder=7,
+        label=_once(axes, f"contact, {contact.status}"),
+    )  # fmt: skip
+    away = 1.0 if np.sin(contact.normal_rad) >= 0 else -1.0
+    low, high = contact.interval_cm
+    axes.annotate(
+        f"{contact.arc_cm:.1f} cm along a body of {contact.everted_length_cm:g} cm\n"
+        f"95 %: {low:.1f} to {high:.1f} cm, {contact.readings} sensors",
+        (contact.x_cm, contact.y_cm), xytext=(14, 26 * away), textcoords="offset points",
+        fontsize=8, color=color, va="center", zorder=8,
+        bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.8},
+        arrowprops={"arrowstyle": "-", "color": color, "lw": 0.8},
+    )  # fmt: skip
+
+
+def _truth(axes: Axes, document: RunDocument) -> None:
+    """What the emulated room knows, in its own colour."""
+    from matplotlib.patches import Circle
+
+    if document.truth is None:
+        return
+    for peg in document.truth.pegs:
+        axes.add_patch(
+            Circle(
+                (peg.x_cm, peg.y_cm), peg.radius_cm,
+                facecolor="#d5eadf", edgecolor=_TRUTH, lw=1.3, zorder=4,
+                label=_once(axes, "peg (truth)"),
+            )
+        )  # fmt: skip
+    for touch in document.truth.contacts:
+        axes.plot(
+            touch.x_cm, touch.y_cm, "x", color=_TRUTH, ms=8, mew=2, zorder=6,
+            label=_once(axes, "true contact point"),
+        )  # fmt: skip
+
+
+def _frame(axes: Axes, document: RunDocument) -> None:
+    """Axes, title and legend."""
+    axes.set_aspect("equal", adjustable="box")
+    axes.margins(0.06)
+    axes.set_xlabel("x, along the straight robot (cm)")
+    axes.set_ylabel("y, to its left (cm)")
+    axes.grid(color="#d9dfe5", lw=0.5)
+    axes.set_axisbelow(True)
+    for spine in ("top", "right"):
+        axes.spines[spine].set_visible(False)
+    count = len(document.contacts)
+    found = "no contact" if count == 0 else f"{count} contact{'s' if count > 1 else ''}"
+    axes.set_title(f"{document.name}: {found}", loc="left", fontsize=13, color=_INK, pad=22)
+    facts = [document.outcome]
+    if document.error_x_cm is not None:
+        facts.append(
+            f"x error {document.error_x_cm:.2f} cm, in the plane {document.error_cm:.2f} cm"
+        )
+    facts.append(f"{document.robot_time_s:.0f} s of robot time")
+    axes.text(
+        0, 1.012, "; ".join(facts), transform=axes.transAxes, fontsize=9, color="#5b6b7a",
+        va="bottom",
+    )  # fmt: skip
+    if axes.get_legend_handles_labels()[0]:
+        axes.figure.legend(
+            *axes.get_legend_handles_labels(), loc="outside lower center", ncols=4,
+            fontsize=8, frameon=False,
+        )  # fmt: skip
+
+
+def _once(axes: Axes, label: str) -> str:
+    """A legend entry the first time, nothing later."""
+    return "_nolegend_" if label in axes.get_legend_handles_labels()[1] else label

@@ -1,0 +1,40 @@
+"""The robot as an object: connect, configure, grow, sweep, zero, read.
+
+What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
+"""
+
+from thigmo.robot.operator import Operator
+from thigmo.robot.peaks import average_peak, snapshot_reading
+from thigmo.robot.readings import SensorTable, other_side
+from thigmo.robot.robot import SENSORS, Robot, connect
+from thigmo.robot.state import (
+    ContactTrigger,
+    Peak,
+    Reading,
+    SnapshotReading,
+    Status,
+    SweepFrame,
+    SweepResult,
+)
+from thigmo.robot.sweep import sweep_period_s
+from thigmo.robot.sweeping import SweepWatcher
+
+__all__ = [
+    "SENSORS",
+    "ContactTrigger",
+    "Operator",
+    "Peak",
+    "Reading",
+    "Robot",
+    "SensorTable",
+    "SnapshotReading",
+    "Status",
+    "SweepFrame",
+    "SweepResult",
+    "SweepWatcher",
+    "average_peak",
+    "connect",
+    "other_side",
+    "snapshot_reading",
+    "sweep_period_s",
+]

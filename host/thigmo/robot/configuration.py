@@ -1,0 +1,98 @@
+"""Parameters and maps on the board: sent, read back, stored.
+
+The board ends up holding exactly what robot.toml says, or the operator is told which value it
+does not take.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from thigmo.config import RobotConfig
+from thigmo.errors import ConfigError
+from thigmo.link import protocol as wire
+from thigmo.robot.settings import map_settings, parameter_settings
+
+if TYPE_CHECKING:
+    from thigmo.link.client import Client
+
+
+def send_config(client: Client, config: RobotConfig) -> bool:
+    """Make the board's parameters and maps those of robot.toml, verified by reading them back.
+
+    Returns:
+        Whether any of them changed.
+
+    Raises:
+        ConfigError: a value that the board cannot hold, or does not give back.
+        CommandRefusedError: an output is energised, or a value is out of range.
+    """
+    changed = False
+    for name, values in parameter_settings(config).items():
+        held = get_parameter(client, name)
+        if held != values:
+            changed = True
+            set_parameter(client, name, values)
+            _verify(f"parameter {name}", get_parameter(client, name), values)
+    for setting in map_settings(config):
+        where = wire.GetMap(setting.zone, wire.Side(setting.side), wire.Branch(setting.branch))
+        wanted = setting.curvature_e5
+        if tuple(client.request(where).curvature_e5) != wanted:
+            changed = True
+            client.request(wire.SetMap(setting.zone, where.side, where.branch, wanted))
+            got = tuple(client.request(where).curvature_e5)
+            _verify(f"the map of zone {setting.zone}, {where.side.key}", got, wanted)
+    return changed
+
+
+def get_parameter(client: Client, name: str) -> list[int]:
+    """A parameter as the board holds it, in its wire unit, one value for each element.
+
+    Raises:
+        ConfigError: the schema has no such parameter.
+    """
+    entry = _named(name)
+    return [client.request(wire.GetParameter(entry.index + i)).value for i in range(entry.count)]
+
+
+def set_parameter(client: Client, name: str, values: list[int]) -> None:
+    """Set a parameter in the board's memory.
+
+    Args:
+        client: the link.
+        name: of the schema.
+        values: in its wire unit, one for each element, or one for all of them.
+
+    Raises:
+        ConfigError: no such parameter, a wrong number of values, or one out of range.
+    """
+    entry = _named(name)
+    if len(values) not in (1, entry.count):
+        raise ConfigError(
+            f"{name} holds {entry.count} values, and {len(values)} were given",
+            "give one for all, or all of them",
+        )
+    for value in values:
+        if not entry.low <= value <= entry.high:
+            raise ConfigError(
+                f"{name} must lie in {entry.low}..{entry.high} {entry.unit}".rstrip()
+                + f", not {value}",
+                "correct the value that it comes from, in robot.toml or on the command line",
+            )
+    spread = values * entry.count if len(values) == 1 else values
+    for index, value in enumerate(spread, start=entry.index):
+        client.request(wire.SetParameter(index, value))
+
+
+def _named(name: str) -> wire.Parameter:
+    if name not in wire.PARAMETERS:
+        raise ConfigError(f"no parameter {name!r}", "see `thigmo params URL` for their names")
+    return wire.PARAMETERS[name]
+
+
+def _verify(what: str, got: object, wanted: object) -> None:
+    if got != wanted:
+        raise ConfigError(
+            f"the board holds {got} instead of {wanted} for {what}",
+            "check that firmware and host are of the same version",
+        )

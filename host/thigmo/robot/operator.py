@@ -1,0 +1,31 @@
+"""Who answers for the robot's surroundings when a program names nobody."""
+
+from __future__ import annotations
+
+from thigmo.errors import DataError
+from thigmo.link.transport import Operator
+
+__all__ = ["NobodyThere", "Operator"]
+
+
+class NobodyThere:
+    """The operator of a program that named none: every question is an error."""
+
+    def everted_length_cm(self) -> float:
+        """Refuse.
+
+        Raises:
+            DataError: always.
+        """
+        raise DataError("the everted length is unknown", "measure it, and call confirm_length")
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Refuse.
+
+        Raises:
+            DataError: always.
+        """
+        raise DataError(
+            f"the body pressure must be set to {pressure_psi:g} psi by hand",
+            "set the regulator, and call select_zone",
+        )

@@ -1,0 +1,101 @@
+"""From the board's sums of ADC counts to curvature.
+
+The divider is 5 V - sensor - pin - R_d - ground, so a mean count m (of 1024) means a resistance
+R_d (1024 - m) / m; curvature is the sensor's calibrated scale times the change of resistance since
+its last zeroing (thesis, equation 2.4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.config import SIDES, RobotConfig, Side
+
+Floats = NDArray[np.float64]
+
+
+def other_side(side: Side) -> Side:
+    """The side whose sensors are usable while `side` is inflated."""
+    return "right" if side == "left" else "left"
+
+
+def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
+    """Sensor resistance (ohm) of mean ADC counts; NaN where the circuit is open."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value: Floats = divider_ohm * (1024.0 - mean_count) / mean_count
+    return np.where(mean_count > 0.75, value, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTable:
+    """robot.toml's flex sensors as arrays of ten, left base first; absent ones are unhealthy.
+
+    Attributes:
+        center_cm, span_cm, scale_per_ohm, noise, direction: per sensor.
+        healthy: mask of sensors to use at all.
+        divider_ohm: the divider's fixed resistor.
+    """
+
+    center_cm: Floats
+    span_cm: Floats
+    scale_per_ohm: Floats
+    noise: Floats
+    direction: NDArray[np.int64]
+    healthy: NDArray[np.bool_]
+    divider_ohm: float
+
+    @classmethod
+    def of(cls, config: RobotConfig, a_side: int = 5) -> SensorTable:
+        """Lay out the configuration's sensors in the board's order."""
+        size = 2 * a_side
+        table = cls(
+            np.zeros(size),
+            np.zeros(size),
+            np.zeros(size),
+            np.ones(size),
+            np.zeros(size, dtype=np.int64),
+            np.zeros(size, dtype=np.bool_),
+            config.sensors.divider_ohm,
+        )
+        for offset, side in zip((0, a_side), SIDES, strict=True):
+            for index, sensor in enumerate(config.sensors.column(side), start=offset):
+                table.center_cm[index] = sensor.center_cm
+                table.span_cm[index] = sensor.span_cm
+                table.scale_per_ohm[index] = sensor.scale_per_ohm
+                table.noise[index] = sensor.noise
+                table.direction[index] = sensor.valid_direction
+                table.healthy[index] = sensor.healthy
+        return table
+
+    def curvature(self, flex_sum: Floats, zero_sum: Floats, oversample: int) -> Floats:
+        """Curvature (1/cm) since the zeroing, positive to the left.
+
+        Args:
+            flex_sum: sums of `oversample` conversions, shape (..., 10).
+            zero_sum: the zeros, same unit, shape (10,); NaN where a sensor has none.
+            oversample: conversions a sum holds.
+        """
+        # A conversion floors, so a count stands for the half above it.
+        now = resistance_ohm(flex_sum / oversample + 0.5, self.divider_ohm)
+        zero = resistance_ohm(zero_sum / oversample + 0.5, self.divider_ohm)
+        result: Floats = self.scale_per_ohm * (now - zero)
+        return result
+
+    def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
+        """Sensors to localize with while a muscle is inflated.
+
+        The inactive side only (the active side wrinkles), healthy, answering to this bending
+        direction, and set in `masks` (the board's everted & settled & zeroed bits).
+        """
+        size = len(self.healthy)
+        index = np.arange(size)
+        right = index >= size // 2
+        inactive = right if active == "left" else ~right
+        bend = 1 if active == "left" else -1
+        answers = (self.direction == 0) | (self.direction == bend)
+        named = (masks >> index & 1).astype(np.bool_)
+        mask: NDArray[np.bool_] = self.healthy & inactive & answers & named
+        return mask

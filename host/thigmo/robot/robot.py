@@ -1,0 +1,500 @@
+"""The robot as an object: every command of the board in the lab's units, and waiting for its end.
+
+Used by the exploration, the calibration and whoever writes a program for the robot. All waiting
+is done by reading the link: with the emulator that is what advances time, on hardware the
+heartbeat runs beside it. A fault that the board latches while something is waited for is raised
+as `RobotFaultError` with the schema's sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from thigmo.config import RobotConfig
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
+from thigmo.link import protocol as wire
+from thigmo.link.transport import open_transport
+from thigmo.record import Truth
+from thigmo.robot.configuration import get_parameter, send_config, set_parameter
+from thigmo.robot.operator import NobodyThere, Operator
+from thigmo.robot.peaks import average_peak, snapshot_reading
+from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.state import Reading, SnapshotReading, Status, SweepResult
+from thigmo.robot.sweeping import SweepWatcher
+from thigmo.robot.watch import Watch, fault_error
+
+if TYPE_CHECKING:
+    from thigmo.link.client import Client
+
+SENSORS = 10
+VENTED_PSI = 0.5
+_UNKNOWN_ZONE = 255
+_VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
+_SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
+
+
+def connect(
+    url: str,
+    config: RobotConfig | None = None,
+    seed: int | None = None,
+    *,
+    operator: Operator | None = None,
+    realtime: bool = False,
+) -> Robot:
+    """Open a robot.
+
+    Args:
+        url: a serial port (`/dev/ttyACM0`, `COM3`), any pyserial URL (`socket://host:port`,
+            `rfc2217://`), `emulator://SCENE` or `mega-sim://SCENE`.
+        config: sent to the board and verified at once; None leaves the board as it is.
+        seed: of the emulator's noise.
+        operator: who sets the body pressure and measures the length; None takes the emulator's
+            own, and on hardware refuses what needs one.
+        realtime: pace the emulator by the clock.
+
+    Raises:
+        LinkError: no such port, no robot on it, another schema.
+        ConfigError: a scene or configuration that cannot be used.
+    """
+    from thigmo.link.client import Client
+
+    transport = open_transport(url, seed=seed, realtime=realtime)
+    try:
+        robot = Robot(Client(transport), url=url, operator=operator)
+    except BaseException:
+        transport.close()
+        raise
+    if config is not None:
+        try:
+            robot.configure(config)
+        except BaseException:
+            robot.close()
+            raise
+    return robot
+
+
+class Robot:
+    """A connected robot. A context manager: leaving it vents, brakes and closes the link.
+
+    Attributes:
+        url: how it was opened.
+        operator: who answers what the board cannot know.
+        config: robot.toml as last sent with `configure`.
+    """
+
+    def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
+        self._client = client
+        self._watch = Watch(client)
+        self.url = url
+        self.operator: Operator = (
+            operator if operator and not client.transport.operator
+            else client.transport.operator or NobodyThere()
+        )  # fmt: skip
+        self.config = RobotConfig()
+        self._table = SensorTable.of(self.config)
+        self._zero_sum: Floats = np.full(SENSORS, np.nan)
+        self._oversample = 16
+        self._started = client.now()
+        self._closed = False
+
+    # Life.
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def make_safe(self) -> bool:
+        """Valves to 0 mA and motor braked, if the board can still be reached; never raises.
+
+        Returns:
+            Whether the board acknowledged. If not, its own heartbeat limit does the same.
+        """
+        try:
+            self._client.request(wire.Stop())
+        except LinkError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Make the robot safe and close the link. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.make_safe()
+        finally:
+            self._client.close()
+
+    # What is known without asking.
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """Who the board is, as strings for a record: firmware, board, schema, boot."""
+        hello = self._client.hello
+        return {
+            "board": wire.Board(hello.board).key,
+            "firmware": ".".join(str(part) for part in hello.firmware_version),
+            "schema_hash": f"{hello.schema_hash:08x}",
+            "boot_nonce": f"{hello.boot_nonce:08x}",
+            "reset_cause": wire.ResetCause(hello.reset_cause).key,
+        }
+
+    @property
+    def virtual(self) -> bool:
+        """Whether waiting advances an emulator's time instead of the clock's."""
+        return self._client.transport.virtual
+
+    @property
+    def known_config(self) -> RobotConfig | None:
+        """The robot.toml that an emulated robot's lab would have; None on hardware."""
+        known: RobotConfig | None = getattr(self._client.transport, "config", None)
+        return known
+
+    def now(self) -> float:
+        """The link's clock, s: monotonic on hardware, virtual in the emulator."""
+        return self._client.now()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the connection, on the link's clock."""
+        return self.now() - self._started
+
+    def truth(self) -> Truth | None:
+        """What the emulated room knows now; None on hardware."""
+        return None
+
+    # Configuration.
+
+    def configure(self, config: RobotConfig) -> bool:
+        """Send robot.toml to the board, read it back, and store it there if it changed.
+
+        Args:
+            config: what the lab knows of its robot.
+
+        Returns:
+            Whether the board's configuration changed.
+
+        Raises:
+            ConfigError: a value that the board cannot hold, or does not give back.
+            CommandRefusedError: an output is energised, or a value is out of range.
+        """
+        changed = send_config(self._client, config)
+        self._oversample = 1 << self.parameter("oversample_log2")[0]
+        self.config = config
+        self._table = SensorTable.of(config)
+        self._zero_sum = np.full(SENSORS, np.nan)
+        status = self.status()
+        if changed or status.config_generation == 0 or "bad_config" in status.faults:
+            self.save()
+        if "bad_config" in status.faults:
+            self.clear_faults("bad_config")
+        return changed
+
+    def parameter(self, name: str) -> list[int]:
+        """A parameter of the schema as the board holds it, in its wire unit.
+
+        Raises:
+            ConfigError: no such parameter.
+        """
+        return get_parameter(self._client, name)
+
+    def set_parameter(self, name: str, values: list[int]) -> None:
+        """Set a parameter in the board's memory, in its wire unit; `save` stores it.
+
+        Raises:
+            ConfigError: no such parameter, a wrong number of values, or one out of range.
+        """
+        set_parameter(self._client, name, values)
+
+    def save(self) -> int:
+        """Store the configuration in the board; returns its generation. Takes seconds."""
+        return self._client.request(wire.SaveConfig()).detail
+
+    # State.
+
+    def status(self) -> Status:
+        """Ask the board for its whole state."""
+        report = self._client.request(wire.GetStatus())
+        conditions = frozenset(c.key for c in wire.Condition.from_mask(report.conditions))
+        return Status(
+            state=wire.State(report.state).key,
+            activity=wire.Activity(report.activity).key,
+            zone=None if report.zone == _UNKNOWN_ZONE else report.zone,
+            faults=tuple(f.key for f in wire.Fault.from_mask(report.faults)),
+            conditions=conditions,
+            t_s=self._client.device_s(report.t_us),
+            length_cm=report.length_um / 1e4 if "length_known" in conditions else None,
+            left_psi=report.left_cpsi / 100,
+            right_psi=report.right_cpsi / 100,
+            everted=report.everted_mask,
+            settled=report.settled_mask,
+            zeroed=report.zeroed_mask,
+            config_generation=report.config_generation,
+        )
+
+    def clear_faults(self, *names: str) -> tuple[str, ...]:
+        """Clear latched faults whose cause is gone.
+
+        Args:
+            names: the schema's names; none means all.
+
+        Returns:
+            Names of those that remain.
+        """
+        known = [wire.Fault[name.upper()] for name in names] or list(wire.Fault)
+        mask = sum(fault.mask for fault in known)
+        remaining = self._client.request(wire.ClearFaults(mask)).detail
+        return tuple(fault.key for fault in wire.Fault.from_mask(remaining))
+
+    def arm(self) -> None:
+        """Leave safe for ready: outputs may be energised from now on.
+
+        Raises:
+            RobotFaultError: a fault is latched.
+        """
+        faults = self.status().faults
+        if faults:
+            raise fault_error(faults)
+        self._client.request(wire.Arm())
+
+    def stop(self) -> None:
+        """At once: valves 0 mA, motor braked, activity aborted. Accepted in every state."""
+        self._client.request(wire.Stop())
+
+    def vent(self) -> None:
+        """Empty both muscles and wait until they are empty.
+
+        Raises:
+            CommandTimeoutError: they stay under pressure.
+        """
+        self._client.request(wire.Vent())
+        end = self.now() + _VENT_S
+        while "vented" not in self.status().conditions:
+            if self.now() > end:
+                raise CommandTimeoutError(
+                    f"a muscle still holds pressure {_VENT_S:.0f} s after venting",
+                    "check the exhaust of its transducer",
+                )
+            self.wait(0.2)
+
+    # Length.
+
+    def confirm_length(self, length_cm: float, *, settled: bool = False) -> None:
+        """Vouch for the everted length, as measured on the robot.
+
+        Args:
+            length_cm: measured.
+            settled: the everted sensors have rested long enough already.
+        """
+        self._client.request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
+
+    def select_zone(self, zone: int) -> None:
+        """Tell the board which body pressure holds (index of robot.toml's body.zones)."""
+        self._client.request(wire.SelectZone(zone))
+
+    def grow_to(self, length_cm: float) -> float:
+        """Pay out to an everted length and wait for it; returns the length reached, cm.
+
+        Raises:
+            CommandRefusedError: the length is unknown, or a muscle is under pressure.
+            RobotFaultError: the spool stalled.
+        """
+        self._client.request(wire.GrowTo(round(length_cm * 1e4), 0))
+        return self._watch.finish(wire.Activity.GROWING, self._travel_s()) / 1e4
+
+    def retract_to(self, length_cm: float) -> float:
+        """Vent, then wind in to an everted length; returns the length reached, cm.
+
+        A bent body buckles when it is pulled in, so both muscles must be below 0.5 psi.
+
+        Raises:
+            CommandRefusedError: the length is unknown, or a muscle is under pressure.
+            RobotFaultError: the spool stalled.
+        """
+        self.vent()
+        status = self.status()
+        if max(status.left_psi, status.right_psi) >= VENTED_PSI:
+            raise CommandRefusedError(
+                f"a muscle holds {max(status.left_psi, status.right_psi):.2f} psi",
+                f"empty it below {VENTED_PSI} psi first",
+                reason=wire.Reason.NOT_VENTED.key,
+            )
+        self._client.request(wire.RetractTo(round(length_cm * 1e4), 0))
+        return self._watch.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
+
+    def home(self) -> None:
+        """Vent, then wind in slowly until the spool stalls at the base: length zero."""
+        self.vent()
+        self._client.request(wire.Home())
+        slowest_cm_s = self.parameter("home_speed_um_s")[0] / 1e4
+        self._watch.finish(wire.Activity.HOMING, 2 * self.config.body.length_cm / slowest_cm_s + 10)
+
+    def _travel_s(self) -> float:
+        spool = self.config.spool
+        return 3 * (self.config.body.length_cm / spool.max_speed_cm_s) + 10
+
+    # Sensing.
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, with the link alive.
+
+        Raises:
+            RobotFaultError: a fault was latched meanwhile.
+        """
+        self._watch.wait(seconds)
+
+    def wait_settled(self, progress: Callable[[float], None] = lambda left_s: None) -> None:
+        """Wait until every everted sensor is past its settling time.
+
+        Args:
+            progress: told the seconds that are left, about once a second.
+        """
+        while True:
+            status = self.status()
+            waiting = status.everted & ~status.settled
+            if not waiting:
+                return
+            reports = [
+                self._client.request(wire.GetSensor(sensor))
+                for sensor in range(SENSORS)
+                if waiting >> sensor & 1
+            ]
+            left_s = max(report.settle_left_ms for report in reports) / 1e3
+            while left_s > 0:
+                progress(left_s)
+                self.wait(min(left_s, 1.0))
+                left_s -= 1.0
+            self.wait(0.02)
+
+    def zero(self) -> int:
+        """Average the everted sensors' readings into their zeros.
+
+        Returns:
+            Mask of the sensors zeroed.
+
+        Raises:
+            CommandRefusedError: not vented, not settled, or drifting (`reason`).
+        """
+        enabled = np.flatnonzero(self._table.healthy)
+        mask = self.status().everted & int(sum(1 << int(sensor) for sensor in enabled))
+        if mask:
+            self._client.request(wire.ZeroSensors(mask))
+            self._watch.finish(wire.Activity.ZEROING, 20.0)
+        for sensor in range(SENSORS):
+            if mask >> sensor & 1:
+                report = self._client.request(wire.GetSensor(sensor))
+                self._zero_sum[sensor] = report.zero_sum_q8 / 256
+        return mask
+
+    def read(self, seconds: float = 0.5) -> Reading:
+        """Average telemetry over a while.
+
+        Raises:
+            LinkError: no telemetry came.
+        """
+        sums, pressures, times, lengths = [], [], [], []
+        with self._client.collect(wire.Telemetry) as frames:
+            self.wait(seconds)
+        for frame in frames:
+            sums.append(frame.flex_sum)
+            pressures.append((frame.left_cpsi / 100, frame.right_cpsi / 100))
+            times.append(self._client.device_s(frame.t_us))
+            lengths.append(frame.length_um / 1e4)
+        if not sums:
+            raise LinkError("no telemetry came", "check the parameter telemetry_ms")
+        flex = np.asarray(sums, dtype=np.float64)
+        left, right = np.mean(pressures, axis=0)
+        return Reading(
+            t_s=float(np.mean(times)),
+            curvature=self._table.curvature(flex.mean(axis=0), self._zero_sum, self._oversample),
+            spread=self._table.curvature(flex, self._zero_sum, self._oversample).std(axis=0),
+            left_psi=float(left),
+            right_psi=float(right),
+            length_cm=lengths[-1],
+            frames=len(sums),
+        )
+
+    def snapshots(self) -> list[SnapshotReading]:
+        """The readings captured around the last peak of a sweep, in time order."""
+        first = self._client.request(wire.GetSnapshot(0))
+        rest = [self._client.request(wire.GetSnapshot(n)) for n in range(1, first.count)]
+        return [self._snapshot(reply) for reply in (first, *rest)]
+
+    def _snapshot(self, reply: wire.Snapshot) -> SnapshotReading:
+        return snapshot_reading(reply, self._client.device_s(reply.t_us))
+
+    def sweep(
+        self,
+        *,
+        left_psi: float,
+        right_psi: float,
+        period_s: float,
+        cycles: int = 1,
+        hold_on_contact: bool = False,
+    ) -> SweepResult:
+        """Bend to the left, then to the right, along a sine of pressure, and feel.
+
+        Args:
+            left_psi, right_psi: amplitudes; a side with 0 is left out.
+            period_s: of the whole sine (`sweep_period_s` says how slow it must be).
+            cycles: whole periods.
+            hold_on_contact: keep the pressure when the trigger fires, until `vent` or `stop`.
+
+        Raises:
+            CommandRefusedError: a sensor is half everted, the length or the zone is unknown.
+            RobotFaultError: the board latched a fault; it is vented.
+        """
+        before = self.status()
+        options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
+        truths: list[Truth] = []
+        watcher = SweepWatcher(self._client.device_s, lambda: self._peak_and_truth(truths))
+        with self._client.subscribe(wire.Telemetry, watcher.telemetry):
+            self._client.request(
+                wire.Sweep(
+                    round(left_psi * 100),
+                    round(right_psi * 100),
+                    round(period_s * 1e3),
+                    cycles,
+                    options,
+                )
+            )
+            for event in self._watch.activity(
+                wire.Activity.SWEEPING, period_s * cycles + _SWEEP_EXTRA_S
+            ):
+                watcher.event(event)
+        peaks = [
+            average_peak(
+                snapshots,
+                self._zero_sum,
+                self._table,
+                oversample=self._oversample,
+                sensors=before.everted & before.settled & before.zeroed,
+                length_cm=before.length_cm or 0.0,
+            )
+            for snapshots in watcher.peaks
+            if snapshots
+        ]
+        return SweepResult(watcher.triggers, peaks, watcher.frames, _joined(truths))
+
+    def _peak_and_truth(self, truths: list[Truth]) -> list[SnapshotReading]:
+        truth = self.truth()
+        if truth is not None:
+            truths.append(truth)
+        return self.snapshots()
+
+
+def _joined(truths: list[Truth]) -> Truth | None:
+    if not truths:
+        return None
+    return Truth(truths[0].pegs, [contact for truth in truths for contact in truth.contacts])

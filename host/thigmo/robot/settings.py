@@ -1,0 +1,92 @@
+"""robot.toml in the board's own units: which parameters and maps a configuration asks for.
+
+Pure arithmetic between `RobotConfig` (cm, psi, 1/cm, ohm) and the integers of the protocol. The
+robot object sends the result and reads it back; the emulator's tests compare both ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thigmo.config import SIDES, RobotConfig, TanhMap
+from thigmo.errors import ConfigError
+
+SENSORS_A_SIDE = 5  # what the board's wiring and protocol have room for
+BOARD_DIVIDER_OHM = 22_000.0  # the divider that the firmware's arithmetic assumes
+MAP_PRESSURES_PSI = tuple(float(p) for p in range(0, 21, 2))
+_PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never exceeds the muscle's
+
+
+@dataclass(frozen=True, slots=True)
+class MapSetting:
+    """One free-curvature map as the board takes it: 11 values of 1e-5/cm at 0, 2, .. 20 psi."""
+
+    zone: int
+    side: int
+    branch: int
+    curvature_e5: tuple[int, ...]
+
+
+def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
+    """The schema's parameters that robot.toml decides, by name, in wire units.
+
+    Raises:
+        ConfigError: more sensors than the board has channels for.
+    """
+    sensors, spool, body = config.sensors, config.spool, config.body
+    enabled: list[int] = []
+    centers: list[int] = []
+    spans: list[int] = []
+    scales: list[int] = []
+    for side in SIDES:
+        column = sensors.column(side)
+        if len(column) > SENSORS_A_SIDE:
+            raise ConfigError(
+                f"sensors.{side} has {len(column)} sensors, and the board reads {SENSORS_A_SIDE}",
+                f"keep at most {SENSORS_A_SIDE} a side in robot.toml",
+            )
+        missing = SENSORS_A_SIDE - len(column)
+        enabled += [int(s.healthy) for s in column] + [0] * missing
+        centers += [round(s.center_cm * 1e4) for s in column] + [0] * missing
+        spans += [round(s.span_cm * 1e4) for s in column] + [0] * missing
+        # Resistance is proportional to the divider's resistor, so another divider is another scale.
+        ratio = sensors.divider_ohm / BOARD_DIVIDER_OHM
+        scales += [round(s.scale_per_ohm * ratio * 1e9) for s in column] + [0] * missing
+    muscles = [config.actuators.side(side) for side in SIDES]
+    return {
+        "flex_enabled": enabled,
+        "flex_center_um": centers,
+        "flex_span_um": spans,
+        "flex_scale": scales,
+        "settle_ms": [round(sensors.settle_s * 1e3)],
+        "max_pressure_cpsi": [
+            round((max(m.max_pressure_psi for m in muscles) + _PRESSURE_MARGIN_PSI) * 100)
+        ],
+        "lag_ms": [round(m.lag_s * 1e3) for m in muscles],
+        "reversal_cpsi": [round(m.reversal_psi * 100) for m in muscles],
+        "full_length_um": [round(body.length_cm * 1e4)],
+        "pitch_um": [round(sensors.pitch_cm * 1e4)],
+        "counts_per_m": [round(spool.counts_per_cm * 100)],
+        "payout_q8": [round(spool.payout_ratio * 256)],
+        "spool_speed_um_s": [round(spool.max_speed_cm_s * 1e4)],
+        "spool_accel_um_s2": [round(spool.acceleration_cm_s2 * 1e4)],
+    }
+
+
+def map_settings(config: RobotConfig) -> list[MapSetting]:
+    """The free-curvature maps of robot.toml: zone x side x branch, the right side negative."""
+
+    def values(curve: TanhMap, sign: int) -> tuple[int, ...]:
+        return tuple(round(sign * curve.curvature(p) * 1e5) for p in MAP_PRESSURES_PSI)
+
+    return [
+        MapSetting(zone, side, branch, values(curve, 1 if name == "left" else -1))
+        for zone in range(len(config.body.zones))
+        for side, name in enumerate(SIDES)
+        for branch, curve in enumerate(
+            (
+                config.actuators.side(name).maps[zone].inflate,
+                config.actuators.side(name).maps[zone].deflate,
+            )
+        )
+    ]

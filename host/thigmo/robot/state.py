@@ -1,0 +1,146 @@
+"""What the robot object hands out: status, readings, peaks, sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from thigmo.config import Side
+from thigmo.record import Truth
+from thigmo.robot.readings import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The board's whole state.
+
+    Attributes:
+        state, activity: names from the schema.
+        zone: index of the body-pressure zone, None if the board was not told.
+        faults: names of latched faults.
+        conditions: names of the condition bits that are set.
+        t_s: device time.
+        length_cm: everted length, None if unknown.
+        left_psi, right_psi: muscle pressures.
+        everted, settled, zeroed: bit masks of sensors, bit 0 = left base.
+        config_generation: of the stored configuration, 0 = none.
+    """
+
+    state: str
+    activity: str
+    zone: int | None
+    faults: tuple[str, ...]
+    conditions: frozenset[str]
+    t_s: float
+    length_cm: float | None
+    left_psi: float
+    right_psi: float
+    everted: int
+    settled: int
+    zeroed: int
+    config_generation: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Averaged readings over a while.
+
+    Attributes:
+        t_s: device time at its middle.
+        curvature: of each sensor, shape (10,), 1/cm, left base first; NaN without a zero.
+        spread: standard deviation of a single telemetry reading, shape (10,).
+        left_psi, right_psi: mean muscle pressures.
+        length_cm: everted length by the encoder.
+        frames: number averaged.
+    """
+
+    t_s: float
+    curvature: Floats
+    spread: Floats
+    left_psi: float
+    right_psi: float
+    length_cm: float
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotReading:
+    """One captured reading as the board sent it, in host units; `flex_sum` stays raw."""
+
+    side: Side
+    t_s: float
+    flex_sum: Sequence[int]
+    pressure_psi: float
+    lagged_psi: float
+    base_curvature: float
+    free_curvature: float
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The average of a sweep's peak readings.
+
+    Attributes:
+        side: the inflated muscle.
+        t_s: device time at the middle.
+        length_cm: everted length.
+        curvature: of each sensor, shape (10,), 1/cm.
+        free_curvature: by the map, at the lag-filtered pressure, signed, 1/cm.
+        pressure_psi: lag-filtered pressure of the active muscle.
+        sensors: mask of sensors everted, settled and zeroed.
+        count: readings averaged.
+    """
+
+    side: Side
+    t_s: float
+    length_cm: float
+    curvature: Floats
+    free_curvature: float
+    pressure_psi: float
+    sensors: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class ContactTrigger:
+    """The board's trigger fired: active side, device time, base minus free curvature (1/cm)."""
+
+    side: Side
+    t_s: float
+    excess_per_cm: float
+
+
+@dataclass(frozen=True, slots=True)
+class SweepFrame:
+    """One instant of a sweep.
+
+    Attributes:
+        side: inflated muscle.
+        t_s: device time.
+        pressure_psi: its measured pressure.
+        free_curvature: by the map, signed, 1/cm.
+        touched: the trigger had fired before in this half.
+    """
+
+    side: Side
+    t_s: float
+    pressure_psi: float
+    free_curvature: float
+    touched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SweepResult:
+    """What a sweep gave.
+
+    Attributes:
+        triggers: the board's contact triggers.
+        peaks: one average for each side that was swept.
+        frames: thinned telemetry of the sweep.
+        truth: what the emulator knew at the peaks, None on hardware.
+    """
+
+    triggers: list[ContactTrigger] = field(default_factory=list)
+    peaks: list[Peak] = field(default_factory=list)
+    frames: list[SweepFrame] = field(default_factory=list)
+    truth: Truth | None = None

@@ -1,0 +1,50 @@
+"""How slow a sweep must be.
+
+The trigger compares the measured base curvature with the free curvature at the *measured*
+pressure, filtered by the calibrated lag. What remains is the part of the lag that calibration
+leaves unknown. During a sine of period T the free curvature changes at most by 2 pi g_max / T a
+second, so that residual lag looks like a contact of 2 pi g_max lag / T. The period keeps it below
+a fraction of the trigger's threshold.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from thigmo.config import SIDES, RobotConfig
+
+# One part in four of the lag stays unknown after calibration: muscles deflate more slowly than
+# they inflate (0.22 s against 0.16 s), and one constant stands for both.
+RESIDUAL_LAG = 0.25
+# Of the threshold, the share that this error may take: the rest is for noise, zero and hysteresis.
+ALLOWED_FRACTION = 0.25
+# Below this the regulator and the body's own oscillation (1..2 Hz) are no longer followed.
+SHORTEST_PERIOD_S = 8.0
+
+
+def sweep_period_s(
+    config: RobotConfig,
+    zone: int,
+    *,
+    trigger_per_cm: float = 0.005,
+    residual_lag: float = RESIDUAL_LAG,
+    allowed_fraction: float = ALLOWED_FRACTION,
+) -> float:
+    """Period (s) of a whole sweep, both directions, at a body-pressure zone.
+
+    Args:
+        config: maps, lags and highest pressures.
+        zone: index of the body-pressure zone.
+        trigger_per_cm: the trigger's threshold, 1/cm.
+        residual_lag: share of the calibrated lag that is not compensated.
+        allowed_fraction: share of the threshold that the error may take.
+    """
+    worst = 0.0
+    for side in SIDES:
+        muscle = config.actuators.side(side)
+        maps = muscle.maps[zone]
+        g_max = max(
+            curve.curvature(muscle.max_pressure_psi) for curve in (maps.inflate, maps.deflate)
+        )
+        worst = max(worst, g_max * muscle.lag_s * residual_lag)
+    return max(2 * pi * worst / (allowed_fraction * trigger_per_cm), SHORTEST_PERIOD_S)

@@ -1,0 +1,49 @@
+"""A sweep while it runs: triggers noted, peaks fetched before the next half overwrites them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from thigmo.config import SIDES, Side
+from thigmo.link import protocol as wire
+from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame
+
+_FRAME_SPACING_S = 0.05
+_IDLE_CPSI = 10
+
+
+@dataclass
+class SweepWatcher:
+    """Collects what a sweep tells, from its events and its telemetry.
+
+    Attributes:
+        device_s: unwraps the device's time.
+        fetch: reads the captured peak from the board.
+        triggers, peaks, frames: what was collected.
+    """
+
+    device_s: Callable[[int], float]
+    fetch: Callable[[], list[SnapshotReading]]
+    triggers: list[ContactTrigger] = field(default_factory=list)
+    peaks: list[list[SnapshotReading]] = field(default_factory=list)
+    frames: list[SweepFrame] = field(default_factory=list)
+
+    def event(self, event: wire.Event) -> None:
+        """Take one event of the sweep."""
+        if event.code == wire.EventCode.CONTACT:
+            self.triggers.append(
+                ContactTrigger(SIDES[event.arg], self.device_s(event.t_us), event.value / 1e5)
+            )
+        elif event.code == wire.EventCode.PEAK:
+            self.peaks.append(self.fetch())
+
+    def telemetry(self, frame: wire.Telemetry) -> None:
+        """Take one telemetry frame; one in fifty milliseconds is kept."""
+        side: Side = "left" if frame.left_cpsi >= frame.right_cpsi else "right"
+        pressure = max(frame.left_cpsi, frame.right_cpsi)
+        t_s = self.device_s(frame.t_us)
+        if pressure < _IDLE_CPSI or (self.frames and t_s - self.frames[-1].t_s < _FRAME_SPACING_S):
+            return
+        touched = any(trigger.side == side for trigger in self.triggers)
+        self.frames.append(SweepFrame(side, t_s, pressure / 100, frame.free_e5 / 1e5, touched))

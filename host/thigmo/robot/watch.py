@@ -1,0 +1,91 @@
+"""Waiting for the board: events as they come, faults and aborted activities as typed errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
+from thigmo.link import protocol as wire
+
+if TYPE_CHECKING:
+    from thigmo.link.client import Client
+
+_SLICE_S = 0.25
+
+
+def fault_error(faults: tuple[str, ...]) -> RobotFaultError:
+    """The typed error of latched faults, in the schema's words."""
+    first = wire.Fault[faults[0].upper()]
+    what, _, cure = first.doc.partition("; ")
+    others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
+    return RobotFaultError(f"{first.key}{others}: {what}", cure.rstrip("."), faults=faults)
+
+
+class Watch:
+    """Reads a client's events; a fault among them is raised.
+
+    Args:
+        client: the link.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def events(self, seconds: float) -> Iterator[wire.Event]:
+        """Events of the next seconds, as they come.
+
+        Raises:
+            RobotFaultError: the board latched a fault.
+        """
+        end = self._client.now() + seconds
+        while (left := end - self._client.now()) > 0:
+            for event in self._client.poll(min(left, _SLICE_S)):
+                if event.code == wire.EventCode.FAULT:
+                    raise fault_error((wire.Fault(event.arg).key,))
+                yield event
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass.
+
+        Raises:
+            RobotFaultError: the board latched a fault.
+        """
+        for _ in self.events(seconds):
+            pass
+
+    def activity(self, activity: wire.Activity, within_s: float) -> Iterator[wire.Event]:
+        """Events of an activity that was started, its last one (done, or zeroed) included.
+
+        Raises:
+            CommandRefusedError: the board ended it early; `reason` says why.
+            RobotFaultError: the board latched a fault.
+            CommandTimeoutError: it has not ended in time.
+        """
+        for event in self.events(within_s):
+            if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
+                reason = wire.Reason(event.value)
+                what, _, cure = reason.doc.partition("; ")
+                raise CommandRefusedError(
+                    f"{activity.key} ended early: {what}", cure.rstrip("."), reason=reason.key
+                )
+            yield event
+            if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
+                return
+            if event.code == wire.EventCode.ZEROED and activity == wire.Activity.ZEROING:
+                return
+        raise CommandTimeoutError(
+            f"{activity.key} has not ended within {within_s:.0f} s",
+            "check the robot, then stop it and start again",
+        )
+
+    def finish(self, activity: wire.Activity, within_s: float) -> int:
+        """Wait for an activity's end; returns the last event's value.
+
+        Raises:
+            CommandRefusedError, RobotFaultError, CommandTimeoutError: as `activity`.
+        """
+        value = 0
+        for event in self.activity(activity, within_s):
+            value = event.value
+        return value

@@ -1,0 +1,172 @@
+"""The exploration's flow against a robot that only answers: order, bookkeeping, abort."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from thigmo.config import RobotConfig
+from thigmo.errors import CommandRefusedError, RobotFaultError
+from thigmo.exploration.run import Exploration
+from thigmo.exploration.states import State
+from thigmo.record import LogWriter, RunDocument, RunFolder
+from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
+
+
+class Script:
+    """A robot that writes down what it is asked, and touches a peg at one length."""
+
+    def __init__(self, touches_at: float | None = None, start_cm: float = 0.0) -> None:
+        self.calls: list[str] = []
+        self.touches_at = touches_at
+        self.length = start_cm
+        self.operator = self
+        self.fail_at = ""
+        self.drifts = 0
+        self.clock = 0.0
+
+    def _call(self, text: str) -> None:
+        self.clock += 1.0
+        self.calls.append(text)
+        if self.fail_at and text.startswith(self.fail_at):
+            raise RobotFaultError("spool_stall: the motor stands still", "free it")
+
+    def now(self) -> float:
+        return self.clock
+
+    def everted_length_cm(self) -> float:
+        return self.length
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        self._call(f"body {pressure_psi}")
+
+    def configure(self, config: RobotConfig) -> bool:
+        self._call("configure")
+        return True
+
+    def confirm_length(self, length_cm: float) -> None:
+        self._call(f"confirm {length_cm:g}")
+
+    def arm(self) -> None:
+        self._call("arm")
+
+    def select_zone(self, zone: int) -> None:
+        self._call(f"zone {zone}")
+
+    def grow_to(self, length_cm: float) -> float:
+        self._call(f"grow {length_cm:g}")
+        self.length = length_cm + 0.02
+        return self.length
+
+    def wait_settled(self, progress: Any) -> None:
+        self._call("settle")
+
+    def wait(self, seconds: float) -> None:
+        self.clock += seconds
+
+    def zero(self) -> int:
+        self._call("zero")
+        if self.drifts:
+            self.drifts -= 1
+            raise CommandRefusedError("zeroing ended early", "wait", reason="drifting")
+        return 0
+
+    def sweep(self, *, left_psi: float, right_psi: float, period_s: float) -> SweepResult:
+        self._call(f"sweep {left_psi:g} {right_psi:g}")
+        if self.touches_at is None or abs(self.length - self.touches_at) > 0.1:
+            return SweepResult(frames=[SweepFrame("left", 0.0, 10.0, 0.02, touched=False)])
+        arc, force, centers = self.length - 2.0, -3e-4, np.array([5.0, 15, 25, 35, 45])
+        column = 0.03 + force * np.maximum(arc - centers, 0)
+        curvature = np.concatenate((np.full(5, np.nan), column))
+        peak = Peak("left", 0.0, self.length, curvature, 0.03, 18.0, 0x3FF, 10)
+        return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak])
+
+    def vent(self) -> None:
+        self._call("vent")
+
+    def stop(self) -> None:
+        self._call("stop")
+
+
+def _explore(tmp_path: Path, robot: Script) -> Exploration:
+    document = RunDocument(thigmo="0", name="n", url="u", started="s")
+    log = LogWriter(tmp_path / "run.mcap", {})
+    run = Exploration(
+        robot,  # type: ignore[arg-type]
+        RobotConfig(),
+        RunFolder(tmp_path),
+        log,
+        document,
+        lambda doing, fraction: None,
+    )
+    with log:
+        run.run()
+    return run
+
+
+def test_an_empty_room_is_explored_to_the_full_length(tmp_path: Path) -> None:
+    robot = Script()
+    run = _explore(tmp_path, robot)
+    assert run.state is State.DONE
+    assert run.document.outcome == "full length"
+    assert run.document.contacts == []
+    assert [s.everted_length_cm for s in run.document.stages] == pytest.approx(
+        [10, 20, 30, 40, 50, 53], abs=0.05
+    )
+    assert robot.calls[:4] == ["configure", "confirm 0", "arm", "body 1.47"]
+    assert robot.calls[-1] == "stop"
+    first_stage = robot.calls[4:11]
+    assert first_stage == ["zone 0", "grow 10", "settle", "zero", "sweep 18 18", "vent", "settle"]
+
+
+def test_every_sweep_is_zeroed_before_and_after_and_pressures_change_on_the_way(
+    tmp_path: Path,
+) -> None:
+    robot = Script()
+    _explore(tmp_path, robot)
+    at = [n for n, call in enumerate(robot.calls) if call.startswith("sweep")]
+    assert len(at) == 6
+    assert all(robot.calls[n - 2 : n] == ["settle", "zero"] for n in at)
+    assert all(robot.calls[n + 1 : n + 4] == ["vent", "settle", "zero"] for n in at)
+    third = robot.calls[robot.calls.index("grow 26.5") - 2 : robot.calls.index("grow 30") + 1]
+    assert third == ["body 1.47", "zone 0", "grow 26.5", "body 1.01", "zone 1", "grow 30"]
+
+
+def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Path) -> None:
+    run = _explore(tmp_path, Script(touches_at=50))
+    assert run.document.outcome == "full length"
+    (contact,) = run.document.contacts
+    assert contact.everted_length_cm == pytest.approx(50.02)
+    assert contact.arc_cm == pytest.approx(48, abs=1.5)
+    assert contact.readings == 5
+    assert contact.y_cm > 20  # bent to the left
+    assert [bool(s.triggers) for s in run.document.stages] == [False] * 4 + [True, False]
+
+
+def test_a_drifting_zero_is_tried_again_and_then_given_up(tmp_path: Path) -> None:
+    robot = Script()
+    robot.drifts = 3
+    assert _explore(tmp_path, robot).state is State.DONE
+    robot = Script()
+    robot.drifts = 100
+    (tmp_path / "again").mkdir()
+    with pytest.raises(CommandRefusedError):
+        _explore(tmp_path / "again", robot)
+
+
+def test_an_error_ends_the_walk_where_it_happened(tmp_path: Path) -> None:
+    robot = Script()
+    robot.fail_at = "grow 30"
+    with pytest.raises(RobotFaultError):
+        _explore(tmp_path, robot)
+    document = RunFolder(tmp_path).read_document()
+    assert [s.everted_length_cm for s in document.stages] == pytest.approx([10.02, 20.02])
+
+
+def test_a_run_may_start_at_any_length(tmp_path: Path) -> None:
+    robot = Script(start_cm=43.0)
+    _explore(tmp_path, robot)
+    assert [c for c in robot.calls if c.startswith("grow")] == ["grow 50", "grow 53"]

@@ -1,0 +1,99 @@
+"""From arc to room: shapes against closed forms, contacts on the right side of the skin."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from thigmo.exploration.map import best_contact, errors, merge, peg_ahead
+from thigmo.exploration.workspace import Bend, centreline, place_contact, skin_point
+from thigmo.record import MapContact, TrueContact
+
+
+@given(st.floats(5, 60), st.floats(-0.08, 0.08))
+def test_a_free_body_is_a_circular_arc(length: float, curvature: float) -> None:
+    x, y, heading = centreline(Bend(length, curvature)).pose(length)
+    assert heading == pytest.approx(curvature * length)
+    if abs(curvature) > 1e-6:
+        assert x == pytest.approx(sin(heading) / curvature, abs=2e-3)
+        assert y == pytest.approx((1 - cos(heading)) / curvature, abs=2e-3)
+
+
+def test_a_contact_adds_its_ramp_and_a_fold_turns_the_whole_body() -> None:
+    # Heading at and beyond the contact: g a + f a^2 / 2, the integral of f (a - s).
+    curve = centreline(Bend(50.0, 0.01, ((40.0, -2e-4),), fold_rad=0.1))
+    assert curve.pose(0.0)[2] == pytest.approx(0.1)
+    assert curve.pose(40.0)[2] == pytest.approx(0.1 + 0.4 - 2e-4 * 800)
+    assert curve.pose(50.0)[2] == pytest.approx(0.1 + 0.5 - 2e-4 * 800)
+
+
+def test_the_point_is_on_the_side_that_the_force_comes_from() -> None:
+    straight = centreline(Bend(50.0, 0.0))
+    assert skin_point(straight, 30.0, +1e-4, 1.75)[:2] == pytest.approx((30.0, -1.75))
+    assert skin_point(straight, 30.0, -1e-4, 1.75)[:2] == pytest.approx((30.0, 1.75))
+    assert skin_point(straight, 30.0, -1e-4, 1.75)[2] == pytest.approx(pi / 2)
+
+
+def test_the_covariance_is_the_interval_along_and_the_shapes_error_across() -> None:
+    placed = place_contact(
+        Bend(53.0, 0.0, ((40.0, -1e-9),)), 0, (36.0, 44.0), radius_cm=1.75, curvature_se=5e-4
+    )
+    (xx, xy), (_, yy) = placed.covariance_cm2
+    assert xx**0.5 == pytest.approx(8 / 3.92, rel=0.02)
+    assert yy**0.5 == pytest.approx(5e-4 * 40**2 / 2, rel=0.01)  # integral of the heading's error
+    assert placed.track[0] == pytest.approx((36.0, 1.75), abs=1e-3)
+    assert placed.track[-1] == pytest.approx((44.0, 1.75), abs=1e-3)
+    assert abs(xy) < 0.2
+
+
+def _contact(x: float, y: float, width: float, length: float, side: str = "left") -> MapContact:
+    return MapContact(
+        arc_cm=45.0,
+        x_cm=x,
+        y_cm=y,
+        force_per_cm2=-2e-4,
+        interval_cm=(45.0 - width / 2, 45.0 + width / 2),
+        status="localized",
+        everted_length_cm=length,
+        side=side,
+        normal_rad=1.0,
+        covariance_cm2=(((width / 3.92) ** 2, 0.0), (0.0, 0.2)),
+        track=[],
+        model="",
+        readings=4,
+    )
+
+
+def test_the_same_peg_felt_twice_is_one_contact_and_the_surer_place_stays() -> None:
+    once = merge([], _contact(37, 28, 6, 50))
+    twice = merge(once, _contact(38, 28.5, 3, 53))
+    assert len(twice) == 1
+    assert (twice[0].x_cm, twice[0].merged) == (38, [50])
+    assert len(merge(twice, _contact(20, 20, 3, 53))) == 2
+    assert len(merge(twice, _contact(38, 28.5, 3, 53, side="right"))) == 2
+
+
+def test_the_error_is_taken_at_the_best_contacts_own_stage() -> None:
+    contacts = [_contact(37, 28, 6, 50), _contact(10, 28, 2, 53)]
+    truth = [TrueContact(38, 28, 45, 50, 0), TrueContact(13, 32, 45, 53, 0)]
+    assert best_contact(contacts) is contacts[1]
+    assert errors(contacts, truth) == pytest.approx((3.0, 5.0))
+    assert errors([], truth) == (None, None)
+    assert errors(contacts, truth[:1]) == (None, None)
+
+
+def test_growth_stops_before_a_peg_on_its_path_only() -> None:
+    assert peg_ahead([_contact(38, 1.0, 3, 40)], 39.0, 1.75)
+    assert not peg_ahead([_contact(38, 12.0, 3, 40)], 39.0, 1.75)
+    assert not peg_ahead([_contact(20, 1.0, 3, 40)], 39.0, 1.75)
+
+
+def test_poses_are_evenly_spaced_and_end_at_the_tip() -> None:
+    poses = np.asarray(centreline(Bend(53.0, 0.02)).poses(1.0))
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    assert len(poses) == 54
+    assert np.ptp(steps) < 1e-3
