@@ -1,7 +1,7 @@
 """Frames on the wire: COBS stuffing, CRC-16 check sequence, header.
 
 `encode` makes one; `Decoder` finds them in a stream that may lose, flip, insert and replay bytes,
-with bounded memory, and picks up again at the next zero byte. The layout is in protocol/PROTOCOL.md.
+with bounded memory, and picks up again at the next zero byte. Layout: protocol/PROTOCOL.md.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class Frame(NamedTuple):
 def encode(message: Message, seq: int, session: int) -> bytes:
     """A message as bytes on the wire, closing zero included."""
     body = _HEADER.pack(message.ID, seq, session) + message.pack()
-    return cobs.encode(body + _CRC.pack(_crc(body))) + b"\0"
+    stuffed: bytes = cobs.encode(body + _CRC.pack(_crc(body)))
+    return stuffed + b"\0"
 
 
 def decode(wire: bytes) -> Frame:
@@ -77,7 +78,8 @@ def decode(wire: bytes) -> Frame:
         raise FrameError(f"{len(raw)} bytes, {MIN_FRAME}..{MAX_FRAME} allowed")
     if _crc(raw[:-2]) != raw[-2] | raw[-1] << 8:
         raise FrameError("wrong check sequence")
-    return Frame(*_HEADER.unpack_from(raw), raw[5:-2], wire)
+    kind, seq, session = _HEADER.unpack_from(raw)
+    return Frame(kind, seq, session, raw[HEADER_SIZE:-2], wire)
 
 
 @dataclass(slots=True)

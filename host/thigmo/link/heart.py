@@ -32,17 +32,28 @@ class Heart:
         period_s: between beats.
         counter: of the last beat; 0 before the first.
         next_s: when the next one is due, by the clock that `beat` is given.
+        hold_after: beats without a byte from the board after which the heart holds until `heard`:
+            a board that restarted is in its boot loader, which a stray byte keeps for 9.3 s
+            (HARDWARE.md). None: never.
+        unheard: beats since the board was last heard.
     """
 
     session: int
     period_s: float = PERIOD_S
     counter: int = 0
     next_s: float = float("-inf")
+    hold_after: int | None = None
+    unheard: int = 0
 
     def beat(self, now_s: float) -> bytes | None:
         """The frame to send now, or None if none is due. Late beats are not made up for."""
-        if now_s < self.next_s:
+        if now_s < self.next_s or (self.hold_after is not None and self.unheard >= self.hold_after):
             return None
         self.next_s = now_s + self.period_s
         self.counter += 1
+        self.unheard += 1
         return encode(Heartbeat(self.counter), 0, self.session)
+
+    def heard(self) -> None:
+        """A byte came from the board."""
+        self.unheard = 0

@@ -1,0 +1,618 @@
+"""One conversation with a board: hello, commands, events, telemetry.
+
+The client keeps one command outstanding, repeats it after a time-out measured from past round
+trips until its deadline, and ends it in its typed reply or a typed error: never in two executions.
+A command that found no answer ends the session, for a late copy of it must find the board deaf.
+Events are acknowledged on their own, telemetry is counted, and a board that restarted is told
+from one that is slow by its boot nonce. Rules of the protocol: protocol/PROTOCOL.md.
+
+Nothing here sleeps or asks a clock but the transport's: reading is waiting.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Literal, Self, TypeVar, cast
+
+from thigmo.errors import (
+    BoardResetError,
+    CommandRefusedError,
+    CommandTimeoutError,
+    LinkError,
+    NotARobotError,
+    SchemaMismatchError,
+)
+from thigmo.link import protocol as wire
+from thigmo.link.clock import DeviceClock
+from thigmo.link.framing import Decoder, Frame, FrameError, encode
+from thigmo.link.heart import PERIOD_S
+from thigmo.link.received import LinkCounters, ReceivedEvent, TelemetryFrame
+from thigmo.link.round_trip import RoundTrip
+from thigmo.link.transport import Transport
+
+R = TypeVar("R", bound=wire.Message)
+M = TypeVar("M", bound=wire.Message)
+Direction = Literal["tx", "rx"]
+Tap = Callable[[Direction, bytes, float], None]
+
+# The boot loader listens for 0.84 s after a reset and must hear nothing (HARDWARE.md); the first
+# announce comes at the start of the firmware, so 1.6 s without one is a board that did not reset.
+SILENCE_S = 1.6
+# A stray byte keeps the boot loader for 9.3 s: a second, silent, wait before giving up.
+BOOT_LOADER_S = 10.0
+_IN_PROGRESS_S = 0.1
+_EVENTS = 1024
+_NONCES = 32
+
+
+@dataclass(slots=True)
+class _Outstanding:
+    """The command that waits for its answer."""
+
+    message: wire.Message
+    reply: type[wire.Message]
+    frame: bytes
+    seq: int
+    session: int
+    deadline_s: float
+    sent_s: float = 0.0
+    next_s: float = 0.0
+    attempts: int = 0
+    answer: wire.Message | None = None
+    orphaned: bool = False  # the board knows the session no more
+
+
+class Client:
+    """A conversation over a transport. A context manager: leaving it closes the transport.
+
+    Attributes:
+        transport: what carries it.
+        hello: who the board is, as of the last hello.
+        clock: the board's clock.
+        stats: counters.
+        events: received and not yet taken, oldest first. When it is full the board keeps the rest.
+        telemetry: the latest frame, or None.
+        on_telemetry, on_event: called for each, in order. They must not send commands.
+        taps: called with every good frame in and every frame out: direction, the bytes on the
+            wire without the closing zero, host time.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        connect: bool = True,
+        heartbeat_s: float = PERIOD_S,
+        schema_hash: int = wire.SCHEMA_HASH,
+        tap: Tap | None = None,
+    ) -> None:
+        """Take a transport and say hello.
+
+        Args:
+            transport: open; the client owns it from now on.
+            connect: False leaves the hello to a later `connect()`.
+            heartbeat_s: period of the heartbeat.
+            schema_hash: what to offer in the hello.
+            tap: first of `taps`, from the first byte on.
+
+        Raises:
+            LinkError: as `connect`.
+        """
+        self.transport = transport
+        self.clock = DeviceClock()
+        self.stats = LinkCounters()
+        self.events: deque[ReceivedEvent] = deque()
+        self.telemetry: TelemetryFrame | None = None
+        self.on_telemetry: list[Callable[[TelemetryFrame], None]] = []
+        self.on_event: list[Callable[[ReceivedEvent], None]] = []
+        self.taps: list[Tap] = [tap] if tap else []
+        self._hello: wire.HelloReply | None = None
+        self._heartbeat_s = heartbeat_s
+        self._schema_hash = schema_hash
+        self._decoder = Decoder()
+        self._round_trip = RoundTrip()
+        self._session = 0
+        self._seq = 0
+        self._outstanding: _Outstanding | None = None
+        self._broken: LinkError | None = None
+        self._talking = False  # a session is open and no time-out has spoilt it
+        self._announce: wire.Announce | None = None
+        self._other_hash: int | None = None
+        self._nonces: deque[int] = deque(maxlen=_NONCES)
+        self._telemetry_seq: int | None = None
+        self._event_number: int | None = None
+        self._ack_due: int | None = None
+        self._beats: OrderedDict[int, float] = OrderedDict()
+        self._collectors: list[tuple[type[wire.Message], list[wire.Message]]] = []
+        self._handling = False
+        if connect:
+            self.connect()
+
+    # Life.
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the heart and close the transport. Commands nothing: the board's own limit acts."""
+        self._talking = False
+        self.transport.close()
+
+    @property
+    def hello(self) -> wire.HelloReply:
+        """Who the board is; raises LinkError before the first hello."""
+        if self._hello is None:
+            raise LinkError("no conversation with a board yet", "connect first")
+        return self._hello
+
+    @property
+    def session(self) -> int:
+        """Number of the conversation; 0 before the first."""
+        return self._session
+
+    @property
+    def round_trip_s(self) -> float:
+        """Smoothed round trip of commands; 0 before the first."""
+        return self._round_trip.smoothed_s
+
+    def now(self) -> float:
+        """Host seconds, by the transport's clock."""
+        return self.transport.now()
+
+    def connect(self) -> wire.HelloReply:
+        """Open, or open again after a `BoardResetError`, a conversation.
+
+        Listens before it speaks: opening a port may have reset the board, and its boot loader must
+        hear nothing.
+
+        Raises:
+            SchemaMismatchError: a board of another schema.
+            NotARobotError: nothing, or something else, answers.
+            LinkError: the connection is gone.
+        """
+        self._check_reentry()
+        self.transport.stop_heartbeat()
+        self._broken = None
+        self._talking = False
+        self._outstanding = None
+        self._announce = None
+        garbage = self._decoder.garbage
+        self._listen(SILENCE_S)
+        if self._say_hello(wire.Hello.DEADLINE_S) is None:
+            self._announce = None
+            self._listen(BOOT_LOADER_S)
+            if self._announce is None or self._say_hello(wire.Hello.DEADLINE_S) is None:
+                raise self._nobody(self._decoder.garbage - garbage)
+        return self.hello
+
+    # Commands.
+
+    def request(self, command: wire.Command[R], deadline_s: float | None = None) -> R:
+        """Send a command and wait for its answer.
+
+        Args:
+            command: any of the schema's.
+            deadline_s: from now; the schema's for this command if None.
+
+        Raises:
+            CommandRefusedError: the board said no; `reason` holds the schema's name for why.
+            CommandTimeoutError: no answer by the deadline; it is unknown whether it was done.
+            BoardResetError: the board restarted meanwhile; `connect` again.
+            LinkError: the connection is gone, or the board talks to somebody else.
+        """
+        self._check_reentry()
+        limit = command.DEADLINE_S if deadline_s is None else deadline_s
+        until_s = self.now() + limit
+        self._raise_if_broken()
+        while self._outstanding is not None:  # an acknowledgement of an event
+            self._pump(until_s)
+            self._raise_if_broken()
+            if self._outstanding is not None and self.now() >= until_s:
+                raise self._timed_out(command, limit)
+        reply: wire.Message | None = None
+        while reply is None:
+            if not self._talking:
+                self._resume(command, limit, until_s)
+            outstanding = self._begin(command, until_s)
+            while outstanding.answer is None and self._outstanding is outstanding:
+                self._pump(until_s)
+                self._raise_if_broken()
+            reply = outstanding.answer
+            # An orphan that was sent once was surely not done, and may go again; one that was
+            # repeated may have been done before the session was lost.
+            if reply is None and not (outstanding.orphaned and outstanding.attempts == 1):
+                if outstanding.orphaned:
+                    self._resume(command, limit, until_s)
+                raise self._timed_out(command, limit)
+        if isinstance(reply, wire.Ack):
+            self._judge(command, reply)
+        return cast("R", reply)
+
+    # Waiting.
+
+    def poll(self, timeout_s: float = 0.0) -> None:
+        """Handle what has arrived; wait up to `timeout_s` for the first bytes.
+
+        Raises:
+            BoardResetError: the board restarted.
+            LinkError: the connection is gone.
+        """
+        self._check_reentry()
+        self._raise_if_broken()
+        self._pump(self.now() + timeout_s)
+        self._raise_if_broken()
+
+    def wait_for(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        """Handle what arrives until the predicate holds. Returns whether it does in time.
+
+        Raises:
+            LinkError: as `poll`.
+        """
+        until_s = self.now() + timeout_s
+        while not predicate():
+            left_s = until_s - self.now()
+            if left_s <= 0:
+                return False
+            self.poll(left_s)
+        return True
+
+    @contextmanager
+    def collect(self, kind: type[M]) -> Iterator[list[M]]:
+        """A list that fills with messages of a kind (telemetry, events) while the block runs."""
+        found: list[M] = []
+        entry = (cast("type[wire.Message]", kind), cast("list[wire.Message]", found))
+        self._collectors.append(entry)
+        try:
+            yield found
+        finally:
+            self._collectors.remove(entry)
+
+    # Time.
+
+    def device_us(self, t_us: int) -> int:
+        """Unwrapped microseconds of a 32-bit device stamp."""
+        return self.clock.unwrap(t_us)
+
+    def device_s(self, t_us: int) -> float:
+        """Unwrapped seconds of a 32-bit device stamp."""
+        return self.clock.unwrap(t_us) * 1e-6
+
+    # Sending.
+
+    def _write(self, frame: bytes) -> None:
+        now = self.now()
+        self.transport.write(frame)
+        for tap in self.taps:
+            tap("tx", frame[:-1], now)
+
+    def _begin(self, command: wire.Message, until_s: float) -> _Outstanding:
+        """Make a command of the running session the outstanding one and send it."""
+        self._seq = (self._seq + 1) & 0xFFFF
+        reply = cast("type[wire.Command[wire.Message]]", type(command)).REPLY
+        frame = encode(command, self._seq, self._session)
+        self._outstanding = _Outstanding(command, reply, frame, self._seq, self._session, until_s)
+        self._transmit(self._outstanding)
+        return self._outstanding
+
+    def _transmit(self, outstanding: _Outstanding) -> None:
+        outstanding.sent_s = self.now()
+        outstanding.next_s = outstanding.sent_s + self._round_trip.timeout_s
+        outstanding.attempts += 1
+        if outstanding.attempts > 1:
+            self.stats.repeats += 1
+        self._write(outstanding.frame)
+
+    def _say_hello(self, limit_s: float) -> wire.HelloReply | None:
+        """Open a session; None if nobody answers in time. Raises SchemaMismatchError."""
+        hello = wire.Hello(wire.PROTOCOL, self._schema_hash, secrets.randbits(32))
+        until_s = self.now() + limit_s
+        self._seq = 0
+        frame = encode(hello, 0, 0)
+        outstanding = _Outstanding(hello, wire.HelloReply, frame, 0, 0, until_s)
+        self._outstanding = outstanding
+        self._other_hash = None
+        self._transmit(outstanding)
+        while outstanding.answer is None and self._outstanding is outstanding:
+            self._pump(until_s)
+        if self._other_hash is not None:
+            raise self._other_schema(self._other_hash)
+        reply = outstanding.answer
+        if not isinstance(reply, wire.HelloReply):
+            return None
+        self._open(reply)
+        return reply
+
+    def _open(self, reply: wire.HelloReply) -> None:
+        if self._hello is None or reply.boot_nonce != self._hello.boot_nonce:
+            self.clock.reset()
+            self._event_number = None
+        self._hello = reply
+        if reply.boot_nonce not in self._nonces:
+            self._nonces.append(reply.boot_nonce)
+        self._session = reply.session
+        self._telemetry_seq = None
+        self._ack_due = None
+        self._beats.clear()
+        self._talking = True
+        self.stats.hellos += 1
+        self.transport.start_heartbeat(reply.session, self._heartbeat_s)
+
+    def _resume(self, command: wire.Message, limit_s: float, until_s: float) -> None:
+        """A new session after a spoilt one, within a command's deadline."""
+        before = self._hello
+        if before is None:
+            raise LinkError("no conversation with a board yet", "connect first")
+        if self._say_hello(until_s - self.now()) is None:
+            raise self._timed_out(command, limit_s)
+        if self.hello.boot_nonce != before.boot_nonce:
+            raise self._reset_error(self.hello.reset_cause)
+
+    # Receiving.
+
+    def _listen(self, limit_s: float) -> None:
+        """Say nothing until an announce or for so long."""
+        until_s = self.now() + limit_s
+        while self._announce is None and self.now() < until_s:
+            self._pump(until_s)
+
+    def _pump(self, until_s: float) -> None:
+        """Read once, until `until_s` at most, handle it, and do what is due."""
+        if self._outstanding is None and self._ack_due is not None and self._talking:
+            number, self._ack_due = self._ack_due, None
+            deadline_s = self.now() + wire.AckEvent.DEADLINE_S
+            self._begin(wire.AckEvent(number), deadline_s)
+        now = self.now()
+        wake_s = until_s
+        if self._outstanding is not None:
+            wake_s = min(wake_s, self._outstanding.next_s, self._outstanding.deadline_s)
+        data = self.transport.read(max(wake_s - now, 0.0))
+        for beat in self.transport.beats():
+            self._beat_sent(beat.counter, beat.t_s)
+        if data:
+            # A backlog is judged by when it came: a busy main thread is no silent board.
+            self._take(data, self.transport.read_s)
+            self._repeat(self.transport.read_s)
+        else:
+            self._repeat(self.now())
+
+    def _repeat(self, now_s: float) -> None:
+        outstanding = self._outstanding
+        if outstanding is None:
+            return
+        if now_s >= outstanding.deadline_s:
+            self._outstanding = None
+            self._talking = False
+            self.stats.timeouts += 1
+        elif now_s >= outstanding.next_s:
+            self._round_trip.back_off()
+            self._transmit(outstanding)
+
+    def _beat_sent(self, counter: int, t_s: float) -> None:
+        self._beats[counter] = t_s
+        if len(self._beats) > 64:
+            self._beats.popitem(last=False)
+        if self.taps:
+            frame = encode(wire.Heartbeat(counter), 0, self._session)[:-1]
+            for tap in self.taps:
+                tap("tx", frame, t_s)
+
+    def _take(self, data: bytes, t_s: float) -> None:
+        frames = self._decoder.feed(data)
+        self.stats.frames = self._decoder.frames
+        self.stats.bad_frames = self._decoder.bad
+        self.stats.garbage_bytes = self._decoder.bad_bytes
+        self._handling = True
+        try:
+            for frame in frames:
+                for tap in self.taps:
+                    tap("rx", frame.wire, t_s)
+                self._handle(frame, t_s)
+        finally:
+            self._handling = False
+
+    def _handle(self, frame: Frame, t_s: float) -> None:
+        if frame.id == wire.Telemetry.ID:
+            self._take_telemetry(frame, t_s)
+            return
+        if frame.id == wire.HelloReply.ID and self._other_board(frame.payload):
+            return
+        try:
+            message = frame.message()
+        except FrameError:
+            self.stats.foreign += 1
+            return
+        if isinstance(message, wire.Announce):
+            self._take_announce(message)
+        elif isinstance(message, wire.Pulse):
+            self._take_pulse(message, frame.session, t_s)
+        elif isinstance(message, wire.Event):
+            self._take_event(message, frame.session, t_s)
+        elif message.KIND == "reply":
+            self._take_reply(message, frame, t_s)
+        else:
+            self.stats.foreign += 1
+
+    def _take_telemetry(self, frame: Frame, t_s: float) -> None:
+        payload = frame.payload
+        if frame.session != self._session or len(payload) != wire.Telemetry.SIZE:
+            self.stats.foreign += 1
+            return
+        if self._telemetry_seq is not None:
+            delta = (frame.seq - self._telemetry_seq) & 0xFFFF
+            if not 0 < delta < 0x8000:
+                self.stats.telemetry_stale += 1
+                return
+            self.stats.telemetry_lost += delta - 1
+        self._telemetry_seq = frame.seq
+        self.stats.telemetry += 1
+        device_us = self.clock.unwrap(int.from_bytes(payload[:4], "little"))
+        received = TelemetryFrame(frame.seq, t_s, device_us, payload)
+        self.telemetry = received
+        for callback in self.on_telemetry:
+            callback(received)
+        if self._collectors:
+            self._collect(wire.Telemetry, received.message)
+
+    def _other_board(self, payload: bytes) -> bool:
+        """Notice a refusal by a board of another schema, whose enumerations may be unknown here.
+
+        The layout of hello_reply is the same in every schema (`frozen` in schema.yaml).
+        """
+        hello = self._outstanding.message if self._outstanding else None
+        if not isinstance(hello, wire.Hello) or len(payload) != wire.HelloReply.SIZE:
+            return False
+        refused = payload[0] == wire.Status.REFUSED
+        theirs = int.from_bytes(payload[3:7], "little")
+        if int.from_bytes(payload[-4:], "little") != hello.host_nonce:
+            return False
+        if theirs == self._schema_hash and not refused:
+            return False
+        self._other_hash = theirs
+        self._outstanding = None
+        return True
+
+    def _take_announce(self, message: wire.Announce) -> None:
+        self._announce = message
+        if message.boot_nonce in self._nonces:
+            return  # heard before: it waits for a hello, or is a replay
+        self._nonces.append(message.boot_nonce)
+        if self._talking:  # a new boot
+            self._talking = False
+            self._outstanding = None
+            self._broken = self._reset_error(message.reset_cause)
+
+    def _take_pulse(self, message: wire.Pulse, session: int, t_s: float) -> None:
+        if session != self._session:
+            self.stats.foreign += 1
+            return
+        sent_s = self._beats.pop(message.counter, None)
+        device_us = self.clock.unwrap(message.t_us)
+        if sent_s is not None:
+            self.clock.pair(sent_s, t_s, device_us)
+
+    def _take_event(self, message: wire.Event, session: int, t_s: float) -> None:
+        if session != self._session:
+            self.stats.foreign += 1
+            return
+        if self._event_number is not None:
+            delta = (message.number - self._event_number) & 0xFFFF
+            if not 0 < delta < 0x8000:
+                self.stats.event_repeats += 1
+                if delta == 0:
+                    self._ack_due = self._event_number  # the board did not hear it
+                return
+        if len(self.events) >= _EVENTS:
+            return  # unacknowledged, so the board keeps it and asks again
+        self._event_number = message.number
+        self._ack_due = message.number
+        self.stats.events += 1
+        received = ReceivedEvent(message, t_s, self.clock.unwrap(message.t_us))
+        self.events.append(received)
+        for callback in self.on_event:
+            callback(received)
+        self._collect(wire.Event, message)
+
+    def _collect(self, kind: type[wire.Message], message: wire.Message) -> None:
+        for wanted, found in self._collectors:
+            if wanted is kind:
+                found.append(message)
+
+    def _take_reply(self, message: wire.Message, frame: Frame, t_s: float) -> None:
+        outstanding = self._outstanding
+        if outstanding is None:
+            self.stats.foreign += 1
+            return
+        if isinstance(outstanding.message, wire.Hello):
+            # Its header may be another schema's business; the nonce is what makes it ours.
+            ours = (
+                isinstance(message, wire.HelloReply)
+                and message.host_nonce == outstanding.message.host_nonce
+            )
+        else:
+            ours = frame.seq == outstanding.seq and frame.session == outstanding.session
+            ours = ours and isinstance(message, (outstanding.reply, wire.Ack))
+        if not ours:
+            self.stats.foreign += 1
+            return
+        if outstanding.attempts == 1:  # Karn: a repeat's answer may be the first one's
+            self._round_trip.measure(max(t_s - outstanding.sent_s, 1e-4))
+        if isinstance(message, wire.Ack):
+            if message.status is wire.Status.IN_PROGRESS:
+                outstanding.next_s = t_s + _IN_PROGRESS_S
+                return
+            if message.reason is wire.Reason.BAD_SESSION:
+                self._talking = False
+                self._outstanding = None
+                outstanding.orphaned = True
+                return
+        outstanding.answer = message
+        self._outstanding = None
+
+    # Errors.
+
+    def _check_reentry(self) -> None:
+        if self._handling:
+            raise RuntimeError("a callback of the link must not use the link")
+
+    def _raise_if_broken(self) -> None:
+        if self._broken is not None:
+            raise self._broken
+
+    def _judge(self, command: wire.Message, ack: wire.Ack) -> None:
+        if ack.status is wire.Status.REFUSED:
+            what, _, step = ack.reason.doc.rstrip(".").partition("; ")
+            raise CommandRefusedError(
+                f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
+                step,
+                reason=ack.reason.key,
+            )
+
+    def _timed_out(self, command: wire.Message, limit_s: float) -> CommandTimeoutError:
+        return CommandTimeoutError(
+            f"{command.NAME} found no answer within {limit_s:g} s, and may or may not be done",
+            "check the cable and the board's power, and look at the robot's status",
+        )
+
+    def _reset_error(self, cause: wire.ResetCause) -> BoardResetError:
+        return BoardResetError(
+            f"the board restarted ({cause.key.replace('_', ' ')}): outputs are safe, "
+            "the everted length is unknown",
+            "connect again, then measure and confirm the length, or home the robot",
+        )
+
+    def _other_schema(self, theirs: int) -> SchemaMismatchError:
+        return SchemaMismatchError(
+            f"the board's firmware has schema {theirs:08x}, this host has {self._schema_hash:08x}",
+            f"run `thigmo flash {self.transport.name}`",
+        )
+
+    def _nobody(self, garbage: int) -> LinkError:
+        if self._announce is not None and self._announce.schema_hash != self._schema_hash:
+            return self._other_schema(self._announce.schema_hash)
+        if self._announce is not None:
+            return NotARobotError(
+                f"the board on {self.transport.name} announces itself but does not answer",
+                "check the cable's transmit line, or try another cable",
+            )
+        if garbage:
+            return NotARobotError(
+                f"{self.transport.name} sends {garbage} bytes that are no robot's",
+                "choose the robot's port, check its baud rate, or run `thigmo flash` on it",
+            )
+        return NotARobotError(
+            f"nothing answers on {self.transport.name}",
+            "check power and cable, choose the robot's port, or run `thigmo flash` on it",
+        )

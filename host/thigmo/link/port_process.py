@@ -1,0 +1,215 @@
+"""The process that owns a serial port: relays its bytes and beats the heart.
+
+Run by `serial_port.SerialTransport` as `python -m thigmo.link.port_process URL BAUD`. It is a
+process of its own because no thread of the host is safe from its interpreter lock: a long
+compilation or fit would starve the heart and put the robot into a fault. It imports little, and
+talks over its standard streams (`pipe`).
+
+The heart beats only while somebody is there to mind the robot: it stops when the host dies (its
+stream ends, or this process has another parent) and when the host's main thread has not touched
+the lease for 30 s; the next touch starts it again. It holds while the board is mute, which may
+mean that its boot loader is listening.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from typing import IO
+
+import serial
+
+from thigmo.link.heart import Heart
+from thigmo.link.pipe import BEAT, START, Kind, read_packet, write_packet
+
+LEASE_S = 30.0
+_READ_S = 0.02
+_READ_BYTES = 4096
+_BACKLOG_BYTES = 4 << 20  # five minutes of telemetry for a host that does not read
+_TICK_S = 0.02
+_HOLD_AFTER = 4
+
+
+class Outbox:
+    """Packets on their way to the host, written by a thread of their own.
+
+    A host that does not read must stop neither the port nor the heart: the oldest bytes are
+    dropped, and their number reported.
+    """
+
+    def __init__(self, stream: IO[bytes], backlog_bytes: int = _BACKLOG_BYTES) -> None:
+        self._stream = stream
+        self._limit = backlog_bytes
+        self._packets: deque[tuple[Kind, bytes, float]] = deque()
+        self._size = 0
+        self._dropped = 0
+        self._closed = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def put(self, kind: Kind, data: bytes = b"", t_s: float = 0.0) -> None:
+        """Queue a packet; never waits."""
+        with self._changed:
+            self._packets.append((kind, data, t_s))
+            self._size += len(data)
+            while self._size > self._limit:
+                _, old, _ = self._packets.popleft()
+                self._size -= len(old)
+                self._dropped += len(old)
+            self._changed.notify()
+
+    def close(self, wait_s: float) -> None:
+        """Write what is queued, for so long at most."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join(wait_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._packets and not self._closed:
+                    self._changed.wait()
+                if not self._packets:
+                    return
+                dropped, self._dropped = self._dropped, 0
+                kind, data, t_s = self._packets.popleft()
+                self._size -= len(data)
+            try:
+                if dropped:
+                    write_packet(self._stream, Kind.DROPPED, str(dropped).encode(), t_s)
+                write_packet(self._stream, kind, data, t_s)
+            except OSError:
+                return  # the host is gone; the reader of its stream sees that too
+
+
+class PortProcess:
+    """The relay between one port and one host."""
+
+    def __init__(self, port: serial.Serial, host_in: IO[bytes], outbox: Outbox) -> None:
+        self._port = port
+        self._host = host_in
+        self._outbox = outbox
+        self._write_lock = threading.Lock()  # frames of heart and host must not interleave
+        self._heart_lock = threading.Lock()
+        self._heart: Heart | None = None
+        self._lease_s = time.monotonic()
+        self._stop = threading.Event()
+        self._parent = os.getppid()
+
+    def run(self) -> None:
+        """Relay until the host closes, dies, or the port is lost."""
+        threads = [
+            threading.Thread(target=target, daemon=True)
+            for target in (self._receive, self._beat, self._obey)
+        ]
+        for thread in threads:
+            thread.start()
+        self._stop.wait()
+        with self._heart_lock:
+            self._heart = None
+
+    def _fail(self, error: Exception) -> None:
+        if not self._stop.is_set():
+            self._outbox.put(Kind.FAILED, describe(error))
+        self._stop.set()
+
+    def _send(self, data: bytes) -> None:
+        try:
+            with self._write_lock:
+                self._port.write(data)
+        except serial.SerialTimeoutException:
+            pass  # a device that takes no bytes: the frame is lost, and the client repeats it
+        except (
+            OSError,
+            TypeError,
+        ) as error:  # pyserial raises TypeError on a port closed meanwhile
+            self._fail(error)
+
+    def _receive(self) -> None:
+        while not self._stop.is_set():
+            try:
+                data = self._port.read(1)
+                # socket:// only says whether there are bytes, not how many: hence the loop.
+                while data and len(data) < _READ_BYTES and (more := self._port.in_waiting):
+                    data += self._port.read(min(more, _READ_BYTES))
+            except (OSError, TypeError) as error:
+                self._fail(error)
+                return
+            if data:
+                heart = self._heart
+                if heart is not None:
+                    heart.heard()
+                self._outbox.put(Kind.DATA, data, time.monotonic())
+
+    def _orphaned(self) -> bool:
+        return os.getppid() != self._parent
+
+    def _beat(self) -> None:
+        while not self._stop.wait(_TICK_S):
+            if self._orphaned():
+                self._stop.set()
+                return
+            now = time.monotonic()
+            with self._heart_lock:
+                heart = self._heart
+                if heart is None or now - self._lease_s > LEASE_S:
+                    continue
+                frame = heart.beat(now)
+                if frame is not None:
+                    self._outbox.put(Kind.BEATEN, BEAT.pack(heart.counter), time.monotonic())
+                    self._send(frame)
+
+    def _obey(self) -> None:
+        while not self._stop.is_set():
+            packet = read_packet(self._host)
+            if packet is None or packet.kind == Kind.CLOSE:
+                self._stop.set()
+                return
+            self._lease_s = time.monotonic()
+            if packet.kind == Kind.WRITE:
+                self._send(packet.data)
+            elif packet.kind == Kind.START:
+                session, period_s = START.unpack(packet.data)
+                with self._heart_lock:
+                    self._heart = Heart(session, period_s, hold_after=_HOLD_AFTER)
+            elif packet.kind == Kind.STOP:
+                with self._heart_lock:
+                    self._heart = None
+
+
+def describe(error: Exception) -> bytes:
+    """An error as FAILED carries it: its errno (0 = none), a space, its text."""
+    number = getattr(error, "errno", None) or 0
+    return f"{number} {error}".encode()
+
+
+def main() -> int:
+    """Open the port named by the arguments and relay."""
+    url, baud = sys.argv[1], int(sys.argv[2])
+    # Ctrl-C is the host's: it must still be able to vent through this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    outbox = Outbox(sys.stdout.buffer)
+    try:
+        port = serial.serial_for_url(
+            url, baudrate=baud, timeout=_READ_S, write_timeout=1.0, exclusive=True
+        )
+    except (OSError, ValueError) as error:
+        outbox.put(Kind.FAILED, describe(error))
+        outbox.close(2.0)
+        return 1
+    outbox.put(Kind.OPENED)
+    PortProcess(port, sys.stdin.buffer, outbox).run()
+    port.close()
+    outbox.close(0.5)
+    # The thread that reads the host's stream may hold its lock; a normal exit would wait for it.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

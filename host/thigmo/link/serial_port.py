@@ -1,0 +1,223 @@
+"""A serial port, or any pyserial URL, held by a process of its own (`port_process`).
+
+Here is the host's end: it starts that process, passes bytes, renews the heart's lease whenever
+the main thread reads or writes, and turns the process's complaints into typed errors.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from thigmo.errors import LinkError, PortError
+from thigmo.link.heart import Beat
+from thigmo.link.pipe import BEAT, START, Kind, Packet, read_packet, write_packet
+from thigmo.link.transport import Operator
+
+_OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
+_TOUCH_S = 0.5
+_QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
+_PACKAGES = str(Path(__file__).resolve().parents[2])
+
+
+class SerialTransport:
+    """See `transport.Transport`; time is `time.monotonic`."""
+
+    virtual = False
+    operator: Operator | None = None
+
+    def __init__(self, url: str, baud: int) -> None:
+        """Open.
+
+        Raises:
+            PortError: the port is missing, busy, not allowed, or no serial port.
+        """
+        self.name = url
+        self.read_s = self.now()
+        self.dropped_bytes = 0
+        self._beats: deque[Beat] = deque(maxlen=64)
+        self._packets: queue.Queue[Packet | None] = queue.Queue(_QUEUE)
+        self._touched_s = self.now()
+        self._failure: LinkError | None = None
+        self._closing = threading.Event()
+        path = os.pathsep.join(p for p in (_PACKAGES, os.environ.get("PYTHONPATH", "")) if p)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "thigmo.link.port_process", url, str(baud)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": path},
+            # Apart from the terminal's signals, so that Ctrl-C leaves a way to vent.
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._to = self._process.stdin
+        self._from = self._process.stdout
+        threading.Thread(target=self._collect, daemon=True).start()
+        try:
+            self._await_open()
+        except BaseException:
+            self.close()
+            raise
+
+    def now(self) -> float:
+        """Seconds of the monotonic clock, which both processes share."""
+        return time.monotonic()
+
+    @property
+    def pid(self) -> int:
+        """Process that holds the port."""
+        return self._process.pid
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; raises LinkError when the port is gone."""
+        self._tell(Kind.WRITE, data)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Bytes as soon as there are any; raises LinkError when the port is gone."""
+        self._touch()
+        until_s = self.now() + timeout_s
+        while True:
+            left_s = until_s - self.now()
+            try:
+                packet = self._packets.get(timeout=left_s) if left_s > 0 else self._packets.get(
+                    block=False
+                )  # fmt: skip
+            except queue.Empty:
+                return b""
+            self._touch()
+            if packet is None:
+                self._packets.put(None)  # every later read must see the end as well
+                raise self._failure or LinkError(
+                    f"the process that holds {self.name} died", "connect again"
+                )
+            if packet.kind == Kind.DATA:
+                self.read_s = packet.t_s
+                return packet.data
+            self._note(packet)
+
+    def start_heartbeat(self, session: int, period_s: float) -> None:
+        """Have the port's process beat the heart."""
+        self._tell(Kind.START, START.pack(session, period_s))
+
+    def stop_heartbeat(self) -> None:
+        """Beat no more."""
+        self._tell(Kind.STOP)
+
+    def beats(self) -> list[Beat]:
+        """Heartbeats sent since the last call."""
+        sent = list(self._beats)
+        self._beats.clear()
+        return sent
+
+    def truth(self) -> Any:
+        """Nothing is known of a real room."""
+        return None
+
+    def close(self) -> None:
+        """Close the port and end its process."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        try:
+            write_packet(self._to, Kind.CLOSE)
+            self._to.close()
+        except OSError:
+            pass  # it is gone already
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._from.close()
+
+    def _tell(self, kind: Kind, data: bytes = b"") -> None:
+        self._touched_s = self.now()
+        try:
+            write_packet(self._to, kind, data)
+        except (OSError, ValueError) as error:  # ValueError: closed here
+            raise self._failure or LinkError(
+                f"the process that holds {self.name} is gone", "connect again"
+            ) from error
+
+    def _touch(self) -> None:
+        """Renew the heart's lease; called by whoever reads or writes, so by the main thread."""
+        if self.now() - self._touched_s >= _TOUCH_S and self._failure is None:
+            self._tell(Kind.LEASE)
+
+    def _note(self, packet: Packet) -> None:
+        if packet.kind == Kind.BEATEN:
+            self._beats.append(Beat(BEAT.unpack(packet.data)[0], packet.t_s))
+        elif packet.kind == Kind.DROPPED:
+            self.dropped_bytes += int(packet.data)
+        elif packet.kind == Kind.FAILED:
+            number, _, text = packet.data.decode().partition(" ")
+            self._failure = LinkError(
+                f"{self.name} was lost: {text if int(number) == 0 else os.strerror(int(number))}",
+                "check the cable and the board's power, and connect again",
+            )
+            raise self._failure
+
+    def _collect(self) -> None:
+        """Thread: packets of the port's process into the queue; None marks their end."""
+        while True:
+            packet = read_packet(self._from)
+            while not self._closing.is_set():
+                try:
+                    self._packets.put(packet, timeout=0.2)
+                    break
+                except queue.Full:
+                    continue
+            if packet is None or self._closing.is_set():
+                return
+
+    def _await_open(self) -> None:
+        try:
+            packet = self._packets.get(timeout=_OPEN_S)
+        except queue.Empty:
+            raise PortError(
+                f"{self.name} did not open within {_OPEN_S:g} s", "check the address"
+            ) from None
+        if packet is None:
+            raise PortError(f"the process for {self.name} did not start", "run the command again")
+        if packet.kind == Kind.FAILED:
+            number, _, text = packet.data.decode().partition(" ")
+            raise port_error(self.name, int(number), text)
+
+
+def port_error(name: str, number: int, text: str) -> PortError:
+    """The operator's error for a port that did not open."""
+    lowered = text.lower()
+    if number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered:
+        return PortError(f"{name} is in use", "close the other program that has it open")
+    if number in (errno.EACCES, errno.EPERM):
+        if os.name == "nt":  # Windows says "access denied" for a port in use
+            return PortError(f"{name} is in use", "close the other program that has it open")
+        return PortError(
+            f"no permission to open {name}",
+            "add yourself to the group that owns it (often dialout or uucp) and sign in again",
+        )
+    if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
+        return PortError(f"there is no port {name}", _ports_step())
+    if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
+        return PortError(f"{name} is no serial port", _ports_step())
+    if "not known" in lowered or "invalid url" in lowered:
+        return PortError(f"{name} is no address that can be opened", _ports_step())
+    if "://" in name:
+        return PortError(f"cannot open {name}: {text}", "check that its server is running")
+    return PortError(f"cannot open {name}: {text}", _ports_step())
+
+
+def _ports_step() -> str:
+    from serial.tools.list_ports import comports
+
+    found = ", ".join(sorted(port.device for port in comports()))
+    return f"give one of: {found}" if found else "plug the board in: no serial port is there now"
