@@ -17,8 +17,10 @@ from typing import Any
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
+from thigmo.exploration.feel import warm_up
 from thigmo.exploration.run import Exploration, Progress
 from thigmo.record import RunDocument, RunFolder
+from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
 
 
@@ -86,13 +88,9 @@ def explore(
         ThigmoError: with the next step for the operator. The robot is vented and braked, and the
             run folder says how far it came.
     """
-    from thigmo.localization import warm_up
-    from thigmo.report import draw_map
-
     tell = progress or (lambda doing, fraction: None)
     started = datetime.now(UTC)
-    label = name or Path(url.partition("://")[2] or url).stem or "run"
-    folder = RunFolder.create(out, label, started.astimezone())
+    label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     document = RunDocument(
         thigmo=__version__,
         name=label,
@@ -100,35 +98,47 @@ def explore(
         started=started.isoformat(timespec="seconds"),
         seed=seed,
     )
-    tell("compiling the localizer", 0.0)
-    warm_up()
-    tell("connecting", 0.0)
-    start = time.monotonic()
-    run: Exploration | None = None
     with _sigterm_raises():
+        tell("connecting", 0.0)
+        with connect(url, seed=seed, operator=operator, realtime=realtime) as robot:
+            used = config or robot.known_config or RobotConfig()
+            tell("compiling the localizer", 0.0)
+            warm_up(used)
+            folder = RunFolder.create(out, label, started.astimezone())
+            used.save(folder.path / "robot.toml")
+            run = _recorded_run(robot, used, folder, document, tell)
+    tell("drawing the map", 1.0)
+    draw_map(run.document, folder.map_path, radius_cm=used.body.radius_cm)
+    return ExplorationResult(run.document, folder.path, run.length_cm)
+
+
+def _recorded_run(
+    robot: Robot,
+    config: RobotConfig,
+    folder: RunFolder,
+    document: RunDocument,
+    tell: Progress,
+) -> Exploration:
+    """Walk the table while the record listens; whatever happens, the folder ends up whole."""
+    start = time.monotonic()
+    with folder.open_log(_metadata(robot, document)) as log:
+        robot.record_frames(log.frame)
+        run = Exploration(robot, config, folder, log, document, tell)
         try:
-            robot = connect(url, seed=seed, operator=operator, realtime=realtime)
-            with robot:
-                used = config or robot.known_config or RobotConfig()
-                used.save(folder.path / "robot.toml")
-                with folder.open_log(_metadata(robot, document)) as log:
-                    robot.record_frames(log.frame)
-                    run = Exploration(robot, used, folder, log, document, tell)
-                    try:
-                        run.run()
-                    finally:
-                        # Safe outputs first, while the record still listens.
-                        robot.make_safe()
-                        document = replace(run.document, robot_time_s=robot.elapsed_s)
+            run.run()
         except BaseException as error:
-            document = replace(document, outcome=f"aborted: {_why(error)}")
+            run.document = replace(run.document, outcome=f"aborted: {_why(error)}")
             raise
         finally:
-            document = replace(document, wall_time_s=round(time.monotonic() - start, 3))
-            folder.write_document(document)
-    tell("drawing the map", 1.0)
-    draw_map(document, folder.map_path, radius_cm=used.body.radius_cm)
-    return ExplorationResult(document, folder.path, run.length_cm)
+            # Safe outputs first, while the record still listens.
+            robot.make_safe()
+            run.document = replace(
+                run.document,
+                robot_time_s=round(robot.elapsed_s, 3),
+                wall_time_s=round(time.monotonic() - start, 3),
+            )
+            folder.write_document(run.document)
+    return run
 
 
 def _metadata(robot: Robot, document: RunDocument) -> dict[str, str]:

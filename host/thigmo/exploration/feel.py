@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import RobotConfig
+from thigmo.config import SIDES, RobotConfig
 from thigmo.exploration.workspace import Bend, centreline, place_contact
 from thigmo.localization import LocalizeResult, localize
 from thigmo.record import MapContact, Shape
@@ -92,3 +92,13 @@ def feel(peak: Peak, config: RobotConfig, zone: int) -> Feeling:
         )
     shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
     return Feeling(result, contacts, shape)
+
+
+def warm_up(config: RobotConfig) -> None:
+    """Compile everything that `feel` needs, before any output is energised."""
+    size = len(SensorTable.of(config).center_cm)
+    for side in SIDES:
+        reading = np.full(size, 0.01 if side == "left" else -0.01)
+        feel(
+            Peak(side, 0.0, config.body.length_cm, reading, 0.0, 0.0, (1 << size) - 1, 1), config, 0
+        )

@@ -108,7 +108,7 @@ class _Reader:
             return
         match message:
             case wire.Telemetry() if self.sweeps:
-                self.sweeps[-1].watcher.telemetry(message)
+                self.sweeps[-1].watcher.telemetry(self._device_s(message.t_us), lambda: message)
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():

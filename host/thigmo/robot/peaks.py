@@ -38,7 +38,7 @@ def average_peak(
     length_cm: float,
 ) -> Peak:
     """Average a peak's snapshots (thesis: ten of them), of the side that was inflated."""
-    sums = np.mean([s.flex_sum for s in snapshots], axis=0, dtype=np.float64)
+    sums: Floats = np.asarray([s.flex_sum for s in snapshots], dtype=np.float64).mean(axis=0)
     return Peak(
         side=snapshots[0].side,
         t_s=float(np.mean([s.t_s for s in snapshots])),

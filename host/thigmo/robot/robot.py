@@ -8,9 +8,11 @@ as `RobotFaultError` with the schema's sentence.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import numpy as np
 
@@ -28,7 +30,10 @@ from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.watch import Watch, fault_error
 
 if TYPE_CHECKING:
-    from thigmo.link.client import Client
+    from thigmo.link.client import Client, Tap, TelemetryFrame
+    from thigmo.link.protocol import Ack, Command
+
+R = TypeVar("R", bound=wire.Message)
 
 SENSORS = 10
 VENTED_PSI = 0.5
@@ -136,6 +141,27 @@ class Robot:
         finally:
             self._client.close()
 
+    def record_frames(self, tap: Tap) -> None:
+        """Call `tap(direction, frame, host time)` with every frame of the link from now on."""
+        self._client.taps.append(tap)
+
+    def _request(self, command: Command[R]) -> R:
+        """Ask the board; a refusal because of a latched fault becomes that fault's error."""
+        try:
+            return self._client.request(command)
+        except CommandRefusedError as error:
+            if error.reason != wire.Reason.FAULT_LATCHED.key:
+                raise
+            faults = self.status().faults
+            if not faults:
+                raise
+            raise fault_error(faults) from error
+
+    def _start(self, command: Command[Ack]) -> None:
+        """Start something whose events are waited for."""
+        self._watch.forget()
+        self._request(command)
+
     # What is known without asking.
 
     @property
@@ -169,6 +195,14 @@ class Robot:
     def elapsed_s(self) -> float:
         """Time since the connection, on the link's clock."""
         return self.now() - self._started
+
+    def link_stats(self) -> dict[str, int]:
+        """Counters of the link as the board sees it, by the schema's names."""
+        return {
+            name: value
+            for name, value in asdict(self._client.request(wire.GetLinkStats())).items()
+            if name != "status"
+        }
 
     def truth(self) -> Truth | None:
         """What the emulated room knows now; None on hardware."""
@@ -266,7 +300,7 @@ class Robot:
         faults = self.status().faults
         if faults:
             raise fault_error(faults)
-        self._client.request(wire.Arm())
+        self._request(wire.Arm())
 
     def stop(self) -> None:
         """At once: valves 0 mA, motor braked, activity aborted. Accepted in every state."""
@@ -278,7 +312,7 @@ class Robot:
         Raises:
             CommandTimeoutError: they stay under pressure.
         """
-        self._client.request(wire.Vent())
+        self._request(wire.Vent())
         end = self.now() + _VENT_S
         while "vented" not in self.status().conditions:
             if self.now() > end:
@@ -297,11 +331,11 @@ class Robot:
             length_cm: measured.
             settled: the everted sensors have rested long enough already.
         """
-        self._client.request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
+        self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
     def select_zone(self, zone: int) -> None:
         """Tell the board which body pressure holds (index of robot.toml's body.zones)."""
-        self._client.request(wire.SelectZone(zone))
+        self._request(wire.SelectZone(zone))
 
     def grow_to(self, length_cm: float) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
@@ -310,7 +344,7 @@ class Robot:
             CommandRefusedError: the length is unknown, or a muscle is under pressure.
             RobotFaultError: the spool stalled.
         """
-        self._client.request(wire.GrowTo(round(length_cm * 1e4), 0))
+        self._start(wire.GrowTo(round(length_cm * 1e4), 0))
         return self._watch.finish(wire.Activity.GROWING, self._travel_s()) / 1e4
 
     def retract_to(self, length_cm: float) -> float:
@@ -330,13 +364,13 @@ class Robot:
                 f"empty it below {VENTED_PSI} psi first",
                 reason=wire.Reason.NOT_VENTED.key,
             )
-        self._client.request(wire.RetractTo(round(length_cm * 1e4), 0))
+        self._start(wire.RetractTo(round(length_cm * 1e4), 0))
         return self._watch.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
 
     def home(self) -> None:
         """Vent, then wind in slowly until the spool stalls at the base: length zero."""
         self.vent()
-        self._client.request(wire.Home())
+        self._start(wire.Home())
         slowest_cm_s = self.parameter("home_speed_um_s")[0] / 1e4
         self._watch.finish(wire.Activity.HOMING, 2 * self.config.body.length_cm / slowest_cm_s + 10)
 
@@ -389,7 +423,7 @@ class Robot:
         enabled = np.flatnonzero(self._table.healthy)
         mask = self.status().everted & int(sum(1 << int(sensor) for sensor in enabled))
         if mask:
-            self._client.request(wire.ZeroSensors(mask))
+            self._start(wire.ZeroSensors(mask))
             self._watch.finish(wire.Activity.ZEROING, 20.0)
         for sensor in range(SENSORS):
             if mask >> sensor & 1:
@@ -459,8 +493,8 @@ class Robot:
         options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
         truths: list[Truth] = []
         watcher = SweepWatcher(self._client.device_s, lambda: self._peak_and_truth(truths))
-        with self._client.subscribe(wire.Telemetry, watcher.telemetry):
-            self._client.request(
+        with self._telemetry_to(watcher):
+            self._start(
                 wire.Sweep(
                     round(left_psi * 100),
                     round(right_psi * 100),
@@ -486,6 +520,17 @@ class Robot:
             if snapshots
         ]
         return SweepResult(watcher.triggers, peaks, watcher.frames, _joined(truths))
+
+    @contextmanager
+    def _telemetry_to(self, watcher: SweepWatcher) -> Iterator[None]:
+        def take(frame: TelemetryFrame) -> None:
+            watcher.telemetry(frame.device_us / 1e6, lambda: frame.message)
+
+        self._client.on_telemetry.append(take)
+        try:
+            yield
+        finally:
+            self._client.on_telemetry.remove(take)
 
     def _peak_and_truth(self, truths: list[Truth]) -> list[SnapshotReading]:
         truth = self.truth()

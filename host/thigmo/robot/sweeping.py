@@ -28,6 +28,7 @@ class SweepWatcher:
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SnapshotReading]] = field(default_factory=list)
     frames: list[SweepFrame] = field(default_factory=list)
+    _next_s: float = 0.0
 
     def event(self, event: wire.Event) -> None:
         """Take one event of the sweep."""
@@ -38,12 +39,15 @@ class SweepWatcher:
         elif event.code == wire.EventCode.PEAK:
             self.peaks.append(self.fetch())
 
-    def telemetry(self, frame: wire.Telemetry) -> None:
-        """Take one telemetry frame; one in fifty milliseconds is kept."""
+    def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
+        """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
+        if t_s < self._next_s:
+            return
+        self._next_s = t_s + _FRAME_SPACING_S
+        frame = decode()
         side: Side = "left" if frame.left_cpsi >= frame.right_cpsi else "right"
         pressure = max(frame.left_cpsi, frame.right_cpsi)
-        t_s = self.device_s(frame.t_us)
-        if pressure < _IDLE_CPSI or (self.frames and t_s - self.frames[-1].t_s < _FRAME_SPACING_S):
+        if pressure < _IDLE_CPSI:
             return
         touched = any(trigger.side == side for trigger in self.triggers)
         self.frames.append(SweepFrame(side, t_s, pressure / 100, frame.free_e5 / 1e5, touched))

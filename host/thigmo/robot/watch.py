@@ -40,10 +40,24 @@ class Watch:
         """
         end = self._client.now() + seconds
         while (left := end - self._client.now()) > 0:
-            for event in self._client.poll(min(left, _SLICE_S)):
-                if event.code == wire.EventCode.FAULT:
-                    raise fault_error((wire.Fault(event.arg).key,))
-                yield event
+            self._client.poll(min(left, _SLICE_S))
+            yield from self._taken()
+
+    def _taken(self) -> Iterator[wire.Event]:
+        while self._client.events:
+            event = self._client.events.popleft().message
+            if event.code == wire.EventCode.FAULT:
+                raise fault_error((wire.Fault(event.arg).key,))
+            yield event
+
+    def forget(self) -> None:
+        """Drop events that were received and not asked for, before something new is started.
+
+        Raises:
+            RobotFaultError: a fault is among them.
+        """
+        for _ in self._taken():
+            pass
 
     def wait(self, seconds: float) -> None:
         """Let time pass.

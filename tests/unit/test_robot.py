@@ -1,0 +1,314 @@
+"""The robot object against a board that is a dictionary: configuration, faults, waiting."""
+
+from __future__ import annotations
+
+from collections import deque
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from thigmo.config import FlexSensor, RobotConfig, Sensors
+from thigmo.errors import (
+    CommandRefusedError,
+    CommandTimeoutError,
+    ConfigError,
+    DataError,
+    RobotFaultError,
+)
+from thigmo.link import protocol as wire
+from thigmo.robot import Robot, SensorTable, SnapshotReading, average_peak, sweep_period_s
+from thigmo.robot.readings import resistance_ohm
+from thigmo.robot.settings import map_settings, parameter_settings
+
+OK = wire.Status.OK
+
+
+class DictionaryBoard:
+    """Answers commands from memory; each poll takes as long as it may, then gives events."""
+
+    def __init__(self) -> None:
+        self.transport = SimpleNamespace(operator=None, virtual=True, truth=lambda: None)
+        self.values = {
+            entry.index + i: value
+            for entry in wire.PARAMETERS.values()
+            for i, value in enumerate(entry.defaults)
+        }
+        self.maps: dict[tuple[int, int, int], tuple[int, ...]] = {}
+        self.faults = 0
+        self.conditions = 0
+        self.generation = 0
+        self.sent: list[wire.Message] = []
+        self.coming: list[wire.Event] = []
+        self.events: deque[Any] = deque()
+        self.time = 0.0
+        self.stubborn = -1
+        self.closed = False
+
+    def now(self) -> float:
+        return self.time
+
+    def device_s(self, t_us: int) -> float:
+        return t_us / 1e6
+
+    def close(self) -> None:
+        self.closed = True
+
+    def poll(self, timeout_s: float) -> None:
+        self.time += timeout_s
+        if self.coming:
+            event = self.coming.pop(0)
+            self.events.append(SimpleNamespace(message=event, t_s=self.time, device_us=0))
+
+    def request(self, command: wire.Message) -> wire.Message:
+        self.sent.append(command)
+        match command:
+            case wire.GetParameter():
+                return wire.ParameterValue(OK, command.index, self.values[command.index])
+            case wire.SetParameter():
+                if command.index != self.stubborn:
+                    self.values[command.index] = command.value
+                return wire.ParameterValue(OK, command.index, command.value)
+            case wire.GetMap():
+                key = (command.zone, command.side, command.branch)
+                return wire.MapValues(OK, *key, self.maps.get(key, (0,) * 11))
+            case wire.SetMap():
+                self.maps[command.zone, command.side, command.branch] = command.curvature_e5
+            case wire.SaveConfig():
+                self.generation += 1
+            case wire.ClearFaults():
+                self.faults &= ~command.mask
+            case wire.GetStatus():
+                return self._status()
+            case wire.GrowTo() if self.faults:
+                raise CommandRefusedError("refused", "clear", reason="fault_latched")
+            case _:
+                pass
+        return wire.Ack(OK, wire.Reason.NONE, 0)
+
+    def _status(self) -> wire.StatusReport:
+        return wire.StatusReport(
+            OK, wire.State.READY, wire.Activity.IDLE, 255, self.faults, self.conditions, 0,
+            123_400, 0, 0, 0, 0, 0, 0, self.generation,
+        )  # fmt: skip
+
+
+def _robot() -> tuple[Robot, DictionaryBoard]:
+    board = DictionaryBoard()
+    return Robot(board), board  # type: ignore[arg-type]
+
+
+def _event(code: wire.EventCode, arg: int, value: int = 0) -> wire.Event:
+    return wire.Event(1, code, 0, arg, value)
+
+
+def test_the_board_ends_up_with_what_robot_toml_says() -> None:
+    robot, board = _robot()
+    config = RobotConfig()
+    config.sensors.left[2].healthy = False
+    config.sensors.right[1].center_cm = 14.5
+    config.actuators.right.lag_s = 0.15
+    assert robot.configure(config)
+    for name, values in parameter_settings(config).items():
+        assert robot.parameter(name) == values, name
+    assert robot.parameter("flex_enabled") == [1, 1, 0, 1, 1, 1, 1, 1, 1, 1]
+    assert robot.parameter("flex_center_um")[6] == 145_000
+    assert robot.parameter("lag_ms") == [200, 150]
+    assert len(board.maps) == 12
+    assert all(values[-1] < 0 for (_, side, _), values in board.maps.items() if side == 1)
+    assert board.generation == 1
+
+
+def test_a_board_that_holds_it_already_is_not_written_again() -> None:
+    robot, board = _robot()
+    robot.configure(RobotConfig())
+    board.sent.clear()
+    assert not robot.configure(RobotConfig())
+    assert not any(
+        isinstance(m, wire.SetParameter | wire.SetMap | wire.SaveConfig) for m in board.sent
+    )
+
+
+def test_a_value_that_the_board_does_not_give_back_is_an_error() -> None:
+    robot, board = _robot()
+    board.stubborn = wire.PARAMETERS["settle_ms"].index
+    config = RobotConfig()
+    config.sensors.settle_s = 20.0
+    with pytest.raises(ConfigError, match=r"holds \[30000\] instead of \[20000\].*settle_ms"):
+        robot.configure(config)
+
+
+def test_a_missing_configuration_is_stored_and_its_fault_cleared_and_no_other() -> None:
+    robot, board = _robot()
+    board.faults = wire.Fault.BAD_CONFIG.mask | wire.Fault.WATCHDOG.mask
+    robot.configure(RobotConfig())
+    assert board.generation == 1
+    assert robot.status().faults == ("watchdog",)
+    with pytest.raises(RobotFaultError, match="watchdog: The firmware hung") as caught:
+        robot.arm()
+    assert caught.value.faults == ("watchdog",)
+
+
+def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
+    robot, board = _robot()
+    board.coming = [
+        _event(wire.EventCode.EVERTED, 0),
+        _event(wire.EventCode.FAULT, wire.Fault.SPOOL_STALL),
+    ]
+    with pytest.raises(RobotFaultError, match="encoder stands still; free the spool"):
+        robot.grow_to(10.0)
+
+
+def test_a_refusal_because_of_a_fault_names_the_fault() -> None:
+    robot, board = _robot()
+    board.faults = wire.Fault.OVER_PRESSURE.mask
+    with pytest.raises(RobotFaultError, match="over_pressure"):
+        robot.grow_to(10.0)
+
+
+def test_growth_ends_with_the_boards_length_and_only_with_its_own_event() -> None:
+    robot, board = _robot()
+    board.coming = [
+        _event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING, 1),
+        _event(wire.EventCode.ACTIVITY_DONE, wire.Activity.GROWING, 100_400),
+    ]
+    assert robot.grow_to(10.0) == pytest.approx(10.04)
+
+
+def test_events_from_before_a_command_do_not_end_it() -> None:
+    robot, board = _robot()
+    board.coming = [_event(wire.EventCode.ACTIVITY_DONE, wire.Activity.GROWING, 50_000)]
+    board.poll(0.1)
+    with pytest.raises(CommandTimeoutError, match="growing has not ended"):
+        robot.grow_to(10.0)
+
+
+def test_an_aborted_activity_says_why() -> None:
+    robot, board = _robot()
+    everted = wire.StatusReport(
+        OK, wire.State.READY, wire.Activity.IDLE, 0, 0, 0, 0, 0, 0, 0, 0x21, 0x21, 0, 0, 1
+    )
+    board._status = lambda: everted  # type: ignore[method-assign]
+    board.coming = [
+        _event(wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING, wire.Reason.DRIFTING)
+    ]
+    with pytest.raises(CommandRefusedError, match="Readings still drift") as caught:
+        robot.zero()
+    assert caught.value.reason == "drifting"
+    assert next(m for m in board.sent if isinstance(m, wire.ZeroSensors)).mask == 0x21
+
+
+def test_leaving_the_robot_stops_it_and_closes_the_link_once() -> None:
+    robot, board = _robot()
+    with pytest.raises(ZeroDivisionError), robot:
+        _ = 1 / 0
+    assert isinstance(board.sent[-1], wire.Stop)
+    assert board.closed
+    count = len(board.sent)
+    robot.close()
+    assert len(board.sent) == count
+
+
+def test_a_muscle_that_does_not_empty_is_an_error_in_time() -> None:
+    robot, board = _robot()
+    with pytest.raises(CommandTimeoutError, match="still holds pressure"):
+        robot.vent()
+    board.conditions = wire.Condition.VENTED.mask
+    robot.vent()
+
+
+def test_nobody_answers_for_a_program_that_named_nobody() -> None:
+    robot, _ = _robot()
+    with pytest.raises(DataError, match=r"0\.49 psi"):
+        robot.operator.set_body_pressure(0.49)
+    with pytest.raises(DataError, match="length is unknown"):
+        robot.operator.everted_length_cm()
+
+
+def test_parameters_are_checked_before_they_are_sent() -> None:
+    robot, board = _robot()
+    with pytest.raises(ConfigError, match="no parameter 'nonsense'"):
+        robot.parameter("nonsense")
+    with pytest.raises(ConfigError, match=r"must lie in 0\.\.600000 ms, not -1"):
+        robot.set_parameter("settle_ms", [-1])
+    with pytest.raises(ConfigError, match="holds 10 values, and 2"):
+        robot.set_parameter("flex_scale", [1, 2])
+    robot.set_parameter("flex_scale", [34_000])
+    assert robot.parameter("flex_scale") == [34_000] * 10
+    assert sum(isinstance(m, wire.SetParameter) for m in board.sent) == 10
+
+
+def test_too_many_sensors_for_the_board_are_named() -> None:
+    left = [FlexSensor(center_cm=c) for c in (5.0, 13, 21, 29, 37, 45)]
+    with pytest.raises(ConfigError, match=r"sensors\.left has 6"):
+        parameter_settings(RobotConfig(sensors=Sensors(left=left)))
+
+
+def test_fewer_sensors_leave_the_rest_disabled() -> None:
+    config = RobotConfig(sensors=Sensors(left=[FlexSensor(center_cm=5.0)], right=[]))
+    assert parameter_settings(config)["flex_enabled"] == [1] + [0] * 9
+    assert SensorTable.of(config).healthy.tolist() == [True] + [False] * 9
+
+
+def test_all_settings_fit_the_schemas_ranges() -> None:
+    config = RobotConfig()
+    for name, values in parameter_settings(config).items():
+        entry = wire.PARAMETERS[name]
+        assert len(values) == entry.count
+        assert all(entry.low <= value <= entry.high for value in values), name
+    assert all(len(m.curvature_e5) == wire.MAP_POINTS for m in map_settings(config))
+
+
+@given(ohm=st.floats(3_000, 60_000))
+def test_resistance_is_the_dividers_inverse(ohm: float) -> None:
+    fraction = 22_000 / (22_000 + ohm)
+    assert resistance_ohm(np.array([1024 * fraction]), 22_000) == pytest.approx([ohm], rel=1e-9)
+
+
+def test_an_open_circuit_gives_no_number() -> None:
+    table = SensorTable.of(RobotConfig())
+    sums = np.full(10, 16 * 600.0)
+    sums[3] = 0
+    curvature = table.curvature(sums, np.full(10, 16 * 640.0), 16)
+    assert np.isnan(curvature[3])
+    assert np.isfinite(np.delete(curvature, 3)).all()
+    # More resistance than at the zero, and a positive scale: bent to the left.
+    assert curvature[0] > 0
+
+
+def test_only_the_inactive_sides_sensors_that_answer_are_usable() -> None:
+    config = RobotConfig()
+    config.sensors.right[0].healthy = False
+    config.sensors.right[1].valid_direction = -1
+    table = SensorTable.of(config)
+    assert np.flatnonzero(table.usable("left", 0x3FF)).tolist() == [7, 8, 9]
+    assert np.flatnonzero(table.usable("left", 0x17F)).tolist() == [8]
+    assert np.flatnonzero(table.usable("right", 0x3FF)).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_peak_is_the_mean_of_its_readings() -> None:
+    table = SensorTable.of(RobotConfig())
+    zero = np.full(10, 16 * 640.0)
+    shots = [
+        SnapshotReading(
+            "left", float(n), [16 * 600 + n] * 10, 17.9, 17.0 + n, 0.02, 0.03 + n * 1e-5
+        )
+        for n in range(10)
+    ]
+    peak = average_peak(shots, zero, table, oversample=16, sensors=0x3FF, length_cm=53.0)
+    assert (peak.count, peak.t_s, peak.pressure_psi) == (10, 4.5, 21.5)
+    assert peak.free_curvature == pytest.approx(0.030045)
+    assert peak.curvature == pytest.approx(table.curvature(np.full(10, 16 * 600 + 4.5), zero, 16))
+
+
+def test_the_sweeps_period_keeps_the_lags_error_within_its_share_of_the_threshold() -> None:
+    config = RobotConfig()
+    period = sweep_period_s(config, 0)
+    g_max = config.actuators.left.maps[0].inflate.curvature(18.0)
+    assert 2 * np.pi / period * g_max * 0.25 * 0.2 <= 0.25 * 0.005 + 1e-12
+    config.actuators.left.lag_s = config.actuators.right.lag_s = 0.4
+    assert sweep_period_s(config, 0) == pytest.approx(2 * period, rel=0.2)
+    assert sweep_period_s(config, 0, trigger_per_cm=0.01) < sweep_period_s(config, 0)
