@@ -1,0 +1,90 @@
+// The running configuration: every parameter of the schema and the free-curvature maps.
+//
+// The host sets it value by value (range-checked against the schema) and has it stored
+// (config/store.h). Control code never reads it at its own rate: derived.h turns it into the scaled
+// constants that the loops use, once after each change.
+#ifndef THIGMO_CORE_CONFIG_CONFIGURATION_H_
+#define THIGMO_CORE_CONFIG_CONFIGURATION_H_
+
+#include <stdint.h>
+
+#include "../board.h"
+
+namespace thigmo {
+
+using protocol::Param;
+
+constexpr uint8_t kZones = 3;
+constexpr uint8_t kBranches = 2;
+constexpr uint8_t kZoneUnknown = 255;
+
+// Free curvature of a muscle until its calibration is sent: 0.04 1/cm * tanh(p / 10 psi), a guess
+// that the host's robot.toml shares; the right muscle bends the other way.
+constexpr int16_t kGuessedMap[protocol::kMapPoints] THIGMO_PROGMEM = {
+    0, 790, 1520, 2148, 2656, 3046, 3335, 3541, 3687, 3787, 3856};
+
+struct Configuration {
+  int32_t value[protocol::kParamCount];
+  int16_t map[kZones][kSides][kBranches][protocol::kMapPoints];
+
+  int32_t get(Param name, uint8_t element = 0) const {
+    return value[static_cast<uint16_t>(name) + element];
+  }
+
+  static protocol::ParamRow row(uint16_t index) {
+    const protocol::ParamRow* at = protocol::kParamTable + index;
+    return {static_cast<int32_t>(THIGMO_FLASH_U32(&at->low)),
+            static_cast<int32_t>(THIGMO_FLASH_U32(&at->high)),
+            static_cast<int32_t>(THIGMO_FLASH_U32(&at->initial))};
+  }
+
+  // Sets one parameter; false when index or value is out of range.
+  bool set(uint16_t index, int32_t wanted) {
+    if (index >= protocol::kParamCount) return false;
+    const protocol::ParamRow limits = row(index);
+    if (wanted < limits.low || wanted > limits.high) return false;
+    value[index] = wanted;
+    return true;
+  }
+
+  void load_defaults() {
+    for (uint16_t i = 0; i < protocol::kParamCount; ++i) value[i] = row(i).initial;
+    for (uint8_t zone = 0; zone < kZones; ++zone) {
+      for (uint8_t side = 0; side < kSides; ++side) {
+        for (uint8_t branch = 0; branch < kBranches; ++branch) {
+          for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
+            const int16_t guess = static_cast<int16_t>(THIGMO_FLASH_U16(kGuessedMap + i));
+            map[zone][side][branch][i] = side == 0 ? guess : static_cast<int16_t>(-guess);
+          }
+        }
+      }
+    }
+  }
+
+  // Index of the first parameter that is out of range or contradicts another, or -1. A robot whose
+  // configuration contradicts itself is not armed.
+  int16_t first_conflict() const {
+    for (uint16_t i = 0; i < protocol::kParamCount; ++i) {
+      const protocol::ParamRow limits = row(i);
+      if (value[i] < limits.low || value[i] > limits.high) return static_cast<int16_t>(i);
+    }
+    // The transducer's span divides the feed-forward.
+    if (get(Param::kDrive20maCpsi) < get(Param::kDrive4maCpsi) + 200) {
+      return static_cast<int16_t>(Param::kDrive20maCpsi);
+    }
+    // Set points must stay clear of the fault, or overshoot would be one.
+    if (get(Param::kOverPressureCpsi) <= get(Param::kMaxPressureCpsi)) {
+      return static_cast<int16_t>(Param::kOverPressureCpsi);
+    }
+    return -1;
+  }
+};
+
+// The store writes the structure's bytes, so it must have no holes; all boards are little-endian.
+static_assert(sizeof(Configuration) == 4 * protocol::kParamCount +
+                                           2 * kZones * kSides * kBranches * protocol::kMapPoints,
+              "the stored image has holes");
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_CONFIG_CONFIGURATION_H_

@@ -1,0 +1,147 @@
+// One muscle's pressure loop: set point in, transducer current out, 200 times a second.
+//
+// The I/P transducer maps 4..20 mA to some 2..60 psi, so its map is fed forward and the PID
+// corrects what is left (offset, gain, hysteresis). The map has a live zero: below about 2.2 psi
+// nothing can be commanded, so lower set points mean true zero (0 mA); the integrator, which by
+// then holds the transducer's offset, is frozen and carries on when the set point comes back: no
+// bump.
+#ifndef THIGMO_CORE_CONTROL_PRESSURE_LOOP_H_
+#define THIGMO_CORE_CONTROL_PRESSURE_LOOP_H_
+
+#include <stdint.h>
+
+#include "../config/derived.h"
+#include "fixed_point.h"
+
+namespace thigmo {
+
+// PID on 0.01 psi, gains in 1/256; derivative on the measurement; conditional anti-windup.
+class PressurePid {
+ public:
+  // The correction is meant for a transducer's errors, not for the whole range.
+  static constexpr int32_t kIntegralLimitCpsi = 600;
+
+  struct Gains {
+    int16_t kp;
+    int16_t ki;
+    int16_t kd;
+  };
+
+  // One step: feed-forward plus correction, limited to low..high.
+  int32_t step(int16_t set, int16_t measured, int32_t feed_forward, const Gains& gains, int32_t low,
+               int32_t high) {
+    const int32_t error = limited<int32_t>(static_cast<int32_t>(set) - measured, -6000, 6000);
+    const int32_t proportional = static_cast<int32_t>(gains.kp) * error / 256;
+    // 300 * 32767 * 200 fits 31 bits; faster change than 600 psi/s is noise.
+    const int32_t change = limited<int32_t>(static_cast<int32_t>(measured) - last_, -300, 300);
+    const int32_t derivative = change * gains.kd * kControlHz / 256;
+    last_ = measured;
+
+    const int32_t wanted = feed_forward + proportional + sum_ / (256 * kControlHz) - derivative;
+    const int32_t output = limited(wanted, low, high);
+    // Integrate unless the output is at a limit and the error pushes further into it.
+    if (!((wanted > high && error > 0) || (wanted < low && error < 0))) {
+      constexpr int32_t kLimit = kIntegralLimitCpsi * 256 * kControlHz;
+      sum_ = limited<int32_t>(sum_ + gains.ki * error, -kLimit, kLimit);
+    }
+    return output;
+  }
+
+  // While the output is off: keeps the derivative's memory, freezes the integrator.
+  void idle(int16_t measured) { last_ = measured; }
+
+  void reset() { sum_ = 0; }
+
+  int32_t integral_cpsi() const { return sum_ / (256 * kControlHz); }
+
+ private:
+  int32_t sum_ = 0;  // of ki * error, per step
+  int16_t last_ = 0;
+};
+
+// Set point slew, live zero, PID, output map, and the check that the pressure follows.
+class PressureLoop {
+ public:
+  static constexpr int16_t kOff = -1;  // output: true zero
+
+  // Time constant of the follower that the pressure is compared with, 2^6 steps = 0.32 s: slower
+  // than transducer and muscle together, so that a moving set point is no fault.
+  static constexpr uint8_t kFollowLog2 = 6;
+
+  void set_target(int16_t cpsi, uint16_t slew_cpsi_s) {
+    target_ = cpsi;
+    slew_ = slew_cpsi_s;
+  }
+
+  // True zero at once (vent, stop, fault).
+  void cut() {
+    target_ = 0;
+    set_q8_ = 0;
+  }
+
+  // One control step; returns the duty 0..kDriveFull, or kOff.
+  int16_t step(int16_t measured, const Configuration& c, const Derived& d) {
+    const int32_t goal = static_cast<int32_t>(target_) * 256;
+    // slew in 0.01 psi/s; a step is 1/200 s.
+    const int32_t most = greater<int32_t>(static_cast<int32_t>(slew_) * 256 / kControlHz, 1);
+    set_q8_ += limited<int32_t>(goal - set_q8_, -most, most);
+    const int16_t set = set_cpsi();
+    const bool on = set >= c.get(Param::kLiveZeroCpsi) && set > 0;
+    watch_following(on ? set : static_cast<int16_t>(0), measured, c);
+    if (!on) {
+      pid_.idle(measured);
+      output_ = kOff;
+      return output_;
+    }
+    const PressurePid::Gains gains = {static_cast<int16_t>(c.get(Param::kPressureKp)),
+                                      static_cast<int16_t>(c.get(Param::kPressureKi)),
+                                      static_cast<int16_t>(c.get(Param::kPressureKd))};
+    const int32_t floor = c.get(Param::kDrive4maCpsi);
+    const int32_t ceiling = lesser(c.get(Param::kOverPressureCpsi), c.get(Param::kDrive20maCpsi));
+    const int32_t wanted = pid_.step(set, measured, set, gains, floor, greater(floor, ceiling));
+    output_ = duty(wanted, c, d);
+    return output_;
+  }
+
+  // Duty of a transducer output pressure by its 4..20 mA map.
+  static int16_t duty(int32_t cpsi, const Configuration& c, const Derived& d) {
+    const int32_t above = cpsi - c.get(Param::kDrive4maCpsi);
+    // 4 mA of 20 mA is a fifth of the full duty: 319.8.
+    constexpr int32_t kFourMaQ16 = static_cast<int32_t>(kDriveFull) * 65536 / 5;
+    const int64_t q16 = kFourMaQ16 + static_cast<int64_t>(above) * d.drive_slope_q16 + 0x8000;
+    return static_cast<int16_t>(limited<int32_t>(static_cast<int32_t>(q16 >> 16), 0, kDriveFull));
+  }
+
+  int16_t set_cpsi() const { return static_cast<int16_t>(set_q8_ >> 8); }
+  int16_t target_cpsi() const { return target_; }
+  int16_t output() const { return output_; }
+  bool stuck() const { return stuck_; }
+  void forgive() { stuck_steps_ = 0; }
+
+ private:
+  void watch_following(int16_t set, int16_t measured, const Configuration& c) {
+    // Twelve fraction bits keep the follower from stopping short of the set point.
+    follower_q12_ += (static_cast<int32_t>(set) * 4096 - follower_q12_) >> kFollowLog2;
+    const int32_t apart = magnitude((follower_q12_ >> 12) - measured);
+    const uint16_t limit = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
+    if (apart <= c.get(Param::kStuckCpsi)) {
+      stuck_steps_ = 0;
+    } else if (stuck_steps_ < limit) {
+      ++stuck_steps_;
+    }
+    stuck_ = stuck_steps_ >= limit;
+  }
+
+  PressurePid pid_;
+  int32_t set_q8_ = 0;
+  int32_t follower_q12_ = 0;
+  int16_t target_ = 0;
+  int16_t output_ = kOff;
+  uint16_t slew_ = 0;
+  uint16_t stuck_steps_ = 0;
+  bool stuck_ = false;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_CONTROL_PRESSURE_LOOP_H_

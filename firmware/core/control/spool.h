@@ -1,0 +1,130 @@
+// The spool: position loop along a trapezoid profile, stall detection, slip detection.
+//
+// A move drives the motor in its own direction only: while growing, the motor never winds in, for a
+// bent body that is wound in buckles; too fast a spool is braked instead. A change of direction
+// therefore always passes through the brake, which holds between moves.
+#ifndef THIGMO_CORE_CONTROL_SPOOL_H_
+#define THIGMO_CORE_CONTROL_SPOOL_H_
+
+#include <stdint.h>
+
+#include "../config/derived.h"
+#include "profile.h"
+
+namespace thigmo {
+
+class SpoolLoop {
+ public:
+  enum class Outcome : uint8_t { kMoving, kArrived, kStalled };
+
+  // Homing pulls the tail tight against the base: half of full duty is enough for that.
+  static constexpr int16_t kHomingDuty = kMotorFull / 2;
+  static constexpr int32_t kIntegralDuty = kMotorFull / 2;
+  // A profile this far ahead means that the motor ought to be turning.
+  static constexpr int32_t kStallLag = 4;
+
+  void start(int32_t from_counts, int32_t to_counts, int32_t speed_q16, int32_t accel_q16,
+             int16_t top_duty) {
+    profile_.start(from_counts, to_counts, speed_q16, accel_q16);
+    target_ = to_counts;
+    furthest_ = from_counts;
+    top_duty_ = top_duty;
+    sum_ = 0;
+    still_steps_ = 0;
+    duty_ = 0;
+    for (uint8_t i = 0; i < kSpeedSteps; ++i) past_[i] = from_counts;
+    oldest_ = 0;
+  }
+
+  // One control step; duty() then holds the motor's duty.
+  Outcome step(int32_t counts, const Configuration& c, const Derived& d) {
+    const int32_t goal = profile_.step();
+    const int32_t way = profile_.forward() ? 1 : -1;
+    const int32_t error = limited<int32_t>(goal - counts, -2000, 2000);
+    const int32_t ahead = way * (target_ - counts);
+    if (profile_.done() && ahead <= d.tolerance_counts) {
+      duty_ = 0;
+      return Outcome::kArrived;
+    }
+    watch_stall(counts, way, error, c);
+    if (still_steps_ >= static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs)) {
+      duty_ = 0;
+      return Outcome::kStalled;
+    }
+
+    // Speeds in counts/s; beyond 20 000 the loop saturates anyway.
+    const int32_t wanted_speed =
+        limited<int32_t>((profile_.speed_q16() / 256) * kControlHz / 256, -20000, 20000);
+    const int32_t speed =
+        limited<int32_t>((counts - past_[oldest_]) * (kControlHz / kSpeedSteps), -20000, 20000);
+    past_[oldest_] = counts;
+    oldest_ = static_cast<uint8_t>((oldest_ + 1) % kSpeedSteps);
+
+    int32_t duty = c.get(Param::kSpoolKp) * error / 256 + sum_ / (256 * kControlHz) +
+                   c.get(Param::kSpoolKd) * (wanted_speed - speed) / 256 +
+                   c.get(Param::kSpoolKff) * wanted_speed / 256;
+    if (way * duty > 0) duty += way * c.get(Param::kSpoolDeadZone);
+    const int32_t top = top_duty_;
+    const bool saturated = way * duty >= top || way * duty <= 0;
+    if (!saturated || (way * duty >= top) != (way * error > 0)) {
+      constexpr int32_t kLimit = kIntegralDuty * 256 * kControlHz;
+      sum_ = limited<int32_t>(sum_ + c.get(Param::kSpoolKi) * error, -kLimit, kLimit);
+    }
+    duty_ = static_cast<int16_t>(way * limited<int32_t>(way * duty, 0, top));
+    return Outcome::kMoving;
+  }
+
+  int16_t duty() const { return duty_; }
+
+ private:
+  static constexpr uint8_t kSpeedSteps = 4;
+
+  void watch_stall(int32_t counts, int32_t way, int32_t error, const Configuration& c) {
+    if (way * (counts - furthest_) > 0) {
+      furthest_ = counts;
+      still_steps_ = 0;
+      return;
+    }
+    const bool driven = magnitude(duty_) > c.get(Param::kSpoolDeadZone);
+    const bool behind = way * error >= kStallLag || profile_.done();
+    if (driven && behind && still_steps_ < 0xFFFF) ++still_steps_;
+  }
+
+  Profile profile_;
+  int32_t target_ = 0;
+  int32_t furthest_ = 0;
+  int32_t sum_ = 0;  // of ki * error, per step
+  int32_t past_[kSpeedSteps] = {};
+  int16_t duty_ = 0;
+  int16_t top_duty_ = 0;
+  uint16_t still_steps_ = 0;
+  uint8_t oldest_ = 0;
+};
+
+// Movement while the motor is off: the body's air pulls the tail out.
+class SlipWatch {
+ public:
+  static constexpr uint8_t kCoastSteps = 60;  // 0.3 s for the spool to come to rest
+
+  // One control step. True while the spool is further than allowed from where it stopped.
+  bool step(int32_t counts, bool driven, int32_t slip_counts) {
+    if (driven) coast_ = kCoastSteps;
+    if (coast_ > 0) {
+      --coast_;
+      rest_ = counts;
+      return false;
+    }
+    return magnitude(counts - rest_) > slip_counts;
+  }
+
+  // Takes the present place as the place of rest.
+  void accept(int32_t counts) { rest_ = counts; }
+
+ private:
+  int32_t rest_ = 0;
+  uint8_t coast_ = kCoastSteps;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_CONTROL_SPOOL_H_

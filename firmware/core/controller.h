@@ -1,0 +1,218 @@
+// The robot controller without its board: conversions in, duties out, once a millisecond.
+//
+// This class wires sensing, control and safety together and holds the schedule; each part's own
+// header says what it does. It knows nothing of pins, bytes or time beyond the tick. Work is spread
+// over the five ticks of a control period, so that no tick has more than one loop's load:
+//
+//   tick % 5   every tick: conversions, trigger, peak readings, faults, supervisor
+//      0       sweep generator; left pressure loop, left muscle's lag and branch
+//      1       right pressure loop, right muscle's lag and branch
+//      2       spool: profile, position loop, stall; slip
+//      3       everted length, eversion, settle clocks, vented, quiet
+//      4       free curvature by the maps
+//
+// Commands (commands.h) call the public methods between ticks.
+#ifndef THIGMO_CORE_CONTROLLER_H_
+#define THIGMO_CORE_CONTROLLER_H_
+
+#include <stdint.h>
+
+#include "config/configuration.h"
+#include "config/derived.h"
+#include "config/store.h"
+#include "control/pressure_loop.h"
+#include "control/spool.h"
+#include "control/sweep.h"
+#include "link/events.h"
+#include "safety/faults.h"
+#include "safety/supervisor.h"
+#include "sensing/eversion.h"
+#include "sensing/flex.h"
+#include "sensing/free_curvature.h"
+#include "sensing/pressure.h"
+#include "sensing/snapshot.h"
+#include "sensing/trigger.h"
+#include "sensing/zeroing.h"
+
+namespace thigmo {
+
+// What a command came to.
+struct Outcome {
+  Reason reason;  // none = accepted
+  int32_t detail;
+};
+
+struct Inputs {
+  AdcFrame frame;
+  int32_t encoder;
+  uint16_t supply_mv;
+  uint16_t rx_overruns;
+  bool estop;
+};
+
+struct Outputs {
+  int16_t drive[kSides];  // duty, or PressureLoop::kOff
+  int16_t motor;          // 0 = brake
+};
+
+class Controller {
+ public:
+  static constexpr uint16_t kFrameUs = 832;  // a tick's conversions are complete so long after it
+
+  void begin(LoadResult loaded, protocol::ResetCause cause);
+
+  // One tick's work, in the order of the class's comment.
+  void tick(const Inputs& in);
+
+  // Commands.
+  Outcome arm();
+  Outcome vent();
+  Outcome stop();
+  Outcome clear_faults(uint16_t wanted);
+  Outcome set_pressure(const protocol::SetPressure& wanted);
+  Outcome grow_to(int32_t length_um, uint32_t speed_um_s);
+  Outcome retract_to(int32_t length_um, uint32_t speed_um_s);
+  Outcome home();
+  Outcome confirm_length(int32_t length_um, bool settled);
+  Outcome select_zone(uint8_t zone);
+  Outcome sweep(const protocol::Sweep& wanted);
+  Outcome zero_sensors(uint16_t mask);
+  Outcome set_parameter(uint16_t index, int32_t value);
+  Outcome set_map(const protocol::SetMap& wanted);
+  Outcome load_defaults();
+  Outcome begin_save();  // the robot then drives the store, and calls end_save()
+  void end_save(bool good, uint8_t slot, uint32_t generation);
+
+  // A host said hello; a heartbeat arrived.
+  void greet();
+  void beat() {
+    beat_tick_ = tick_;
+    beaten_ = true;
+  }
+
+  // What the wire reports.
+  void fill(protocol::Telemetry* out) const;
+  void fill(protocol::StatusReport* out) const;
+  void fill(uint8_t sensor, protocol::SensorReport* out) const;
+  bool telemetry_due() const { return telemetry_due_; }
+
+  const Outputs& outputs() const { return outputs_; }
+  const Configuration& configuration() const { return config_; }
+  Configuration* mutable_configuration() { return &config_; }  // for the store, at start
+  const Snapshots& snapshots() const { return snapshots_; }
+  EventQueue& events() { return events_; }
+  uint32_t now() const { return tick_; }
+  State state() const { return state_; }
+  Activity activity() const { return activity_; }
+  uint16_t conditions() const { return conditions_; }
+  uint16_t faults() const { return faults_.latched(); }
+  int32_t length_um() const { return length_um_; }
+
+ private:
+  static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
+  static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
+  static constexpr uint16_t kRearmMs = 200;
+  static constexpr uint16_t kHoldSettleMs = 500;  // beyond twice the lag, before a hold is read
+  static constexpr int32_t kHomingExcess = 5;     // homing gives up beyond the body's length by 1/5
+
+  bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
+  uint32_t t_us() const { return tick_ * 1000u + kFrameUs; }
+  void post(protocol::EventCode code, uint16_t arg, int32_t value) {
+    events_.post(code, arg, value, t_us());
+  }
+  void raise(Fault fault, int32_t value) { faults_.raise(fault, value, t_us(), &events_); }
+  Outcome permit(Permit kind) const { return {refusal(kind, state_, activity_, conditions_), 0}; }
+
+  void sense(const AdcFrame& frame);
+  void add_flex(uint8_t sensor, uint16_t count);
+  void run_phase(uint8_t phase);
+  void advance_sweep();
+  void begin_half();
+  void pressure_step(uint8_t side);
+  void spool_step();
+  void body_step();
+  void free_step();
+  void zeroing_step();
+  void trigger_step();
+  void hold_contact(uint8_t side);
+  Reading reading() const;
+  uint16_t causes() const;
+  void watch_faults(const Inputs& in);
+  void assemble_conditions();
+  void supervise(uint8_t requests);
+  void make_safe(Reason reason);
+  void start(Activity activity);
+  void finish_activity(protocol::EventCode code, int32_t value);
+  void finish_spool(bool arrived);
+  void start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s);
+  Outcome wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s);
+  void apply();
+  uint8_t active_side() const;
+  bool bending() const {
+    return activity_ == Activity::kSweeping || activity_ == Activity::kPressing ||
+           activity_ == Activity::kHolding;
+  }
+  bool winding() const {
+    return activity_ == Activity::kGrowing || activity_ == Activity::kRetracting ||
+           activity_ == Activity::kHoming;
+  }
+
+  Configuration config_;
+  Derived derived_;
+  FlexReadings flex_;
+  PressureReading pressure_[kSides];
+  MovingSum base_sum_[kSides];
+  MuscleState muscle_[kSides];
+  PressureLoop loop_[kSides];
+  SpoolLoop spool_;
+  SlipWatch slip_;
+  Sweep sweep_;
+  ContactTrigger trigger_;
+  Snapshots snapshots_;
+  Eversion eversion_;
+  SensorZeros zeros_;
+  DriftWatch drift_;
+  Faults faults_;
+  EventQueue events_;
+  Outputs outputs_ = {{PressureLoop::kOff, PressureLoop::kOff}, 0};
+
+  uint32_t tick_ = 0;
+  uint32_t beat_tick_ = 0;
+  uint32_t energised_tick_ = 0;  // when an output was first energised, this time
+  uint32_t telemetry_tick_ = 0;
+  uint32_t zeroing_tick_ = 0;
+  int32_t encoder_ = 0;
+  int32_t zero_count_ = 0;  // encoder at everted length 0
+  int32_t length_um_ = 0;
+  uint16_t conditions_ = 0;
+  uint16_t supply_mv_ = 0;
+  uint16_t overruns_ = 0;
+  uint16_t quiet_run_ = 0;  // ms below half the trigger's threshold
+  int16_t base_e5_ = 0;
+  int16_t free_e5_ = 0;
+  State state_ = State::kBoot;
+  Activity activity_ = Activity::kIdle;
+  uint8_t zone_ = kZoneUnknown;
+  uint8_t phase_ = 0;
+  uint8_t vented_steps_ = 0;
+  uint8_t over_steps_[kSides] = {};
+  uint8_t sweep_options_ = 0;
+  uint8_t zeroing_next_ = 0;
+  uint8_t peak_side_ = 0;
+  bool greeted_ = false;
+  bool beaten_ = false;
+  bool length_known_ = false;
+  bool config_valid_ = false;
+  bool estop_ = false;
+  bool slipping_ = false;
+  bool averaging_ = false;
+  bool base_valid_ = false;
+  bool telemetry_due_ = false;
+};
+
+}  // namespace thigmo
+
+#include "controller_commands.h"
+#include "controller_tick.h"
+
+#endif  // THIGMO_CORE_CONTROLLER_H_

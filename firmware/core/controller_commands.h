@@ -1,0 +1,262 @@
+// Controller: what the host may ask. Included by controller.h only.
+//
+// Each command is checked against the interlock table first, then its values, and only then does
+// anything change. Values: first what is impossible (bad_value), then what is too much
+// (over_limit).
+#ifndef THIGMO_CORE_CONTROLLER_COMMANDS_H_
+#define THIGMO_CORE_CONTROLLER_COMMANDS_H_
+
+#include "controller.h"
+
+namespace thigmo {
+
+constexpr Outcome kAccepted = {Reason::kNone, 0};
+
+inline void Controller::greet() {
+  greeted_ = true;
+  events_.resend();
+  supervise(0);
+}
+
+inline Outcome Controller::arm() {
+  const int16_t conflict = config_.first_conflict();
+  if (conflict >= 0) return {Reason::kBadConfig, conflict};
+  const Outcome allowed = permit(Permit::kArm);
+  if (allowed.reason != Reason::kNone) return allowed;
+  supervise(bit(Signal::kArm));
+  return kAccepted;
+}
+
+inline Outcome Controller::vent() {
+  for (uint8_t side = 0; side < kSides; ++side) {
+    loop_[side].cut();
+    outputs_.drive[side] = PressureLoop::kOff;
+  }
+  if (activity_ == Activity::kSweeping) {
+    snapshots_.cancel_peak();
+    finish_activity(protocol::EventCode::kActivityAborted, static_cast<uint8_t>(Reason::kNone));
+  } else if (bending()) {
+    snapshots_.cancel_peak();
+    finish_activity(protocol::EventCode::kActivityDone, length_um_);
+  }
+  supervise(0);
+  return kAccepted;
+}
+
+inline Outcome Controller::stop() {
+  supervise(bit(Signal::kStop));
+  make_safe(Reason::kNone);
+  return kAccepted;
+}
+
+inline Outcome Controller::clear_faults(uint16_t wanted) {
+  if ((wanted & mask(Fault::kSpoolSlip)) != 0) {
+    slip_.accept(encoder_);
+    slipping_ = false;
+  }
+  const uint16_t left = faults_.clear(wanted, causes());
+  supervise(0);
+  return {Reason::kNone, left};
+}
+
+inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
+  const bool release = wanted.left_cpsi == 0 && wanted.right_cpsi == 0;
+  if (!release) {
+    const Outcome allowed = permit(Permit::kPress);
+    if (allowed.reason != Reason::kNone) return allowed;
+  } else if (activity_ != Activity::kPressing && activity_ != Activity::kIdle) {
+    return {Reason::kBusy, 0};
+  }
+  if (wanted.left_cpsi < 0 || wanted.right_cpsi < 0 ||
+      (wanted.left_cpsi > 0 && wanted.right_cpsi > 0)) {
+    return {Reason::kBadValue, 0};
+  }
+  const int32_t most = config_.get(Param::kMaxPressureCpsi);
+  if (wanted.left_cpsi > most || wanted.right_cpsi > most) return {Reason::kOverLimit, most};
+  const uint16_t fastest = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
+  const uint16_t slew =
+      wanted.ramp_cpsi_s == 0 ? fastest : lesser<uint16_t>(wanted.ramp_cpsi_s, fastest);
+  loop_[0].set_target(wanted.left_cpsi, slew);
+  loop_[1].set_target(wanted.right_cpsi, slew);
+  if (!release && activity_ == Activity::kIdle) start(Activity::kPressing);
+  return kAccepted;
+}
+
+inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
+  spool_.start(encoder_, target_counts, derived_.speed_q16(speed_um_s),
+               derived_.accel_q16(config_.get(Param::kSpoolAccelUmS2)),
+               activity == Activity::kHoming ? SpoolLoop::kHomingDuty : kMotorFull);
+  start(activity);
+}
+
+inline Outcome Controller::wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s) {
+  const Outcome allowed = permit(kind);
+  if (allowed.reason != Reason::kNone) return allowed;
+  const bool growing = kind == Permit::kGrow;
+  // A place within the tolerance counts as reached, whichever side of it the tip is.
+  const int32_t slack = config_.get(Param::kSpoolToleranceUm);
+  if (length_um < 0 || speed_um_s > 200000u ||
+      (growing ? length_um < length_um_ - slack : length_um > length_um_ + slack)) {
+    return {Reason::kBadValue, length_um_};
+  }
+  const int32_t most = config_.get(Param::kFullLengthUm);
+  if (length_um > most) return {Reason::kOverLimit, most};
+  const int32_t usual = config_.get(Param::kSpoolSpeedUmS);
+  const int32_t speed = speed_um_s == 0 ? usual : static_cast<int32_t>(speed_um_s);
+  const int32_t target = zero_count_ + derived_.counts(length_um);
+  const bool reached = growing ? target <= encoder_ : target >= encoder_;
+  start_spool(growing ? Activity::kGrowing : Activity::kRetracting, reached ? encoder_ : target,
+              speed);
+  return kAccepted;
+}
+
+inline Outcome Controller::grow_to(int32_t length_um, uint32_t speed_um_s) {
+  return wind_to(Permit::kGrow, length_um, speed_um_s);
+}
+
+inline Outcome Controller::retract_to(int32_t length_um, uint32_t speed_um_s) {
+  return wind_to(Permit::kRetract, length_um, speed_um_s);
+}
+
+inline Outcome Controller::home() {
+  const Outcome allowed = permit(Permit::kHome);
+  if (allowed.reason != Reason::kNone) return allowed;
+  const int32_t full = config_.get(Param::kFullLengthUm);
+  start_spool(Activity::kHoming, encoder_ - derived_.counts(full + full / kHomingExcess),
+              config_.get(Param::kHomeSpeedUmS));
+  return kAccepted;
+}
+
+inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
+  const Outcome allowed = permit(Permit::kConfirm);
+  if (allowed.reason != Reason::kNone) return allowed;
+  if (length_um < 0) return {Reason::kBadValue, 0};
+  const int32_t most = config_.get(Param::kFullLengthUm);
+  if (length_um > most) return {Reason::kOverLimit, most};
+  zero_count_ = encoder_ - derived_.counts(length_um);
+  length_known_ = true;
+  slip_.accept(encoder_);
+  body_step();
+  eversion_.confirm(settled, tick_);
+  if (!settled) zeros_.invalidate(0xFFFF);
+  assemble_conditions();
+  return kAccepted;
+}
+
+inline Outcome Controller::select_zone(uint8_t zone) {
+  const Outcome allowed = permit(Permit::kZone);
+  if (allowed.reason != Reason::kNone) return allowed;
+  if (zone >= kZones && zone != kZoneUnknown) return {Reason::kBadValue, 0};
+  zone_ = zone;
+  free_step();
+  assemble_conditions();
+  return kAccepted;
+}
+
+inline Outcome Controller::sweep(const protocol::Sweep& wanted) {
+  const Outcome allowed = permit(Permit::kBend);
+  if (allowed.reason != Reason::kNone) return allowed;
+  // The ten readings of a peak must lie within their half.
+  const uint32_t peak_ms = 10 * static_cast<uint32_t>(config_.get(Param::kPeakSpacingMs));
+  if (wanted.left_cpsi < 0 || wanted.right_cpsi < 0 ||
+      (wanted.left_cpsi == 0 && wanted.right_cpsi == 0) || wanted.cycles == 0 ||
+      wanted.period_ms < 1000 || wanted.period_ms > 600000 || wanted.period_ms / 2 < peak_ms) {
+    return {Reason::kBadValue, 0};
+  }
+  const int32_t most = config_.get(Param::kMaxPressureCpsi);
+  if (wanted.left_cpsi > most || wanted.right_cpsi > most) return {Reason::kOverLimit, most};
+  sweep_options_ = wanted.options;
+  sweep_.start(wanted.left_cpsi, wanted.right_cpsi, wanted.period_ms, wanted.cycles, tick_);
+  start(Activity::kSweeping);
+  begin_half();
+  return kAccepted;
+}
+
+inline Outcome Controller::zero_sensors(uint16_t wanted) {
+  const Outcome allowed = permit(Permit::kZero);
+  if (allowed.reason != Reason::kNone) return allowed;
+  if (wanted == 0 || wanted >> kSensors != 0) return {Reason::kBadValue, 0};
+  for (uint8_t i = 0; i < kSensors; ++i) {
+    const uint16_t one = static_cast<uint16_t>(1u << i);
+    if ((wanted & one) == 0) continue;
+    if (!enabled(i)) return {Reason::kBadValue, i};
+    if ((eversion_.settled_mask() & one) == 0) return {Reason::kNotSettled, i};
+  }
+  zeros_.begin(wanted);
+  averaging_ = false;
+  zeroing_next_ = 0;
+  start(Activity::kZeroing);
+  return kAccepted;
+}
+
+inline Outcome Controller::set_parameter(uint16_t index, int32_t value) {
+  const Outcome allowed = permit(Permit::kConfigure);
+  if (allowed.reason != Reason::kNone) return allowed;
+  if (!config_.set(index, value)) return {Reason::kBadValue, index};
+  apply();
+  return kAccepted;
+}
+
+// After a change of the configuration: scaled constants, and what they void.
+inline void Controller::apply() {
+  const uint8_t oversample = derived_.oversample_log2;
+  const uint8_t filter = derived_.trigger_log2;
+  const uint32_t scale = derived_.um_per_count_q16;
+  derived_.update(config_);
+  if (derived_.oversample_log2 != oversample) {
+    flex_.set_oversampling(derived_.oversample_log2);
+    zeros_.invalidate(0xFFFF);
+    drift_.set_quiet(false, tick_);
+  }
+  if (derived_.trigger_log2 != filter) {
+    for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
+  }
+  // Another scale of length is another length.
+  if (derived_.um_per_count_q16 != scale) length_known_ = false;
+  assemble_conditions();
+}
+
+inline Outcome Controller::set_map(const protocol::SetMap& wanted) {
+  const Outcome allowed = permit(Permit::kConfigure);
+  if (allowed.reason != Reason::kNone) return allowed;
+  const uint8_t side = static_cast<uint8_t>(wanted.side);
+  const uint8_t branch = static_cast<uint8_t>(wanted.branch);
+  if (wanted.zone >= kZones || side >= kSides || branch >= kBranches) {
+    return {Reason::kBadValue, 0};
+  }
+  for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
+    config_.map[wanted.zone][side][branch][i] = wanted.curvature_e5[i];
+  }
+  return kAccepted;
+}
+
+inline Outcome Controller::load_defaults() {
+  const Outcome allowed = permit(Permit::kConfigure);
+  if (allowed.reason != Reason::kNone) return allowed;
+  config_.load_defaults();
+  config_valid_ = true;
+  apply();
+  return kAccepted;
+}
+
+inline Outcome Controller::begin_save() {
+  const Outcome allowed = permit(Permit::kSave);
+  if (allowed.reason != Reason::kNone) return allowed;
+  const int16_t conflict = config_.first_conflict();
+  if (conflict >= 0) return {Reason::kBadConfig, conflict};
+  activity_ = Activity::kSaving;
+  return kAccepted;
+}
+
+inline void Controller::end_save(bool good, uint8_t slot, uint32_t generation) {
+  activity_ = Activity::kIdle;
+  if (good) {
+    config_valid_ = true;
+    post(protocol::EventCode::kSaved, slot, static_cast<int32_t>(generation));
+  }
+  assemble_conditions();
+}
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_CONTROLLER_COMMANDS_H_

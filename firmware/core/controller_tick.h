@@ -1,0 +1,510 @@
+// Controller: the work of a tick. Included by controller.h only.
+#ifndef THIGMO_CORE_CONTROLLER_TICK_H_
+#define THIGMO_CORE_CONTROLLER_TICK_H_
+
+#include "controller.h"
+
+namespace thigmo {
+
+inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause) {
+  derived_.update(config_);
+  flex_.set_oversampling(derived_.oversample_log2);
+  for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
+  config_valid_ = loaded == LoadResult::kLoaded;
+  if (!config_valid_) raise(Fault::kBadConfig, static_cast<uint8_t>(loaded));
+  if (cause == protocol::ResetCause::kWatchdog) raise(Fault::kWatchdog, 0);
+  if (cause == protocol::ResetCause::kBrownOut) raise(Fault::kBrownOut, 0);
+}
+
+inline void Controller::tick(const Inputs& in) {
+  const uint32_t elapsed = in.frame.tick - tick_;
+  tick_ = in.frame.tick;
+  encoder_ = in.encoder;
+  supply_mv_ = in.supply_mv;
+  estop_ = in.estop;
+  sense(in.frame);
+  drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
+  // A lost frame must not cost a loop its step.
+  const uint8_t due = elapsed < 5 ? static_cast<uint8_t>(elapsed) : 5;
+  for (uint8_t i = 0; i < due; ++i) {
+    phase_ = static_cast<uint8_t>(phase_ == 4 ? 0 : phase_ + 1);
+    run_phase(phase_);
+  }
+  if (activity_ == Activity::kZeroing) zeroing_step();
+  trigger_step();
+  if (snapshots_.due(tick_) && snapshots_.store_peak(reading())) {
+    post(protocol::EventCode::kPeak, peak_side_, kPeakReadings);
+  }
+  assemble_conditions();
+  watch_faults(in);
+  supervise(0);
+
+  const uint32_t period = static_cast<uint32_t>(config_.get(Param::kTelemetryMs));
+  telemetry_due_ = period != 0 && tick_ - telemetry_tick_ >= period && flex_.all_ready();
+  if (telemetry_due_) telemetry_tick_ = tick_;
+}
+
+inline void Controller::sense(const AdcFrame& frame) {
+  const bool odd = (frame.tick & 1) != 0;
+  for (uint8_t side = 0; side < kSides; ++side) {
+    pressure_[side].add(frame.count[side]);
+    base_sum_[side].add(frame.count[kSides + side]);
+  }
+  for (uint8_t slot = kSides; slot < kAdcSlots; ++slot) {
+    add_flex(adc_channel(odd, slot), frame.count[slot]);
+  }
+}
+
+inline void Controller::add_flex(uint8_t sensor, uint16_t count) {
+  if (!flex_.add(sensor, count)) return;
+  const uint16_t sum = flex_.latest(sensor);
+  drift_.add(sensor, sum);
+  if (averaging_) zeros_.add(sensor, sum);
+}
+
+inline void Controller::run_phase(uint8_t phase) {
+  switch (phase) {
+    case 0:
+      if (activity_ == Activity::kSweeping) advance_sweep();
+      pressure_step(0);
+      break;
+    case 1:
+      pressure_step(1);
+      break;
+    case 2:
+      spool_step();
+      break;
+    case 3:
+      body_step();
+      break;
+    default:
+      free_step();
+      break;
+  }
+}
+
+inline void Controller::advance_sweep() {
+  if (!sweep_.advance(tick_)) {
+    for (uint8_t side = 0; side < kSides; ++side) loop_[side].cut();
+    finish_activity(protocol::EventCode::kActivityDone, length_um_);
+    return;
+  }
+  if (sweep_.half_began()) begin_half();
+  const uint8_t side = sweep_.side();
+  const uint16_t slew = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
+  loop_[side].set_target(sweep_.set_cpsi(tick_), slew);
+  loop_[side ^ 1].cut();
+}
+
+inline void Controller::begin_half() {
+  trigger_.rearm();
+  const uint32_t spacing = static_cast<uint32_t>(config_.get(Param::kPeakSpacingMs));
+  // Ten readings, nine gaps, centred on the peak.
+  snapshots_.plan_peak(sweep_.peak_tick() - 9 * spacing / 2, static_cast<uint16_t>(spacing));
+  peak_side_ = sweep_.side();
+}
+
+inline void Controller::pressure_step(uint8_t side) {
+  PressureReading& sensor = pressure_[side];
+  sensor.update(config_.get(Param::kPressureZero, side), derived_.pressure_gain_q16[side]);
+  const int16_t measured = sensor.cpsi();
+  muscle_[side].update(measured, derived_.lag_alpha_q16[side],
+                       config_.get(Param::kReversalCpsi, side));
+  const int16_t duty = loop_[side].step(measured, config_, derived_);
+  outputs_.drive[side] = may_energise(state_) ? duty : PressureLoop::kOff;
+
+  const bool over = measured > config_.get(Param::kOverPressureCpsi) && !sensor.wire_doubtful();
+  if (!over) {
+    over_steps_[side] = 0;
+  } else if (over_steps_[side] < kOverPressureSteps) {
+    ++over_steps_[side];
+  }
+  // A press that was let go ends when both set points are back at zero.
+  if (activity_ == Activity::kPressing && side == 1 && loop_[0].target_cpsi() == 0 &&
+      loop_[1].target_cpsi() == 0 && loop_[0].set_cpsi() == 0 && loop_[1].set_cpsi() == 0) {
+    finish_activity(protocol::EventCode::kActivityDone, length_um_);
+  }
+}
+
+inline void Controller::spool_step() {
+  if (winding()) {
+    const SpoolLoop::Outcome outcome = spool_.step(encoder_, config_, derived_);
+    outputs_.motor = may_energise(state_) ? spool_.duty() : static_cast<int16_t>(0);
+    if (outcome == SpoolLoop::Outcome::kStalled) {
+      finish_spool(false);
+    } else if (outcome == SpoolLoop::Outcome::kArrived) {
+      finish_spool(true);
+    }
+  } else {
+    outputs_.motor = 0;
+  }
+  slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts);
+}
+
+inline void Controller::finish_spool(bool arrived) {
+  outputs_.motor = 0;
+  const bool homing = activity_ == Activity::kHoming;
+  if (homing && !arrived) {
+    zero_count_ = encoder_;
+    length_known_ = true;
+  } else if (homing) {
+    // Further than the whole body, and no base met: the tail is loose.
+    length_known_ = false;
+    finish_activity(protocol::EventCode::kActivityAborted,
+                    static_cast<uint8_t>(Reason::kLengthUnknown));
+    return;
+  } else if (!arrived) {
+    length_known_ = false;
+    raise(Fault::kSpoolStall, length_um_);
+    return;  // the supervisor ends the activity
+  }
+  length_um_ = derived_.um(encoder_ - zero_count_);
+  finish_activity(protocol::EventCode::kActivityDone, length_um_);
+}
+
+inline void Controller::body_step() {
+  length_um_ = derived_.um(encoder_ - zero_count_);
+  const uint16_t fresh =
+      eversion_.update(length_known_, length_um_, tick_, config_, derived_.enabled_mask);
+  zeros_.invalidate(static_cast<uint16_t>(fresh | ~eversion_.everted_mask()));
+  if (fresh != 0) {
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      if ((fresh >> i & 1) != 0) post(protocol::EventCode::kEverted, i, length_um_);
+    }
+  }
+  const int32_t limit = config_.get(Param::kVentCpsi);
+  const bool low = pressure_[0].cpsi() < limit && pressure_[1].cpsi() < limit &&
+                   outputs_.drive[0] < 0 && outputs_.drive[1] < 0;
+  if (!low) {
+    vented_steps_ = 0;
+  } else if (vented_steps_ < kVentedSteps) {
+    ++vented_steps_;
+  }
+  drift_.set_quiet(vented_steps_ == kVentedSteps && outputs_.motor == 0 && !slipping_, tick_);
+}
+
+inline void Controller::free_step() {
+  if (zone_ >= kZones) {
+    free_e5_ = 0;
+    return;
+  }
+  // The muscle that is not driven holds (almost) no pressure and adds (almost) nothing.
+  int32_t sum = 0;
+  for (uint8_t side = 0; side < kSides; ++side) {
+    sum += muscle_[side].free_e5(config_.map[zone_][side]);
+  }
+  free_e5_ = saturated16(sum);
+}
+
+inline void Controller::zeroing_step() {
+  const uint16_t mask = zeros_.mask();
+  if ((conditions_ & protocol::mask(Condition::kVented)) == 0 || slipping_) {
+    averaging_ = false;
+    finish_activity(protocol::EventCode::kActivityAborted,
+                    static_cast<uint8_t>(Reason::kNotVented));
+    return;
+  }
+  if (!averaging_) {
+    if (zeroing_next_ > 0) {
+      // Averages become zeros, one sensor a tick.
+      zeros_.finish(static_cast<uint8_t>(zeroing_next_ - 1), flex_.log2());
+      if (zeroing_next_++ < kSensors) return;
+      zeroing_next_ = 0;
+      post(protocol::EventCode::kZeroed, mask, 0);
+      finish_activity(protocol::EventCode::kActivityDone, length_um_);
+      return;
+    }
+    if (!drift_.known()) return;
+    const int32_t limit = config_.get(Param::kDriftLimitE5);
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      if ((mask >> i & 1) != 0 && magnitude(drift_.drift_e5_s(i)) > limit) {
+        finish_activity(protocol::EventCode::kActivityAborted,
+                        static_cast<uint8_t>(Reason::kDrifting));
+        return;
+      }
+    }
+    zeros_.begin(mask);
+    for (uint8_t i = 0; i < kSensors; ++i) flex_.restart(i);
+    zeroing_tick_ = tick_;
+    averaging_ = true;
+    return;
+  }
+  // The longest reading must fit at least once.
+  const uint32_t needed =
+      greater<uint32_t>(static_cast<uint32_t>(config_.get(Param::kZeroMs)), 2u << flex_.log2());
+  if (tick_ - zeroing_tick_ < needed) return;
+  averaging_ = false;
+  zeroing_next_ = 1;
+}
+
+// The muscle that bends the body: the one that is driven, or the one with more pressure left.
+inline uint8_t Controller::active_side() const {
+  if (activity_ == Activity::kSweeping) return sweep_.side();
+  if (activity_ == Activity::kHolding) return peak_side_;
+  return muscle_[1].lagged_cpsi() > muscle_[0].lagged_cpsi() ? 1 : 0;
+}
+
+inline void Controller::trigger_step() {
+  const uint16_t usable =
+      static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask() & zeros_.valid_mask());
+  const bool vented = (conditions_ & mask(Condition::kVented)) != 0 && !bending();
+  const uint8_t active = active_side();
+  int32_t sum = 0;
+  uint8_t count = 0;
+  for (uint8_t side = 0; side < kSides; ++side) {
+    // The pressurised side wrinkles: its readings are worth nothing.
+    if (!vented && side == active) continue;
+    const uint8_t sensor = static_cast<uint8_t>(side * kSensorsPerSide);
+    if ((usable >> sensor & 1) == 0 || !base_sum_[side].full()) continue;
+    const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
+    sum += curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
+    ++count;
+  }
+  base_valid_ = count > 0;
+  base_e5_ = static_cast<int16_t>(count == 2 ? sum / 2 : sum);
+  if (!base_valid_ || zone_ >= kZones || !may_energise(state_)) {
+    trigger_.interrupt();
+    return;
+  }
+  const int32_t difference = static_cast<int32_t>(base_e5_) - free_e5_;
+  const int32_t threshold = config_.get(Param::kTriggerE5);
+  if (activity_ == Activity::kIdle && trigger_.latched()) {
+    quiet_run_ = magnitude(difference) * 2 < threshold ? static_cast<uint16_t>(quiet_run_ + 1) : 0;
+    if (quiet_run_ >= kRearmMs) trigger_.rearm();
+  } else {
+    quiet_run_ = 0;
+  }
+  if (!trigger_.update(difference, threshold,
+                       static_cast<uint16_t>(config_.get(Param::kTriggerDebounceMs)))) {
+    return;
+  }
+  snapshots_.store_trigger(reading());
+  post(protocol::EventCode::kContact, active, difference);
+  if (activity_ == Activity::kSweeping &&
+      (sweep_options_ & mask(protocol::SweepOption::kHoldOnContact)) != 0) {
+    hold_contact(active);
+  }
+}
+
+inline void Controller::hold_contact(uint8_t side) {
+  activity_ = Activity::kHolding;
+  const uint16_t slew = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
+  loop_[side].set_target(loop_[side].set_cpsi(), slew);
+  loop_[side ^ 1].cut();
+  peak_side_ = side;
+  // The ten readings are taken here instead, once the body has come to rest.
+  const uint32_t wait = 2 * static_cast<uint32_t>(config_.get(Param::kLagMs, side)) + kHoldSettleMs;
+  snapshots_.plan_peak(tick_ + wait, static_cast<uint16_t>(config_.get(Param::kPeakSpacingMs)));
+}
+
+inline Reading Controller::reading() const {
+  Reading r;
+  const uint8_t active = active_side();
+  r.t_us = t_us();
+  for (uint8_t i = 0; i < kSensors; ++i) r.flex_sum[i] = flex_.latest(i);
+  for (uint8_t side = 0; side < kSides; ++side) r.cpsi[side] = pressure_[side].cpsi();
+  r.lagged_cpsi = muscle_[active].lagged_cpsi();
+  r.base_e5 = base_e5_;
+  r.free_e5 = free_e5_;
+  r.side = static_cast<protocol::Side>(active);
+  r.branch = muscle_[active].branch();
+  return r;
+}
+
+inline void Controller::assemble_conditions() {
+  const uint16_t kept = static_cast<uint16_t>(conditions_ & mask(Condition::kTelemetryDropped));
+  uint16_t c = kept;
+  const auto put = [&c](Condition condition, bool holds) {
+    if (holds) c = static_cast<uint16_t>(c | mask(condition));
+  };
+  const uint16_t in_use = static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask());
+  const bool energised = outputs_.drive[0] >= 0 || outputs_.drive[1] >= 0 || outputs_.motor != 0;
+  if (energised && (conditions_ & mask(Condition::kEnergised)) == 0) energised_tick_ = tick_;
+  const uint32_t patience = static_cast<uint32_t>(config_.get(Param::kHeartbeatMs));
+  put(Condition::kLengthKnown, length_known_);
+  put(Condition::kZoneKnown, zone_ < kZones);
+  put(Condition::kVented, vented_steps_ == kVentedSteps);
+  put(Condition::kSettled, length_known_ && (in_use & ~eversion_.settled_mask()) == 0);
+  put(Condition::kZeroed, length_known_ && (in_use & ~zeros_.valid_mask()) == 0);
+  put(Condition::kHalfEverted, length_known_ && eversion_.half_mask() != 0);
+  put(Condition::kHostAlive, beaten_ && tick_ - beat_tick_ <= patience);
+  put(Condition::kEnergised, energised);
+  put(Condition::kEstop, estop_);
+  put(Condition::kConfigValid, config_valid_);
+  put(Condition::kSupplyGood, supply_mv_ >= config_.get(Param::kSupplyMinMv));
+  put(Condition::kContact, trigger_.latched());
+  conditions_ = c;
+}
+
+// Faults whose cause is present now.
+inline uint16_t Controller::causes() const {
+  uint16_t present = 0;
+  const auto put = [&present](Fault fault, bool holds) {
+    if (holds) present = static_cast<uint16_t>(present | mask(fault));
+  };
+  const auto is = [this](Condition condition) { return (conditions_ & mask(condition)) != 0; };
+  bool over = false;
+  bool wire = false;
+  bool stuck = false;
+  for (uint8_t side = 0; side < kSides; ++side) {
+    over = over || over_steps_[side] >= kOverPressureSteps;
+    wire = wire || pressure_[side].wire_broken();
+    stuck = stuck || loop_[side].stuck();
+  }
+  bool open = false;
+  bool shorted = false;
+  for (uint8_t i = 0; i < kSensors; ++i) {
+    open = open || (enabled(i) && flex_.open(i));
+    shorted = shorted || (enabled(i) && flex_.shorted(i));
+  }
+  put(Fault::kOverPressure, over);
+  put(Fault::kPressureWire, wire);
+  put(Fault::kPressureStuck, stuck);
+  put(Fault::kFlexOpen, open);
+  put(Fault::kFlexShort, shorted);
+  put(Fault::kSpoolSlip, slipping_);
+  put(Fault::kBrownOut, !is(Condition::kSupplyGood));
+  put(Fault::kBadConfig, !config_valid_);
+  put(Fault::kEstop, estop_);
+  // Gone for the purpose of clearing only when the host speaks again and the muscles are empty.
+  put(Fault::kHostSilent, !is(Condition::kHostAlive));
+  put(Fault::kInterlock, !is(Condition::kVented));
+  return present;
+}
+
+inline void Controller::watch_faults(const Inputs& in) {
+  const auto is = [this](Condition condition) { return (conditions_ & mask(condition)) != 0; };
+  if (is(Condition::kEnergised)) {
+    // Dead-man time: from the last heartbeat, or from switching on if that was later.
+    uint32_t silent = tick_ - energised_tick_;
+    if (beaten_) silent = lesser(silent, tick_ - beat_tick_);
+    if (silent > static_cast<uint32_t>(config_.get(Param::kHeartbeatMs))) {
+      raise(Fault::kHostSilent, static_cast<int32_t>(silent));
+    }
+  }
+  for (uint8_t side = 0; side < kSides; ++side) {
+    if (over_steps_[side] >= kOverPressureSteps) raise(Fault::kOverPressure, side);
+    if (pressure_[side].wire_broken()) raise(Fault::kPressureWire, side);
+    if (loop_[side].stuck()) raise(Fault::kPressureStuck, side);
+  }
+  for (uint8_t i = 0; i < kSensors; ++i) {
+    if (!enabled(i)) continue;
+    if (flex_.open(i)) raise(Fault::kFlexOpen, i);
+    if (flex_.shorted(i)) raise(Fault::kFlexShort, i);
+  }
+  if (slipping_) {
+    raise(Fault::kSpoolSlip, length_um_);
+    length_known_ = false;
+  }
+  if (!is(Condition::kSupplyGood)) raise(Fault::kBrownOut, supply_mv_);
+  if (estop_) raise(Fault::kEstop, 0);
+  if (in.rx_overruns != overruns_) {
+    overruns_ = in.rx_overruns;
+    raise(Fault::kLinkOverrun, overruns_);
+  }
+  if (bending() && (!length_known_ || is(Condition::kHalfEverted))) {
+    raise(Fault::kInterlock, eversion_.half_mask());
+  }
+}
+
+inline void Controller::supervise(uint8_t requests) {
+  uint8_t signals = requests;
+  if (faults_.latched() != 0) signals = static_cast<uint8_t>(signals | bit(Signal::kFaultLatched));
+  if (greeted_) signals = static_cast<uint8_t>(signals | bit(Signal::kHello));
+  if (activity_ != Activity::kIdle && activity_ != Activity::kSaving) {
+    signals = static_cast<uint8_t>(signals | bit(Signal::kActive));
+  }
+  const State next = next_state(state_, conditions_, signals);
+  if (next != state_) {
+    state_ = next;
+    if (!may_energise(next)) {
+      make_safe(next == State::kFault ? Reason::kFaultLatched : Reason::kNone);
+    }
+  }
+}
+
+// Valves to 0 mA, motor braked, activity ended. Never a retraction.
+inline void Controller::make_safe(Reason reason) {
+  for (uint8_t side = 0; side < kSides; ++side) {
+    loop_[side].cut();
+    outputs_.drive[side] = PressureLoop::kOff;
+  }
+  outputs_.motor = 0;
+  averaging_ = false;
+  zeroing_next_ = 0;
+  snapshots_.cancel_peak();
+  if (activity_ != Activity::kIdle && activity_ != Activity::kSaving) {
+    finish_activity(protocol::EventCode::kActivityAborted, static_cast<uint8_t>(reason));
+  }
+}
+
+inline void Controller::start(Activity activity) {
+  activity_ = activity;
+  trigger_.rearm();
+  quiet_run_ = 0;
+  supervise(0);
+}
+
+inline void Controller::finish_activity(protocol::EventCode code, int32_t value) {
+  const Activity ended = activity_;
+  activity_ = Activity::kIdle;
+  post(code, static_cast<uint8_t>(ended), value);
+}
+
+inline void Controller::fill(protocol::Telemetry* out) const {
+  out->t_us = t_us();
+  for (uint8_t i = 0; i < kSensors; ++i) out->flex_sum[i] = flex_.latest(i);
+  out->left_cpsi = pressure_[0].cpsi();
+  out->right_cpsi = pressure_[1].cpsi();
+  out->left_set_cpsi = loop_[0].set_cpsi();
+  out->right_set_cpsi = loop_[1].set_cpsi();
+  out->left_drive = static_cast<uint16_t>(greater<int16_t>(outputs_.drive[0], 0));
+  out->right_drive = static_cast<uint16_t>(greater<int16_t>(outputs_.drive[1], 0));
+  out->length_um = length_um_;
+  out->motor = outputs_.motor;
+  out->base_e5 = base_e5_;
+  out->free_e5 = free_e5_;
+  out->state_activity =
+      static_cast<uint8_t>(static_cast<uint8_t>(state_) * 16 + static_cast<uint8_t>(activity_));
+  out->faults = faults_.latched();
+}
+
+inline void Controller::fill(protocol::StatusReport* out) const {
+  out->status = protocol::Status::kOk;
+  out->state = state_;
+  out->activity = activity_;
+  out->zone = zone_;
+  out->faults = faults_.latched();
+  out->conditions = conditions_;
+  out->t_us = t_us();
+  out->length_um = length_um_;
+  out->left_cpsi = pressure_[0].cpsi();
+  out->right_cpsi = pressure_[1].cpsi();
+  out->everted_mask = eversion_.everted_mask();
+  out->settled_mask = eversion_.settled_mask();
+  out->zeroed_mask = zeros_.valid_mask();
+  out->event_number = events_.newest();
+  out->config_generation = 0;  // the robot, which owns the store, fills it in
+}
+
+inline void Controller::fill(uint8_t sensor, protocol::SensorReport* out) const {
+  out->status = protocol::Status::kOk;
+  out->sensor = sensor;
+  out->flex_sum = flex_.latest(sensor);
+  out->zero_sum_q8 = zeros_.zero_sum_q8(sensor);
+  out->drift_e5 = drift_.drift_e5_s(sensor);
+  out->settle_left_ms =
+      eversion_.settle_left_ms(sensor, tick_, static_cast<uint32_t>(config_.get(Param::kSettleMs)));
+  out->everted_t_us = eversion_.everted_tick(sensor) * 1000u;
+  const auto flag = [sensor](uint16_t mask, uint8_t to) {
+    return static_cast<uint8_t>((mask >> sensor & 1u) << to);
+  };
+  out->flags =
+      static_cast<uint8_t>(flag(eversion_.everted_mask(), 0) | flag(eversion_.settled_mask(), 1) |
+                           flag(zeros_.valid_mask(), 2) | (flex_.open(sensor) ? 8 : 0) |
+                           (flex_.shorted(sensor) ? 16 : 0) | flag(derived_.enabled_mask, 5));
+}
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_CONTROLLER_TICK_H_

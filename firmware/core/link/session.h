@@ -1,0 +1,341 @@
+// The conversation with the host: sessions, sequence, repeats, and who may speak next.
+//
+// Commands execute exactly once and in order, whatever the line loses, repeats or replays: a
+// command must carry the session of the last hello and the next sequence number; the same number
+// again gets the stored reply; anything else is dropped and counted. What waits to be sent is kept
+// here, one place a kind, and goes to the line in the order of its urgency: events first.
+#ifndef THIGMO_CORE_LINK_SESSION_H_
+#define THIGMO_CORE_LINK_SESSION_H_
+
+#include <stdint.h>
+
+#include "../board.h"
+#include "events.h"
+#include "frame.h"
+
+namespace thigmo {
+
+constexpr uint8_t kFirmwareVersion[3] = {0, 1, 0};
+
+// What happened to a command.
+enum class Handled : uint8_t {
+  kReplied,   // the reply is in the frame given
+  kDeferred,  // Session::finish() will follow
+};
+
+class Session {
+ public:
+  struct Identity {
+    uint32_t boot_nonce;
+    protocol::Board board;
+    protocol::ResetCause reset_cause;
+  };
+
+  struct Counters {
+    uint32_t rx_frames;
+    uint16_t rx_bad;
+    uint16_t rx_stale;
+    uint16_t rx_repeats;
+    uint16_t tx_dropped;
+  };
+
+  void begin(const Identity& identity) {
+    identity_ = identity;
+    open_ = true;
+  }
+
+  // Takes one received byte. `handler` has
+  //   Handled execute(const Frame& command, Frame* reply);
+  //   void heartbeat();
+  //   void hello();
+  // Returns true when a whole frame was dealt with.
+  template <typename Handler>
+  bool receive(uint8_t byte, uint32_t now_us, Handler& handler) {
+    switch (decoder_.push(byte)) {
+      case FrameDecoder::Result::kMore:
+        return false;
+      case FrameDecoder::Result::kBad:
+        ++counters_.rx_bad;
+        return true;
+      case FrameDecoder::Result::kFrame:
+        break;
+    }
+    // Until the boot counter is stored, this boot has no name to give.
+    if (!open_) return true;
+    ++counters_.rx_frames;
+    const Frame& frame = decoder_.frame();
+    switch (frame.id()) {
+      case protocol::kHello:
+        take_hello(frame, handler);
+        break;
+      case protocol::kHeartbeat:
+        take_heartbeat(frame, now_us, handler);
+        break;
+      default:
+        take_command(frame, handler);
+        break;
+    }
+    return true;
+  }
+
+  // The reply to the deferred command.
+  void finish(const protocol::Ack& ack) {
+    if (!deferred_) return;  // its session is over
+    deferred_ = false;
+    reply_.set(ack, last_seq_, session_);
+    reply_waits_ = true;
+  }
+
+  // Telemetry of this tick; an older one still waiting is dropped and counted.
+  void offer(const protocol::Telemetry& telemetry) {
+    if (session_ == 0) return;
+    if (telemetry_waits_) {
+      ++counters_.tx_dropped;
+      dropped_ = true;
+    }
+    ++telemetry_seq_;
+    telemetry_ = telemetry;
+    telemetry_waits_ = true;
+  }
+
+  // Fills `out` with the next frame to send, or returns false. `idle` says that the line has
+  // (almost) nothing left to send: only events are queued before that, so that nothing long ever
+  // lies ahead of an event.
+  bool next(uint32_t tick, bool idle, EventQueue& events, Frame* out) {
+    if (!open_) return false;
+    // Events of a session that its host does not know yet would be lost on it.
+    if (session_ != 0 && notice_.kind != Notice::kHello) {
+      const protocol::Event* event = events.due(tick);
+      if (event != nullptr) {
+        out->set(*event, 0, session_);
+        events.sent(event, tick);
+        return true;
+      }
+    }
+    if (!idle) return false;
+    if (pulse_waits_) {
+      pulse_waits_ = false;
+      out->set(pulse_, 0, session_);
+      return true;
+    }
+    if (notice_.kind != Notice::kNone) {
+      send_notice(out);
+      return true;
+    }
+    if (reply_waits_) {
+      reply_waits_ = false;
+      *out = reply_;
+      return true;
+    }
+    if (session_ == 0) {
+      if (tick - announced_tick_ < kAnnounceMs && announced_) return false;
+      announced_ = true;
+      announced_tick_ = tick;
+      announce(out);
+      return true;
+    }
+    if (telemetry_waits_) {
+      telemetry_waits_ = false;
+      out->set(telemetry_, telemetry_seq_, session_);
+      return true;
+    }
+    return false;
+  }
+
+  uint16_t session() const { return session_; }  // 0 before the first hello
+  const Counters& counters() const { return counters_; }
+
+  // Whether telemetry was dropped; clear_dropped() when that was reported.
+  bool dropped() const { return dropped_; }
+  void clear_dropped() { dropped_ = false; }
+
+ private:
+  static constexpr uint16_t kAnnounceMs = 500;
+  static constexpr uint8_t kNonces = 8;
+
+  // An answer that is not a command's reply, so that it must not displace the stored one.
+  struct Notice {
+    enum Kind : uint8_t { kNone, kAck, kHello, kWrongSchema };
+    Kind kind;
+    protocol::Status status;
+    protocol::Reason reason;
+    uint16_t seq;
+    uint16_t session;
+    uint32_t host_nonce;
+  };
+
+  template <typename Handler>
+  void take_hello(const Frame& frame, Handler& handler) {
+    protocol::Hello hello;
+    if (frame.session() != 0 ||
+        !protocol::Hello::decode(frame.payload(), frame.payload_size(), &hello)) {
+      ++counters_.rx_stale;
+      return;
+    }
+    if (hello.protocol != protocol::kProtocol || hello.schema_hash != protocol::kSchemaHash) {
+      notice_ = {Notice::kWrongSchema,
+                 protocol::Status::kRefused,
+                 protocol::Reason::kWrongSchema,
+                 frame.seq(),
+                 0,
+                 hello.host_nonce};
+      return;
+    }
+    if (session_ == 0 || hello.host_nonce != host_nonce_) {
+      for (uint8_t i = 0; i < nonce_count_; ++i) {
+        if (nonces_[i] == hello.host_nonce) {
+          ++counters_.rx_stale;  // a replay of a conversation that is over
+          return;
+        }
+      }
+      open_session(hello.host_nonce, frame.seq());
+      handler.hello();
+    } else {
+      ++counters_.rx_repeats;
+    }
+    notice_ = {Notice::kHello,  protocol::Status::kOk, protocol::Reason::kNone, frame.seq(), 0,
+               hello.host_nonce};
+  }
+
+  void open_session(uint32_t host_nonce, uint16_t seq) {
+    nonces_[nonce_next_] = host_nonce;
+    nonce_next_ = static_cast<uint8_t>((nonce_next_ + 1) % kNonces);
+    if (nonce_count_ < kNonces) ++nonce_count_;
+    host_nonce_ = host_nonce;
+    // Differs at each hello, and from other boots' as well as 16 bits can.
+    session_ = static_cast<uint16_t>(
+        session_ == 0 ? identity_.boot_nonce ^ identity_.boot_nonce >> 16 : session_ + 1);
+    if (session_ == 0) session_ = 1;
+    last_seq_ = seq;
+    heartbeat_ = 0;
+    telemetry_seq_ = 0;
+    has_reply_ = false;
+    reply_waits_ = false;
+    deferred_ = false;
+    pulse_waits_ = false;
+    telemetry_waits_ = false;
+  }
+
+  template <typename Handler>
+  void take_heartbeat(const Frame& frame, uint32_t now_us, Handler& handler) {
+    protocol::Heartbeat beat;
+    if (session_ == 0 || frame.session() != session_ ||
+        !protocol::Heartbeat::decode(frame.payload(), frame.payload_size(), &beat) ||
+        static_cast<int32_t>(beat.counter - heartbeat_) <= 0) {
+      ++counters_.rx_stale;
+      return;
+    }
+    heartbeat_ = beat.counter;
+    pulse_ = {beat.counter, now_us};
+    pulse_waits_ = true;
+    handler.heartbeat();
+  }
+
+  template <typename Handler>
+  void take_command(const Frame& frame, Handler& handler) {
+    if (session_ == 0 || frame.session() != session_) {
+      ++counters_.rx_stale;
+      if (notice_.kind == Notice::kNone) {
+        notice_ = {Notice::kAck,
+                   protocol::Status::kRefused,
+                   protocol::Reason::kBadSession,
+                   frame.seq(),
+                   frame.session(),
+                   0};
+      }
+      return;
+    }
+    const uint16_t seq = frame.seq();
+    if (seq == last_seq_ && (has_reply_ || deferred_)) {
+      ++counters_.rx_repeats;
+      if (deferred_) {
+        notice_ = {
+            Notice::kAck, protocol::Status::kInProgress, protocol::Reason::kNone, seq, session_, 0};
+      } else {
+        reply_waits_ = true;
+      }
+      return;
+    }
+    if (seq != static_cast<uint16_t>(last_seq_ + 1) || deferred_) {
+      ++counters_.rx_stale;
+      return;
+    }
+    last_seq_ = seq;
+    has_reply_ = true;
+    const uint8_t size = protocol::inboundSize(frame.id());
+    if (size != frame.payload_size()) {
+      const protocol::Reason reason = size == protocol::kUnknownMessage
+                                          ? protocol::Reason::kUnknownId
+                                          : protocol::Reason::kBadLength;
+      reply_.set(protocol::Ack{protocol::Status::kRefused, reason, frame.id()}, seq, session_);
+      reply_waits_ = true;
+      return;
+    }
+    if (handler.execute(frame, &reply_) == Handled::kDeferred) {
+      deferred_ = true;
+    } else {
+      reply_waits_ = true;
+    }
+  }
+
+  void send_notice(Frame* out) {
+    if (notice_.kind == Notice::kAck) {
+      out->set(protocol::Ack{notice_.status, notice_.reason, 0}, notice_.seq, notice_.session);
+    } else {
+      protocol::HelloReply reply;
+      reply.status = notice_.status;
+      reply.reason = notice_.reason;
+      reply.protocol = protocol::kProtocol;
+      reply.schema_hash = protocol::kSchemaHash;
+      for (uint8_t i = 0; i < 3; ++i) reply.firmware_version[i] = kFirmwareVersion[i];
+      reply.board = identity_.board;
+      reply.boot_nonce = identity_.boot_nonce;
+      reply.session = notice_.kind == Notice::kHello ? session_ : 0;
+      reply.reset_cause = identity_.reset_cause;
+      reply.receive_window = kRxRing - 1;
+      reply.host_nonce = notice_.host_nonce;
+      out->set(reply, notice_.seq, 0);
+    }
+    notice_.kind = Notice::kNone;
+  }
+
+  void announce(Frame* out) const {
+    protocol::Announce message;
+    message.protocol = protocol::kProtocol;
+    message.schema_hash = protocol::kSchemaHash;
+    for (uint8_t i = 0; i < 3; ++i) message.firmware_version[i] = kFirmwareVersion[i];
+    message.board = identity_.board;
+    message.boot_nonce = identity_.boot_nonce;
+    message.reset_cause = identity_.reset_cause;
+    out->set(message, 0, 0);
+  }
+
+  FrameDecoder decoder_;
+  Frame reply_{};  // of the last command
+  protocol::Telemetry telemetry_{};
+  protocol::Pulse pulse_{};
+  Notice notice_{};
+  Identity identity_{};
+  Counters counters_{};
+  uint32_t nonces_[kNonces] = {};
+  uint32_t host_nonce_ = 0;
+  uint32_t heartbeat_ = 0;
+  uint32_t announced_tick_ = 0;
+  uint16_t session_ = 0;
+  uint16_t last_seq_ = 0;
+  uint16_t telemetry_seq_ = 0;
+  uint8_t nonce_next_ = 0;
+  uint8_t nonce_count_ = 0;
+  bool open_ = false;
+  bool announced_ = false;
+  bool has_reply_ = false;
+  bool reply_waits_ = false;
+  bool deferred_ = false;
+  bool pulse_waits_ = false;
+  bool telemetry_waits_ = false;
+  bool dropped_ = false;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_LINK_SESSION_H_

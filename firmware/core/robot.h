@@ -1,0 +1,135 @@
+// The robot on a board: the main loop.
+//
+// A binding constructs one Robot<Board>, calls begin() once and loop() for ever. A pass takes what
+// the line brought (at most one command), does the work of one tick if its conversions are
+// complete, moves the configuration store on by a byte, and fills the line. Nothing here or below
+// waits.
+#ifndef THIGMO_CORE_ROBOT_H_
+#define THIGMO_CORE_ROBOT_H_
+
+#include <stdint.h>
+
+#include "board.h"
+#include "commands.h"
+#include "config/store.h"
+#include "controller.h"
+#include "link/session.h"
+
+namespace thigmo {
+
+template <typename Board>
+class Robot {
+ public:
+  explicit Robot(Board& board) : board_(board), commands_(controller_, session_, store_) {}
+  Robot(const Robot&) = delete;
+  Robot& operator=(const Robot&) = delete;
+
+  // Reads the store (some 3 ms) and sets all outputs to their safe state.
+  void begin() {
+    write_outputs();
+    const LoadResult loaded = store_.begin(board_, controller_.mutable_configuration());
+    controller_.begin(loaded, board_.reset_cause());
+  }
+
+  // One pass of the main loop.
+  void loop() {
+    const uint32_t begun = board_.micros();
+    receive();
+    AdcFrame frame;
+    if (board_.take_frame(&frame)) {
+      tick(frame);
+      board_.kick_watchdog();
+    }
+    store();
+    transmit();
+    const uint32_t took = board_.micros() - begun;
+    uint16_t& longest = commands_.timing().loop_max_us;
+    if (took > longest) longest = static_cast<uint16_t>(lesser<uint32_t>(took, 0xFFFF));
+  }
+
+  const Controller& controller() const { return controller_; }
+
+ private:
+  // Less than this left on the line counts as idle: at 250 kbaud it lasts 320 us.
+  static constexpr uint16_t kLineIdle = 8;
+
+  void receive() {
+    uint8_t byte;
+    while (board_.rx_read(&byte)) {
+      if (session_.receive(byte, board_.micros(), commands_)) {
+        write_outputs();  // a stop takes effect now, not at the next tick
+        return;
+      }
+    }
+  }
+
+  void tick(const AdcFrame& frame) {
+    Inputs in;
+    in.frame = frame;
+    in.encoder = board_.encoder_count();
+    in.supply_mv = board_.supply_mv();
+    in.rx_overruns = board_.rx_overruns();
+    in.estop = board_.estop();
+    commands_.timing().rx_overruns = in.rx_overruns;
+    controller_.tick(in);
+    write_outputs();
+    if (controller_.telemetry_due()) {
+      protocol::Telemetry telemetry;
+      controller_.fill(&telemetry);
+      session_.offer(telemetry);
+    }
+  }
+
+  void write_outputs() {
+    const Outputs& out = controller_.outputs();
+    for (uint8_t side = 0; side < kSides; ++side) {
+      if (out.drive[side] < 0) {
+        board_.drive_off(side);
+      } else {
+        board_.drive(side, out.drive[side]);
+      }
+    }
+    if (out.motor == 0) {
+      board_.brake();
+    } else {
+      board_.motor(out.motor);
+    }
+  }
+
+  void store() {
+    const ConfigStore::Step step = store_.step(board_, controller_.configuration());
+    if (!named_ && store_.counted()) {
+      named_ = true;
+      // An odd multiplier keeps boot counts apart and makes neighbours look unlike.
+      session_.begin({(store_.boot_count() + 1) * 2654435761u, Board::kKind, board_.reset_cause()});
+    }
+    if (step == ConfigStore::Step::kDone || step == ConfigStore::Step::kFailed) {
+      const bool good = step == ConfigStore::Step::kDone;
+      controller_.end_save(good, store_.slot(), store_.generation());
+      session_.finish(good ? protocol::Ack{protocol::Status::kOk, Reason::kNone,
+                                           static_cast<int32_t>(store_.generation())}
+                           : protocol::Ack{protocol::Status::kRefused, Reason::kBadConfig, -1});
+    }
+  }
+
+  void transmit() {
+    Frame frame;
+    uint8_t wire[protocol::kMaxWire];
+    while (board_.tx_free() >= protocol::kMaxWire &&
+           session_.next(controller_.now(), board_.tx_pending() <= kLineIdle, controller_.events(),
+                         &frame)) {
+      board_.tx_write(wire, cobs_encode(frame.bytes, frame.size, wire));
+    }
+  }
+
+  Board& board_;
+  Controller controller_;
+  Session session_;
+  ConfigStore store_;
+  Commands commands_;
+  bool named_ = false;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_ROBOT_H_

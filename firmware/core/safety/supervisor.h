@@ -1,0 +1,183 @@
+// The supervisor: which state the robot is in, and what may be done in it.
+//
+// Two tables. The first leads from state to state by condition bits and requests; the first row
+// that matches wins. The second says for each kind of command in which states and activities and
+// under which conditions it is accepted; the first condition that fails is the reason given to the
+// operator. Both are data, tested by themselves over every combination.
+#ifndef THIGMO_CORE_SAFETY_SUPERVISOR_H_
+#define THIGMO_CORE_SAFETY_SUPERVISOR_H_
+
+#include <stdint.h>
+
+#include "../flash.h"
+#include "../link/protocol.h"
+
+namespace thigmo {
+
+using protocol::Activity;
+using protocol::Condition;
+using protocol::Fault;
+using protocol::Reason;
+using protocol::State;
+
+// What the transition table sees beside the conditions.
+enum class Signal : uint8_t {
+  kFaultLatched = 0,
+  kHello = 1,  // a host has said hello since the boot
+  kArm = 2,    // requests hold for one evaluation
+  kStop = 3,
+  kActive = 4,  // an activity that needs armed outputs runs
+};
+
+constexpr uint8_t bit(Signal signal) {
+  return static_cast<uint8_t>(1u << static_cast<uint8_t>(signal));
+}
+constexpr uint8_t bit(State state) {
+  return static_cast<uint8_t>(1u << static_cast<uint8_t>(state));
+}
+constexpr uint16_t bit(Activity activity) {
+  return static_cast<uint16_t>(1u << static_cast<uint8_t>(activity));
+}
+
+struct Transition {
+  uint8_t from;           // states, as bits
+  uint8_t signals_set;    // all of these
+  uint8_t signals_clear;  // none of these
+  uint16_t required;      // conditions that must hold
+  uint16_t forbidden;     // conditions that must not
+  State to;
+};
+
+constexpr uint8_t kAnyState = 0x1F;
+
+constexpr Transition kTransitions[] THIGMO_PROGMEM = {
+    // A fault takes the outputs from everyone, in any state.
+    {kAnyState & static_cast<uint8_t>(~bit(State::kFault)), bit(Signal::kFaultLatched), 0, 0, 0,
+     State::kFault},
+    // Cleared, the robot is safe, not ready: the operator arms it again.
+    {bit(State::kFault), 0, bit(Signal::kFaultLatched), 0, 0, State::kSafe},
+    {bit(State::kBoot), bit(Signal::kHello), 0, 0, 0, State::kSafe},
+    {static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving)), bit(Signal::kStop), 0, 0, 0,
+     State::kSafe},
+    {bit(State::kSafe), bit(Signal::kArm), bit(Signal::kStop),
+     static_cast<uint16_t>(mask(Condition::kConfigValid) | mask(Condition::kSupplyGood)),
+     mask(Condition::kEstop), State::kReady},
+    {bit(State::kReady), bit(Signal::kActive), 0, 0, 0, State::kMoving},
+    {bit(State::kMoving), 0, bit(Signal::kActive), 0, 0, State::kReady},
+};
+constexpr uint8_t kTransitionCount = sizeof(kTransitions) / sizeof(kTransitions[0]);
+
+// The state that follows, by the table.
+inline State next_state(State state, uint16_t conditions, uint8_t signals) {
+  for (uint8_t i = 0; i < kTransitionCount; ++i) {
+    const Transition* row = kTransitions + i;
+    const uint8_t set = THIGMO_FLASH_U8(&row->signals_set);
+    if ((THIGMO_FLASH_U8(&row->from) & bit(state)) == 0 || (signals & set) != set ||
+        (signals & THIGMO_FLASH_U8(&row->signals_clear)) != 0) {
+      continue;
+    }
+    const uint16_t required = THIGMO_FLASH_U16(&row->required);
+    if ((conditions & required) != required ||
+        (conditions & THIGMO_FLASH_U16(&row->forbidden)) != 0) {
+      continue;
+    }
+    return static_cast<State>(THIGMO_FLASH_U8(reinterpret_cast<const uint8_t*>(&row->to)));
+  }
+  return state;
+}
+
+// Only these states let current out.
+constexpr bool may_energise(State state) {
+  return state == State::kReady || state == State::kMoving;
+}
+
+// Kinds of command, by their interlocks.
+enum class Permit : uint8_t {
+  kArm = 0,
+  kBend = 1,   // sweep
+  kPress = 2,  // set_pressure: a sweep's interlocks, but a held pressure may be changed
+  kGrow = 3,
+  kRetract = 4,
+  kHome = 5,
+  kConfirm = 6,
+  kZone = 7,
+  kZero = 8,
+  kConfigure = 9,  // set_parameter, set_map, load_defaults
+  kSave = 10,
+};
+
+struct Interlock {
+  uint8_t states;       // where it is accepted
+  uint16_t activities;  // during which
+  uint16_t required;    // conditions that must hold
+  uint16_t forbidden;   // conditions that must not
+};
+
+constexpr uint16_t kWholeBody = static_cast<uint16_t>(
+    mask(Condition::kLengthKnown) | mask(Condition::kZoneKnown) | mask(Condition::kZeroed));
+constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBoot));
+
+// In the order of Permit.
+constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
+    {static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
+     static_cast<uint16_t>(mask(Condition::kConfigValid) | mask(Condition::kSupplyGood)),
+     mask(Condition::kEstop)},
+    {bit(State::kReady), bit(Activity::kIdle),
+     static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)), mask(Condition::kHalfEverted)},
+    {static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving)),
+     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)), kWholeBody,
+     mask(Condition::kHalfEverted)},
+    {bit(State::kReady), bit(Activity::kIdle),
+     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
+    {bit(State::kReady), bit(Activity::kIdle),
+     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
+    {bit(State::kReady), bit(Activity::kIdle), mask(Condition::kVented), 0},
+    {kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0},
+    {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+    {bit(State::kReady), bit(Activity::kIdle),
+     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
+    {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+    {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+};
+
+// Conditions in the order in which they are named to the operator: first what takes longest to put
+// right.
+struct Complaint {
+  uint16_t condition;
+  Reason reason;
+};
+constexpr Complaint kComplaints[] THIGMO_PROGMEM = {
+    {mask(Condition::kEstop), Reason::kEstop},
+    {mask(Condition::kConfigValid), Reason::kBadConfig},
+    {mask(Condition::kSupplyGood), Reason::kWrongState},
+    {mask(Condition::kLengthKnown), Reason::kLengthUnknown},
+    {mask(Condition::kHalfEverted), Reason::kHalfEverted},
+    {mask(Condition::kZoneKnown), Reason::kZoneUnknown},
+    {mask(Condition::kVented), Reason::kNotVented},
+    {mask(Condition::kZeroed), Reason::kNotZeroed},
+    {mask(Condition::kEnergised), Reason::kBusy},
+};
+constexpr uint8_t kComplaintCount = sizeof(kComplaints) / sizeof(kComplaints[0]);
+
+// Why a command is refused now, or none.
+inline Reason refusal(Permit permit, State state, Activity activity, uint16_t conditions) {
+  const Interlock* row = kInterlocks + static_cast<uint8_t>(permit);
+  if ((THIGMO_FLASH_U8(&row->states) & bit(state)) == 0) {
+    return state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
+  }
+  if ((THIGMO_FLASH_U16(&row->activities) & bit(activity)) == 0) return Reason::kBusy;
+  const uint16_t wrong = static_cast<uint16_t>((THIGMO_FLASH_U16(&row->required) & ~conditions) |
+                                               (THIGMO_FLASH_U16(&row->forbidden) & conditions));
+  if (wrong == 0) return Reason::kNone;
+  for (uint8_t i = 0; i < kComplaintCount; ++i) {
+    if ((wrong & THIGMO_FLASH_U16(&kComplaints[i].condition)) != 0) {
+      return static_cast<Reason>(
+          THIGMO_FLASH_U8(reinterpret_cast<const uint8_t*>(&kComplaints[i].reason)));
+    }
+  }
+  return Reason::kWrongState;
+}
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_SAFETY_SUPERVISOR_H_

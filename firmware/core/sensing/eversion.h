@@ -1,0 +1,84 @@
+// Which sensors have everted, since when, and whether one lies in the tip's fold.
+//
+// The tip's fold is at the everted length. A sensor that lies in it, with a margin on both ends, is
+// half everted: a bend would crease it, so bending is refused. A sensor that has just left the fold
+// still decays to rest, so its settle clock starts then and its zero is void.
+#ifndef THIGMO_CORE_SENSING_EVERSION_H_
+#define THIGMO_CORE_SENSING_EVERSION_H_
+
+#include <stdint.h>
+
+#include "../config/configuration.h"
+
+namespace thigmo {
+
+class Eversion {
+ public:
+  // Takes the everted length; returns the mask of sensors that have just everted.
+  uint16_t update(bool length_known, int32_t length_um, uint32_t tick, const Configuration& c,
+                  uint16_t enabled_mask) {
+    if (!length_known) {
+      half_mask_ = 0;
+      return 0;
+    }
+    uint16_t fresh = 0;
+    half_mask_ = 0;
+    const int32_t margin = c.get(Param::kFoldMarginUm);
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      const uint16_t bit = static_cast<uint16_t>(1u << i);
+      const int32_t center = c.get(Param::kFlexCenterUm, i);
+      const int32_t reach = c.get(Param::kFlexSpanUm, i) / 2 + margin;
+      if (length_um >= center + reach) {
+        if ((everted_mask_ & bit) == 0) {
+          fresh = static_cast<uint16_t>(fresh | bit);
+          everted_tick_[i] = tick;
+        }
+      } else {
+        everted_mask_ = static_cast<uint16_t>(everted_mask_ & ~bit);
+        settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~bit);
+        if (length_um > center - reach && (enabled_mask & bit) != 0) {
+          half_mask_ = static_cast<uint16_t>(half_mask_ | bit);
+        }
+      }
+    }
+    everted_mask_ = static_cast<uint16_t>(everted_mask_ | fresh);
+    settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~fresh);
+    const uint32_t settle = static_cast<uint32_t>(c.get(Param::kSettleMs));
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      if (tick - everted_tick_[i] >= settle) {
+        settled_mask_ =
+            static_cast<uint16_t>(settled_mask_ | (everted_mask_ & static_cast<uint16_t>(1u << i)));
+      }
+    }
+    return fresh;
+  }
+
+  // The operator vouches for the length: whatever everted, did so long ago, or counts from now.
+  void confirm(bool settled, uint32_t tick) {
+    settled_mask_ = settled ? everted_mask_ : 0;
+    if (settled) return;
+    for (uint8_t i = 0; i < kSensors; ++i) everted_tick_[i] = tick;
+  }
+
+  uint16_t everted_mask() const { return everted_mask_; }
+  uint16_t settled_mask() const { return settled_mask_; }
+  uint16_t half_mask() const { return half_mask_; }
+  uint32_t everted_tick(uint8_t sensor) const { return everted_tick_[sensor]; }
+
+  uint32_t settle_left_ms(uint8_t sensor, uint32_t tick, uint32_t settle_ms) const {
+    if ((settled_mask_ >> sensor & 1) != 0) return 0;
+    if ((everted_mask_ >> sensor & 1) == 0) return settle_ms;
+    const uint32_t age = tick - everted_tick_[sensor];
+    return age < settle_ms ? settle_ms - age : 0;
+  }
+
+ private:
+  uint32_t everted_tick_[kSensors] = {};
+  uint16_t everted_mask_ = 0;
+  uint16_t settled_mask_ = 0;
+  uint16_t half_mask_ = 0;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_SENSING_EVERSION_H_

@@ -1,0 +1,121 @@
+// Flex sensors: from conversions to readings, resistance and curvature.
+//
+// Divider: 5 V - sensor - pin - 22 kOhm - ground, so the count is 1024 * 22k / (22k + R), floored;
+// half a count is added back to the mean. Curvature is scale * (R - R at the last zeroing): one
+// division of 32 bits a reading, no float.
+#ifndef THIGMO_CORE_SENSING_FLEX_H_
+#define THIGMO_CORE_SENSING_FLEX_H_
+
+#include <stdint.h>
+
+#include "../board.h"
+#include "../config/derived.h"
+#include "../control/fixed_point.h"
+
+namespace thigmo {
+
+// A mean count, half a count added, in 1/64: 32..65504. From a sum of 2^log2 conversions.
+inline uint16_t count_q6(uint32_t sum, uint8_t log2) {
+  const uint32_t scaled = log2 <= 6 ? sum << (6 - log2) : sum >> (log2 - 6);
+  return static_cast<uint16_t>(scaled + 32);
+}
+
+// Sensor resistance plus divider in 1/16 ohm: 22 kOhm * 1024 / count. The last four bits are found
+// by shifting, because the numerator would pass 32 bits.
+inline int32_t total_ohm_q4(uint16_t count) {
+  constexpr uint32_t kNumerator = kDividerOhm * 1024u * 64u;
+  uint32_t quotient = kNumerator / count;
+  uint32_t remainder = kNumerator - quotient * count;
+  for (uint8_t i = 0; i < 4; ++i) {
+    quotient <<= 1;
+    remainder <<= 1;
+    if (remainder >= count) {
+      remainder -= count;
+      ++quotient;
+    }
+  }
+  return static_cast<int32_t>(quotient);
+}
+
+// The same from a zero, which is stored in 1/256 of a sum of 2^log2 conversions. 64-bit division:
+// once a zeroing.
+inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
+  const uint64_t count = static_cast<uint64_t>(zero_sum_q8) * 2 + (256u << log2);
+  const uint64_t numerator = static_cast<uint64_t>(kDividerOhm) * 16 * 1024 * 512 << log2;
+  return static_cast<int32_t>(numerator / count);
+}
+
+// Curvature in 1e-5/cm of two total resistances, saturated.
+inline int16_t curvature_e5(int32_t total, int32_t total_at_zero, int32_t gain_q16) {
+  const int32_t change = limited<int32_t>(total - total_at_zero, -2000000, 2000000);
+  const int64_t scaled = (static_cast<int64_t>(change) * gain_q16 + 0x8000) >> 16;
+  return static_cast<int16_t>(limited<int64_t>(scaled, -32768, 32767));
+}
+
+// Sums conversions of the ten sensors into readings, and watches their wires.
+class FlexReadings {
+ public:
+  // Conversions in a row outside the plausible band that make an open or short circuit.
+  static constexpr uint8_t kBadRun = 25;
+  static constexpr uint16_t kOpenBelow = 16;     // R > 1.4 MOhm
+  static constexpr uint16_t kShortAbove = 1000;  // R < 530 Ohm
+
+  void set_oversampling(uint8_t log2) {
+    if (log2 == log2_) return;
+    log2_ = log2;
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      restart(i);
+      latest_[i] = 0;
+    }
+    ready_ = 0;
+  }
+
+  // Drops a half-done sum, so that the next reading begins now.
+  void restart(uint8_t sensor) {
+    sum_[sensor] = 0;
+    taken_[sensor] = 0;
+  }
+
+  // Takes a conversion; true when it completed a reading.
+  bool add(uint8_t sensor, uint16_t count) {
+    watch(sensor, count);
+    sum_[sensor] = static_cast<uint16_t>(sum_[sensor] + count);
+    if (++taken_[sensor] >> log2_ == 0) return false;
+    latest_[sensor] = sum_[sensor];
+    ready_ = static_cast<uint16_t>(ready_ | (1u << sensor));
+    restart(sensor);
+    return true;
+  }
+
+  uint16_t latest(uint8_t sensor) const { return latest_[sensor]; }  // sum of 2^log2
+  bool all_ready() const { return ready_ == (1u << kSensors) - 1; }
+  uint8_t log2() const { return log2_; }
+  bool open(uint8_t sensor) const { return open_run_[sensor] >= kBadRun; }
+  bool shorted(uint8_t sensor) const { return short_run_[sensor] >= kBadRun; }
+
+ private:
+  void watch(uint8_t sensor, uint16_t count) {
+    extend(&open_run_[sensor], count < kOpenBelow);
+    extend(&short_run_[sensor], count > kShortAbove);
+  }
+
+  static void extend(uint8_t* run, bool bad) {
+    if (!bad) {
+      *run = 0;
+    } else if (*run < kBadRun) {
+      ++*run;
+    }
+  }
+
+  uint16_t sum_[kSensors] = {};
+  uint16_t latest_[kSensors] = {};
+  uint8_t taken_[kSensors] = {};
+  uint8_t open_run_[kSensors] = {};
+  uint8_t short_run_[kSensors] = {};
+  uint16_t ready_ = 0;
+  uint8_t log2_ = 0;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_SENSING_FLEX_H_

@@ -1,0 +1,53 @@
+// Muscle pressure: ratiometric sensor, five conversions averaged per control step.
+#ifndef THIGMO_CORE_SENSING_PRESSURE_H_
+#define THIGMO_CORE_SENSING_PRESSURE_H_
+
+#include <stdint.h>
+
+#include "../board.h"
+#include "../control/fixed_point.h"
+
+namespace thigmo {
+
+class PressureReading {
+ public:
+  // A reading outside 5..95 % of the supply means a broken wire (Honeywell SSC, HARDWARE facts).
+  static constexpr uint16_t kWireLow = 51;
+  static constexpr uint16_t kWireHigh = 973;
+  static constexpr uint8_t kWireRun = 3;
+
+  void add(uint16_t count) {
+    sum_ = static_cast<uint16_t>(sum_ + count);
+    ++taken_;
+    if (count >= kWireLow && count <= kWireHigh) {
+      wire_run_ = 0;
+    } else if (wire_run_ < kWireRun) {
+      ++wire_run_;
+    }
+  }
+
+  // Averages what was taken since the last call into cpsi().
+  void update(int32_t zero_q6, int32_t gain_q16) {
+    if (taken_ == 0) return;
+    // Mean count in 1/64, half a count added for the converter's floor. At most 60 conversions fit
+    // the sum, and five are usual.
+    const int32_t mean = static_cast<int32_t>(static_cast<uint32_t>(sum_) * 64u / taken_) + 32;
+    cpsi_ = saturated16(multiply_q16(mean - zero_q6, gain_q16));
+    sum_ = 0;
+    taken_ = 0;
+  }
+
+  int16_t cpsi() const { return cpsi_; }
+  bool wire_broken() const { return wire_run_ >= kWireRun; }
+  bool wire_doubtful() const { return wire_run_ > 0; }
+
+ private:
+  uint16_t sum_ = 0;
+  int16_t cpsi_ = 0;
+  uint8_t taken_ = 0;
+  uint8_t wire_run_ = 0;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_SENSING_PRESSURE_H_

@@ -1,0 +1,330 @@
+// The virtual board: hardware for the firmware core inside a Python process, in virtual time.
+//
+// It models what the Mega's parts do to bytes, counts and duties: conversions at their instants,
+// a UART that takes 40 us a byte, rings of the Mega's size, an EEPROM that takes 3.4 ms a byte and
+// can lose power in the middle of one, a boot loader's delay, a watchdog. The controller itself is
+// firmware/core, the same code as on the Mega. Nothing here depends on wall time or chance beyond
+// the seed.
+#ifndef THIGMO_VIRTUAL_VIRTUAL_BOARD_H_
+#define THIGMO_VIRTUAL_VIRTUAL_BOARD_H_
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <deque>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "../core/robot.h"
+#include "adc_noise.h"
+
+namespace thigmo {
+
+class VirtualBoard {
+ public:
+  static constexpr protocol::Board kKind = protocol::Board::kVirtual;
+  static constexpr int kChannels = 16;
+  static constexpr uint32_t kEepromSize = 4096;
+  static constexpr uint64_t kByteUs = 40;  // 250 kbaud, 8N1
+  static constexpr uint64_t kEepromWriteUs = 3400;
+  static constexpr uint64_t kBootLoaderUs = 840000;
+  static constexpr uint64_t kWatchdogUs = 250000;
+  static constexpr uint64_t kSampleUs = 12;  // sample-and-hold: 1.5 clocks of 125 kHz
+  static constexpr uint64_t kConversionUs = 104;
+
+  VirtualBoard(uint64_t seed, const std::string& eeprom) : seed_(seed) {
+    eeprom_.fill(0xFF);
+    std::memcpy(eeprom_.data(), eeprom.data(), std::min<size_t>(eeprom.size(), eeprom_.size()));
+    reset(protocol::ResetCause::kPowerOn);
+  }
+  VirtualBoard(const VirtualBoard&) = delete;
+  VirtualBoard& operator=(const VirtualBoard&) = delete;
+
+  // --- what the emulator does ----------------------------------------------------------------
+
+  // Advances virtual time by whole milliseconds; analog inputs and the encoder move linearly from
+  // their start to their end over the step, and then stay.
+  void step(uint32_t ticks) {
+    const double each = ticks > 0 ? 1.0 / ticks : 0.0;
+    for (uint32_t i = 0; i < ticks; ++i) {
+      const uint64_t tick_us = now_us_;
+      for (const uint64_t at : kPassUs) {
+        now_us_ = tick_us + at;
+        share_ = (i + static_cast<double>(at) * 1e-3) * each;
+        if (at == Controller::kFrameUs && running_) convert(i * each, each);
+        pass();
+      }
+      now_us_ = tick_us + 1000;
+      move_lines();
+      if (running_ && now_us_ - kicked_us_ > kWatchdogUs) reset(protocol::ResetCause::kWatchdog);
+    }
+    for (auto& channel : analog_) channel[0] = channel[1];
+    encoder_start_ = encoder_end_;
+    share_ = 0.0;
+  }
+
+  uint64_t now_us() const { return now_us_; }
+
+  void write(const std::string& bytes) {
+    if (to_board_.empty()) arrival_us_ = std::max(arrival_us_, now_us_) + kByteUs;
+    to_board_.insert(to_board_.end(), bytes.begin(), bytes.end());
+  }
+
+  std::string read() {
+    std::string bytes;
+    bytes.swap(to_host_);
+    return bytes;
+  }
+
+  void set_analog(const double* counts) {
+    for (int c = 0; c < kChannels; ++c) analog_[c] = {counts[2 * c], counts[2 * c + 1]};
+  }
+  void set_adc_noise(const double* sigma) { std::copy(sigma, sigma + kChannels, noise_.begin()); }
+  void set_encoder(double start, double end) {
+    encoder_start_ = start;
+    encoder_end_ = end;
+  }
+  void set_supply_mv(uint16_t supply) { supply_mv_ = supply; }
+  void set_estop(bool pressed) { estop_ = pressed; }
+
+  // Restarts the chip: outputs off, rings empty, boot loader, then the firmware from its start.
+  void reset(protocol::ResetCause cause) {
+    cause_ = cause;
+    robot_.reset();
+    running_ = false;
+    powered_ = true;
+    hung_ = false;
+    start_us_ = now_us_ + kBootLoaderUs;
+    kicked_us_ = now_us_;
+    rx_.clear();
+    tx_.clear();
+    frames_.clear();
+    overruns_ = 0;
+    eeprom_ready_us_ = now_us_;
+    outputs_off();
+  }
+
+  // The main loop stops: nothing runs until the watchdog has its say.
+  void hang() { hung_ = true; }
+
+  // Power fails in the middle of the EEPROM byte after the next `bytes` ones; reset() restores it.
+  void cut_power_after(uint32_t bytes) {
+    cut_armed_ = true;
+    cut_after_ = bytes;
+  }
+
+  // Replaces conversions by recorded ones: tick (since the firmware's start), channel, count.
+  void feed_trace(const int64_t* rows, size_t count) {
+    fed_.clear();
+    for (size_t i = 0; i < count; ++i) {
+      fed_[static_cast<uint64_t>(rows[3 * i]) * kChannels +
+           static_cast<uint64_t>(rows[3 * i + 1])] = static_cast<uint16_t>(rows[3 * i + 2]);
+    }
+  }
+  void record_trace(bool on) {
+    recording_ = on;
+    recorded_.clear();
+  }
+  const std::vector<std::array<int64_t, 3>>& recorded() const { return recorded_; }
+
+  const std::array<int, kSides>& drive() const { return drive_; }
+  const std::array<bool, kSides>& drive_enabled() const { return drive_enabled_; }
+  int motor() const { return motor_; }
+  bool braked() const { return motor_ == 0; }
+  int direction() const { return direction_; }
+  bool powered() const { return powered_; }
+  bool running() const { return running_; }
+  uint64_t boots() const { return boots_; }
+  std::string eeprom() const { return std::string(eeprom_.begin(), eeprom_.end()); }
+
+  // --- what the firmware core does (core/board.h) ----------------------------------------------
+
+  uint32_t micros() { return static_cast<uint32_t>(now_us_ - start_us_); }
+
+  bool take_frame(AdcFrame* frame) {
+    if (frames_.empty()) return false;
+    *frame = frames_.front();
+    frames_.pop_front();
+    return true;
+  }
+
+  void drive(uint8_t side, int16_t duty) {
+    drive_[side] = duty;
+    drive_enabled_[side] = true;
+  }
+  void drive_off(uint8_t side) {
+    drive_[side] = 0;
+    drive_enabled_[side] = false;
+  }
+  void motor(int16_t duty) {
+    motor_ = duty;
+    if (duty != 0) direction_ = duty > 0 ? 1 : -1;
+  }
+  void brake() { motor_ = 0; }
+
+  int32_t encoder_count() { return static_cast<int32_t>(encoder_now() - encoder_at_start_); }
+  uint16_t supply_mv() { return supply_mv_; }
+  bool estop() { return estop_; }
+
+  bool rx_read(uint8_t* byte) {
+    if (rx_.empty()) return false;
+    *byte = rx_.front();
+    rx_.pop_front();
+    return true;
+  }
+  uint16_t rx_overruns() { return overruns_; }
+  uint16_t tx_free() { return static_cast<uint16_t>(kTxRing - 1 - tx_.size()); }
+  uint16_t tx_pending() { return static_cast<uint16_t>(tx_.size()); }
+  void tx_write(const uint8_t* bytes, uint8_t count) {
+    if (tx_.empty()) departure_us_ = std::max(departure_us_, now_us_) + kByteUs;
+    tx_.insert(tx_.end(), bytes, bytes + count);
+  }
+
+  bool eeprom_ready() { return now_us_ >= eeprom_ready_us_; }
+  uint8_t eeprom_read(uint16_t address) { return eeprom_[address]; }
+  void eeprom_write(uint16_t address, uint8_t value) {
+    eeprom_ready_us_ = now_us_ + kEepromWriteUs;
+    if (cut_armed_ && cut_after_-- == 0) {
+      // A byte whose write was cut may hold anything.
+      eeprom_[address] = static_cast<uint8_t>(adc_noise_mix(seed_ ^ address ^ now_us_));
+      cut_armed_ = false;
+      powered_ = false;
+      return;
+    }
+    eeprom_[address] = value;
+  }
+
+  protocol::ResetCause reset_cause() { return cause_; }
+  void kick_watchdog() { kicked_us_ = now_us_; }
+
+ private:
+  // Main-loop passes within a tick, the third when the tick's conversions are complete. The Mega
+  // makes more; what the line carries is the same, but for a quarter of a millisecond.
+  static constexpr std::array<uint64_t, 4> kPassUs = {250, 500, Controller::kFrameUs, 990};
+
+  void convert(double from, double each) {
+    if (frames_.size() >= kAdcFrames) return;
+    AdcFrame frame;
+    frame.tick = static_cast<uint32_t>((now_us_ - start_us_) / 1000);
+    for (uint8_t slot = 0; slot < kAdcSlots; ++slot) {
+      const uint8_t channel = adc_channel((frame.tick & 1) != 0, slot);
+      frame.count[slot] =
+          conversion(frame.tick, channel, from + each * 1e-3 * (slot * kConversionUs + kSampleUs));
+      if (recording_) recorded_.push_back({frame.tick, channel, frame.count[slot]});
+    }
+    frames_.push_back(frame);
+  }
+
+  uint16_t conversion(uint32_t tick, uint8_t channel, double share) const {
+    if (!fed_.empty()) {
+      const auto found = fed_.find(static_cast<uint64_t>(tick) * kChannels + channel);
+      if (found != fed_.end()) return found->second;
+    }
+    double ideal = analog_[channel][0] + (analog_[channel][1] - analog_[channel][0]) * share;
+    if (noise_[channel] > 0.0) ideal += noise_[channel] * adc_noise(seed_, tick, channel);
+    if (!(ideal > 0.0)) return 0;
+    return ideal >= kAdcTop ? kAdcTop : static_cast<uint16_t>(ideal);
+  }
+
+  void pass() {
+    move_lines();
+    if (!powered_) {
+      robot_.reset();
+      running_ = false;
+      outputs_off();
+      return;
+    }
+    if (!running_) {
+      // A tick begins where the boot loader ends, so that ticks stay whole milliseconds.
+      if (now_us_ < start_us_ || now_us_ % 1000 != kPassUs[0]) return;
+      start_us_ = now_us_ - kPassUs[0];
+      running_ = true;
+      ++boots_;
+      kicked_us_ = now_us_;
+      encoder_at_start_ = encoder_now();
+      robot_ = std::make_unique<Robot<VirtualBoard>>(*this);
+      robot_->begin();
+    }
+    if (!hung_) robot_->loop();
+  }
+
+  // Bytes that have arrived or left by now.
+  void move_lines() {
+    while (!to_board_.empty() && arrival_us_ <= now_us_) {
+      if (!running_) {
+        // The boot loader swallows it.
+      } else if (rx_.size() < kRxRing - 1) {
+        rx_.push_back(to_board_.front());
+      } else {
+        ++overruns_;
+      }
+      to_board_.pop_front();
+      if (!to_board_.empty()) arrival_us_ += kByteUs;
+    }
+    while (!tx_.empty() && departure_us_ <= now_us_) {
+      to_host_.push_back(static_cast<char>(tx_.front()));
+      tx_.pop_front();
+      if (!tx_.empty()) departure_us_ += kByteUs;
+    }
+  }
+
+  int64_t encoder_now() const {
+    return static_cast<int64_t>(
+        std::floor(encoder_start_ + (encoder_end_ - encoder_start_) * share_));
+  }
+
+  void outputs_off() {
+    // Pull-downs hold PWM and current stage low while the chip floats its pins.
+    drive_ = {0, 0};
+    drive_enabled_ = {false, false};
+    motor_ = 0;
+  }
+
+  const uint64_t seed_;
+  uint64_t now_us_ = 0;
+  uint64_t start_us_ = 0;  // when the firmware began: its tick 0
+  uint64_t kicked_us_ = 0;
+  uint64_t eeprom_ready_us_ = 0;
+  uint64_t arrival_us_ = 0;    // when the first byte on the way to the board is whole
+  uint64_t departure_us_ = 0;  // when the first byte on the way to the host is whole
+  uint64_t boots_ = 0;
+  double share_ = 0.0;  // of the running step
+  double encoder_start_ = 0.0;
+  double encoder_end_ = 0.0;
+  int64_t encoder_at_start_ = 0;
+  uint16_t supply_mv_ = 5000;
+  uint16_t overruns_ = 0;
+  uint32_t cut_after_ = 0;
+  protocol::ResetCause cause_ = protocol::ResetCause::kPowerOn;
+  bool estop_ = false;
+  bool running_ = false;
+  bool powered_ = true;
+  bool hung_ = false;
+  bool cut_armed_ = false;
+  bool recording_ = false;
+  std::array<std::array<double, 2>, kChannels> analog_{};
+  std::array<double, kChannels> noise_{};
+  std::array<uint8_t, kEepromSize> eeprom_{};
+  std::deque<uint8_t> to_board_;
+  std::deque<uint8_t> rx_;
+  std::deque<uint8_t> tx_;
+  std::deque<AdcFrame> frames_;
+  std::string to_host_;
+  std::unordered_map<uint64_t, uint16_t> fed_;
+  std::vector<std::array<int64_t, 3>> recorded_;
+  std::array<int, kSides> drive_{};
+  std::array<bool, kSides> drive_enabled_{};
+  int motor_ = 0;
+  int direction_ = 1;
+  std::unique_ptr<Robot<VirtualBoard>> robot_;
+};
+
+constexpr std::array<uint64_t, 4> VirtualBoard::kPassUs;
+
+}  // namespace thigmo
+
+#endif  // THIGMO_VIRTUAL_VIRTUAL_BOARD_H_
