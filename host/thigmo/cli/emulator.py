@@ -40,8 +40,11 @@ def check(
 ) -> None:
     """Check a scene file and say what it holds."""
     scenes: Any = import_module(_SCENE)
-    scene = scenes.load_scene(file)
+    scene = scenes.Scene.load(file)
     if as_json:
         print_json(scene.model_dump(mode="json"))
         return
-    typer.echo(f"{file}: {len(scene.pegs)} pegs, robot {scene.robot.name!r}: good")
+    typer.echo(
+        f"{file}: good. {len(scene.pegs)} pegs; a robot of {scene.robot.body.length_cm:g} cm, "
+        f"{scene.start_length_cm:g} cm of it out at the start; {len(scene.faults)} faults to inject."
+    )

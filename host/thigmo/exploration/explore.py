@@ -99,7 +99,6 @@ def explore(
         seed=seed,
     )
     with _sigterm_raises():
-        tell("connecting", 0.0)
         with connect(url, seed=seed, operator=operator, realtime=realtime) as robot:
             used = config or robot.known_config or RobotConfig()
             tell("compiling the localizer", 0.0)

@@ -27,11 +27,13 @@ from thigmo.robot.peaks import average_peak, snapshot_reading
 from thigmo.robot.readings import Floats, SensorTable
 from thigmo.robot.state import Reading, SnapshotReading, Status, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
+from thigmo.robot.truth import truth_now
 from thigmo.robot.watch import Watch, fault_error
 
 if TYPE_CHECKING:
-    from thigmo.link.client import Client, Tap, TelemetryFrame
+    from thigmo.link.client import Client, Tap
     from thigmo.link.protocol import Ack, Command
+    from thigmo.link.received import TelemetryFrame
 
 R = TypeVar("R", bound=wire.Message)
 
@@ -206,7 +208,7 @@ class Robot:
 
     def truth(self) -> Truth | None:
         """What the emulated room knows now; None on hardware."""
-        return None
+        return truth_now(self._client.transport.truth())
 
     # Configuration.
 

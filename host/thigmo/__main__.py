@@ -1,0 +1,5 @@
+"""`python -m thigmo`: the same command line."""
+
+from thigmo.cli.main import main
+
+main()

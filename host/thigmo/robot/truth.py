@@ -1,0 +1,23 @@
+"""What an emulated room knows, as plain data for the record; hardware knows nothing of the kind."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from thigmo.record import TrueContact, TruePeg, Truth
+
+
+def truth_now(known: Any) -> Truth | None:
+    """The room and its present contacts.
+
+    Args:
+        known: what the transport's `truth` gives (the emulator's Truth), or None.
+    """
+    if known is None:
+        return None
+    pegs = [TruePeg(float(p.x), float(p.y), float(p.radius)) for p in known.pegs]
+    touching = [
+        TrueContact(float(c.x), float(c.y), float(c.arc), float(known.now.length_cm), int(c.peg))
+        for c in known.now.contacts
+    ]
+    return Truth(pegs, touching)
