@@ -1,0 +1,82 @@
+"""What the emulator asks of a board: the interface of the virtual board and the simulated Mega.
+
+The board holds the controller's firmware. The emulator feeds it analog levels, the encoder and the
+supply, advances it, and takes its outputs. One tick is 1 ms.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+CHANNELS = 16
+# ADC channels: flex left 0..4, flex right 5..9 (base first), pressure left 10 and right 11.
+FLEX_RIGHT = 5
+PRESSURE = 10
+DRIVE_FULL = 1599  # transducer duty of 20 mA
+MOTOR_FULL = 800
+
+
+class Board(Protocol):
+    """A controller board in lockstep with the emulated robot."""
+
+    def step(self, ticks: int) -> None:
+        """Run for so many ticks of 1 ms."""
+
+    @property
+    def now_us(self) -> int:
+        """Time since the start (64 bits, us)."""
+
+    def write(self, data: bytes) -> None:
+        """Bytes to the board's UART; they arrive at its baud rate."""
+
+    def read(self) -> bytes:
+        """Bytes that the board has sent so far."""
+
+    def set_analog(self, counts: Floats) -> None:
+        """Ideal ADC counts in [0, 1024), shape (16, 2): at the next step's start and end."""
+
+    def set_adc_noise(self, sigma: Floats) -> None:
+        """White noise of a conversion in counts, one sigma, shape (16,)."""
+
+    def set_encoder(self, start: float, end: float) -> None:
+        """Encoder position (x4 counts) at the next step's start and end."""
+
+    def set_supply_mv(self, millivolt: int) -> None:
+        """Supply voltage."""
+
+    def set_estop(self, pressed: bool) -> None:
+        """Emergency stop input."""
+
+    @property
+    def drive(self) -> tuple[int, int]:
+        """Transducer duties, left and right, 0..1599 = 0..20 mA."""
+
+    @property
+    def drive_enabled(self) -> tuple[bool, bool]:
+        """Whether each transducer's output is connected; otherwise it carries 0 mA."""
+
+    @property
+    def motor(self) -> int:
+        """Motor duty -800..800, positive pays out."""
+
+    @property
+    def braked(self) -> bool:
+        """The motor driver brakes."""
+
+    @property
+    def eeprom(self) -> bytes:
+        """The configuration store's content."""
+
+    def cut_power_after(self, n_bytes: int) -> None:
+        """Lose power once so many more bytes have been written to the store."""
+
+    def reset(self, cause: int) -> None:
+        """Restart, for a `ResetCause`."""
+
+    def hang(self) -> None:
+        """Stop the main loop; the watchdog will bite."""

@@ -1,0 +1,109 @@
+"""Faults that a scene injects, from a moment or a condition on, for a while or for good.
+
+What `value` means: over_pressure, psi (default 30); pressure_stuck, psi (default: where it is);
+spool_slip, cm/s of line (default 2); brown_out, mV (default 3800); power_cut_saving, bytes written
+before the cut (default 100). host_silent mutes the host: its bytes and heartbeats are lost.
+power_cut takes the board's power for `duration_s` (default 1 s).
+"""
+
+from __future__ import annotations
+
+import math
+
+from thigmo.config import SIDES
+from thigmo.emulator.board import FLEX_RIGHT, Board
+from thigmo.emulator.plant import Plant
+from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.link.protocol import ResetCause
+
+_POWER_OFF_S = 1.0
+
+
+class FaultInjector:
+    """Watches the plant and starts and ends the scene's faults.
+
+    Attributes:
+        host_silent: the host's bytes and heartbeats are to be dropped.
+        powered: the board runs.
+        active: kinds of the faults that hold now.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.host_silent = False
+        self.powered = True
+        self.active: set[str] = set()
+        self._supply = scene.supply.millivolt
+        self._waiting = list(scene.faults)
+        self._running: list[tuple[float, FaultTable]] = []
+
+    def inject(self, fault: FaultTable) -> None:
+        """Add a fault while running (tests do)."""
+        self._waiting.append(fault)
+
+    def update(self, plant: Plant, board: Board) -> None:
+        """Start and end what is due. Called before each plant step."""
+        if self._running:
+            for end, fault in list(self._running):
+                if plant.t_s >= end:
+                    self._running.remove((end, fault))
+                    self._set(fault, plant, board, on=False)
+        if self._waiting:
+            for fault in list(self._waiting):
+                if self._begins(fault, plant, board):
+                    self._waiting.remove(fault)
+                    self._set(fault, plant, board, on=True)
+                    lasts = fault.duration_s
+                    if fault.kind == "power_cut" and lasts is None:
+                        lasts = _POWER_OFF_S
+                    self._running.append((plant.t_s + (lasts or math.inf), fault))
+
+    @staticmethod
+    def _begins(fault: FaultTable, plant: Plant, board: Board) -> bool:
+        return (
+            (fault.at_s is None or plant.t_s >= fault.at_s)
+            and (fault.above_length_cm is None or plant.length_cm > fault.above_length_cm)
+            and (fault.above_pressure_psi is None or max(plant.muscle_psi) > fault.above_pressure_psi)
+            and (not fault.while_motor_runs or board.motor != 0)
+        )
+
+    def _set(self, fault: FaultTable, plant: Plant, board: Board, *, on: bool) -> None:
+        side = SIDES.index(fault.side)
+        sensor = FLEX_RIGHT * side + fault.sensor
+        value = fault.value
+        (self.active.add if on else self.active.discard)(fault.kind)
+        match fault.kind:
+            case "flex_wire_cut":
+                (plant.cut.add if on else plant.cut.discard)(sensor)
+            case "flex_short":
+                (plant.shorted.add if on else plant.shorted.discard)(sensor)
+            case "pressure_wire_cut":
+                (plant.pressure_cut.add if on else plant.pressure_cut.discard)(side)
+            case "pressure_stuck":
+                here = plant.muscle_psi[side] if value is None else value
+                plant.forced_outlet[side] = here if on else math.nan
+            case "over_pressure":
+                plant.forced_outlet[side] = (30.0 if value is None else value) if on else math.nan
+            case "air_lost":
+                plant.forced_outlet[:] = 0.0 if on else math.nan
+            case "spool_stall":
+                plant.spool_stuck = on
+            case "spool_slip":
+                plant.slip_cm_s = (2.0 if value is None else value) if on else 0.0
+            case "host_silent":
+                self.host_silent = on
+            case "brown_out":
+                board.set_supply_mv(int(3800 if value is None else value) if on else self._supply)
+            case "power_cut":
+                self.powered = not on
+                if not on:
+                    board.reset(int(ResetCause.POWER_ON))
+            case "power_cut_saving":
+                if on:
+                    board.cut_power_after(int(100 if value is None else value))
+                else:
+                    board.reset(int(ResetCause.POWER_ON))
+            case "estop":
+                board.set_estop(on)
+            case "hang":
+                if on:
+                    board.hang()

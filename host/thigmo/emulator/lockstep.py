@@ -1,0 +1,69 @@
+"""Board and plant in lockstep: the one loop that all emulated connections turn.
+
+The plant advances in steps of 10 ms; within one, the board runs in exchanges (10 ms for the virtual
+board, 1 ms for the simulated Mega) with analog levels and encoder linear in between. The board's
+outputs at the end of one step drive the plant in the next.
+"""
+
+from __future__ import annotations
+
+from thigmo.emulator.board import Board
+from thigmo.emulator.faults import FaultInjector
+from thigmo.emulator.plant import STEP_MS, STEP_S, Plant
+from thigmo.emulator.scene import Scene
+from thigmo.errors import ConfigError
+
+
+class Lockstep:
+    """A board inside a plant.
+
+    Args:
+        scene: what to emulate.
+        board: holding the firmware.
+        seed: of the plant's noise; None takes the scene's.
+        exchange_ms: how long the board runs between exchanges; divides 10.
+
+    Attributes:
+        t_s: virtual time since the start.
+    """
+
+    def __init__(
+        self, scene: Scene, board: Board, *, seed: int | None = None, exchange_ms: int = STEP_MS
+    ) -> None:
+        if exchange_ms < 1 or STEP_MS % exchange_ms:
+            raise ConfigError(f"an exchange of {exchange_ms} ms does not divide {STEP_MS} ms")
+        self.scene = scene
+        self.board = board
+        self.plant = Plant(scene, seed)
+        self.faults = FaultInjector(scene)
+        self._exchange_ms = exchange_ms
+        board.set_adc_noise(self.plant.adc_noise())
+        board.set_supply_mv(scene.supply.millivolt)
+        board.set_estop(False)
+
+    @property
+    def t_s(self) -> float:
+        """Virtual time since the start."""
+        return self.plant.steps * STEP_S
+
+    def advance(self) -> None:
+        """One plant step of 10 ms."""
+        plant, board = self.plant, self.board
+        self.faults.update(plant, board)
+        if not self.faults.powered:
+            plant.step((0, 0), (False, False), 0, True)
+            return
+        plant.step(board.drive, board.drive_enabled, board.motor, board.braked)
+        if self._exchange_ms == STEP_MS:
+            board.set_analog(plant.analog)
+            board.set_encoder(*plant.encoder)
+            board.step(STEP_MS)
+            return
+        begin, change = plant.analog[:, :1], plant.analog[:, 1:] - plant.analog[:, :1]
+        at, to = plant.encoder
+        for done in range(0, STEP_MS, self._exchange_ms):
+            a, b = done / STEP_MS, (done + self._exchange_ms) / STEP_MS
+            levels = begin + change * [[a, b]]
+            board.set_analog(levels)
+            board.set_encoder(at + a * (to - at), at + b * (to - at))
+            board.step(self._exchange_ms)

@@ -1,0 +1,424 @@
+"""The emulated robot's body and room: from valve currents and motor duty to analog levels.
+
+One step is 10 ms. Air, muscles, swing and spool have their own lags; the body's shape is
+quasi-static (a vine robot moves slowly) and is solved again only when something changed. White
+noise is the board's (a pure function of seed, tick and channel); all else that is random is drawn
+here from the seed. Driven by `transport.py`, `serve.py` and the tests.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from math import cos, exp, sin, sqrt
+from math import pi as PI
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.config import SIDES, RobotConfig, TanhMap
+from thigmo.emulator import plant_kernel as k
+from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
+from thigmo.emulator.scene import Scene
+from thigmo.mechanics import Body, Peg, PegContact, Tube, critical_moment
+
+Floats = npt.NDArray[np.float64]
+
+STEP_S = 0.01
+STEP_MS = 10
+LOG_S = 0.1  # between entries of the truth's history
+_OPEN_COUNT = 0.0
+_SHORT_COUNT = 1023.9
+_SENSORS = 10
+_SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The true state at one moment.
+
+    Attributes:
+        t_s: since the start.
+        length_cm: everted length.
+        free_curvature: g, 1/cm.
+        body_psi: body pressure.
+        muscle_psi: pressures of left and right muscle.
+        contacts: touching pegs, base first.
+        fold_angle: of the base, rad.
+        centreline: columns s, heading, curvature without fold, x, y; shape (n, 5).
+        model: mechanics used, and the bound on its error (cm).
+    """
+
+    t_s: float
+    length_cm: float
+    free_curvature: float
+    body_psi: float
+    muscle_psi: tuple[float, float]
+    contacts: tuple[PegContact, ...]
+    fold_angle: float
+    centreline: Floats
+    model: str
+    error_bound_cm: float
+
+    @property
+    def tip(self) -> tuple[float, float, float]:
+        """(x, y, heading) of the tip."""
+        _, heading, _, x, y = self.centreline[-1]
+        return float(x), float(y), float(heading)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the emulator knows.
+
+    Attributes:
+        robot: the true constants.
+        pegs: the room.
+        now: the present moment.
+        history: moments, at most one every 0.1 s while anything moves, and one at every change of
+            the set of touching pegs.
+        models: how many steps each mechanics model took.
+    """
+
+    robot: RobotConfig
+    pegs: tuple[Peg, ...]
+    now: Moment
+    history: tuple[Moment, ...]
+    models: dict[str, int]
+
+    def at(self, t_s: float) -> Moment:
+        """The last moment in the history not after a time (the first if there is none)."""
+        best = self.history[0] if self.history else self.now
+        for moment in self.history:
+            if moment.t_s > t_s:
+                break
+            best = moment
+        return best
+
+
+class Plant:
+    """Robot and room of a scene.
+
+    Args:
+        scene: what to emulate.
+        seed: of everything random; None takes the scene's.
+
+    Attributes that faults and operators set:
+        body_psi: body pressure (set through `set_body_pressure`).
+        forced_outlet: transducer output forced to a pressure, nan = free, shape (2,).
+        spool_stuck: the spool does not turn.
+        slip_cm_s: line speed with which the body pulls the braked spool.
+        cut, shorted: flex sensors with a broken or shorted circuit (left base first).
+        pressure_cut: pressure sensors with a broken wire.
+    """
+
+    def __init__(self, scene: Scene, seed: int | None = None) -> None:
+        self.scene = scene
+        self.seed = scene.seed if seed is None else seed
+        rng = np.random.default_rng([self.seed, 0x91A27])
+        robot = scene.robot
+        self._robot = robot
+        self._rng = rng
+        self.pegs = scene.peg_list()
+        self.steps = 0
+        self.body_psi = robot.body.zones[robot.body.zone_at(scene.start_length_cm)].pressure_psi
+        self.forced_outlet = np.full(2, np.nan)
+        self.spool_stuck = False
+        self.slip_cm_s = 0.0
+        self.cut: set[int] = set()
+        self.shorted: set[int] = set()
+        self.pressure_cut: set[int] = set()
+
+        self._muscles = np.zeros((2, k.MUSCLE_STATE))
+        self._drive_ring = np.zeros((2, k.RING))
+        self._outlet_ring = np.zeros((2, k.RING))
+        t, m = scene.transducer, scene.muscle
+        self._air = np.array([
+            t.at_4ma_psi, t.at_20ma_psi - t.at_4ma_psi, t.lag_s, t.delay_s, t.hysteresis_psi,
+            t.slew_psi_s, t.supply_psi, m.inflate_tau_s, m.deflate_tau_s, m.delay_s, STEP_S,
+        ])  # fmt: skip
+        self._gain = 1 + t.gain_error * rng.standard_normal(2)
+        self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(2)
+        self._reversal = np.array([robot.actuators.side(s).reversal_psi for s in SIDES])
+        self._maps = np.zeros((2, 2, 3))
+        self._swing = np.zeros(2)
+        self._transition = _second_order(scene.body.frequency_hz, scene.body.damping, STEP_S)
+        self._spool = np.array([robot.spool.payout_ratio * scene.start_length_cm, 0.0])
+        self._spool_constants = np.array(
+            [scene.spool.line_cm_s, scene.spool.lag_s, scene.spool.dead_zone, 0.02, STEP_S]
+        )
+        self.length_cm = scene.start_length_cm
+        self._sensors, self._sensor_state = self._make_sensors()
+        f = scene.flex
+        self._ailments = np.array([
+            scene.noise.hysteresis_width, f.wrong_direction_gain, f.wrinkle, f.wrinkle_start_psi,
+            max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1), f.fold_bend,
+            robot.sensors.divider_ohm,
+        ])  # fmt: skip
+        self._rows = np.array(
+            [i for s, side in enumerate(SIDES)
+             for i in range(FLEX_RIGHT * s, FLEX_RIGHT * s + len(robot.sensors.column(side)))]
+        )  # fmt: skip
+        self._centers = np.ascontiguousarray(self._sensors[:, k.CENTER])
+        self._spans = np.ascontiguousarray(self._sensors[:, k.SPAN])
+        self._ends = self._centers + self._spans / 2
+        self._curvature = np.zeros(_SENSORS)
+        self._flex_counts = np.zeros(_SENSORS)
+        self._current = np.zeros(2)
+        self.body = Body(
+            Tube(robot.body.diameter_cm, self._critical()),
+            self.pegs,
+            model=scene.plant.model,
+            tolerance_cm=scene.plant.tolerance_cm,
+            cell_cm=scene.plant.cell_cm,
+        )
+        self._solved = (np.nan, np.nan)
+        self._history: list[Moment] = []
+        self._logged_s = -np.inf
+        self._logged_touching = 0
+        self.analog = np.zeros((CHANNELS, 2))
+        self.encoder = (self._encoder(), self._encoder())
+        self.set_body_pressure(self.body_psi)
+        self._solve(0.0)
+        self._evert(settled=scene.start_settled)
+        self._sense()
+        self.analog[:, 0] = self.analog[:, 1]
+
+    # Construction.
+
+    def _make_sensors(self) -> tuple[Floats, Floats]:
+        scene, rng = self.scene, self._rng
+        constants = np.zeros((_SENSORS, k.SENSOR_CONSTANTS))
+        state = np.zeros((_SENSORS, k.SENSOR_STATE))
+        draws = rng.standard_normal((_SENSORS, 2))
+        phases = rng.uniform(0, 2 * PI, (_SENSORS, 2))
+        for s, side in enumerate(SIDES):
+            column = scene.robot.sensors.column(side)
+            for j in range(FLEX_RIGHT):
+                i = FLEX_RIGHT * s + j
+                if j < len(column):
+                    sensor = column[j]
+                    constants[i, :5] = (
+                        sensor.scale_per_ohm, sensor.zero_ohm, sensor.valid_direction,
+                        scene.noise.hysteresis * draws[i, 0], sensor.settle_tau_s,
+                    )  # fmt: skip
+                    constants[i, k.CENTER] = sensor.center_cm
+                    constants[i, k.SPAN] = sensor.span_cm
+                else:
+                    # No sensor: the input hangs on its divider alone and never everts.
+                    constants[i, :5] = (3.5e-5, 12_000.0, 0.0, 0.0, 8.0)
+                    constants[i, k.CENTER] = 1e9
+                constants[i, k.STOWED] = scene.flex.stowed * draws[i, 1]
+                constants[i, k.PHASE_1 : k.PHASE_2 + 1] = phases[i]
+        return constants, state
+
+    def _critical(self) -> float | None:
+        body = self._robot.body
+        if not self.scene.body.fold:
+            return None
+        return critical_moment(body.critical_curvature, body.critical_pressure_psi, self.body_psi)
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Turn the body's regulator: maps, fold and growth change with it."""
+        self.body_psi = pressure_psi
+        self.body.critical_moment = self._critical()
+        self._solved = (np.nan, np.nan)
+        for s, side in enumerate(SIDES):
+            maps = sorted(self._robot.actuators.side(side).maps, key=lambda m: m.body_pressure_psi)
+            at = [m.body_pressure_psi for m in maps]
+            for b, branch in enumerate(("inflate", "deflate")):
+                curves: list[TanhMap] = [getattr(m, branch) for m in maps]
+                for c, key in enumerate(("amplitude", "scale_psi", "offset_psi")):
+                    values = [getattr(curve, key) for curve in curves]
+                    self._maps[s, b, c] = np.interp(pressure_psi, at, values)
+
+    # What is known.
+
+    @property
+    def t_s(self) -> float:
+        """Time since the start."""
+        return self.steps * STEP_S
+
+    @property
+    def muscle_psi(self) -> tuple[float, float]:
+        """True pressures of the left and right muscle."""
+        return float(self._muscles[0, k.OUTLET]), float(self._muscles[1, k.OUTLET])
+
+    @property
+    def free_curvature(self) -> float:
+        """Present free curvature of the swinging body, 1/cm."""
+        return float(self._swing[0])
+
+    @property
+    def sensor_curvature(self) -> Floats:
+        """True mean curvature at each sensor, left base first; 0 where not everted; shape (10,)."""
+        return self._curvature.copy()
+
+    def truth(self) -> Truth:
+        """All of it, now and over time."""
+        return Truth(
+            robot=self._robot, pegs=self.pegs, now=self._moment(), history=tuple(self._history),
+            models=dict(Counter(self.body.counts)),
+        )  # fmt: skip
+
+    def _moment(self) -> Moment:
+        solved = self.body.length > 0
+        return Moment(
+            t_s=self.t_s,
+            length_cm=self.length_cm,
+            free_curvature=self.free_curvature,
+            body_psi=self.body_psi,
+            muscle_psi=self.muscle_psi,
+            contacts=self.body.contacts() if solved else (),
+            fold_angle=self.body.fold_angle,
+            centreline=self.body.nodes() if solved else np.zeros((1, 5)),
+            model=self.body.model,
+            error_bound_cm=self.body.error_bound_cm,
+        )
+
+    # Motion.
+
+    def step(
+        self, drive: tuple[int, int], enabled: tuple[bool, bool], motor: int, braked: bool
+    ) -> None:
+        """Advance by 10 ms under the board's outputs; `analog` and `encoder` then hold the inputs.
+
+        Args:
+            drive: transducer duties, 0..1599.
+            enabled: whether each is connected.
+            motor: duty -800..800.
+            braked: the driver brakes.
+        """
+        self.steps += 1
+        for side in range(2):
+            self._current[side] = 20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0
+        head = self.steps % k.RING
+        target = k.air(
+            self._current, self._muscles, self._drive_ring, self._outlet_ring, head, self._air,
+            self._gain, self._maps, self._reversal, self.forced_outlet,
+        )  # fmt: skip
+        k.swing(self._swing, target, self._transition)
+        before = self._encoder()
+        k.spool(
+            self._spool, motor, braked, self.spool_stuck, self.slip_cm_s, self._spool_constants
+        )
+        self.encoder = (before, self._encoder())
+        length = self._grown()
+        if length != self.length_cm or abs(self._swing[0] - self._solved[0]) > 1e-8:
+            self._solve(length)
+        elif self._solved[0] != self._solved[0]:
+            self._solve(length)
+        self._sense()
+
+    def _grown(self) -> float:
+        """Length that line, body pressure and tail allow."""
+        robot, body = self._robot, self.scene.body
+        paid = self._spool[k.LINE] / robot.spool.payout_ratio
+        most = min(paid, robot.body.length_cm)
+        if most <= self.length_cm:
+            return float(most)
+        over = self.body_psi - body.growth_psi - body.growth_psi_per_cm * self.length_cm
+        rate = max(over, 0.0) * body.growth_cm_s_psi
+        return float(min(most, self.length_cm + rate * STEP_S))
+
+    def _solve(self, length: float) -> None:
+        """Find the body's shape; a tip that is pushed back too hard does not grow."""
+        g = float(self._swing[0])
+        grown = length > self.length_cm
+        if length >= _SMALLEST_CM:
+            if grown and self.body.touching:
+                state = self.body.save()
+                self.body.step(g, length)
+                if self.body.axial_push() > self.scene.body.growth_force * self.body_psi:
+                    self.body.restore(state)
+                    self.body.step(g, self.length_cm)
+                    length = self.length_cm
+            else:
+                self.body.step(g, length)
+        changed = length != self.length_cm
+        self.length_cm = length
+        self._solved = (g, length)
+        if changed:
+            self._evert(settled=False)
+        self._measure()
+        self._log()
+
+    def _measure(self) -> None:
+        """Mean curvature over the everted part of each sensor."""
+        if self.length_cm < _SMALLEST_CM:
+            self._curvature[:] = 0.0
+            return
+        self.body.averages_into(self._centers, self._spans, self._curvature)
+
+    def _evert(self, *, settled: bool) -> None:
+        """Sensors that have just come out start to creep; those drawn in forget."""
+        out = self._ends <= self.length_cm
+        state = self._sensor_state
+        was = state[:, k.EVERTED] > 0
+        if np.array_equal(out, was):
+            return
+        for i in np.flatnonzero(out & ~was):
+            offset, creep = self._rng.standard_normal(2)
+            sign = self._sensors[i, k.DIRECTION] or 1.0
+            state[i, k.EVERTED] = 1.0
+            state[i, k.EVERTED_AT] = -1e9 if settled else self.t_s
+            state[i, k.OFFSET] = self.scene.noise.per_eversion * offset
+            state[i, k.CREEP] = self.scene.flex.creep * sign * abs(creep)
+            state[i, k.TURN] = 0.0
+        state[~out, k.EVERTED] = 0.0
+
+    def _sense(self) -> None:
+        k.sense(
+            self._curvature, self.length_cm, self.t_s, self._muscles, self._sensors,
+            self._sensor_state, self._ailments, self._flex_counts,
+        )  # fmt: skip
+        analog = self.analog
+        analog[:, 0] = analog[:, 1]
+        analog[:_SENSORS, 1] = self._flex_counts
+        full = self.scene.transducer.sensor_full_psi
+        for side in range(2):
+            psi = self._muscles[side, k.OUTLET] + self._pressure_zero[side]
+            analog[PRESSURE + side, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
+        if self.cut or self.shorted or self.pressure_cut:
+            for i in self.cut:
+                analog[i, 1] = _OPEN_COUNT
+            for i in self.shorted:
+                analog[i, 1] = _SHORT_COUNT
+            for side in self.pressure_cut:
+                analog[PRESSURE + side, 1] = _OPEN_COUNT
+
+    def adc_noise(self) -> Floats:
+        """White noise of a conversion in counts, shape (16,)."""
+        sigma = np.zeros(CHANNELS)
+        sigma[:_SENSORS] = self.scene.noise.white_counts
+        sigma[PRESSURE : PRESSURE + 2] = self.scene.noise.pressure_counts
+        return sigma
+
+    def _encoder(self) -> float:
+        line = float(self._spool[k.LINE])
+        per_cm = self._robot.spool.counts_per_cm
+        return per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
+
+    def _log(self) -> None:
+        touching = self.body.touching
+        if self.t_s - self._logged_s < LOG_S - 1e-9 and touching == self._logged_touching:
+            return
+        self._logged_s = self.t_s
+        self._logged_touching = touching
+        self._history.append(self._moment())
+
+
+def _second_order(frequency_hz: float, damping: float, dt: float) -> Floats:
+    """Transition matrix of (distance, rate) of a second-order system over dt."""
+    w = 2 * PI * frequency_hz
+    a = damping * w
+    if damping < 1:
+        d = w * sqrt(1 - damping**2)
+        c, s = cos(d * dt), sin(d * dt) / d
+    elif damping == 1:
+        c, s = 1.0, dt
+    else:
+        d = w * sqrt(damping**2 - 1)
+        c, s = float(np.cosh(d * dt)), float(np.sinh(d * dt)) / d
+    e = exp(-a * dt)
+    return np.array([[e * (c + a * s), e * s], [-e * w * w * s, e * (c - a * s)]])

@@ -1,0 +1,274 @@
+"""Scene files: the true robot, the room around it, and all that is wrong with both.
+
+A scene is TOML. Everything has a default, so the shortest scene is an empty file: the robot of
+`RobotConfig` in an empty room. `scenes/default.toml` shows every key with its source; what is a
+guess is marked [G] there. `robot` holds the *true* constants; `belief` says how far the host's
+robot.toml is off. Lengths in cm, pressures in psi, curvature in 1/cm, time in s.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from thigmo.config import (
+    SIDES,
+    Finite,
+    Model,
+    NonNegative,
+    Positive,
+    RobotConfig,
+    Side,
+    load_toml,
+)
+from thigmo.errors import ConfigError
+from thigmo.mechanics import Peg
+
+SCENES = Path(__file__).parent / "scenes"
+
+
+class PegTable(Model):
+    """A round peg."""
+
+    x: Finite
+    y: Finite
+    radius: Annotated[float, Field(ge=0.05, le=100, allow_inf_nan=False)]
+
+
+class Noise(Model):
+    """The three parts of the sensors' noise (METHODS 8), and the pressure sensors'."""
+
+    white_counts: NonNegative = 1.0  # one sigma of one conversion, in ADC counts
+    pressure_counts: NonNegative = 0.5
+    hysteresis: NonNegative = 3e-4  # 1/cm, one sigma over sensors of the loop's half width
+    hysteresis_width: Positive = 5e-3  # 1/cm of bending that turns the loop around
+    per_eversion: NonNegative = 2e-3  # 1/cm, one sigma of the offset drawn at each eversion
+
+
+class Transducer(Model):
+    """Current-to-pressure transducer and the pressure sensor at its outlet."""
+
+    at_4ma_psi: NonNegative = 2.0
+    at_20ma_psi: Positive = 60.0
+    lag_s: Positive = 0.15
+    delay_s: NonNegative = 0.03
+    gain_error: NonNegative = 0.01  # one sigma over units
+    hysteresis_psi: NonNegative = 0.1  # play, half width
+    slew_psi_s: Positive = 30.0
+    supply_psi: Positive = 70.0
+    sensor_full_psi: Positive = 60.0
+    sensor_zero_error_psi: NonNegative = 0.05  # one sigma over units, after zeroing at vent
+
+
+class Muscle(Model):
+    """From pressure to bend."""
+
+    inflate_tau_s: Positive = 0.16
+    deflate_tau_s: Positive = 0.22
+    delay_s: NonNegative = 0.033
+
+
+class BodyDynamics(Model):
+    """How the body swings, and how it grows."""
+
+    frequency_hz: Positive = 1.5
+    damping: Positive = 0.5
+    growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
+    growth_psi_per_cm: NonNegative = 0.003  # tail friction
+    growth_cm_s_psi: Positive = 30.0  # eversion speed per psi above that
+    growth_force: NonNegative = 6.5e-3  # 1/cm^2 per psi: axial push at which the tip stalls
+    fold: bool = True  # whether the base folds
+
+
+class Flex(Model):
+    """What ails every flex sensor."""
+
+    creep: NonNegative = 0.02  # 1/cm just after eversion, one sigma over sensors
+    creep_tau_s: Positive = 8.0
+    wrong_direction_gain: NonNegative = 0.6  # response to bends against valid_direction
+    wrinkle: NonNegative = 0.012  # 1/cm, size of the garbage on the active side
+    wrinkle_start_psi: NonNegative = 1.0
+    wrinkle_full_psi: Positive = 4.0
+    fold_bend: NonNegative = 0.15  # 1/cm, seen while the tip's fold passes
+    stowed: NonNegative = 0.01  # 1/cm, one sigma of what a sensor inside the tail reads
+
+
+class SpoolMotor(Model):
+    """The true motor behind the spool."""
+
+    line_cm_s: Positive = 23.6  # no-load speed of the line at full duty
+    lag_s: Positive = 0.07
+    dead_zone: NonNegative = 60.0  # duty, of 800
+    winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
+
+
+class Supply(Model):
+    """Electric supply of the board."""
+
+    millivolt: Annotated[int, Field(gt=0, le=6000)] = 5000
+
+
+class Belief(Model):
+    """How far the host's robot.toml is off the truth: one sigma of each, drawn from the seed."""
+
+    gain_spread: NonNegative = 0.0  # relative, of each sensor's scale
+    position_spread_cm: NonNegative = 0.0  # of each sensor's centre
+    curvature_error: NonNegative = 0.0  # relative, of each map's amplitude
+    lag_error: NonNegative = 0.0  # relative
+    critical_error: NonNegative = 0.0  # relative, of the critical curvature
+
+
+class OperatorTable(Model):
+    """The emulated operator."""
+
+    takes_s: NonNegative = 5.0  # to set the regulator
+    length_error_cm: NonNegative = 0.0  # one sigma of a measured length
+
+
+class PlantTable(Model):
+    """Which mechanics, and how exact."""
+
+    model: Literal["auto", "arc", "beam", "elastica"] = "auto"
+    tolerance_cm: Positive = 0.05  # error in position that the automatic choice may make
+    cell_cm: Annotated[float, Field(ge=0.1, le=5)] = 1.0
+
+
+FaultKind = Literal[
+    "flex_wire_cut",
+    "flex_short",
+    "pressure_wire_cut",
+    "pressure_stuck",
+    "over_pressure",
+    "air_lost",
+    "spool_stall",
+    "spool_slip",
+    "host_silent",
+    "brown_out",
+    "power_cut",
+    "power_cut_saving",
+    "estop",
+    "hang",
+]
+
+
+class FaultTable(Model):
+    """A fault to inject, from a moment or a condition on, for a while or for good.
+
+    The fault begins when all given conditions have been met at once.
+    """
+
+    kind: FaultKind
+    at_s: NonNegative | None = None
+    above_length_cm: NonNegative | None = None
+    above_pressure_psi: NonNegative | None = None  # of either muscle
+    while_motor_runs: bool = False
+    duration_s: Positive | None = None  # none = for good
+    side: Side = "left"  # of a pressure fault or sensor
+    sensor: Annotated[int, Field(ge=0, le=4)] = 0  # base first
+    value: Finite | None = None  # see the scene's documentation
+
+    @model_validator(mode="after")
+    def _has_a_beginning(self) -> Self:
+        conditions = (self.at_s, self.above_length_cm, self.above_pressure_psi)
+        if all(c is None for c in conditions) and not self.while_motor_runs:
+            raise ValueError("a fault needs at_s or a condition for its beginning")
+        return self
+
+
+class Scene(Model):
+    """The whole of a scene file."""
+
+    version: Literal[1] = 1
+    name: str = "unnamed"
+    about: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    start_length_cm: NonNegative = 0.0
+    start_settled: bool = True  # sensors out at the start rested long ago
+    robot: RobotConfig = Field(default_factory=RobotConfig)
+    belief: Belief = Field(default_factory=Belief)
+    pegs: list[PegTable] = Field(default_factory=list, max_length=64)
+    noise: Noise = Field(default_factory=Noise)
+    transducer: Transducer = Field(default_factory=Transducer)
+    muscle: Muscle = Field(default_factory=Muscle)
+    body: BodyDynamics = Field(default_factory=BodyDynamics)
+    flex: Flex = Field(default_factory=Flex)
+    spool: SpoolMotor = Field(default_factory=SpoolMotor)
+    supply: Supply = Field(default_factory=Supply)
+    operator: OperatorTable = Field(default_factory=OperatorTable)
+    plant: PlantTable = Field(default_factory=PlantTable)
+    faults: list[FaultTable] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        radius = self.robot.body.radius_cm
+        for index, peg in enumerate(self.pegs):
+            beside = max(abs(peg.y) - radius, 0.0)
+            if hypot(peg.x, beside) < peg.radius:
+                raise ValueError(f"pegs[{index}] overlaps the robot's base at (0, 0)")
+        if self.start_length_cm > self.robot.body.length_cm:
+            raise ValueError("start_length_cm exceeds robot.body.length_cm")
+        for side in SIDES:
+            if len(self.robot.sensors.column(side)) > 5:
+                raise ValueError(f"robot.sensors.{side}: the board has five inputs a side")
+        return self
+
+    @classmethod
+    def load(cls, source: str | Path) -> Self:
+        """Read a scene: the name of one that comes with the package, or a path to a TOML file.
+
+        Raises:
+            ConfigError: no such scene, or a file that is malformed (the entry is named).
+        """
+        text = str(source)
+        path = Path(text)
+        if path.suffix != ".toml":
+            path = SCENES / f"{text}.toml"
+            if not path.is_file() or Path(text).name != text:
+                names = ", ".join(sorted(p.stem for p in SCENES.glob("*.toml")))
+                raise ConfigError(
+                    f"there is no scene named {text!r}",
+                    f"name one of {names}, or give the path of a .toml file",
+                )
+        scene = load_toml(cls, path)
+        if scene.name == "unnamed":
+            scene.name = path.stem
+        return scene
+
+    def peg_list(self) -> tuple[Peg, ...]:
+        """The pegs, for the mechanics."""
+        return tuple(Peg(p.x, p.y, p.radius) for p in self.pegs)
+
+    def believed(self, seed: int | None = None) -> RobotConfig:
+        """The robot.toml that the scene's lab would have: the truth, with its errors drawn.
+
+        The stated standard errors (`scale_se` and so on) are raised to the spreads used here.
+        """
+        rng = np.random.default_rng([self.seed if seed is None else seed, 0xBE11EF])
+        config = self.robot.model_copy(deep=True)
+        spread = self.belief
+        for side in SIDES:
+            for sensor in config.sensors.column(side):
+                sensor.scale_per_ohm *= 1 + spread.gain_spread * rng.standard_normal()
+                sensor.scale_se = max(sensor.scale_se, spread.gain_spread)
+                moved = sensor.center_cm + spread.position_spread_cm * rng.standard_normal()
+                top = config.body.length_cm - sensor.span_cm / 2
+                sensor.center_cm = float(min(max(moved, sensor.span_cm / 2 + 1e-3), top))
+            muscle = config.actuators.side(side)
+            muscle.lag_s *= max(1 + spread.lag_error * rng.standard_normal(), 0.1)
+            for zone in muscle.maps:
+                factor = 1 + spread.curvature_error * rng.standard_normal()
+                for curve in (zone.inflate, zone.deflate):
+                    curve.amplitude_se = max(
+                        curve.amplitude_se, spread.curvature_error * curve.amplitude
+                    )
+                    curve.amplitude *= factor
+        config.body.critical_curvature_se = max(
+            config.body.critical_curvature_se,
+            spread.critical_error * config.body.critical_curvature,
+        )
+        config.body.critical_curvature *= max(1 + spread.critical_error * rng.standard_normal(), 0.1)
+        return config

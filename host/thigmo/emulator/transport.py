@@ -1,0 +1,195 @@
+"""`emulator://SCENE`: a connection to the firmware core inside an emulated robot and room.
+
+Reading is what makes virtual time pass: `read` turns the lockstep until bytes are there or its
+time-out is over, so a run of minutes takes seconds and is the same each time. The heart beats by
+the virtual clock. With `realtime` the steps are paced by the wall clock.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qs
+
+import numpy as np
+
+from thigmo.config import RobotConfig
+from thigmo.emulator.board import Board
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.plant import STEP_MS, Truth
+from thigmo.emulator.scene import Scene
+from thigmo.errors import ConfigError, LinkError
+from thigmo.link.heart import Beat, Heart
+
+if TYPE_CHECKING:
+    from thigmo.link.transport import Transport
+
+_KEPT_BEATS = 64
+
+
+class EmulatedOperator:
+    """Stands beside the emulated robot and does at once, if not instantly, what he is asked."""
+
+    def __init__(self, transport: EmulatorTransport) -> None:
+        self._transport = transport
+        self._rng = np.random.default_rng([transport.seed, 0x0FE8])
+
+    def everted_length_cm(self) -> float:
+        """Measure the everted length."""
+        error = self._transport.scene.operator.length_error_cm * self._rng.standard_normal()
+        return max(self._transport.lockstep.plant.length_cm + error, 0.0)
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Set the body's regulator; takes the scene's `operator.takes_s` of virtual time."""
+        self._transport.pass_time(self._transport.scene.operator.takes_s)
+        self._transport.lockstep.plant.set_body_pressure(pressure_psi)
+
+
+class EmulatorTransport:
+    """The link's Transport over a board in lockstep with a plant.
+
+    Args:
+        scene: what to emulate.
+        board: holding the firmware.
+        seed: of all noise; None takes the scene's.
+        realtime: pace virtual time by the clock.
+        exchange_ms: how long the board runs between exchanges with the plant.
+        name: for messages.
+
+    Attributes:
+        config: the robot.toml that this robot's lab would have (the truth with its errors).
+        lockstep: board, plant and faults, for tests.
+        read_s: host time at which the bytes last read had arrived.
+    """
+
+    virtual = True
+
+    def __init__(
+        self,
+        scene: Scene,
+        board: Board,
+        *,
+        seed: int | None = None,
+        realtime: bool = False,
+        exchange_ms: int = STEP_MS,
+        name: str = "",
+    ) -> None:
+        self.name = name or f"emulator://{scene.name}"
+        self.scene = scene
+        self.seed = scene.seed if seed is None else seed
+        self.lockstep = Lockstep(scene, board, seed=self.seed, exchange_ms=exchange_ms)
+        self.config: RobotConfig = scene.believed(self.seed)
+        self.operator: EmulatedOperator | None = EmulatedOperator(self)
+        self.read_s = 0.0
+        self._heart: Heart | None = None
+        self._beats: deque[Beat] = deque(maxlen=_KEPT_BEATS)
+        self._received = bytearray()
+        self._realtime = realtime
+        self._began = time.monotonic()
+        self._closed = False
+
+    def now(self) -> float:
+        """Virtual seconds since the start."""
+        return self.lockstep.t_s
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the board's UART."""
+        self._require_open()
+        if not self.lockstep.faults.host_silent:
+            self.lockstep.board.write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Bytes as soon as there are any; b"" when so much virtual time passed without."""
+        self._require_open()
+        end = self.now() + timeout_s - 1e-9
+        while not self._received and self.now() < end:
+            self._advance()
+        data = bytes(self._received)
+        self._received.clear()
+        return data
+
+    def pass_time(self, seconds: float) -> None:
+        """Let virtual time pass; what the board says meanwhile is kept for `read`."""
+        self._require_open()
+        end = self.now() + seconds - 1e-9
+        while self.now() < end:
+            self._advance()
+
+    def _advance(self) -> None:
+        lockstep = self.lockstep
+        if self._heart is not None:
+            now = self.now()
+            frame = self._heart.beat(now)
+            if frame is not None and not lockstep.faults.host_silent:
+                lockstep.board.write(frame)
+                self._beats.append(Beat(self._heart.counter, now))
+        lockstep.advance()
+        data = lockstep.board.read()
+        if data:
+            self._received += data
+            self.read_s = self.now()
+        if self._realtime:
+            ahead = self.now() - (time.monotonic() - self._began)
+            if ahead > 0:
+                time.sleep(ahead)
+
+    def start_heartbeat(self, session: int, period_s: float) -> None:
+        """Beat by the virtual clock from now on."""
+        self._heart = Heart(session, period_s)
+
+    def stop_heartbeat(self) -> None:
+        """Beat no more."""
+        self._heart = None
+
+    def beats(self) -> list[Beat]:
+        """Heartbeats sent since the last call, oldest first (the last 64 at most)."""
+        sent = list(self._beats)
+        self._beats.clear()
+        return sent
+
+    def truth(self) -> Truth:
+        """Pegs, contacts and shapes."""
+        return self.lockstep.plant.truth()
+
+    def close(self) -> None:
+        """Close; may be called twice."""
+        self._closed = True
+        self._heart = None
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise LinkError(f"{self.name} is closed", "open it again")
+
+
+def parse_url(url: str, seed: int | None) -> tuple[Scene, int | None]:
+    """Scene and seed of `emulator://SCENE?seed=N` (a scene's name or a path to a .toml file).
+
+    Raises:
+        ConfigError: no such scene, a malformed one, or an unknown option.
+    """
+    _, _, rest = url.partition("://")
+    place, _, query = rest.partition("?")
+    options = parse_qs(query, keep_blank_values=True)
+    for key in options:
+        if key != "seed":
+            raise ConfigError(f"{url}: unknown option {key!r}", "only ?seed=NUMBER is known")
+    if "seed" in options and seed is None:
+        text = options["seed"][-1]
+        if not text.isdecimal():
+            raise ConfigError(f"{url}: seed {text!r} is not a whole number", "give ?seed=NUMBER")
+        seed = int(text)
+    return Scene.load(place or "default"), seed
+
+
+def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
+    """Open `emulator://SCENE` with the firmware core on the virtual board.
+
+    Raises:
+        ConfigError: no such scene, or a malformed one.
+    """
+    from thigmo.emulator._board import VirtualBoard
+
+    scene, seed = parse_url(url, seed)
+    used = scene.seed if seed is None else seed
+    return EmulatorTransport(scene, VirtualBoard(used), seed=used, realtime=realtime, name=url)
