@@ -31,7 +31,7 @@ def missing() -> str:
     return f"not installed: {', '.join(absent)}" if absent else ""
 
 
-def _make(folder: Path, target: Path) -> Path:
+def _make(folder: Path, target: Path, *settings: str) -> Path:
     reason = missing()
     if reason:
         raise PortError(
@@ -39,7 +39,7 @@ def _make(folder: Path, target: Path) -> Path:
             f"install {PACKAGES} and work in a source checkout, or use emulator://",
         )
     result = subprocess.run(
-        ["make", "-s", "-C", str(folder), f"BUILD={BUILD}"],
+        ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],
         capture_output=True,
         text=True,
         check=False,
@@ -63,13 +63,17 @@ def bridge_library() -> Path:
 
 
 @cache
-def firmware_hex() -> Path:
+def firmware_hex(baud: int = 250_000) -> Path:
     """The firmware image (Intel HEX), built if need be.
+
+    Args:
+        baud: rate that it speaks; 250 000 or 500 000.
 
     Raises:
         PortError: a tool is missing, or the build failed.
     """
-    return _make(ROOT / "firmware" / "mega", BUILD / "thigmo.hex")
+    name = "thigmo.hex" if baud == 250_000 else f"thigmo-{baud}.hex"
+    return _make(ROOT / "firmware" / "mega", BUILD / name, f"BAUD={baud}")
 
 
 def read_hex(path: Path) -> list[tuple[int, bytes]]:

@@ -1,0 +1,107 @@
+// The Arduino Mega 2560 as a Board policy (firmware/core/board.h): registers and rings, no
+// decisions.
+#ifndef THIGMO_MEGA_MEGA_BOARD_H_
+#define THIGMO_MEGA_MEGA_BOARD_H_
+
+#include <avr/interrupt.h>
+#include <avr/sleep.h>
+
+#include "program_memory.h"
+// The core comes after the access to its tables is defined.
+#include "../core/board.h"
+#include "actuators.h"
+#include "eeprom.h"
+#include "encoder.h"
+#include "pins.h"
+#include "restart.h"
+#include "sampler.h"
+#include "serial.h"
+
+namespace thigmo {
+namespace mega {
+
+class MegaBoard {
+ public:
+  static constexpr protocol::Board kKind = protocol::Board::kMega;
+
+  // Outputs first: whatever follows, nothing moves.
+  static void begin() {
+    pins_begin();
+    Actuators::begin();
+    Restart::begin();
+    Encoder::begin();
+    Serial0::begin();
+    Sampler::begin();
+    set_sleep_mode(SLEEP_MODE_IDLE);
+    Restart::guard();
+    sei();
+    while (!Sampler::started()) {
+    }
+  }
+
+  // Sleep until a frame of readings or of the host is there.
+  static void idle() {
+    for (;;) {
+      cli();
+      if (Sampler::waiting() || Serial0::worth_reading()) break;
+      sleep_enable();
+      sei();
+      sleep_cpu();  // the instruction after sei is executed before any interrupt
+      sleep_disable();
+    }
+    sei();
+  }
+
+  static uint32_t micros() { return Sampler::micros(); }
+  static bool take_frame(AdcFrame* frame) { return Sampler::take(frame); }
+
+  static void drive(uint8_t side, int16_t duty) { Actuators::drive(side, duty); }
+  static void drive_off(uint8_t side) { Actuators::drive_off(side); }
+  static void motor(int16_t duty) { Actuators::motor(duty); }
+  static void brake() { Actuators::brake(); }
+
+  static int32_t encoder_count() { return Encoder::count(); }
+  static bool estop() { return (PINA & kEstop) != 0; }
+  // From the bandgap against AVcc: 1.1 V, +-10 % from chip to chip (data sheet 31.7).
+  static uint16_t supply_mv() {
+    const uint16_t sum = Sampler::bandgap_sum();
+    if (sum != supply_sum_) {
+      supply_sum_ = sum;
+      supply_mv_ = static_cast<uint16_t>(kBandgapMv * 1024 * Sampler::kBandgapCount / sum);
+    }
+    return supply_mv_;
+  }
+
+  static bool rx_read(uint8_t* byte) { return Serial0::read(byte); }
+  static uint16_t rx_overruns() { return Serial0::overruns(); }
+  static uint16_t tx_free() { return Serial0::room(); }
+  static uint16_t tx_pending() { return Serial0::pending(); }
+  static void tx_write(const uint8_t* bytes, uint8_t count) { Serial0::write(bytes, count); }
+
+  static bool eeprom_ready() { return Eeprom::ready(); }
+  static uint8_t eeprom_read(uint16_t address) { return Eeprom::read(address); }
+  static void eeprom_write(uint16_t address, uint8_t value) { Eeprom::write(address, value); }
+
+  static protocol::ResetCause reset_cause() { return Restart::cause(); }
+  static void kick_watchdog() {
+    Restart::note_supply(Sampler::bandgap() > kBandgapMv * 1024 / kLowMv);
+    Restart::kick();
+  }
+
+  // A mark for the simulator's stop-watch (tools/budgets.py); one cycle.
+  static void task(uint8_t id) { GPIOR0 = id; }
+
+ private:
+  static constexpr uint32_t kBandgapMv = 1100;
+  static constexpr uint32_t kLowMv = 4300;  // a reset below this is called a brown-out
+
+  static uint16_t supply_sum_, supply_mv_;
+};
+
+uint16_t MegaBoard::supply_sum_;
+uint16_t MegaBoard::supply_mv_ = 5000;  // until the first average, 17 ms after start
+
+}  // namespace mega
+}  // namespace thigmo
+
+#endif  // THIGMO_MEGA_MEGA_BOARD_H_

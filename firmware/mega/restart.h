@@ -1,0 +1,85 @@
+// Watchdog, and why the chip last started.
+//
+// The boot loader clears MCUSR before it starts us, so the cause is mostly derived from a record in
+// RAM that no start-up code touches (.noinit): whether it survived, how long the main loop had been
+// silent, and what the supply was. .noinit lies behind .data and .bss, hence above the boot
+// loader's variables (0x200..0x20D) and far below its stack (the top 400 bytes); tests/sim checks
+// both.
+//
+// What it cannot tell: a hang with interrupts off stops the tick as well, and so looks like a press
+// of the reset button. The watchdog resets the chip all the same: it runs in pure reset mode,
+// because its interrupt mode never resets a chip whose interrupts are off.
+#ifndef THIGMO_MEGA_RESTART_H_
+#define THIGMO_MEGA_RESTART_H_
+
+#include <avr/io.h>
+#include <avr/wdt.h>
+
+#include "../core/board.h"
+
+namespace thigmo {
+namespace mega {
+
+// Left for the next start.
+struct RestartRecord {
+  uint32_t magic;
+  volatile uint16_t silent_ms;  // since the main loop last kicked the watchdog
+  volatile uint8_t supply_low;  // at the last look
+  uint8_t mcusr;                // of this start, before it was cleared
+};
+RestartRecord restart_record __attribute__((section(".noinit")));
+
+class Restart {
+ public:
+  // First thing in setup(), before the watchdog or the tick runs.
+  static void begin() {
+    cause_ = judge();
+    restart_record.magic = kMagic;
+    restart_record.silent_ms = 0;
+    restart_record.supply_low = 0;
+  }
+
+  static protocol::ResetCause cause() { return cause_; }
+
+  static void guard() { wdt_enable(WDTO_250MS); }
+  static void kick() {
+    wdt_reset();
+    restart_record.silent_ms = 0;
+  }
+  static void note_supply(bool low) { restart_record.supply_low = low; }
+
+  // Interrupt routine of the tick.
+  static inline void on_tick() { restart_record.silent_ms = restart_record.silent_ms + 1; }
+
+ private:
+  static constexpr uint32_t kMagic = 0x7468676D;  // "thgm"
+  static constexpr uint16_t kSilent = 180;        // of the watchdog's 250 ms (its clock is +-10 %)
+
+  static protocol::ResetCause judge() {
+    const uint8_t flags = restart_record.mcusr;
+    if ((flags & _BV(PORF)) != 0) return protocol::ResetCause::kPowerOn;
+    if ((flags & _BV(WDRF)) != 0) return protocol::ResetCause::kWatchdog;
+    if ((flags & _BV(BORF)) != 0) return protocol::ResetCause::kBrownOut;
+    if (restart_record.magic != kMagic) return protocol::ResetCause::kPowerOn;
+    if (restart_record.supply_low != 0) return protocol::ResetCause::kBrownOut;
+    if (restart_record.silent_ms >= kSilent) return protocol::ResetCause::kWatchdog;
+    return protocol::ResetCause::kExternal;
+  }
+
+  static protocol::ResetCause cause_;
+};
+
+protocol::ResetCause Restart::cause_;
+
+}  // namespace mega
+}  // namespace thigmo
+
+// Before any constructor, and before the watchdog, which stays on after its own reset, can bite.
+extern "C" void thigmo_first_instructions() __attribute__((naked, used, section(".init3")));
+extern "C" void thigmo_first_instructions() {
+  thigmo::mega::restart_record.mcusr = MCUSR;
+  MCUSR = 0;
+  wdt_disable();
+}
+
+#endif  // THIGMO_MEGA_RESTART_H_

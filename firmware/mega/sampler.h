@@ -1,0 +1,219 @@
+// The control tick (timer 1) and the analog frames that it starts.
+//
+// Timing, in cycles of the tick (TCNT1, 16 000 a millisecond); a conversion takes 13 ADC clocks of
+// 128 cycles (data sheet 26.4, table 26-1):
+//
+//   14272   compare B starts a conversion of the bandgap by hardware: 13.5 ADC clocks, to 16000 = 0
+//   0       slot 0 starts as the free-running successor, slot k at 1664 k, the last ends at 13312
+//   13312   the ADC rests on the bandgap, which so has 60 us to settle before its conversion
+//
+// So no sampling instant depends on an interrupt: from hold to hold it is exactly 104 us, and 1 ms
+// from tick to tick. Compare C interrupts in the middle of each conversion, at least 45 us from
+// either end, to fetch the last result and choose the next input; the data sheet (26.5) allows a
+// change of ADMUX there, at least one ADC clock after a start. A delayed interrupt hence shifts
+// nothing as long as it is less than 45 us late.
+//
+// Who uses it: MegaBoard (board.h); the interrupt routines are defined here.
+#ifndef THIGMO_MEGA_SAMPLER_H_
+#define THIGMO_MEGA_SAMPLER_H_
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <util/atomic.h>
+
+#include "../core/board.h"
+#include "program_memory.h"
+#include "restart.h"
+
+namespace thigmo {
+namespace mega {
+
+class Sampler {
+ public:
+  static constexpr uint16_t kTickCycles = 16000;
+
+  // Starts the tick; tick 0 begins 120 us later.
+  static void begin() {
+    ADMUX = kReference | kBandgap;
+    ADCSRA = kControl | _BV(ADSC);  // the first conversion takes 25 clocks: out of the way
+    loop_until_bit_is_clear(ADCSRA, ADSC);
+    ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
+    ADCSRB = kByTimer;
+    tick_ = 0xFFFFFFFF;
+    step_ = 0;
+    TCCR1A = 0;
+    TCCR1B = _BV(WGM12);
+    TCNT1 = kTrigger - 192;
+    OCR1A = kTickCycles - 1;
+    OCR1B = kTrigger;
+    OCR1C = kChain;
+    TIFR1 = _BV(OCF1A) | _BV(OCF1B) | _BV(OCF1C);
+    TIMSK1 = _BV(OCIE1A) | _BV(OCIE1C);
+    TCCR1B = _BV(WGM12) | _BV(CS10);
+  }
+
+  static bool started() {
+    uint32_t tick;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { tick = tick_; }
+    return tick != 0xFFFFFFFF;
+  }
+
+  static uint32_t micros() {
+    uint32_t tick;
+    uint16_t count;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+      tick = tick_;
+      count = TCNT1;
+      // The counter may have wrapped since interrupts were shut.
+      if ((TIFR1 & _BV(OCF1A)) != 0 && count < kTickCycles / 2) ++tick;
+    }
+    return tick * 1000 + count / 16;
+  }
+
+  static bool waiting() { return frame_in_ != frame_out_; }
+
+  static bool take(AdcFrame* frame) {
+    if (!waiting()) return false;
+    *frame = frames_[frame_out_ % kRoom];
+    frame_out_ = frame_out_ + 1;
+    return true;
+  }
+
+  // Sum of 16 bandgap conversions, or 0 before there are as many.
+  static uint16_t bandgap_sum() {
+    uint16_t sum;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { sum = bandgap_sum_; }
+    return sum;
+  }
+  static constexpr uint8_t kBandgapCount = 16;
+  // The last single conversion, for the record that a reset leaves.
+  static uint16_t bandgap() {
+    uint16_t count;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { count = bandgap_; }
+    return count;
+  }
+
+  // --- interrupt routines
+  // --------------------------------------------------------------------------
+  static inline void on_tick() {
+    Restart::on_tick();
+    tick_ = tick_ + 1;
+    if (step_ != 1) {  // the chain was broken: start over at the next tick
+      ADMUX = kReference | kBandgap;
+      ADCSRB = kByTimer;
+      TIFR1 = _BV(OCF1B);
+      OCR1C = kChain;
+      step_ = 0;
+    }
+  }
+
+  static inline void on_slot() {
+    const uint8_t step = step_;
+    const uint16_t result = ADC;
+    if (step == 0) {  // in the bandgap's conversion: slot 0 follows it at once
+      ADMUX = kReference | (kPressureChannel & 7);
+      ADCSRB = _BV(MUX5);
+      TIFR1 = _BV(OCF1B);
+      OCR1C = kMiddle;
+      ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
+      whole_ = true;
+      step_ = 1;
+      return;
+    }
+    if ((ADCSRA & _BV(ADIF)) == 0) whole_ = false;  // no conversion ended: do not invent a reading
+    ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
+    AdcFrame& frame = frames_[frame_in_ % kRoom];
+    if (step <= kAdcSlots) {
+      if (step < kAdcSlots) {
+        const uint8_t slot = step + ((static_cast<uint8_t>(tick_) & 1) != 0 ? kAdcSlots : 0);
+        ADMUX = pgm_read_byte(&kInputs.mux[slot]);
+        ADCSRB = pgm_read_byte(&kInputs.control[slot]);
+        OCR1C += kConversion;
+      } else {
+        ADMUX = kReference | kBandgap;
+        ADCSRB = kByTimer;  // nothing follows until compare B
+        OCR1C = kEnd;
+      }
+      if (step == 1)
+        take_bandgap(result);
+      else
+        frame.count[step - 2] = result;
+      step_ = step + 1;
+      return;
+    }
+    frame.count[kAdcSlots - 1] = result;
+    frame.tick = tick_;
+    // When the core is late, the newest frame is dropped.
+    if (whole_ && static_cast<uint8_t>(frame_in_ - frame_out_) < kAdcFrames)
+      frame_in_ = frame_in_ + 1;
+    OCR1C = kChain;
+    step_ = 0;
+  }
+
+ private:
+  static constexpr uint16_t kConversion = 13 * 128;
+  static constexpr uint16_t kTrigger = kTickCycles - 1728;  // 13.5 ADC clocks before the tick
+  static constexpr uint16_t kChain = kTrigger + 832;        // middle of the bandgap's conversion
+  static constexpr uint16_t kMiddle = kConversion / 2;      // middle of slot 0
+  static constexpr uint16_t kEnd = kAdcSlots * kConversion + 96;  // after the last slot
+  static constexpr uint8_t kReference = _BV(REFS0);               // AVcc
+  static constexpr uint8_t kBandgap = 0x1E;
+  static constexpr uint8_t kControl = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);  // 125 kHz
+  static constexpr uint8_t kByTimer = _BV(ADTS2) | _BV(ADTS0);  // timer 1 compare B
+
+  static inline void take_bandgap(uint16_t count) {
+    bandgap_ = count;
+    bandgap_running_ += count;
+    if (++bandgap_counted_ == kBandgapCount) {
+      bandgap_sum_ = bandgap_running_;
+      bandgap_running_ = 0;
+      bandgap_counted_ = 0;
+    }
+  }
+
+  // ADMUX and ADCSRB of each slot, of even then odd ticks.
+  struct Inputs {
+    uint8_t mux[2 * kAdcSlots];
+    uint8_t control[2 * kAdcSlots];
+  };
+  static constexpr Inputs inputs() {
+    Inputs table{};
+    for (uint8_t odd = 0; odd < 2; ++odd) {
+      for (uint8_t slot = 0; slot < kAdcSlots; ++slot) {
+        const uint8_t channel = adc_channel(odd != 0, slot);
+        table.mux[odd * kAdcSlots + slot] = kReference | (channel & 7);
+        table.control[odd * kAdcSlots + slot] = channel >= 8 ? _BV(MUX5) : 0;
+      }
+    }
+    return table;
+  }
+  static const Inputs kInputs;
+
+  static constexpr uint8_t kRoom = 8;  // kAdcFrames waiting and one being filled; a power of two
+  static volatile uint32_t tick_;
+  static volatile uint8_t step_;  // of the chain: 0 start, 1..8 in slot 0..7, 9 end
+  static bool whole_;             // every conversion of the running frame has ended
+  static AdcFrame frames_[kRoom];
+  static volatile uint8_t frame_in_, frame_out_;
+  static volatile uint16_t bandgap_, bandgap_sum_;
+  static uint16_t bandgap_running_;
+  static uint8_t bandgap_counted_;
+};
+
+const Sampler::Inputs Sampler::kInputs PROGMEM = Sampler::inputs();
+volatile uint32_t Sampler::tick_;
+volatile uint8_t Sampler::step_;
+bool Sampler::whole_;
+AdcFrame Sampler::frames_[kRoom];
+volatile uint8_t Sampler::frame_in_, Sampler::frame_out_;
+volatile uint16_t Sampler::bandgap_, Sampler::bandgap_sum_;
+uint16_t Sampler::bandgap_running_;
+uint8_t Sampler::bandgap_counted_;
+
+}  // namespace mega
+}  // namespace thigmo
+
+ISR(TIMER1_COMPA_vect, THIGMO_FAST) { thigmo::mega::Sampler::on_tick(); }
+ISR(TIMER1_COMPC_vect, THIGMO_FAST) { thigmo::mega::Sampler::on_slot(); }
+
+#endif  // THIGMO_MEGA_SAMPLER_H_
