@@ -58,6 +58,17 @@ struct AdcFrame {
   uint16_t count[kAdcSlots];
 };
 
+// Parts of a main-loop pass, as marked for a stop-watch by BoardPolicy::task(); 0 = none.
+enum class Task : uint8_t {
+  kReceive = 1,    // bytes, frames, commands
+  kSense = 2,      // conversions into readings
+  kControl = 3,    // the loop whose turn it is
+  kDecide = 4,     // trigger, peak, zeroing, supervisor; outputs written
+  kTelemetry = 5,  // filling a telemetry message
+  kStore = 6,      // configuration store
+  kTransmit = 7,   // frames to the line
+};
+
 // Ring sizes that the binding should have; powers of two of at most 256 let an 8-bit chip use
 // one-byte indices, which are atomic. The core never has more than about 180 bytes in the tx ring,
 // because a long queue would delay events.
@@ -111,6 +122,7 @@ class BoardPolicy {
 
   // --- start and stop ----------------------------------------------------------------------------
   protocol::ResetCause reset_cause();  // of this start
+  void task(uint8_t id);               // a part of the pass begins (Task); may do nothing
   void kick_watchdog();                // every tick; time-out 120..500 ms
 };
 

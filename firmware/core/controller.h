@@ -4,12 +4,12 @@
 // header says what it does. It knows nothing of pins, bytes or time beyond the tick. Work is spread
 // over the five ticks of a control period, so that no tick has more than one loop's load:
 //
-//   tick % 5   every tick: conversions, trigger, peak readings, faults, supervisor
+//   tick % 5   every tick: conversions, trigger, peak readings, emergency stop, supervisor
 //      0       sweep generator; left pressure loop, left muscle's lag and branch
 //      1       right pressure loop, right muscle's lag and branch
 //      2       spool: profile, position loop, stall; slip
 //      3       everted length, eversion, settle clocks, vented, quiet
-//      4       free curvature by the maps
+//      4       free curvature by the maps, conditions, faults
 //
 // Commands (commands.h) call the public methods between ticks.
 #ifndef THIGMO_CORE_CONTROLLER_H_
@@ -61,8 +61,11 @@ class Controller {
 
   void begin(LoadResult loaded, protocol::ResetCause cause);
 
-  // One tick's work, in the order of the class's comment.
-  void tick(const Inputs& in);
+  // One tick's work: conversions into readings; the loops whose turn it is; then trigger, peak,
+  // zeroing, faults and supervisor. In this order, once each.
+  void sense(const Inputs& in);
+  void control();
+  void decide();
 
   // Commands.
   Outcome arm();
@@ -121,9 +124,12 @@ class Controller {
     events_.post(code, arg, value, t_us());
   }
   void raise(Fault fault, int32_t value) { faults_.raise(fault, value, t_us(), &events_); }
-  Outcome permit(Permit kind) const { return {refusal(kind, state_, activity_, conditions_), 0}; }
+  // Whether a command is allowed, by what holds at this moment.
+  Outcome permit(Permit kind) {
+    assemble_conditions();
+    return {refusal(kind, state_, activity_, conditions_), 0};
+  }
 
-  void sense(const AdcFrame& frame);
   void add_flex(uint8_t sensor, uint16_t count);
   void run_phase(uint8_t phase);
   void advance_sweep();
@@ -137,7 +143,7 @@ class Controller {
   void hold_contact(uint8_t side);
   Reading reading() const;
   uint16_t causes() const;
-  void watch_faults(const Inputs& in);
+  void watch_faults();
   void assemble_conditions();
   void supervise(uint8_t requests);
   void make_safe(Reason reason);
@@ -177,6 +183,7 @@ class Controller {
   Outputs outputs_ = {{PressureLoop::kOff, PressureLoop::kOff}, 0};
 
   uint32_t tick_ = 0;
+  uint32_t elapsed_ = 0;  // ticks since the one before
   uint32_t beat_tick_ = 0;
   uint32_t energised_tick_ = 0;  // when an output was first energised, this time
   uint32_t telemetry_tick_ = 0;
@@ -186,7 +193,9 @@ class Controller {
   int32_t length_um_ = 0;
   uint16_t conditions_ = 0;
   uint16_t supply_mv_ = 0;
-  uint16_t overruns_ = 0;
+  uint16_t rx_overruns_ = 0;
+  uint16_t overruns_seen_ = 0;
+  uint16_t judged_conditions_ = 0;
   uint16_t quiet_run_ = 0;  // ms below half the trigger's threshold
   int16_t base_e5_ = 0;
   int16_t free_e5_ = 0;
@@ -194,6 +203,7 @@ class Controller {
   Activity activity_ = Activity::kIdle;
   uint8_t zone_ = kZoneUnknown;
   uint8_t phase_ = 0;
+  uint8_t judged_signals_ = 0;
   uint8_t vented_steps_ = 0;
   uint8_t over_steps_[kSides] = {};
   uint8_t sweep_options_ = 0;

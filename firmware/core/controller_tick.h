@@ -16,43 +16,44 @@ inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause) {
   if (cause == protocol::ResetCause::kBrownOut) raise(Fault::kBrownOut, 0);
 }
 
-inline void Controller::tick(const Inputs& in) {
-  const uint32_t elapsed = in.frame.tick - tick_;
+inline void Controller::sense(const Inputs& in) {
+  elapsed_ = in.frame.tick - tick_;
   tick_ = in.frame.tick;
   encoder_ = in.encoder;
   supply_mv_ = in.supply_mv;
+  rx_overruns_ = in.rx_overruns;
   estop_ = in.estop;
-  sense(in.frame);
+  const bool odd = (in.frame.tick & 1) != 0;
+  const uint16_t* count = in.frame.count;
+  for (uint8_t side = 0; side < kSides; ++side) {
+    pressure_[side].add(count[side]);
+    base_sum_[side].add(count[kSides + side]);
+  }
+  for (uint8_t slot = kSides; slot < kAdcSlots; ++slot)
+    add_flex(adc_channel(odd, slot), count[slot]);
   drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
+}
+
+inline void Controller::control() {
   // A lost frame must not cost a loop its step.
-  const uint8_t due = elapsed < 5 ? static_cast<uint8_t>(elapsed) : 5;
+  const uint8_t due = elapsed_ < 5 ? static_cast<uint8_t>(elapsed_) : 5;
   for (uint8_t i = 0; i < due; ++i) {
     phase_ = static_cast<uint8_t>(phase_ == 4 ? 0 : phase_ + 1);
     run_phase(phase_);
   }
+}
+
+inline void Controller::decide() {
   if (activity_ == Activity::kZeroing) zeroing_step();
   trigger_step();
   if (snapshots_.due(tick_) && snapshots_.store_peak(reading())) {
     post(protocol::EventCode::kPeak, peak_side_, kPeakReadings);
   }
-  assemble_conditions();
-  watch_faults(in);
+  if (estop_) raise(Fault::kEstop, 0);
   supervise(0);
-
   const uint32_t period = static_cast<uint32_t>(config_.get(Param::kTelemetryMs));
   telemetry_due_ = period != 0 && tick_ - telemetry_tick_ >= period && flex_.all_ready();
   if (telemetry_due_) telemetry_tick_ = tick_;
-}
-
-inline void Controller::sense(const AdcFrame& frame) {
-  const bool odd = (frame.tick & 1) != 0;
-  for (uint8_t side = 0; side < kSides; ++side) {
-    pressure_[side].add(frame.count[side]);
-    base_sum_[side].add(frame.count[kSides + side]);
-  }
-  for (uint8_t slot = kSides; slot < kAdcSlots; ++slot) {
-    add_flex(adc_channel(odd, slot), frame.count[slot]);
-  }
 }
 
 inline void Controller::add_flex(uint8_t sensor, uint16_t count) {
@@ -79,6 +80,8 @@ inline void Controller::run_phase(uint8_t phase) {
       break;
     default:
       free_step();
+      assemble_conditions();
+      watch_faults();
       break;
   }
 }
@@ -160,6 +163,7 @@ inline void Controller::finish_spool(bool arrived) {
   }
   length_um_ = derived_.um(encoder_ - zero_count_);
   finish_activity(protocol::EventCode::kActivityDone, length_um_);
+  body_step();
 }
 
 inline void Controller::body_step() {
@@ -372,7 +376,7 @@ inline uint16_t Controller::causes() const {
   return present;
 }
 
-inline void Controller::watch_faults(const Inputs& in) {
+inline void Controller::watch_faults() {
   const auto is = [this](Condition condition) { return (conditions_ & mask(condition)) != 0; };
   if (is(Condition::kEnergised)) {
     // Dead-man time: from the last heartbeat, or from switching on if that was later.
@@ -397,10 +401,9 @@ inline void Controller::watch_faults(const Inputs& in) {
     length_known_ = false;
   }
   if (!is(Condition::kSupplyGood)) raise(Fault::kBrownOut, supply_mv_);
-  if (estop_) raise(Fault::kEstop, 0);
-  if (in.rx_overruns != overruns_) {
-    overruns_ = in.rx_overruns;
-    raise(Fault::kLinkOverrun, overruns_);
+  if (rx_overruns_ != overruns_seen_) {
+    overruns_seen_ = rx_overruns_;
+    raise(Fault::kLinkOverrun, rx_overruns_);
   }
   if (bending() && (!length_known_ || is(Condition::kHalfEverted))) {
     raise(Fault::kInterlock, eversion_.half_mask());
@@ -414,9 +417,14 @@ inline void Controller::supervise(uint8_t requests) {
   if (activity_ != Activity::kIdle && activity_ != Activity::kSaving) {
     signals = static_cast<uint8_t>(signals | bit(Signal::kActive));
   }
+  // The table is walked only when something it reads has changed.
+  if (signals == judged_signals_ && conditions_ == judged_conditions_) return;
+  judged_signals_ = signals;
+  judged_conditions_ = conditions_;
   const State next = next_state(state_, conditions_, signals);
   if (next != state_) {
     state_ = next;
+    judged_signals_ = static_cast<uint8_t>(~signals);
     if (!may_energise(next)) {
       make_safe(next == State::kFault ? Reason::kFaultLatched : Reason::kNone);
     }

@@ -34,13 +34,16 @@ class Robot {
   // One pass of the main loop.
   void loop() {
     const uint32_t begun = board_.micros();
+    board_.task(static_cast<uint8_t>(Task::kReceive));
     receive();
     AdcFrame frame;
     if (board_.take_frame(&frame)) {
       tick(frame);
       board_.kick_watchdog();
     }
+    board_.task(static_cast<uint8_t>(Task::kStore));
     store();
+    board_.task(static_cast<uint8_t>(Task::kTransmit));
     transmit();
     const uint32_t took = board_.micros() - begun;
     uint16_t& longest = commands_.timing().loop_max_us;
@@ -71,8 +74,14 @@ class Robot {
     in.rx_overruns = board_.rx_overruns();
     in.estop = board_.estop();
     commands_.timing().rx_overruns = in.rx_overruns;
-    controller_.tick(in);
+    board_.task(static_cast<uint8_t>(Task::kSense));
+    controller_.sense(in);
+    board_.task(static_cast<uint8_t>(Task::kControl));
+    controller_.control();
+    board_.task(static_cast<uint8_t>(Task::kDecide));
+    controller_.decide();
     write_outputs();
+    board_.task(static_cast<uint8_t>(Task::kTelemetry));
     if (controller_.telemetry_due()) {
       protocol::Telemetry telemetry;
       controller_.fill(&telemetry);

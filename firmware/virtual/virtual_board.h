@@ -200,6 +200,7 @@ class VirtualBoard {
 
   protocol::ResetCause reset_cause() { return cause_; }
   void kick_watchdog() { kicked_us_ = now_us_; }
+  void task(uint8_t) {}
 
  private:
   // Main-loop passes within a tick, the third when the tick's conversions are complete. The Mega

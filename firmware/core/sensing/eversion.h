@@ -14,6 +14,9 @@ namespace thigmo {
 
 class Eversion {
  public:
+  // An encoder that trembles by a count must not make a sensor evert again and again.
+  static constexpr int32_t kHysteresisUm = 500;
+
   // Takes the everted length; returns the mask of sensors that have just everted.
   uint16_t update(bool length_known, int32_t length_um, uint32_t tick, const Configuration& c,
                   uint16_t enabled_mask) {
@@ -24,8 +27,8 @@ class Eversion {
     uint16_t fresh = 0;
     half_mask_ = 0;
     const int32_t margin = c.get(Param::kFoldMarginUm);
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      const uint16_t bit = static_cast<uint16_t>(1u << i);
+    uint16_t bit = 1;
+    for (uint8_t i = 0; i < kSensors; ++i, bit = static_cast<uint16_t>(bit << 1)) {
       const int32_t center = c.get(Param::kFlexCenterUm, i);
       const int32_t reach = c.get(Param::kFlexSpanUm, i) / 2 + margin;
       if (length_um >= center + reach) {
@@ -33,7 +36,7 @@ class Eversion {
           fresh = static_cast<uint16_t>(fresh | bit);
           everted_tick_[i] = tick;
         }
-      } else {
+      } else if ((everted_mask_ & bit) == 0 || length_um < center + reach - kHysteresisUm) {
         everted_mask_ = static_cast<uint16_t>(everted_mask_ & ~bit);
         settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~bit);
         if (length_um > center - reach && (enabled_mask & bit) != 0) {
@@ -44,10 +47,10 @@ class Eversion {
     everted_mask_ = static_cast<uint16_t>(everted_mask_ | fresh);
     settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~fresh);
     const uint32_t settle = static_cast<uint32_t>(c.get(Param::kSettleMs));
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      if (tick - everted_tick_[i] >= settle) {
-        settled_mask_ =
-            static_cast<uint16_t>(settled_mask_ | (everted_mask_ & static_cast<uint16_t>(1u << i)));
+    uint16_t waiting = static_cast<uint16_t>(everted_mask_ & ~settled_mask_);
+    for (uint8_t i = 0; waiting != 0; ++i, waiting = static_cast<uint16_t>(waiting >> 1)) {
+      if ((waiting & 1) != 0 && tick - everted_tick_[i] >= settle) {
+        settled_mask_ = static_cast<uint16_t>(settled_mask_ | (1u << i));
       }
     }
     return fresh;

@@ -18,7 +18,8 @@ class MovingSum {
   static constexpr uint8_t kPlaces = 32;
 
   void start(uint8_t log2) {
-    log2_ = log2;
+    places_ = static_cast<uint8_t>(log2 > 5 ? kPlaces : 1u << log2);
+    block_samples_ = static_cast<uint8_t>(log2 > 5 ? 1u << (log2 - 5) : 1u);
     next_ = 0;
     filled_ = 0;
     in_block_ = 0;
@@ -27,23 +28,21 @@ class MovingSum {
   }
 
   void add(uint16_t sample) {
-    const uint8_t block_log2 = log2_ > 5 ? static_cast<uint8_t>(log2_ - 5) : 0;
-    const uint8_t places = static_cast<uint8_t>(log2_ > 5 ? kPlaces : 1u << log2_);
     block_ = static_cast<uint16_t>(block_ + sample);
-    if (++in_block_ >> block_log2 == 0) return;
-    if (filled_ == places) {
+    if (++in_block_ < block_samples_) return;
+    if (filled_ == places_) {
       sum_ -= ring_[next_];
     } else {
       ++filled_;
     }
     ring_[next_] = block_;
     sum_ += block_;
-    next_ = static_cast<uint8_t>((next_ + 1) & (places - 1));
+    next_ = static_cast<uint8_t>((next_ + 1) & (places_ - 1));
     block_ = 0;
     in_block_ = 0;
   }
 
-  bool full() const { return filled_ == (log2_ > 5 ? kPlaces : 1u << log2_); }
+  bool full() const { return filled_ == places_; }
   uint32_t sum() const { return sum_; }  // of 2^log2 samples, once full
 
  private:
@@ -53,7 +52,8 @@ class MovingSum {
   uint8_t in_block_ = 0;
   uint8_t next_ = 0;
   uint8_t filled_ = 0;
-  uint8_t log2_ = 0;
+  uint8_t places_ = 1;
+  uint8_t block_samples_ = 1;
 };
 
 // Debounce and latch.
