@@ -1,12 +1,15 @@
 """`localize`: one frame of readings in, contacts with intervals out.
 
 Called by the exploration, by the command line and by users. The posterior decides: number of
-contacts by evidence, place by its mean, interval by its mass. The exact 1-norm optimum and its set
-are computed when asked for.
+contacts by evidence, place by its median, interval by its mass. Richer mechanics are tried only
+where a misfit or the bend calls for them. The exact 1-norm optimum and its set are computed when
+asked for.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -15,12 +18,39 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization import prior
-from thigmo.localization.influence import STRAIGHT
-from thigmo.localization.posterior import one_contact
+from thigmo.localization.models import (
+    Fit,
+    Setting,
+    at_corner,
+    bent_shape,
+    fit_one,
+    fit_several,
+    fold_column,
+    mix,
+    not_beyond,
+    precision,
+    solve_columns,
+    start,
+)
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import Contact, LocalizeResult, Range, Status
+from thigmo.localization.several import place_bound
 
 Array = npt.NDArray[np.float64]
+
+MOST_CONTACTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the caller knows of the body, normalised by the length."""
+
+    offset: float
+    critical: float | None
+    critical_of: str
+    mechanics: str
+    radius: float
+    width: float
 
 
 def localize(
@@ -33,6 +63,12 @@ def localize(
     noise: npt.ArrayLike | None = None,
     contacts: int | Literal["auto"] = "auto",
     method: str = "exact",
+    offset_sigma: float = 0.0,
+    critical_curvature: float | None = None,
+    critical_of: Literal["contact", "total"] = "contact",
+    mechanics: Literal["auto", "plain"] = "auto",
+    tube_radius: float | None = None,
+    width_limit: float | None = None,
 ) -> LocalizeResult:
     """Find the contacts that a body of known length feels.
 
@@ -45,8 +81,18 @@ def localize(
         span: scalar or (N,) sensor lengths; 0 for point sensors.
         free_curvature: scalar or (N,) curvature that actuation alone would cause.
         noise: standard deviation of a reading, scalar or (N,); None if it is not known.
-        contacts: how many, or "auto" to let the evidence decide.
-        method: "exact".
+        contacts: how many (0 to 3), or "auto" to let the evidence decide.
+        method: "exact"; or "l2" and the names of `thigmo.localization.baselines`, which give
+            point estimates without intervals.
+        offset_sigma: standard deviation of an error that all readings share (of the free
+            curvature or the zero); it is marginalised.
+        critical_curvature: contact moment over EI at which the base folds, at this body pressure
+            (it is proportional to it: `thigmo.mechanics.buckling.critical_moment`).
+        critical_of: whether the contact's moment or the total curvature is critical.
+        mechanics: "auto" takes what the scene needs; "plain" keeps to the straight beam.
+        tube_radius: radius of the body; 1.75/53 of the length if not given.
+        width_limit: widest 95 % interval that counts as localized; 10/53 of the length (10 cm of
+            the 53 cm body) if not given.
 
     Returns:
         Contacts with 95 % intervals, status, model.
@@ -57,107 +103,345 @@ def localize(
     if contacts != "auto" and (
         isinstance(contacts, bool)
         or not isinstance(contacts, (int, np.integer))
-        or not 0 <= contacts <= 1
+        or not 0 <= contacts <= MOST_CONTACTS
     ):
         raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
-    if method != "exact":
-        raise DataError(f"unknown method {method!r}", 'use method="exact"')
     readings = normalise(curvature, position, length, span, free_curvature, noise)
-    solve = partial(_exact, curvature, position, length, span, free_curvature)
-    return _one(readings, contacts, solve)
-
-
-_NO_COLUMNS: Array = np.zeros((0, 0))
-
-
-def _one(readings: Readings, contacts: int | str, solve: partial[object]) -> LocalizeResult:
-    n = len(readings.y)
     scale = readings.length
-    (
-        null,
-        evidence,
-        arc,
-        force,
-        deviation,
-        low,
-        high,
-        noise,
-        pieces,
-        arcs,
-        logp,
-        _,
-        flagged,
-    ) = one_contact(
-        readings.y,
-        readings.low,
-        readings.high,
-        readings.variance,
-        readings.known,
-        np.zeros((n, 0)),
-        STRAIGHT,
-        np.zeros((n, 4)),
-        prior.MOMENT,
-        prior.SPREAD,
-        prior.LOG_WEIGHT,
-        prior.OUTLIER_ODDS,
-        prior.OUTLIER_VARIANCE,
-        prior.LEVEL,
+    if method != "exact":
+        return _point_estimate(method, readings, contacts)
+    if mechanics not in ("auto", "plain"):
+        raise DataError(f"unknown mechanics {mechanics!r}", 'use "auto" or "plain"')
+    if critical_of not in ("contact", "total"):
+        raise DataError(f"unknown critical_of {critical_of!r}", 'use "contact" or "total"')
+    options = Options(
+        _positive("offset_sigma", offset_sigma) * scale,
+        None
+        if critical_curvature is None
+        else max(_positive("critical_curvature", critical_curvature) * scale, 1e-6),
+        critical_of,
+        mechanics,
+        prior.TUBE_RADIUS
+        if tube_radius is None
+        else max(_positive("tube_radius", tube_radius) / scale, 1e-6),
+        prior.WIDTH_SHARE if width_limit is None else _positive("width_limit", width_limit) / scale,
     )
-    odds = evidence - null
-    found = odds > prior.contact_threshold(n, readings.known)
-    outliers = tuple(int(i) for i in readings.index[flagged]) if flagged.any() else ()
-    arcs = arcs * scale
-    density = np.exp(logp) / scale
+    solve = partial(_exact, curvature, position, length, span, free_curvature)
+    return _decide(readings, contacts, options, solve)
+
+
+def _positive(name: str, value: float) -> float:
+    number = float(value)
+    if not (math.isfinite(number) and number >= 0.0):
+        raise DataError(f"{name} is {value!r}", f"give a finite {name} of zero or more")
+    return number
+
+
+def _decide(
+    readings: Readings,
+    contacts: int | str,
+    options: Options,
+    solve: partial[tuple[float, tuple[tuple[Range, ...], ...]]],
+) -> LocalizeResult:
+    plain = start(readings, options.offset)
+    fit = fit_one(readings, plain)
+    null = fit.null
+    odds = fit.score - null
+    threshold = prior.contact_threshold(len(readings.y), readings.known)
+    found = odds > threshold
     if contacts == 0 or (contacts == "auto" and not found):
         status: Status = "below detection" if odds > prior.HINT else "no contact"
-        return LocalizeResult(
-            status,
-            (),
-            "free body",
-            _SENTENCE[status],
-            noise / scale,
-            odds,
-            arcs,
-            density,
-            outliers,
-            {},
-            partial(solve, count=0),
-        )
-    if not found:
-        status = "below detection"
-    elif len(pieces) == 1 and high - low <= prior.WIDTH_SHARE:
-        status = "localized"
+        return _answer(readings, fit, (), status, "free body", _SENTENCE[status], odds, solve)
+    fit, second_likely = _best_model(readings, fit, contacts, options)
+    if not found and len(fit.arcs) == 1:
+        weak: Status = "below detection"
+        listed = _contacts(readings, fit, options, weak)
+        return _answer(readings, fit, listed, weak, fit.setting.name, _SENTENCE[weak], odds, solve)
+    listed = _contacts(readings, fit, options, "ambiguous" if second_likely else None)
+    statuses = [contact.status for contact in listed]
+    status = "ambiguous" if "ambiguous" in statuses else "localized"
+    message = _SENTENCE[status]
+    if second_likely:
+        message = "a second contact is likely, but not certain; average more readings"
+    return _answer(
+        readings, fit, listed, status, fit.setting.name, message, fit.score - null, solve
+    )
+
+
+def _best_model(
+    readings: Readings, plain: Fit, contacts: int | str, options: Options
+) -> tuple[Fit, bool]:
+    """The model that the evidence prefers, and whether it leaves a further contact likely."""
+    wanted = 1 if contacts == "auto" else int(contacts)
+    called = not readings.known or plain.misfit > prior.MISFIT or bool(plain.flagged.any())
+    rich = options.mechanics == "auto"
+    fold = _fold_setting(readings, plain, options, called) if rich else None
+    if wanted > 1:
+        return _given_number(readings, plain.setting, fold, wanted, rich), False
+    ones = [_lever_arms(readings, plain)] if rich else [plain]
+    if rich:
+        ones += _tip_models(readings, ones[0], options, called)
+        if called and len(readings.y) >= LEAST_FOR_SPREAD:
+            ones += _spread_models(readings, ones[0])
+        if fold is not None:
+            ones = _with_fold(readings, ones, fold, options)
+    winner = max(ones, key=_score)
+    likely = False
+    if contacts == "auto" and called:
+        winner, likely = _more_contacts(readings, plain.setting, winner, fold, rich)
+    return (mix(ones) if len(winner.arcs) == 1 else winner), likely
+
+
+# Readings from which a spread load can differ from a point load and noise.
+LEAST_FOR_SPREAD = 5
+
+
+def _score(fit: Fit) -> float:
+    return fit.score
+
+
+def _given_number(
+    readings: Readings, plain: Setting, fold: Setting | None, count: int, rich: bool
+) -> Fit:
+    """As many contacts as the caller asks for."""
+    fits = [fit_several(readings, plain, count)]
+    if fold is not None:
+        fits.append(fit_several(readings, fold, count, prior.FOLD_PENALTY))
+    best = max(fits, key=_score)
+    return _refit_bent(readings, best) if rich else best
+
+
+def _more_contacts(
+    readings: Readings, plain: Setting, winner: Fit, fold: Setting | None, rich: bool
+) -> tuple[Fit, bool]:
+    """Two and three contacts, as long as each adds enough evidence."""
+    step = prior.second_threshold(len(readings.y), readings.known)
+    for count in range(2, MOST_CONTACTS + 1):
+        # Each contact takes two numbers.
+        if len(readings.y) < 2 * count:
+            break
+        penalty = (count - 1) * step
+        rivals = [fit_several(readings, plain, count, penalty)]
+        if fold is not None:
+            rivals.append(fit_several(readings, fold, count, penalty + prior.FOLD_PENALTY))
+        rival = max(rivals, key=_score)
+        if rich:
+            rival = _refit_bent(readings, rival)
+        if rival.score <= winner.score:
+            # One nat short of the threshold counts as likely.
+            return winner, count == 2 and rival.score > winner.score - 1.0
+        winner = rival
+        if readings.known and winner.misfit < prior.MISFIT:
+            break
+    return winner, False
+
+
+def _turning(fit: Fit, readings: Readings) -> float:
+    """Largest turning (rad) between a contact and the base under a fit, roughly."""
+    free = abs(float(readings.free.mean()))
+    loads = sum(abs(f) * a * a / 2 for a, f in zip(fit.arcs, fit.forces, strict=True))
+    return free * float(fit.arcs.max()) + float(loads)
+
+
+def _lever_arms(readings: Readings, fit: Fit) -> Fit:
+    """One contact with levers from the bent shape, iterated until the place stands."""
+    if _turning(fit, readings) < prior.BEND:
+        return fit
+    for _ in range(4):
+        before = float(fit.arcs[0])
+        setting = fit.setting.bent(bent_shape(fit, readings), readings)
+        fit = fit_one(readings, setting, fit.penalty)
+        if abs(float(fit.arcs[0]) - before) < 5e-4:
+            break
+    return fit
+
+
+def _refit_bent(readings: Readings, fit: Fit) -> Fit:
+    """Several contacts with levers from the bent shape."""
+    if _turning(fit, readings) < prior.BEND:
+        return fit
+    setting = fit.setting.bent(bent_shape(fit, readings), readings)
+    return fit_several(readings, setting, len(fit.arcs), fit.penalty)
+
+
+def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) -> Setting | None:
+    """The same body with a fold at its base, where base sensors or the moment suggest one."""
+    column = fold_column(readings, options.radius)
+    base = column > 0.0
+    # A fold needs other sensors to be told from a contact.
+    if not base.any() or np.count_nonzero(~base) < 2:
+        return None
+    moment = abs(float(fit.forces[0] * fit.arcs[0]))
+    near = options.critical is not None and (
+        moment + 2.0 * fit.deviation * float(fit.arcs[0]) > 0.7 * options.critical
+    )
+    if not near and not called:
+        return None
+    return fit.setting.with_column(column, prior.FOLD_ANGLE, "fold_angle", "base fold")
+
+
+def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Options) -> list[Fit]:
+    """Add the folded base to the one-contact models; with a known critical moment, enforce it."""
+    counted = float(readings.free.mean()) if options.critical_of == "total" else 0.0
+    if options.critical is None:
+        folded = _lever_arms(readings, fit_one(readings, fold, prior.FOLD_PENALTY))
     else:
-        status = "ambiguous"
-    contact = Contact(
-        arc * scale,
-        force / scale**2,
-        (low * scale, high * scale),
-        status,
-        tuple((float(a) * scale, float(b) * scale) for a, b, _ in pieces),
-        deviation / scale**2,
+        ones = [not_beyond(fit, options.critical, counted) for fit in ones]
+        buckled = replace(
+            fold,
+            name=fold.name.replace("base fold", "base fold at the critical moment"),
+            moment=np.array([options.critical - counted, -options.critical - counted]),
+            spread=np.full(2, prior.CRITICAL_SPREAD * options.critical),
+            log_weight=np.log(np.full(2, 0.5)),
+        )
+        folded = _lever_arms(readings, fit_one(readings, buckled))
+    angle = float(solve_columns(folded, readings)[-1]) * prior.FOLD_ANGLE
+    # The fold opens the way the contact bends the body.
+    if angle * float(folded.forces[0]) < 0.0:
+        folded.score += 2.0 * -abs(angle) / prior.FOLD_ANGLE - 3.0
+    return [*ones, folded]
+
+
+def _tip_models(readings: Readings, fit: Fit, options: Options, called: bool) -> list[Fit]:
+    """Tip moment and oblique force at the tip, where the place or the misfit suggests them."""
+    out: list[Fit] = []
+    moment = fit.setting.with_column(
+        np.ones(len(readings.y)), prior.TIP_MOMENT, "tip_moment", "tip moment"
     )
-    return LocalizeResult(
-        status,
-        (contact,),
-        "plain beam",
-        _SENTENCE[status],
-        noise / scale,
-        odds,
-        arcs,
-        density,
-        outliers,
-        {},
-        partial(solve, count=1),
+    if called and len(readings.y) >= 3:
+        out.append(_lever_arms(readings, fit_one(readings, moment, prior.TIP_MOMENT_PENALTY)))
+    near_tip = float(fit.intervals[0, 1]) > NEAR_TIP
+    if not near_tip or _turning(fit, readings) < prior.BEND:
+        return out
+    settings = [(fit.setting, 0.0)]
+    if called and len(readings.y) >= 4:
+        settings.append((moment, prior.TIP_MOMENT_PENALTY))
+    for setting, penalty in settings:
+        corner = at_corner(readings, setting, fit, options.radius, penalty)
+        for _ in range(2):
+            if corner is None:
+                break
+            bent = setting.bent(bent_shape(corner, readings), readings)
+            corner = at_corner(readings, bent, fit, options.radius, penalty)
+        if corner is not None:
+            out.append(corner)
+    return out
+
+
+# An interval that ends beyond this share of the length may be a contact on the tip's corner.
+NEAR_TIP = 0.85
+
+
+def _spread_models(readings: Readings, fit: Fit) -> list[Fit]:
+    """A uniform load over a stretch of a few widths."""
+    penalty = prior.DISTRIBUTED_PENALTY + math.log(len(prior.HALF_WIDTHS))
+    return [fit_several(readings, fit.setting, 1, penalty, half) for half in prior.HALF_WIDTHS]
+
+
+def _contacts(
+    readings: Readings, fit: Fit, options: Options, status: Status | None
+) -> tuple[Contact, ...]:
+    """Contacts in the caller's units; `status` overrides what the posterior says."""
+    scale = readings.length
+    out = []
+    for j, (arc, force) in enumerate(zip(fit.arcs, fit.forces, strict=True)):
+        low, high = fit.intervals[j]
+        pieces = fit.pieces[j]
+        own: Status = "localized"
+        if len(pieces) != 1 or high - low > options.width or _open(readings, fit, options):
+            own = "ambiguous"
+        out.append(
+            Contact(
+                float(arc) * scale,
+                float(force) / scale**2,
+                (float(low) * scale, float(high) * scale),
+                status or own,
+                tuple((float(p[0]) * scale, float(p[1]) * scale) for p in pieces),
+                fit.deviation / scale**2,
+            )
+        )
+    return tuple(out)
+
+
+def _open(readings: Readings, fit: Fit, options: Options) -> bool:
+    """Whether only the ends of the body, not the readings, bound the place."""
+    if len(fit.arcs) > 1:
+        return fit.loose
+    if "tangential_force" in fit.parameters:
+        return False
+    setting = fit.setting
+    bound = place_bound(
+        fit.arcs,
+        fit.forces,
+        readings.low,
+        readings.high,
+        setting.table,
+        setting.edges,
+        precision(fit, readings),
+        setting.columns,
     )
+    return not bound < options.width
 
 
 _SENTENCE: dict[Status, str] = {
     "no contact": "the readings are those of the free body",
     "below detection": "a contact is not certain; average more readings or bend further",
     "localized": "one place explains the readings",
-    "ambiguous": "several places explain the readings; see `intervals`",
+    "ambiguous": "the readings do not fix the place; see `intervals`",
 }
+
+
+def _answer(
+    readings: Readings,
+    fit: Fit,
+    contacts: tuple[Contact, ...],
+    status: Status,
+    model: str,
+    message: str,
+    odds: float,
+    solve: partial[tuple[float, tuple[tuple[Range, ...], ...]]],
+) -> LocalizeResult:
+    scale = readings.length
+    return LocalizeResult(
+        status,
+        contacts,
+        model,
+        message,
+        fit.noise / scale,
+        odds,
+        fit.nodes * scale,
+        np.exp(fit.logp) / scale,
+        tuple(int(i) for i in readings.index[fit.flagged]) if fit.flagged.any() else (),
+        _parameters(readings, fit) if contacts else {},
+        partial(solve, count=len(contacts)),
+    )
+
+
+def _parameters(readings: Readings, fit: Fit) -> dict[str, float]:
+    """Reported parameters of the model in the caller's units."""
+    scale = readings.length
+    power = {"tip_moment": 1, "tangential_force": 2, "fold_angle": 0}
+    out = {}
+    if fit.setting.labels:
+        for label, unit, value in zip(
+            fit.setting.labels, fit.setting.scales, solve_columns(fit, readings), strict=True
+        ):
+            if label:
+                out[label] = float(value) * unit / scale ** power[label]
+    for label, value in fit.parameters.items():
+        # Beside a free tip moment, the oblique force adds its own.
+        own = out.get(label, 0.0) if label == "tip_moment" else 0.0
+        out[label] = own + value / scale ** power[label]
+    if fit.stretch > 0.0:
+        out["half_width"] = fit.stretch * scale
+    return out
+
+
+def _point_estimate(
+    method: str, readings: Readings, contacts: int | Literal["auto"]
+) -> LocalizeResult:
+    """A method without a posterior: one point for each contact, no interval to speak of."""
+    raise DataError(f"unknown method {method!r}", 'use method="exact"')
 
 
 def _exact(
@@ -170,14 +454,13 @@ def _exact(
     count: int,
 ) -> tuple[float, tuple[tuple[Range, ...], ...]]:
     """Global 1-norm optimum for `count` contacts: objective and sets."""
-    from thigmo.localization.exact import one_contact as exact_one
-    from thigmo.localization.exact import several_contacts
+    from thigmo.localization.exact import one_contact, several_contacts
 
     y = np.asarray(curvature, dtype=np.float64) - np.asarray(free_curvature, dtype=np.float64)
     if count == 0:
         return float(np.nansum(np.abs(y))), ()
     if count == 1:
-        solution = exact_one(y, position, length, span=span)
+        solution = one_contact(y, position, length, span=span)
     else:
         solution = several_contacts(
             y, position, length, contacts=count, span=span, optimum_set=True

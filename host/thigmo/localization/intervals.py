@@ -151,27 +151,20 @@ def modes(arcs: Array, logp: Array, count: int, cumulative: Array, level: float,
 
 
 @compiled
-def mean_between(
-    arcs: Array, logp: Array, count: int, cumulative: Array, values: Array, low: float, high: float
-) -> tuple[float, float]:
-    """Mean of the arc and of `values` over the cells between two nodes."""
-    total = 0.0
-    arc = 0.0
-    value = 0.0
-    for j in range(count - 1):
-        if arcs[j] < low - 1e-15 or arcs[j + 1] > high + 1e-15:
-            continue
-        mass = cumulative[j + 1] - cumulative[j]
-        total += mass
-        difference = logp[j + 1] - logp[j]
-        # Centre of mass of the cell.
-        if abs(difference) < 1e-3:
-            place = 0.5 + difference / 12.0
-        elif difference > 0.0:
-            place = 1.0 / (1.0 - np.exp(-difference)) - 1.0 / difference
-        else:
-            place = np.exp(difference) / (np.exp(difference) - 1.0) - 1.0 / difference
-        arc += mass * (arcs[j] + place * (arcs[j + 1] - arcs[j]))
-        value += mass * (values[j] + place * (values[j + 1] - values[j]))
-    total = max(total, 1e-300)
-    return arc / total, value / total
+def median_between(
+    arcs: Array, logp: Array, count: int, cumulative: Array, low: float, high: float
+) -> float:
+    """Median of the part of the density between two nodes."""
+    first = 0
+    while first < count - 2 and arcs[first + 1] <= low:
+        first += 1
+    last = count - 1
+    while last > first + 1 and arcs[last - 1] >= high:
+        last -= 1
+    goal = 0.5 * (cumulative[first] + cumulative[last])
+    j = first
+    while j < last - 1 and cumulative[j + 1] < goal:
+        j += 1
+    share = (goal - cumulative[j]) / max(cumulative[j + 1] - cumulative[j], 1e-300)
+    share = min(max(share, 0.0), 1.0)
+    return arcs[j] + (arcs[j + 1] - arcs[j]) * within(share, logp[j], logp[j + 1])

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from thigmo.compiled import compiled
 from thigmo.localization.influence import influence
-from thigmo.localization.intervals import cell_mass, masses, mean_between, modes, shortest
+from thigmo.localization.intervals import cell_mass, masses, median_between, modes, shortest
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -500,7 +500,7 @@ def best_pattern(
     """
     n = y.shape[0]
     flagged = given.copy()
-    top, at = search_pattern(
+    top, _ = search_pattern(
         arcs,
         low,
         high,
@@ -710,7 +710,20 @@ def one_contact(
     kappa2: float,
     level: float,
 ) -> tuple[
-    float, float, float, float, float, float, float, float, Array, Array, Array, Array, Flags
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    float,
+    Array,
+    Array,
+    Array,
+    Array,
+    Flags,
 ]:
     """Posterior of one contact, and the evidence with and without it.
 
@@ -732,8 +745,8 @@ def one_contact(
 
     Returns:
         log evidence without and with the contact; arc; force; its deviation; interval low and
-        high; typical noise; (M, 3) modes; nodes, log density (normalised) and force over them;
-        (N,) outliers.
+        high; noise; misfit (sum of squared residuals over variance); (M, 3) modes; nodes, log
+        density (normalised) and force over them; (N,) outliers.
     """
     n = y.shape[0]
     q = columns.shape[1]
@@ -883,20 +896,8 @@ def one_contact(
     )
     cumulative = np.empty(count)
     evidence = masses(arcs, logp, count, cumulative)
-    start, end = shortest(arcs, logp, count, cumulative, level)
-    pieces = np.empty((12, 3))
-    found = modes(arcs, logp, count, cumulative, level, pieces)
-    pieces = pieces[:found].copy()
-    if found == 1:
-        arc, _ = mean_between(arcs, logp, count, cumulative, force, 0.0, 1.0)
-    else:
-        best = 0
-        for m in range(found):
-            if pieces[m, 2] > pieces[best, 2]:
-                best = m
-        arc, _ = mean_between(
-            arcs, logp, count, cumulative, force, pieces[best, 0], pieces[best, 1]
-        )
+    arc, start, end, pieces = summary(arcs, logp, count, cumulative, level)
+    logp -= evidence
     _, strength, square = evaluate(
         arc,
         low,
@@ -924,10 +925,47 @@ def one_contact(
     for j in range(count - 1):
         middle = 0.5 * (force[j] + force[j + 1]) - strength
         slide += (cumulative[j + 1] - cumulative[j]) * middle * middle
+    # Noise level with the most weight at the arc, and the misfit there.
+    s = 0
+    if levels > 1:
+        best = -1e300
+        for k in range(levels):
+            value, _, _ = evaluate(
+                arc,
+                low,
+                high,
+                table,
+                edges,
+                y,
+                flagged,
+                odds,
+                kappa2,
+                W[k : k + 1],
+                white[k : k + 1],
+                fit[k : k + 1],
+                const[k : k + 1],
+                moment,
+                spread,
+                log_weight,
+                phi,
+                t,
+                flips,
+                False,
+            )
+            if value > best:
+                best = value
+                s = k
     typical = 0.0
+    misfit = 0.0
     for i in range(n):
         typical += variance[i] / n
-    typical = np.sqrt(typical) * sigma[levels // 2]
+        misfit -= W[s, i] * phi[i] * strength * (2.0 * y[i] - strength * phi[i])
+        misfit += W[s, i] * y[i] * y[i]
+    for k in range(q):
+        part = fit[s, k]
+        for i in range(n):
+            part -= strength * W[s, i] * phi[i] * white[s, i, k]
+        misfit -= part * part
     return (
         null,
         evidence,
@@ -936,13 +974,47 @@ def one_contact(
         np.sqrt(square + slide),
         start,
         end,
-        typical,
+        np.sqrt(typical) * sigma[s],
+        misfit,
         pieces,
         arcs[:count].copy(),
-        logp[:count] - evidence,
+        logp[:count].copy(),
         force[:count].copy(),
         flagged,
     )
+
+
+@compiled
+def summary(
+    arcs: Array, logp: Array, count: int, cumulative: Array, level: float
+) -> tuple[float, float, float, Array]:
+    """Median (of the heaviest mode), shortest interval and modes of a density on nodes.
+
+    Returns:
+        arc; interval low and high; (M, 3) modes.
+    """
+    start, end = shortest(arcs, logp, count, cumulative, level)
+    pieces = np.empty((12, 3))
+    found = modes(arcs, logp, count, cumulative, level, pieces)
+    first = 0.0
+    last = 1.0
+    if found > 1:
+        best = 0
+        for m in range(found):
+            if pieces[m, 2] > pieces[best, 2]:
+                best = m
+        first = pieces[best, 0]
+        last = pieces[best, 1]
+    arc = median_between(arcs, logp, count, cumulative, first, last)
+    return arc, start, end, pieces[:found].copy()
+
+
+@compiled
+def mixed(arcs: Array, logp: Array, level: float) -> tuple[float, float, float, Array]:
+    """Summary of any density on sorted nodes; `logp` is normalised in place."""
+    cumulative = np.empty(arcs.shape[0])
+    logp -= masses(arcs, logp, arcs.shape[0], cumulative)
+    return summary(arcs, logp, arcs.shape[0], cumulative, level)
 
 
 @compiled

@@ -12,12 +12,13 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 # A contact lies anywhere on the body: uniform over 0..1. Its moment at the base, f a, is of either
-# sign: an equal mixture of N(0, 0.25^2) and N(0, 1.5^2). For a body of 53 cm these deviations are
-# 0.005 and 0.028 1/cm: unactuated contacts stay below 0.011 1/cm (a fold), actuated ones reach the
-# free curvature.
+# sign: N(0, 0.4^2) with weight 0.92, N(0, 1.5^2) with 0.08. For a body of 53 cm these deviations
+# are 0.0075 and 0.028 1/cm: unactuated contacts stay below 0.011 1/cm (then the body folds),
+# actuated ones seldom pass the free curvature. A wider prior costs precision where only one or two
+# sensors feel the contact: it lets a strong force near the base pass for a weak one farther out.
 MOMENT: Array = np.zeros(2)
-SPREAD: Array = np.array([0.25, 1.5])
-LOG_WEIGHT: Array = np.log(np.array([0.5, 0.5]))
+SPREAD: Array = np.array([0.4, 1.5])
+LOG_WEIGHT: Array = np.log(np.array([0.92, 0.08]))
 
 # One reading in fifty may be an outlier, ten times wider than the noise.
 OUTLIER_ODDS = 0.02 / 0.98
@@ -39,4 +40,35 @@ def contact_threshold(readings: int, known: bool) -> float:
     Simulated (bench/calibration.py) for at most 1 % false contacts in empty scenes of 2 to 20
     readings; an unknown noise needs more, the fewer the readings.
     """
+    return 2.0 if known else 2.0 + 5.0 / readings
+
+
+# What a richer model must add in log evidence before it replaces the plain one: its prior odds.
+FOLD_PENALTY = 2.0
+CORNER_PENALTY = 1.5
+TIP_MOMENT_PENALTY = 3.0
+DISTRIBUTED_PENALTY = 3.0
+# A misfit (sum of squared residuals over variance) below this leaves a richer model nothing to
+# gain: it could add half of it, and must add its penalty and what its own priors cost.
+MISFIT = 7.0
+
+# Prior deviations: base fold (rad), tip moment over EI times length, tangential force at the
+# tip's corner over the normal one.
+FOLD_ANGLE = 0.5
+TIP_MOMENT = 0.4
+TANGENTIAL = 1.0
+# Relative deviation of the critical moment.
+CRITICAL_SPREAD = 0.1
+# Half widths of a distributed contact, share of the length.
+HALF_WIDTHS = (0.05, 0.1, 0.2)
+# Tube radius where the caller gives none: that of the 53 cm body.
+TUBE_RADIUS = 1.75 / 53.0
+# A contact on the tip's corner is somewhere on the last hundredth of the body.
+CORNER_WIDTH = 0.01
+# Turning (rad) between base and contact from which levers are taken from the bent shape.
+BEND = 0.25
+
+
+def second_threshold(readings: int, known: bool) -> float:
+    """Log evidence ratio that each further contact must add (<= 5 % false second contacts)."""
     return 2.0 if known else 2.0 + 5.0 / readings

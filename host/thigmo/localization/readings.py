@@ -169,7 +169,7 @@ def normalise(
     """
     k = _vector(curvature, "curvature")
     x = _vector(position, "position")
-    l = _vector(span, "span")
+    width = _vector(span, "span")
     g = _ZERO if isinstance(free_curvature, float) and free_curvature == 0.0 else None
     if g is None:
         g = _vector(free_curvature, "free_curvature")
@@ -186,7 +186,7 @@ def normalise(
     block = np.empty((5, n))
     index = np.empty(n, dtype=np.int64)
     problem, count = _normalise(
-        k, x, l, g, s, total, block[0], block[1], block[2], block[3], block[4], index
+        k, x, width, g, s, total, block[0], block[1], block[2], block[3], block[4], index
     )
     if problem:
         raise DataError(*_PROBLEMS[problem])

@@ -19,7 +19,7 @@ class Contact:
     """One contact. Arc in the caller's unit, force over EI in that unit to the power -2.
 
     Attributes:
-        arc: place along the body: mean of the posterior, or of its heaviest mode.
+        arc: place along the body: median of the posterior, or of its heaviest mode.
         force: normal force over EI, positive towards positive curvature, at `arc`.
         interval: shortest arc interval that holds 95 % of the posterior.
         status: `localized` (one mode, interval no wider than the limit), `ambiguous`, or
