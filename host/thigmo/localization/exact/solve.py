@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from thigmo.errors import DataError
 from thigmo.localization.exact.one_contact_l1 import PIECES, fit_l1_rows
 from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
+from thigmo.localization.exact.several_contacts import fit_several
 
 Floats = NDArray[np.float64]
 Norm = Literal[1, 2]
@@ -29,6 +31,7 @@ class Solution:
             within tolerance of its minimum (the other parameters being free); low == high at a
             single point. Empty where the set was not asked for.
         gap: objective minus a proven lower bound; at most the tolerance unless a search was cut.
+        nodes: bounds computed on the way (0 where the answer was enumerated).
     """
 
     objective: float
@@ -36,6 +39,7 @@ class Solution:
     force: Floats
     ranges: tuple[tuple[tuple[float, float], ...], ...]
     gap: float
+    nodes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +164,7 @@ def one_contact_batch(
 
     if threads > 1 and rows >= 2 * threads:
         cuts = np.linspace(0, rows, threads + 1).astype(int).tolist()
-        parts = [slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        parts = [slice(a, b) for a, b in itertools.pairwise(cuts)]
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(run, parts))
     else:
@@ -242,4 +246,57 @@ def several_contacts(
     Raises:
         DataError: as `one_contact`, or a number of contacts other than 1, 2 or 3.
     """
-    raise NotImplementedError
+    if contacts not in (1, 2, 3):
+        raise DataError(f"cannot fit {contacts} contacts", "ask for 1, 2 or 3")
+    y = np.asarray(curvature, dtype=np.float64)
+    if y.ndim != 1 or np.isinf(y).any():
+        raise DataError("curvature is not a row of numbers", "use NaN for a missing sensor")
+    x, spans, w, ends = _layout(position, span, weight, length, 1, len(y))
+    f_low, f_high = _bounds(force_bounds)
+    if f_low not in (-np.inf, 0.0) or f_high not in (0.0, np.inf):
+        raise DataError("several contacts take a sign only", "pass (0, inf) or (-inf, 0)")
+    sign = int(f_low == 0.0) - int(f_high == 0.0)
+    end = float(ends[0])
+    order = np.argsort(x[0], kind="stable")
+    order = order[np.isfinite(y[order]) & (w[0, order] > 0.0)]
+    # Everything in units of the length and of the readings' size: bounds stay well scaled.
+    size = float(np.abs(y[order]).max(initial=0.0))
+    unit = size if size > 0.0 else 1.0
+    y = y[order] / unit
+    spans = spans[0, order] / end
+    w = w[0, order]
+    heavy = float(w.max(initial=0.0)) or 1.0
+    w = w / heavy
+    low = x[0, order] / end - 0.5 * spans
+    rest = float((w * np.abs(y)).sum() if norm == 1 else ((w * y) ** 2).sum())
+    slack = tolerance * rest
+    arcs = np.empty(contacts)
+    forces = np.empty(contacts)
+    limits = np.zeros((contacts, 2))
+    limits[:, 1] = 1.0
+    best, lower, nodes = fit_several(
+        y,
+        low,
+        spans,
+        w,
+        1.0,
+        contacts,
+        norm,
+        sign,
+        slack,
+        np.inf,
+        limits,
+        max_nodes,
+        arcs,
+        forces,
+    )
+    by_arc = np.argsort(arcs, kind="stable")
+    back = heavy * unit if norm == 1 else (heavy * unit) ** 2
+    return Solution(
+        objective=best * back,
+        arc=arcs[by_arc] * end,
+        force=forces[by_arc] * (unit / end),
+        ranges=(),
+        gap=(best - lower) * back,
+        nodes=nodes,
+    )
