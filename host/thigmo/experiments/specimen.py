@@ -1,0 +1,141 @@
+"""Simulated robots of the thesis: what an imperfect robot reads when dowels press on it.
+
+Truth is the large-deflection rod (`thigmo.mechanics.push`); what spoils it are four constants,
+each apart: white noise of an averaged reading, spread of the sensors' gains, errors of their
+places, and the angle of the base's fold at high force. `fit.py` finds them once, from section 3.2;
+everything else is then prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.experiments import thesis
+from thigmo.mechanics import Solution, Tube, peg_for, push
+
+Floats = NDArray[np.float64]
+
+DOWEL_CM = 0.6  # radius; the thesis's dowels are of metal, their size is not stated
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What the thesis does not state, and its results imply.
+
+    Attributes:
+        noise: standard deviation of an averaged reading, 1/cm.
+        gain_spread: relative standard deviation of the sensors' gains.
+        position_cm: standard deviation of the sensors' places.
+        fold_rad: angle of the base's fold under the high force.
+    """
+
+    noise: float
+    gain_spread: float
+    position_cm: float
+    fold_rad: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One set of readings and its truth.
+
+    Attributes:
+        condition: what was asked for, in words.
+        curvature, position, span: (N,) readings (1/cm), believed centres and spans (cm).
+        free: believed free curvature, 1/cm.
+        noise: of a reading, 1/cm.
+        arcs_cm, forces: true contacts, base first.
+        obstacle_x_cm: x of each dowel as a camera sees it, base first.
+        contact_x_cm: x of each contact point on the skin.
+    """
+
+    condition: str
+    curvature: Floats
+    position: Floats
+    span: Floats
+    free: float
+    noise: float
+    arcs_cm: tuple[float, ...]
+    forces: tuple[float, ...]
+    obstacle_x_cm: tuple[float, ...]
+    contact_x_cm: tuple[float, ...]
+
+
+class Specimen:
+    """One robot as built: its gains and places are drawn once and stay.
+
+    Args:
+        constants: how imperfect it is.
+        rng: draws the robot, then the noise of its trials.
+        centers_cm: believed sensor centres of a column.
+    """
+
+    def __init__(
+        self,
+        constants: Constants,
+        rng: np.random.Generator,
+        centers_cm: Sequence[float] = thesis.CENTERS_CM,
+    ) -> None:
+        self.constants = constants
+        self.believed: Floats = np.tile(np.asarray(centers_cm, dtype=np.float64), 2)
+        count = self.believed.size
+        half = thesis.SPAN_CM / 2
+        true = self.believed + constants.position_cm * rng.standard_normal(count)
+        self._true = np.clip(true, min(half, self.believed.min()), thesis.LENGTH_CM - half)
+        self._gain = 1.0 + constants.gain_spread * rng.standard_normal(count)
+        self._rng = rng
+
+    def press(
+        self,
+        condition: str,
+        arcs_cm: Sequence[float],
+        forces: Sequence[float],
+        *,
+        free: float = 0.0,
+        fold_rad: float = 0.0,
+        one_side: bool = False,
+    ) -> Trial:
+        """Readings while contacts press with given normal forces at given arcs.
+
+        Args:
+            condition: label.
+            arcs_cm, forces: the contacts (1/cm^2), base first.
+            free: free curvature, 1/cm.
+            fold_rad: fold of the base.
+            one_side: only one column reads, as in an actuated robot.
+        """
+        body = push(
+            np.array(forces),
+            np.array(arcs_cm),
+            free_curvature=free,
+            length=thesis.LENGTH_CM,
+            tube=Tube(thesis.DIAMETER_CM),
+            fold_angle=fold_rad,
+        )
+        return self.observe(condition, body, free=free, one_side=one_side)
+
+    def observe(
+        self, condition: str, body: Solution, *, free: float = 0.0, one_side: bool = False
+    ) -> Trial:
+        """Readings of a body in a known equilibrium (arguments as in `press`)."""
+        contacts = sorted(body.contacts, key=lambda contact: contact.arc)
+        count = self.believed.size // 2 if one_side else self.believed.size
+        clean = body.averages(self._true[:count], thesis.SPAN_CM)
+        # Zeroing takes the straight robot as zero, so a gain error scales the reading only.
+        noisy = self._gain[:count] * clean + self.constants.noise * self._rng.standard_normal(count)
+        return Trial(
+            condition,
+            noisy,
+            self.believed[:count],
+            np.full(count, thesis.SPAN_CM),
+            free,
+            self.constants.noise,
+            tuple(contact.arc for contact in contacts),
+            tuple(contact.normal for contact in contacts),
+            tuple(peg_for(contact, DOWEL_CM).x for contact in contacts),
+            tuple(contact.x for contact in contacts),
+        )
