@@ -52,6 +52,8 @@ class Transport(Protocol):
     def read(self, timeout_s: float) -> bytes:
         """Bytes as soon as there are any; b"" when `timeout_s` passed without.
 
+        Any positive time-out must let time pass, virtual time as well.
+
         Raises:
             LinkError: the connection is gone.
         """
