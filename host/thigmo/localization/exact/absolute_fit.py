@@ -97,6 +97,7 @@ def absolute_fit(
     w: Floats,
     m: int,
     n: int,
+    extra: int,
     kind: Ints,
     beta: Floats,
     tableau: Floats,
@@ -106,18 +107,20 @@ def absolute_fit(
     """Fit; returns the value and whether it is proven (the pivot limit was not met).
 
     Args:
-        g: (>= m, >= n) one row per coefficient.
-        y: (>= n,) data.
+        g: (>= m, >= n + extra) one row per coefficient.
+        y: (>= n + extra,) data; then the right sides (>= 0) of the constraints beta g <= y.
         w: (>= n,) weights, > 0.
         m: coefficients.
         n: data; 0 gives value 0.
+        extra: constraints, in the columns after the data.
         kind: (>= m,) 0 free, 1 beta >= 0, -1 beta <= 0.
         beta: (>= m,) written.
-        tableau: (>= m, >= n + m) work.
-        work: (6, >= n + m) work.
-        items: (4, >= n + m) work.
+        tableau: (>= m, >= n + extra + m) work.
+        work: (6, >= n + extra + m) work.
+        items: (4, >= n + extra + m) work.
     """
-    total = n + m
+    ends = n + extra  # dual variables of the data, then of the constraints, then the slacks
+    total = ends + m
     cost = work[0]
     side = work[1]  # the bound that a nonbasic variable stands at: +-1, 0 for a basic one
     key = work[2]
@@ -129,6 +132,9 @@ def absolute_fit(
     for j in range(n):
         cost[j] = y[j]
         side[j] = 1.0 if y[j] >= 0.0 else -1.0
+    for j in range(n, ends):
+        cost[j] = y[j]
+        side[j] = 1.0  # these run from -inf to 0
     for r in range(m):
         largest = 0.0
         for j in range(n):
@@ -140,14 +146,16 @@ def absolute_fit(
             tableau[r, j] = g[r, j] * scale[r]
             x -= tableau[r, j] * side[j] * w[j]
             size += abs(tableau[r, j]) * w[j]
+        for j in range(n, ends):
+            tableau[r, j] = g[r, j] * scale[r]
         for k in range(m):
-            tableau[r, n + k] = 0.0
-        tableau[r, n + r] = 1.0
-        basis[r] = n + r
+            tableau[r, ends + k] = 0.0
+        tableau[r, ends + r] = 1.0
+        basis[r] = ends + r
         value_b[r] = x
         key[r] = size
-        cost[n + r] = 0.0
-        side[n + r] = 0.0
+        cost[ends + r] = 0.0
+        side[ends + r] = 0.0
     tolerance = 0.0
     for r in range(m):
         tolerance = max(tolerance, key[r])
@@ -164,9 +172,12 @@ def absolute_fit(
             if b < n:
                 lower = -w[b]
                 upper = w[b]
+            elif b < ends:
+                lower = -np.inf
+                upper = 0.0
             else:
-                lower = -np.inf if kind[b - n] < 0 else 0.0
-                upper = np.inf if kind[b - n] > 0 else 0.0
+                lower = -np.inf if kind[b - ends] < 0 else 0.0
+                upper = np.inf if kind[b - ends] > 0 else 0.0
             if lower - value_b[r] > worst:
                 worst = lower - value_b[r]
                 row = r
@@ -188,8 +199,15 @@ def absolute_fit(
                 amount[j] = 2.0 * w[j] * push
                 order[count] = j
                 count += 1
+        for j in range(n, ends):
+            push = direction * side[j] * tableau[row, j]
+            if push > 1e-13:
+                key[j] = abs(cost[j]) / push
+                amount[j] = np.inf
+                order[count] = j
+                count += 1
         for k in range(m):
-            j = n + k
+            j = ends + k
             if side[j] != 0.0 and kind[k] != 0:
                 push = -direction * kind[k] * tableau[row, j]
                 if push > 1e-13:
@@ -238,7 +256,7 @@ def absolute_fit(
                 cost[j] -= factor * tableau[row, j]
         cost[enter] = 0.0
     for r in range(m):
-        beta[r] = -cost[n + r] * scale[r]
+        beta[r] = -cost[ends + r] * scale[r]
     value = 0.0
     for j in range(n):
         value += w[j] * abs(cost[j])

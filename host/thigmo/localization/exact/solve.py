@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thigmo.errors import DataError
+from thigmo.localization.exact.branch_and_bound import fit_several
 from thigmo.localization.exact.one_contact_l1 import PIECES, fit_l1_rows
 from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
-from thigmo.localization.exact.several_contacts import fit_several
 
 Floats = NDArray[np.float64]
 Norm = Literal[1, 2]
@@ -222,7 +222,8 @@ def several_contacts(
     span: ArrayLike = 0.0,
     weight: ArrayLike = 1.0,
     norm: Norm = 1,
-    force_bounds: tuple[float, float] = (-np.inf, np.inf),
+    sign: Literal[-1, 0, 1] = 0,
+    force_limit: float | None = None,
     tolerance: float = 1e-9,
     optimum_set: bool = False,
     max_nodes: int = 1_000_000,
@@ -237,7 +238,10 @@ def several_contacts(
         span: scalar or (N,).
         weight: scalar or (N,).
         norm: 1 or 2.
-        force_bounds: bounds on every f.
+        sign: of every force; 0 for either.
+        force_limit: largest |f|. Without one, two opposed contacts that merge into a couple of
+            endless force can fit better than any true pair; by default 20 times the largest
+            reading over the length, which keeps opposed contacts about length / 20 apart.
         tolerance: relative to the objective without contact: the search ends when the gap is
             below it.
         optimum_set: also find each contact's arc ranges (milliseconds).
@@ -252,10 +256,6 @@ def several_contacts(
     if y.ndim != 1 or np.isinf(y).any():
         raise DataError("curvature is not a row of numbers", "use NaN for a missing sensor")
     x, spans, w, ends = _layout(position, span, weight, length, 1, len(y))
-    f_low, f_high = _bounds(force_bounds)
-    if f_low not in (-np.inf, 0.0) or f_high not in (0.0, np.inf):
-        raise DataError("several contacts take a sign only", "pass (0, inf) or (-inf, 0)")
-    sign = int(f_low == 0.0) - int(f_high == 0.0)
     end = float(ends[0])
     order = np.argsort(x[0], kind="stable")
     order = order[np.isfinite(y[order]) & (w[0, order] > 0.0)]
@@ -270,6 +270,9 @@ def several_contacts(
     low = x[0, order] / end - 0.5 * spans
     rest = float((w * np.abs(y)).sum() if norm == 1 else ((w * y) ** 2).sum())
     slack = tolerance * rest
+    limit = 20.0 if force_limit is None else force_limit * end / unit
+    if not limit > 0.0:
+        raise DataError("force_limit is not positive", "pass the largest |force| over EI")
     arcs = np.empty(contacts)
     forces = np.empty(contacts)
     limits = np.zeros((contacts, 2))
@@ -283,6 +286,7 @@ def several_contacts(
         contacts,
         norm,
         sign,
+        limit,
         slack,
         np.inf,
         limits,

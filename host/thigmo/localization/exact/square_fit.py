@@ -127,4 +127,132 @@ def square_fit(
     value = total
     for r in range(m):
         value -= b[r] * beta[r]
-    return max(value, 0.0)
+    return value
+
+
+@compiled
+def charged_fit(
+    h: Floats,
+    b: Floats,
+    total: float,
+    m: int,
+    kind: Ints,
+    group: Ints,
+    multiplier: Floats,
+    limit: float,
+    beta: Floats,
+    work: Floats,
+    passive: Ints,
+) -> float:
+    """Least |y - beta G|^2 + 2 sum over groups of multiplier (sum |beta| - limit)."""
+    for r in range(m):
+        b[r] -= kind[r] * multiplier[group[r]]
+    value = square_fit(h, b, total, m, kind, beta, work, passive)
+    for r in range(m):
+        b[r] += kind[r] * multiplier[group[r]]
+    for k in range(multiplier.shape[0]):
+        value -= 2.0 * multiplier[k] * limit
+    return value
+
+
+@compiled
+def square_fit_limited(
+    h: Floats,
+    b: Floats,
+    total: float,
+    m: int,
+    kind: Ints,
+    group: Ints,
+    groups: int,
+    limit: float,
+    beta: Floats,
+    multiplier: Floats,
+    work: Floats,
+    passive: Ints,
+) -> float:
+    """`square_fit` with the sum of each group's |beta| at most `limit`: a proven lower bound.
+
+    Coefficients of a group must have one sign; the others (kind 0) are not limited. The value is
+    the Lagrangian's minimum: a lower bound for any multipliers, the optimum for the right ones,
+    which are found one group at a time (the sum falls as its multiplier rises).
+
+    Args:
+        h: as `square_fit`.
+        b: as `square_fit`.
+        total: as `square_fit`.
+        m: coefficients.
+        kind: as `square_fit`.
+        group: (>= m,) group of each coefficient.
+        groups: how many.
+        limit: > 0.
+        beta: (>= m,) written.
+        multiplier: (>= groups,) work.
+        work: as `square_fit`.
+        passive: as `square_fit`.
+    """
+    best = square_fit(h, b, total, m, kind, beta, work, passive)
+    for k in range(multiplier.shape[0]):
+        multiplier[k] = 0.0
+    for sweep in range(3):
+        moved = False
+        for k in range(groups):
+            over = -limit
+            size = 0.0
+            for r in range(m):
+                if group[r] == k:
+                    over += kind[r] * beta[r]
+                    size = max(size, h[r, r])
+            if abs(over) <= 1e-9 * limit or (over < 0.0 and multiplier[k] == 0.0):
+                continue
+            moved = True
+            low = 0.0
+            high = np.inf
+            at_low = 0.0
+            at_high = 0.0
+            if over > 0.0:
+                low = multiplier[k]
+                at_low = over
+                step = max(low, 1e-6 * size * limit)
+            else:
+                high = multiplier[k]
+                at_high = over
+                step = 0.0
+            last = 0
+            for _ in range(60):
+                if high == np.inf:
+                    trial = low + step
+                    step *= 8.0
+                elif at_low == 0.0:
+                    trial = low
+                else:
+                    trial = low + (high - low) * at_low / (at_low - at_high)
+                multiplier[k] = trial
+                value = charged_fit(
+                    h, b, total, m, kind, group, multiplier, limit, beta, work, passive
+                )
+                best = max(best, value)
+                over = -limit
+                for r in range(m):
+                    if group[r] == k:
+                        over += kind[r] * beta[r]
+                if abs(over) <= 1e-9 * limit:
+                    break
+                if over > 0.0:
+                    low = trial
+                    at_low = over
+                    if last > 0:
+                        at_high *= 0.5
+                    last = 1
+                else:
+                    if trial == 0.0:
+                        break
+                    high = trial
+                    at_high = over
+                    if last < 0:
+                        at_low *= 0.5
+                    last = -1
+                if high - low <= 1e-12 * high:
+                    break
+        if not moved:
+            break
+    return best

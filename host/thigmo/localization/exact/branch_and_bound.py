@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from thigmo.localization.exact.absolute_fit import absolute_fit
 from thigmo.localization.exact.compiled import compiled
 from thigmo.localization.exact.response import find_edges, first_influence
-from thigmo.localization.exact.square_fit import square_fit
+from thigmo.localization.exact.square_fit import square_fit_limited
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -73,6 +73,10 @@ def signed_fit(
     w: Floats,
     m: int,
     n: int,
+    extra: int,
+    limit: float,
+    group: Ints,
+    groups: int,
     norm: int,
     kind: Ints,
     beta: Floats,
@@ -83,10 +87,11 @@ def signed_fit(
 ) -> tuple[float, bool]:
     """Least sum of |w r| or (w r)^2 over signed coefficients.
 
-    Arguments as `absolute_fit`, and `square` (2 m + 2, m) work.
+    Arguments as `absolute_fit`; and the limit on the sum of |beta| over each `group` of one sign,
+    which the constraint columns say to the L1 fit; and `square` (2 m + 3, m) work.
     """
     if norm == 1:
-        return absolute_fit(g, y, w, m, n, kind, beta, tableau, work, items)
+        return absolute_fit(g, y, w, m, n, extra, kind, beta, tableau, work, items)
     h = square[:m]
     b = square[m]
     total = 0.0
@@ -103,7 +108,21 @@ def signed_fit(
                 value += w[j] * w[j] * g[r, j] * g[k, j]
             h[r, k] = value
             h[k, r] = value
-    return square_fit(h, b, total, m, kind, beta, square[m + 1 :], items[0]), True
+    value = square_fit_limited(
+        h,
+        b,
+        total,
+        m,
+        kind,
+        group,
+        groups,
+        limit,
+        beta,
+        square[m + 1, :groups],
+        square[m + 2 :],
+        items[0],
+    )
+    return value, True
 
 
 @compiled
@@ -132,7 +151,7 @@ def line_table(
                 for k in range(i, j):
                     g[1, k - i] = low[k] + 0.5 * span[k] - low[i]
                 value, proven = absolute_fit(
-                    g, y[i:], w[i:], 2, j - i, kind, beta, tableau, work, items
+                    g, y[i:], w[i:], 2, j - i, 0, kind, beta, tableau, work, items
                 )
                 table[i, j] = max(value if proven else 0.0, table[i, j - 1])
         return table
@@ -173,6 +192,7 @@ def fit_several(
     contacts: int,
     norm: int,
     sign: int,
+    limit: float,
     slack: float,
     ceiling: float,
     limits: Floats,
@@ -191,6 +211,7 @@ def fit_several(
         contacts: 1 to 3.
         norm: 1 or 2.
         sign: 0, or the sign that every force must have.
+        limit: largest |force|.
         slack: absolute gap at which a box is given up.
         ceiling: boxes that cannot get below it are given up unsolved (inf for none).
         limits: (contacts, 2) arcs between which each contact must lie.
@@ -213,14 +234,15 @@ def fit_several(
     start = first_influence(low, edges, n_edges)
     cells = n_edges - 1
     rows = 3 * c
-    tableau = np.empty((rows, n + rows))
-    work = np.empty((6, n + rows))
-    items = np.empty((4, n + rows), np.int64)
-    g = np.empty((rows, max(n, 1)))
+    tableau = np.empty((rows, n + c + rows))
+    work = np.empty((6, n + c + rows))
+    items = np.empty((4, n + c + rows), np.int64)
+    g = np.empty((rows, n + c))
+    group = np.zeros(rows, np.int64)
     kind = np.empty(rows, np.int64)
     beta = np.zeros(rows)
     inner = np.zeros(c)
-    square = np.empty((2 * rows + 2, rows))
+    square = np.empty((2 * rows + 3, rows))
 
     table = line_table(low, span, y, w, norm, tableau, work, items)
     tail = np.zeros(n + 1)
@@ -312,7 +334,7 @@ def fit_several(
                 used += 1
 
     active = np.empty(max(n, 1), np.int64)
-    data = np.empty(n)
+    data = np.empty(n + c)
     weights = np.empty(n)
     arc = np.empty(c)
     force = np.empty(c)
@@ -372,10 +394,33 @@ def fit_several(
             width = 3 if bent else 2
             for r in range(m, m + width):
                 kind[r] = signs[node, j]
+                group[r] = j
             m += width
         offset[c] = m
+        extra = 0
+        for j in range(c):
+            if signs[node, j] != 0:
+                for r in range(m):
+                    g[r, count + extra] = signs[node, j] if group[r] == j else 0.0
+                data[count + extra] = limit
+                extra += 1
         value, proven = signed_fit(
-            g, data, weights, m, count, norm, kind, beta, tableau, work, items, square
+            g,
+            data,
+            weights,
+            m,
+            count,
+            extra,
+            limit,
+            group,
+            c,
+            norm,
+            kind,
+            beta,
+            tableau,
+            work,
+            items,
+            square,
         )
         value += constant
         if proven:
@@ -406,6 +451,7 @@ def fit_several(
                 moment += b * place
             # How much a mixture of signs matters: the change of base moment that it stands for.
             mixture = min(plus, minus) * (right - left)
+            mixture = max(mixture, (abs(total) - limit) * left)
             if signs[node, j] == 0 and mixture > max(mixed_by, 1e-9 * max(plus, minus) * left):
                 mixed_by = mixture
                 mixed = j
@@ -433,10 +479,40 @@ def fit_several(
                     hull = beta[offset[j]] * a * a + beta[offset[j] + 1] * b * b
                     hull = (hull + beta[offset[j] + 2] * a * b) * inverse[i]
                     spread[j] += weights[q] * abs(hull - force[j] * g[j, q])
-        value, proven = signed_fit(
-            g, data, weights, c, count, norm, kind, inner, tableau, work, items, square
-        )
-        value += constant
+        for attempt in range(2):
+            # The best forces at these arcs, if within the limit; else those of the relaxed fit.
+            if attempt == 0:
+                value, proven = signed_fit(
+                    g,
+                    data,
+                    weights,
+                    c,
+                    count,
+                    0,
+                    limit,
+                    group,
+                    0,
+                    norm,
+                    kind,
+                    inner,
+                    tableau,
+                    work,
+                    items,
+                    square,
+                )
+                within = True
+                for j in range(c):
+                    within = within and abs(inner[j]) <= limit
+                if within:
+                    break
+            for j in range(c):
+                inner[j] = min(max(force[j], -limit), limit)
+        value = constant
+        for q in range(count):
+            r = data[q]
+            for j in range(c):
+                r -= inner[j] * g[j, q]
+            value += weights[q] * abs(r) if norm == 1 else (weights[q] * r) ** 2
         if value < best:
             best = value
             for j in range(c):
