@@ -34,7 +34,7 @@ from thigmo.localization.models import (
 )
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import Contact, LocalizeResult, Range, Status
-from thigmo.localization.several import place_bound
+from thigmo.localization.several import LOOK, place_bound
 
 Array = npt.NDArray[np.float64]
 
@@ -172,26 +172,40 @@ def _best_model(
     readings: Readings, plain: Fit, contacts: int | str, options: Options
 ) -> tuple[Fit, bool]:
     """The model that the evidence prefers, and whether it leaves a further contact likely."""
-    wanted = 1 if contacts == "auto" else int(contacts)
-    called = not readings.known or plain.misfit > prior.MISFIT or bool(plain.flagged.any())
     rich = options.mechanics == "auto"
-    fold = _fold_setting(readings, plain, options, called) if rich else None
-    if wanted > 1:
-        return _given_number(readings, plain.setting, fold, wanted, rich), False
-    ones = [_lever_arms(readings, plain)] if rich else [plain]
+    if contacts not in ("auto", 1):
+        fold = _fold_setting(readings, plain, options, called=True) if rich else None
+        return _given_number(readings, plain.setting, fold, int(contacts), rich), False
+    # What the plain beam leaves unexplained: a second contact stands for any misfit here.
+    one = _lever_arms(readings, plain) if rich else plain
+    misfit = not readings.known or one.misfit > prior.MISFIT
+    look = None
+    if misfit and len(readings.y) >= LEAST_FOR_TWO:
+        look = fit_several(readings, one.setting, 2, passes=LOOK)
+    called = look is not None and look.score > one.score + prior.HINT_OF_MORE
+    ones = [one]
     if rich:
-        ones += _tip_models(readings, ones[0], options, called)
+        called = called or bool(one.flagged.any())
+        called = called or one.misfit > prior.misfit_limit(len(readings.y))
+        fold = _fold_setting(readings, one, options, called)
+        ones += _tip_models(readings, one, options, called)
         if called and len(readings.y) >= LEAST_FOR_SPREAD:
-            ones += _spread_models(readings, ones[0])
+            ones += _spread_models(readings, one)
         if fold is not None:
             ones = _with_fold(readings, ones, fold, options)
+    else:
+        fold = None
     winner = max(ones, key=_score)
     likely = False
-    if contacts == "auto" and called:
-        winner, likely = _more_contacts(readings, plain.setting, winner, fold, rich)
+    if contacts == "auto" and look is not None:
+        step = prior.second_threshold(len(readings.y), readings.known)
+        if look.score - step > winner.score - 1.5 or (called and fold is not None):
+            winner, likely = _more_contacts(readings, one.setting, winner, fold, rich)
     return (mix(ones) if len(winner.arcs) == 1 else winner), likely
 
 
+# Readings from which two contacts can differ from one and noise.
+LEAST_FOR_TWO = 4
 # Readings from which a spread load can differ from a point load and noise.
 LEAST_FOR_SPREAD = 5
 

@@ -21,7 +21,7 @@ from thigmo.localization.influence import (
 )
 from thigmo.localization.posterior import mixed, one_contact
 from thigmo.localization.readings import Readings
-from thigmo.localization.several import several
+from thigmo.localization.several import PASSES, several
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -181,8 +181,12 @@ def fit_several(
     contacts: int,
     penalty: float = 0.0,
     stretch: float = 0.0,
+    passes: int = PASSES,
 ) -> Fit:
-    """Posterior of up to three contacts (or of one that is spread over a stretch)."""
+    """Posterior of up to three contacts (or of one that is spread over a stretch).
+
+    Few `passes` over the grid give the evidence within a fraction of a nat, and rough places.
+    """
     (
         evidence,
         arcs,
@@ -213,6 +217,7 @@ def fit_several(
         prior.LEVEL,
         np.zeros(len(readings.y), dtype=np.bool_),
         stretch,
+        passes,
     )
     return Fit(
         setting,

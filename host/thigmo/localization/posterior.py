@@ -32,6 +32,8 @@ COARSE = 81
 # 1e-3..1e-2 for fibre gratings.
 SIGMA_MEDIAN = 0.01
 SIGMA_FACTOR = 6.0
+# Levels are first searched this many times farther apart.
+COARSER = 3.0
 
 
 @compiled
@@ -755,6 +757,7 @@ def one_contact(
         log_prior = np.zeros(1)
     else:
         sigma, log_prior = noise_levels(y, variance)
+        sigma, log_prior = levels_between(np.log(sigma[0]), np.log(sigma[-1]), level_step(n))
     levels = sigma.shape[0]
     W = np.empty((levels, n))
     white = np.empty((levels, n, q))
@@ -792,6 +795,13 @@ def one_contact(
         const,
         logp,
     )
+    if not known:
+        sigma, log_prior = noise_levels(y, variance)
+        levels = sigma.shape[0]
+        W = W[:levels]
+        white = white[:levels]
+        fit = fit[:levels]
+        const = const[:levels]
     _, flagged = best_pattern(
         arcs[:count],
         low,
@@ -843,10 +853,10 @@ def one_contact(
             log_prior,
         )
         levels = sigma.shape[0]
-        W = W[:levels]
-        white = white[:levels]
-        fit = fit[:levels]
-        const = const[:levels]
+        W = np.empty((levels, n))
+        white = np.empty((levels, n, q))
+        fit = np.empty((levels, q))
+        const = np.empty(levels)
         prepare_levels(
             y, variance, sigma, log_prior, columns, flagged, odds, kappa2, W, white, fit, const
         )
@@ -1019,18 +1029,28 @@ def mixed(arcs: Array, logp: Array, level: float) -> tuple[float, float, float, 
 
 @compiled
 def noise_levels(y: Array, variance: Array) -> tuple[Array, Array]:
-    """Levels of an unknown noise scale and their log prior weights.
-
-    Prior of sigma times length: log-normal, median SIGMA_MEDIAN, a factor SIGMA_FACTOR a
-    deviation. Levels are spaced to resolve what N readings can tell.
-    """
-    n = y.shape[0]
+    """Levels of an unknown noise scale over its whole range, COARSER times too far apart."""
     most = 0.0
-    for i in range(n):
+    for i in range(y.shape[0]):
         most = max(most, abs(y[i]) / np.sqrt(variance[i]))
-    step = min(0.35, 1.3 / np.sqrt(n))
     top = np.log(max(3.0 * most, 1e-7))
     bottom = np.log(max(1e-5 * most, 1e-9))
+    return levels_between(bottom, top, COARSER * level_step(y.shape[0]))
+
+
+@compiled
+def level_step(n: int) -> float:
+    """Spacing of log noise levels that resolves what N readings can tell."""
+    return min(0.35, 1.3 / np.sqrt(n))
+
+
+@compiled
+def levels_between(bottom: float, top: float, step: float) -> tuple[Array, Array]:
+    """Noise levels and their log prior weights.
+
+    Prior of sigma times length: log-normal, median SIGMA_MEDIAN, a factor SIGMA_FACTOR a
+    deviation.
+    """
     count = int((top - bottom) / step) + 2
     sigma = np.empty(count)
     log_prior = np.empty(count)
@@ -1041,6 +1061,25 @@ def noise_levels(y: Array, variance: Array) -> tuple[Array, Array]:
         z = (x - np.log(SIGMA_MEDIAN)) / scale
         log_prior[s] = -0.5 * z * z + np.log(step / (scale * np.sqrt(2.0 * np.pi)))
     return sigma, log_prior
+
+
+@compiled
+def finer_levels(value: Array, sigma: Array, n: int) -> tuple[Array, Array]:
+    """Levels at full resolution around those whose log weight `value` is within 9 of the best.
+
+    A coarse grid of arcs overstates the noise of a narrow peak, so more room is left below.
+    """
+    best = value.max()
+    first = value.shape[0] - 1
+    last = 0
+    for s in range(value.shape[0]):
+        if value[s] > best - 9.0:
+            first = min(first, s)
+            last = max(last, s)
+    step = level_step(n)
+    bottom = np.log(sigma[first]) - 1.5 * COARSER * step
+    top = np.log(sigma[last]) + 0.7 * COARSER * step
+    return levels_between(bottom, top, step)
 
 
 @compiled
@@ -1065,7 +1104,7 @@ def levels_with_mass(
     sigma: Array,
     log_prior: Array,
 ) -> tuple[Array, Array]:
-    """The noise levels that hold weight at some arc of the coarse grid, with neighbours."""
+    """Fine noise levels around those that hold weight at some arc of the coarse grid."""
     n = y.shape[0]
     levels = sigma.shape[0]
     phi = np.empty(n)
@@ -1100,13 +1139,4 @@ def levels_with_mass(
                 False,
             )
             value[s] = max(value[s], part)
-    best = value.max()
-    first = levels - 1
-    last = 0
-    for s in range(levels):
-        if value[s] > best - 9.0:
-            first = min(first, s)
-            last = max(last, s)
-    # A coarse grid may overstate the noise of a narrow peak: keep some lower levels.
-    first = max(first - 3, 0)
-    return sigma[first : last + 1].copy(), log_prior[first : last + 1].copy()
+    return finer_levels(value, sigma, n)

@@ -68,6 +68,16 @@ CORNER_WIDTH = 0.01
 # Turning (rad) between base and contact from which levers are taken from the bent shape.
 BEND = 0.25
 
+# Log evidence that a second contact must add to call for any richer model at all.
+HINT_OF_MORE = 1.0
+
+
+def misfit_limit(readings: int) -> float:
+    """Misfit that one contact passes in 5 % of scenes (chi-squared, Wilson and Hilferty)."""
+    freedom = max(readings - 2, 1)
+    share = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - share + 1.645 * np.sqrt(share)) ** 3)
+
 
 def second_threshold(readings: int, known: bool) -> float:
     """Log evidence ratio that each further contact must add (<= 5 % false second contacts)."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.localization.influence import influence
 from thigmo.localization.intervals import median_between, modes, shortest
-from thigmo.localization.posterior import noise_levels, prepare_levels
+from thigmo.localization.posterior import finer_levels, noise_levels, prepare_levels
 from thigmo.localization.prior import WIDTH_SHARE
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +24,9 @@ REACH = 9.0
 FLIP_REACH = 6.0
 NODES = (0, 81, 33, 23)  # first nodes, by number of contacts
 MOST_NODES = (0, 400, 150, 52)
+# How often the grid may be refined, and for a first look at the evidence.
 PASSES = 14
+LOOK = 1
 
 
 @compiled
@@ -252,8 +254,10 @@ def levels_near(
     spread: Array,
     log_weight: Array,
     const: Array,
-) -> tuple[int, int]:
-    """First and last of the noise levels that matter near the choice `pick`."""
+    sigma: Array,
+    n: int,
+) -> tuple[Array, Array]:
+    """Fine noise levels around those that matter for the choice `pick`."""
     c = pick.shape[0]
     levels = gram.shape[0]
     G = np.empty((c, c))
@@ -271,15 +275,7 @@ def levels_near(
             G,
             force,
         )
-    best = value.max()
-    first = levels - 1
-    last = 0
-    for s in range(levels):
-        if value[s] > best - REACH:
-            first = min(first, s)
-            last = max(last, s)
-    # The coarse grid overstates the noise: keep some lower levels.
-    return max(first - 4, 0), min(last + 1, levels - 1)
+    return finer_levels(value, sigma, n)
 
 
 @compiled
@@ -376,11 +372,13 @@ def several(
     level: float,
     given: Flags,
     stretch: float,
+    passes: int,
 ) -> tuple[float, Array, Array, Array, Array, Indices, Array, Array, Flags, float, float, float]:
     """Posterior of `contacts` contacts.
 
     Args: as for `posterior.one_contact`; `given` (N,) outliers to start from,
-    `stretch` half width of the stretch over which each contact spreads.
+    `stretch` half width of the stretch over which each contact spreads, `passes` how often
+    the grid may be refined.
 
     Returns:
         log evidence; (C,) arcs; (C,) forces; (C, 2) intervals; (C, 12, 3) modes and (C,) how many;
@@ -418,7 +416,8 @@ def several(
     profile = np.empty((c, most))
     top = -1e300
     climbs = 0
-    for turn in range(PASSES + n + 2):
+    refined = 0
+    for _ in range(passes + n + 4):
         prepare_levels(
             y, variance, sigma, log_prior, columns, flagged, odds, kappa2, W, white, fit, const
         )
@@ -462,14 +461,14 @@ def several(
                 continue
             if not known and climbs < n + 2:
                 # Keep the noise levels that matter from here on.
-                first, last = levels_near(best_pick, gram, b, lever, spread, log_weight, const)
-                sigma = sigma[first : last + 1].copy()
-                log_prior = log_prior[first : last + 1].copy()
+                sigma, log_prior = levels_near(
+                    best_pick, gram, b, lever, spread, log_weight, const, sigma, n
+                )
                 levels = sigma.shape[0]
-                W = W[:levels]
-                white = white[:levels]
-                fit = fit[:levels]
-                const = const[:levels]
+                W = np.empty((levels, n))
+                white = np.empty((levels, n, q))
+                fit = np.empty((levels, q))
+                const = np.empty(levels)
                 climbs = n + 3
                 continue
             climbs = n + 3
@@ -499,8 +498,9 @@ def several(
                 grown[write] = 0.5 * (nodes[j] + nodes[j + 1])
                 write += 1
                 added += 1
-        if added == 0 or turn == PASSES + n + 1:
+        if added == 0 or refined == passes:
             break
+        refined += 1
         m += added
         nodes = grown[:m].copy()
     # Outlier patterns around the best one, where it matters.
