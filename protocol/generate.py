@@ -743,8 +743,9 @@ def markdown(schema: Schema) -> str:
         "again, which makes late copies of the command stale.",
         "- **Telemetry** counts its frames in seq, from each hello on, and is never repeated. "
         "It starts with the first hello.",
-        "- **Events** are repeated until acknowledged (`ack_event`), the oldest first, and leave "
-        "before waiting telemetry. Their header's seq is 0, their session the current one.",
+        "- **Events** are sent at once, before waiting telemetry, and repeated until acknowledged. "
+        "`ack_event` covers all numbers up to its own, so a host acknowledges only up to a number "
+        "below which it misses none. Their header's seq is 0, their session the current one.",
         "- **Heartbeats** keep energised outputs alive: current session, counter above the last "
         "one of the session. Others are dropped and counted.",
         "- After a reset the board announces itself twice a second until the first hello. A host "

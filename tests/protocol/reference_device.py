@@ -86,8 +86,9 @@ class ReferenceDevice:
                 if ms % ANNOUNCE_MS == 1:
                     self._send(self._announce(), 0, 0)
                 continue
-            if self.events and ms % EVENT_MS == 1:
-                self._send(self.events[0], 0, self.session)
+            if ms % EVENT_MS == 1:
+                for event in self.events:
+                    self._send(event, 0, self.session)
             if ms % TELEMETRY_MS == 0:
                 self._telemetry_seq = (self._telemetry_seq + 1) & 0xFFFF
                 flex = (ms & 0xFFF,) * 10
@@ -111,8 +112,13 @@ class ReferenceDevice:
 
     def _announce(self) -> wire.Announce:
         return wire.Announce(
-            wire.PROTOCOL, self.schema_hash, (0, 1, 0), wire.Board.VIRTUAL, self.boot_nonce, self.cause
-        )  # fmt: skip
+            wire.PROTOCOL,
+            self.schema_hash,
+            (0, 1, 0),
+            wire.Board.VIRTUAL,
+            self.boot_nonce,
+            self.cause,
+        )
 
     def _handle(self, frame: Frame) -> None:
         if frame.id == wire.Heartbeat.ID:

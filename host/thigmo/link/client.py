@@ -29,6 +29,7 @@ from thigmo.errors import (
 )
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
+from thigmo.link.events import EventLedger
 from thigmo.link.framing import Decoder, Frame, FrameError, encode
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.received import LinkCounters, ReceivedEvent, TelemetryFrame
@@ -125,7 +126,7 @@ class Client:
         self._other_hash: int | None = None
         self._nonces: deque[int] = deque(maxlen=_NONCES)
         self._telemetry_seq: int | None = None
-        self._event_number: int | None = None
+        self._ledger = EventLedger()
         self._ack_due: int | None = None
         self._beats: OrderedDict[int, float] = OrderedDict()
         self._collectors: list[tuple[type[wire.Message], list[wire.Message]]] = []
@@ -338,7 +339,7 @@ class Client:
     def _open(self, reply: wire.HelloReply) -> None:
         if self._hello is None or reply.boot_nonce != self._hello.boot_nonce:
             self.clock.reset()
-            self._event_number = None
+            self._ledger.reset()
         self._hello = reply
         if reply.boot_nonce not in self._nonces:
             self._nonces.append(reply.boot_nonce)
@@ -507,17 +508,13 @@ class Client:
         if session != self._session:
             self.stats.foreign += 1
             return
-        if self._event_number is not None:
-            delta = (message.number - self._event_number) & 0xFFFF
-            if not 0 < delta < 0x8000:
-                self.stats.event_repeats += 1
-                if delta == 0:
-                    self._ack_due = self._event_number  # the board did not hear it
-                return
         if len(self.events) >= _EVENTS:
             return  # unacknowledged, so the board keeps it and asks again
-        self._event_number = message.number
-        self._ack_due = message.number
+        new = self._ledger.take(message.number)
+        self._ack_due = self._ledger.acknowledge  # again, if the board did not hear the last one
+        if not new:
+            self.stats.event_repeats += 1
+            return
         self.stats.events += 1
         received = ReceivedEvent(message, t_s, self.clock.unwrap(message.t_us))
         self.events.append(received)

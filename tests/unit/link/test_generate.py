@@ -1,0 +1,121 @@
+"""The generator refuses a schema that breaks the protocol's rules, and its outputs are current."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from copy import deepcopy
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def generate() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "protocol/generate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["generate"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def committed() -> dict[str, Any]:
+    return yaml.safe_load((ROOT / "protocol/schema.yaml").read_text())
+
+
+@pytest.fixture
+def tree(committed: dict[str, Any]) -> dict[str, Any]:
+    return deepcopy(committed)
+
+
+def load(generate: ModuleType, tree: dict[str, Any], folder: Path) -> Any:
+    path = folder / "schema.yaml"
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    return generate.load(path)
+
+
+def test_committed_outputs_are_what_the_schema_gives(generate: ModuleType) -> None:
+    for key, text in generate.render(generate.load(ROOT / "protocol/schema.yaml")).items():
+        assert generate.OUTPUTS[key].read_text() == text, key
+
+
+def test_words_do_not_change_the_hash_and_ranges_do(
+    generate: ModuleType, tree: dict[str, Any], tmp_path: Path
+) -> None:
+    before = load(generate, tree, tmp_path).hash
+    tree["messages"]["arm"]["doc"] = "Other words."
+    tree["enums"]["State"]["doc"] = "Other words."
+    assert load(generate, tree, tmp_path).hash == before
+    tree["parameters"]["settle_ms"]["range"] = [0, 600001]
+    assert load(generate, tree, tmp_path).hash != before
+
+
+def breakage(name: str, tree: dict[str, Any]) -> None:
+    messages, parameters = tree["messages"], tree["parameters"]
+    filler = {"name": "filler", "type": "u32", "count": 10, "doc": "Too much."}
+    match name:
+        case "bytes on the wire":
+            messages["telemetry"]["fields"].append(filler)
+        case "> 24":
+            messages["event"]["fields"].append({"name": "more", "type": "u32", "doc": "Too much."})
+        case "an id is used twice":
+            messages["vent"]["id"] = messages["arm"]["id"]
+        case "a value is used twice":
+            tree["enums"]["State"]["safe"]["value"] = 0
+        case "default outside its range":
+            parameters["settle_ms"]["default"] = 600001
+        case "defaults for 10":
+            parameters["flex_center_um"]["default"] = [1, 2]
+        case "bad range":
+            parameters["settle_ms"]["range"] = [5, 5]
+        case "unknown reply":
+            messages["arm"]["reply"] = "telemetry"
+        case "frozen":
+            messages["ack"]["fields"].append({"name": "more", "type": "u8", "doc": "Grown."})
+        case "unknown keys":
+            messages["arm"]["repyl"] = "ack"
+        case "first field is its status":
+            messages["snapshot"]["fields"].reverse()
+        case "unknown enum":
+            messages["set_map"]["fields"][1]["enum"] = "Sides"
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "bytes on the wire",
+        "> 24",
+        "an id is used twice",
+        "a value is used twice",
+        "default outside its range",
+        "defaults for 10",
+        "bad range",
+        "unknown reply",
+        "frozen",
+        "unknown keys",
+        "first field is its status",
+        "unknown enum",
+    ],
+)
+def test_a_broken_rule_is_named(
+    generate: ModuleType, tree: dict[str, Any], tmp_path: Path, rule: str
+) -> None:
+    breakage(rule, tree)
+    with pytest.raises(generate.SchemaError, match=rule):
+        load(generate, tree, tmp_path)
+
+
+def test_a_key_given_twice_is_refused(generate: ModuleType, tmp_path: Path) -> None:
+    text = (ROOT / "protocol/schema.yaml").read_text()
+    path = tmp_path / "schema.yaml"
+    path.write_text(text + "\nprotocol: 2\n")
+    with pytest.raises(generate.SchemaError, match="given twice"):
+        generate.load(path)
