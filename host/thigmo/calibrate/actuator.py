@@ -1,0 +1,450 @@
+"""Free curvature of a muscle against its pressure: the thesis's tanh fit (section 3.1) with errors.
+
+Rows are free bends: pressure (measured), curvature by camera, branch (inflating or deflating) and
+trial. Each branch gets its own tanh map; trials may sit a little apart (the robot never lies quite
+straight), which is fitted as an offset for each trial, and its spread becomes `offset_se`, the
+common error that the localizer marginalises and re-estimates from frames without contact.
+`fit_lag` finds the time from pressure to bend; `at_body_pressure` interpolates maps.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize_scalar
+from scipy.stats import norm
+
+from thigmo.calibrate.table import Table, write_table
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import RobotConfig, Side, TanhMap, ZoneMap
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+Branch = Literal["inflate", "deflate"]
+BRANCHES: tuple[Branch, Branch] = ("inflate", "deflate")
+
+_REJECT = 4.0
+
+
+@dataclass(frozen=True)
+class BendReadings:
+    """Free bends of one muscle at one body pressure.
+
+    Attributes:
+        side: which muscle.
+        body_pressure_psi: set by hand.
+        pressure_psi: (n,) measured muscle pressure.
+        curvature: (n,) by camera, 1/cm, signed; nan where the body was not seen.
+        curvature_se: (n,) one sigma.
+        branch: (n,) "inflate" or "deflate".
+        trial: (n,) trial numbers.
+    """
+
+    side: Side
+    body_pressure_psi: float
+    pressure_psi: Array
+    curvature: Array
+    curvature_se: Array
+    branch: tuple[str, ...]
+    trial: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        n = len(self.pressure_psi)
+        if not all(
+            len(v) == n for v in (self.curvature, self.curvature_se, self.branch, self.trial)
+        ):
+            raise DataError("bend readings: columns differ in length", "check the arrays")
+        unknown = set(self.branch) - set(BRANCHES)
+        if unknown:
+            raise DataError(f"unknown branch '{unknown.pop()}'", "use inflate or deflate")
+
+    @classmethod
+    def read_all(cls, path: str | os.PathLike[str]) -> list[BendReadings]:
+        """From a CSV: side, body_pressure_psi, pressure_psi, curvature; optional curvature_se,
+        branch, trial. One item for each muscle and body pressure.
+
+        Raises:
+            DataError: missing or malformed columns.
+        """
+        table = Table.read(path)
+        side = table.words("side")
+        if set(side) - {"left", "right"}:
+            raise DataError(f"{path}: side must be left or right", "mend that column")
+        body = table.numbers("body_pressure_psi")
+        branch = table.words("branch", "inflate")
+        columns = (
+            table.numbers("pressure_psi"),
+            table.numbers("curvature"),
+            table.numbers("curvature_se", 2e-4),
+            table.numbers("trial", 0.0).astype(np.int64),
+        )
+        found = []
+        for s in ("left", "right"):
+            for pressure in sorted(set(body.tolist())):
+                pick = np.array([a == s for a in side]) & (body == pressure)
+                if pick.any():
+                    p, k, e, t = (column[pick] for column in columns)
+                    names = tuple(b for b, take in zip(branch, pick, strict=True) if take)
+                    found.append(
+                        cls("left" if s == "left" else "right", pressure, p, k, e, names, t)
+                    )
+        return found
+
+    @staticmethod
+    def write_all(path: str | os.PathLike[str], many: Sequence[BendReadings]) -> None:
+        """To a CSV that `read_all` takes."""
+        write_table(
+            path,
+            {
+                "side": [r.side for r in many for _ in r.trial],
+                "body_pressure_psi": [r.body_pressure_psi for r in many for _ in r.trial],
+                "pressure_psi": [float(v) for r in many for v in r.pressure_psi],
+                "curvature": [float(v) for r in many for v in r.curvature],
+                "curvature_se": [float(v) for r in many for v in r.curvature_se],
+                "branch": [b for r in many for b in r.branch],
+                "trial": [int(v) for r in many for v in r.trial],
+            },
+        )
+
+
+@dataclass(frozen=True)
+class ActuatorResult:
+    """One muscle at one body pressure.
+
+    Attributes:
+        readings: what was fitted.
+        zone: the maps, ready for the configuration.
+        g_se: largest standard error of g over 0..18 psi (both branches), 1/cm.
+        full_scale: g at the highest pressure, 1/cm.
+        offset_se: standard deviation of a trial's common offset, 1/cm.
+        used: (n,) rows that were kept.
+        lag_s: pressure to bend, if a sweep was recorded.
+        lag_se_s: its standard error.
+        verdict: in words.
+    """
+
+    readings: BendReadings
+    zone: ZoneMap
+    g_se: float
+    full_scale: float
+    offset_se: float
+    used: NDArray[np.bool_]
+    verdict: Verdict
+    lag_s: float | None = None
+    lag_se_s: float | None = None
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "side": self.readings.side,
+            "zone": self.zone.model_dump(),
+            "g_se": self.g_se,
+            "full_scale": self.full_scale,
+            "offset_se": self.offset_se,
+            "rows": len(self.used),
+            "rows_left_out": [int(i) for i in np.nonzero(~self.used)[0]],
+            "lag_s": self.lag_s,
+            "lag_se_s": self.lag_se_s,
+            "verdict": self.verdict.as_data(),
+        }
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """Put the map into the zone of its body pressure (within 10 %).
+
+        Raises:
+            DataError: no zone of the configuration has that body pressure.
+        """
+        made = config.model_copy(deep=True)
+        actuator = made.actuators.side(self.readings.side)
+        gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in made.body.zones]
+        zone = int(np.argmin(gaps))
+        if gaps[zone] > 0.1:
+            raise DataError(
+                f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
+                "correct body.zones in robot.toml",
+            )
+        maps = list(actuator.maps)
+        maps[zone] = self.zone
+        actuator.maps = maps
+        actuator.offset_se = float(np.hypot(self.offset_se, self.g_se))
+        if self.lag_s is not None:
+            actuator.lag_s = self.lag_s
+        return made
+
+    def figure(self, path: Path) -> None:
+        """Curvature against pressure with both maps."""
+        from thigmo.calibrate.figures import actuator_figure
+
+        actuator_figure(self, path)
+
+
+def _map_values(p: Array, parameters: Array) -> Array:
+    """g(p) for (log amplitude, log scale, offset)."""
+    amplitude, scale, offset = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
+    return np.asarray(amplitude * (np.tanh((p - offset) / scale) - np.tanh(-offset / scale)))
+
+
+def fit_actuator(readings: BendReadings) -> ActuatorResult:
+    """Tanh maps of both branches with per-trial offsets.
+
+    Raises:
+        DataError: fewer than eight usable rows, or pressures that do not vary.
+    """
+    sign = 1.0 if readings.side == "left" else -1.0
+    p, k = readings.pressure_psi, readings.curvature
+    finite = np.isfinite(p) & np.isfinite(k)
+    lost = int((~finite).sum())
+    if finite.sum() < 8 or np.ptp(p[finite]) < 6:
+        raise DataError(
+            f"{int(finite.sum())} usable bends of the {readings.side} muscle",
+            "take 0..20 psi in steps of 2, three trials",
+        )
+    notes: list[str] = []
+    if lost:
+        notes.append(f"{lost} row(s) left out: the camera lost the body")
+    firm = finite & (p > 0.5 * p[finite].max())
+    if np.median(sign * k[firm]) < 0:
+        verdict = Verdict(
+            False,
+            f"the robot bends to the other side when the {readings.side} muscle is inflated: the "
+            "muscles' tubes are swapped, or the camera's picture is mirrored; exchange and repeat",
+            tuple(notes),
+        )
+        zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
+        return ActuatorResult(readings, zone, np.inf, 0.0, np.inf, finite, verdict)
+    branch = np.array([BRANCHES.index("inflate" if b == "inflate" else "deflate")
+                       for b in readings.branch])  # fmt: skip
+    present = sorted(set(branch[finite].tolist()))
+    trials = sorted(set(readings.trial[finite].tolist()))
+    slot = np.array([trials.index(t) if t in trials else 0 for t in readings.trial.tolist()])
+    used = finite.copy()
+    top = float(np.quantile(np.abs(k[finite]), 0.9))
+    sigma, offset_sigma = 0.03 * max(top, 1e-3), 1e-3
+    best = np.zeros(0)
+    jacobian = np.zeros((0, 0))
+    maps = 3 * len(present)
+
+    def residuals(x: Array, rows: NDArray[np.bool_], spread: float, loose: float) -> Array:
+        made = np.zeros(len(p))
+        for j, b in enumerate(present):
+            pick = branch == b
+            made[pick] = _map_values(np.maximum(p[pick], 0.0), x[3 * j : 3 * j + 3])
+        made = sign * made + x[maps:][slot]
+        error = np.hypot(spread, readings.curvature_se)
+        # Weak priors keep a saturation that the data do not reach within reason.
+        priors = [(x[3 * j + 2] - 4.0) / 8.0 for j in range(len(present))]
+        priors += [(x[3 * j + 1] - np.log(10.0)) / 1.5 for j in range(len(present))]
+        return np.concatenate([((k - made) / error)[rows], x[maps:] / loose, np.array(priors)])
+
+    each = np.log(max(top, 1e-3))
+    low = np.concatenate(
+        [np.tile([each - 1.5, 0.0, -10.0], len(present)), np.full(len(trials), -0.05)]
+    )
+    high = np.concatenate(
+        [np.tile([each + 2.0, 4.0, 25.0], len(present)), np.full(len(trials), 0.05)]
+    )
+    start = np.concatenate([np.tile([each, np.log(8.0), 4.0], len(present)), np.zeros(len(trials))])
+    for attempt in range(8):
+        # Cauchy at first: a tenth of wild readings must not pull the start.
+        fit = least_squares(
+            residuals, best if len(best) else start, args=(used, sigma, offset_sigma),
+            bounds=(low, high),
+            loss="cauchy" if attempt < 2 else "linear", f_scale=2.0, x_scale="jac",
+        )  # fmt: skip
+        best, jacobian = fit.x, np.asarray(fit.jac, float)
+        scaled = residuals(best, finite, 1.0, 1.0)[: finite.sum()]
+        raw = np.full(len(p), np.nan)
+        raw[finite] = scaled * np.hypot(1.0, readings.curvature_se[finite])
+        freedom = max(1, int(used.sum()) - maps - len(trials))
+        robust = float(np.median(np.abs(raw[finite])) / norm.ppf(0.75))
+        total = robust if attempt < 3 else float(np.sqrt(np.sum(raw[used] ** 2) / freedom))
+        known = float(np.median(readings.curvature_se[finite]))
+        sigma = float(np.sqrt(max(total**2 - known**2, (0.2 * known) ** 2, 1e-12)))
+        offsets = best[maps:]
+        if len(trials) > 1:
+            offset_sigma = float(max(2e-4, np.sqrt(np.mean(offsets**2))))
+        limit = _REJECT * np.hypot(sigma, readings.curvature_se)
+        kept = finite & (np.nan_to_num(np.abs(raw), nan=np.inf) < limit)
+        if attempt > 3 and (kept == used).all():
+            break
+        if kept.sum() >= maps + len(trials) + 3:
+            used = kept
+    covariance = np.linalg.pinv(jacobian.T @ jacobian)
+    grid = np.linspace(0.0, 18.0, 37)
+    g_se, built = 0.0, {}
+    for j, b in enumerate(present):
+        x = best[3 * j : 3 * j + 3]
+        step = 1e-5
+        slopes = np.array(
+            [(_map_values(grid, x + step * e) - _map_values(grid, x - step * e)) / (2 * step)
+             for e in np.eye(3)]
+        )  # fmt: skip
+        block = covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]
+        g_se = max(g_se, float(np.sqrt(np.einsum("pg,pq,qg->g", slopes, block, slopes)).max()))
+        built[BRANCHES[b]] = TanhMap(
+            amplitude=float(np.exp(x[0])),
+            scale_psi=float(np.exp(x[1])),
+            offset_psi=float(x[2]),
+            amplitude_se=float(np.exp(x[0]) * np.sqrt(block[0, 0])),
+        )
+    if len(present) == 1:
+        notes.append(f"only the {BRANCHES[present[0]]} branch was measured; used for both")
+    inflate = built.get("inflate") or built["deflate"]
+    deflate = built.get("deflate") or inflate
+    out = int((finite & ~used).sum())
+    if out:
+        notes.append(f"{out} of {int(finite.sum())} bends left out as outliers")
+    spread = float(np.std(best[maps:], ddof=1)) if len(trials) > 1 else offset_sigma
+    moved = [t for t, o in zip(trials, best[maps:], strict=True)
+             if abs(o - np.median(best[maps:])) > 3e-3]  # fmt: skip
+    full = float(inflate.curvature(float(p[finite].max())))
+    verdict = _verdict(readings, g_se, full, out, int(finite.sum()), moved, notes)
+    zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi, inflate=inflate, deflate=deflate)
+    return ActuatorResult(readings, zone, g_se, full, max(spread, 1e-5), used, verdict)
+
+
+def _verdict(
+    readings: BendReadings,
+    g_se: float,
+    full: float,
+    out: int,
+    total: int,
+    moved: list[int],
+    notes: list[str],
+) -> Verdict:
+    share = g_se / max(full, 1e-9)
+    if moved:
+        notes.append(
+            f"trial {', '.join(str(t) for t in moved)} is bent by a constant against the others"
+        )
+        return Verdict(
+            False,
+            "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
+            "and repeat those trials",
+            tuple(notes),
+        )
+    if out > 0.3 * total:
+        return Verdict(False, "a third of the bends disagree with any smooth map", tuple(notes))
+    if share > 0.02:
+        return Verdict(
+            False, f"g is known to {100 * share:.1f} % of full scale only; add trials", tuple(notes)
+        )
+    return Verdict(
+        True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)", tuple(notes)
+    )
+
+
+@dataclass(frozen=True)
+class Lag:
+    """Time from measured pressure to bend."""
+
+    lag_s: float
+    lag_se_s: float
+
+
+def low_pass(t: Array, values: Array, lag_s: float) -> Array:
+    """First-order lag of a sampled signal (as the board filters the measured pressure)."""
+    made = np.array(values, float)
+    for i in range(1, len(made)):
+        step = t[i] - t[i - 1]
+        share = 1.0 if lag_s <= 0 else 1 - np.exp(-step / lag_s)
+        made[i] = made[i - 1] + share * (values[i] - made[i - 1])
+    return made
+
+
+def fit_lag(t_s: Array, pressure_psi: Array, curvature: Array, zone: ZoneMap, side: Side) -> Lag:
+    """Lag from a recorded sweep: pressure and the base sensor's (or the camera's) curvature.
+
+    The curvature may be off by a gain and an offset (they are fitted): only its timing counts.
+
+    Raises:
+        DataError: fewer than 50 samples, or no bend.
+    """
+    good = np.isfinite(t_s) & np.isfinite(pressure_psi) & np.isfinite(curvature)
+    t, p, k = t_s[good], pressure_psi[good], curvature[good]
+    if len(t) < 50 or np.ptp(k) < 1e-3:
+        raise DataError("the sweep shows no bend to time", "sweep to 18 psi within 10 s or less")
+    order = np.argsort(t)
+    t, p, k = t[order], p[order], k[order]
+
+    def cost(lag: float) -> tuple[float, Array]:
+        felt = low_pass(t, p, lag)
+        rising = np.gradient(felt, t) >= 0
+        up, down = (
+            np.array([m.curvature(max(0.0, float(v))) for v in felt])
+            for m in (zone.inflate, zone.deflate)
+        )
+        # Branches apart: each may sit off by an offset of its own.
+        g = np.where(rising, up, down)
+        design = np.column_stack([g, np.ones(len(g))])
+        line = np.linalg.lstsq(design, k, rcond=None)[0]
+        rest = k - design @ line
+        return float(rest @ rest), rest
+
+    def misfit(lag: float) -> float:
+        return cost(lag)[0]
+
+    fit = minimize_scalar(misfit, bounds=(0.0, 1.5), method="bounded", options={"xatol": 1e-3})
+    lag = float(fit.x)
+    least, rest = cost(lag)
+    step = 0.05
+    bend = (cost(lag + step)[0] + cost(max(0.0, lag - step))[0] - 2 * least) / step**2
+    along = float(np.corrcoef(rest[1:], rest[:-1])[0, 1])
+    along = min(0.98, max(0.0, along)) if np.isfinite(along) else 0.0
+    variance = least / max(1, len(t) - 3) * (1 + along) / (1 - along)
+    se = float(np.sqrt(2 * variance / bend)) if bend > 0 else np.inf
+    return Lag(lag, se)
+
+
+def at_body_pressure(maps: Sequence[ZoneMap], body_pressure_psi: float) -> ZoneMap:
+    """Map at a body pressure between measured ones (linear in the curves' values).
+
+    Raises:
+        DataError: no maps, or a pressure more than 20 % outside the measured range.
+    """
+    known = sorted(maps, key=lambda m: m.body_pressure_psi)
+    if not known:
+        raise DataError("no maps to interpolate", "calibrate one body pressure first")
+    pressures = np.array([m.body_pressure_psi for m in known])
+    if not 0.8 * pressures[0] <= body_pressure_psi <= 1.2 * pressures[-1]:
+        raise DataError(
+            f"{body_pressure_psi:g} psi lies outside the measured body pressures",
+            "measure a map at that pressure",
+        )
+    if len(known) == 1:
+        return known[0].model_copy(update={"body_pressure_psi": body_pressure_psi}, deep=True)
+    upper = int(np.clip(np.searchsorted(pressures, body_pressure_psi), 1, len(known) - 1))
+    low, high = known[upper - 1], known[upper]
+    share = (body_pressure_psi - low.body_pressure_psi) / (
+        high.body_pressure_psi - low.body_pressure_psi
+    )
+    grid = np.linspace(0.0, 20.0, 41)
+
+    def between(a: TanhMap, b: TanhMap) -> TanhMap:
+        values = np.array(
+            [(1 - share) * a.curvature(float(p)) + share * b.curvature(float(p)) for p in grid]
+        )
+        start = [
+            np.log((1 - share) * a.amplitude + share * b.amplitude),
+            np.log((1 - share) * a.scale_psi + share * b.scale_psi),
+            (1 - share) * a.offset_psi + share * b.offset_psi,
+        ]
+        fit = least_squares(lambda x: _map_values(grid, x) - values, start, x_scale="jac")
+        return TanhMap(
+            amplitude=float(np.exp(fit.x[0])),
+            scale_psi=float(np.exp(fit.x[1])),
+            offset_psi=float(fit.x[2]),
+            amplitude_se=float(np.hypot(a.amplitude_se, b.amplitude_se)),
+        )
+
+    return ZoneMap(
+        body_pressure_psi=body_pressure_psi,
+        inflate=between(low.inflate, high.inflate),
+        deflate=between(low.deflate, high.deflate),
+    )

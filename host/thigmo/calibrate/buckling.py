@@ -1,0 +1,231 @@
+"""Critical curvature: the contact moment at which the base folds (thesis, section 2.3.3).
+
+In each trial the tip is pushed hard until the base folds. The sensors beyond the fold still obey
+the beam, and tell the moment at the base: by the thesis's regression over them (a line through
+their curvatures, read off at s = 0), or, better, with the tip as the known place of the force, so
+that one number is fitted instead of two.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.calibrate.regression import fit_linear
+from thigmo.calibrate.table import Table
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import DataError
+from thigmo.mechanics import push
+
+Array = NDArray[np.float64]
+Method = Literal["known tip", "thesis"]
+
+
+@dataclass(frozen=True)
+class PushReadings:
+    """Hard pushes at the tip.
+
+    Attributes:
+        curvature: (t, m) readings of each trial, 1/cm, left base first; nan = unusable.
+        body_pressure_psi: set by hand.
+        length_cm: everted length; the tip is pushed.
+    """
+
+    curvature: Array
+    body_pressure_psi: float
+    length_cm: float
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> PushReadings:
+        """From a CSV: curvature_left_0 .. curvature_right_N, body_pressure_psi, length_cm."""
+        table = Table.read(path)
+        blocks = [table.block(f"curvature_{s}_", len(config.sensors.column(s))) for s in SIDES]
+        body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
+        length = table.numbers("length_cm", config.body.length_cm)
+        if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
+            raise DataError(f"{path}: body pressure or length varies", "one file for each")
+        return cls(np.hstack(blocks), float(body[0]), float(length[0]))
+
+
+@dataclass(frozen=True)
+class BucklingResult:
+    """Critical curvature at one body pressure.
+
+    Attributes:
+        critical_curvature: mean over the trials, 1/cm.
+        critical_se: its standard error, gains included.
+        each: (t,) per trial; nan = did not fold or could not be read.
+        excess: (t,) how much more the base sensors show than the beam says, 1/cm.
+        body_pressure_psi: at which it holds.
+        method: how.
+        verdict: in words.
+    """
+
+    critical_curvature: float
+    critical_se: float
+    each: Array
+    excess: Array
+    body_pressure_psi: float
+    method: Method
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "critical_curvature": self.critical_curvature,
+            "critical_se": self.critical_se,
+            "each": self.each.tolist(),
+            "excess": self.excess.tolist(),
+            "body_pressure_psi": self.body_pressure_psi,
+            "method": self.method,
+            "verdict": self.verdict.as_data(),
+        }
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """Critical curvature, its error and its body pressure into a copy."""
+        made = config.model_copy(deep=True)
+        made.body.critical_curvature = self.critical_curvature
+        made.body.critical_curvature_se = self.critical_se
+        made.body.critical_pressure_psi = self.body_pressure_psi
+        return made
+
+    def figure(self, path: Path) -> None:
+        """Every trial's estimate and the mean."""
+        from thigmo.calibrate.figures import buckling_figure
+
+        buckling_figure(self, path)
+
+
+def fit_buckling(
+    readings: PushReadings, config: RobotConfig, *, method: Method = "known tip"
+) -> BucklingResult:
+    """Critical curvature over the trials.
+
+    Raises:
+        DataError: no sensor lies beyond the fold, or the columns disagree with the configuration.
+    """
+    sensors = [s for side in SIDES for s in config.sensors.column(side)]
+    k = np.atleast_2d(readings.curvature)
+    if k.shape[1] != len(sensors):
+        raise DataError(f"{k.shape[1]} columns for {len(sensors)} sensors", "use this robot's file")
+    center = np.array([s.center_cm for s in sensors])
+    span = np.array([s.span_cm for s in sensors])
+    noise = np.array([s.noise for s in sensors])
+    gain = np.array([s.scale_se for s in sensors])
+    healthy = np.array([s.healthy for s in sensors])
+    length = readings.length_cm
+    # The fold spreads over a diameter from the base.
+    near = center - span / 2 < config.body.diameter_cm
+    beyond = healthy & ~near & (center + span / 2 <= length)
+    if beyond.sum() < 2:
+        raise DataError(
+            "fewer than two healthy sensors lie beyond the fold", "calibrate the flex sensors first"
+        )
+    each, excess, own = (np.full(len(k), np.nan) for _ in range(3))
+    notes: list[str] = []
+    shallow, unread = [], []
+    for trial, row in enumerate(k):
+        pick = beyond & np.isfinite(row)
+        if pick.sum() < 2:
+            unread.append(trial)
+            continue
+        estimate, error = _moment(row[pick], center[pick], span[pick], noise[pick], length, method)
+        base = healthy & near & np.isfinite(row)
+        sign = np.sign(estimate) or 1.0
+        over = np.nan
+        if base.any():
+            # A beam without a fold would show this at the base sensors.
+            lever = _levers(abs(estimate), center[base], span[base], length)
+            gap = sign * row[base] - abs(estimate) * lever
+            over = float(np.mean(gap))
+            if over < 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error)):
+                shallow.append(trial)
+                excess[trial] = over
+                continue
+        excess[trial] = over
+        each[trial], own[trial] = abs(estimate), error
+    for rows, what in (
+        (shallow, "the base did not fold: push harder"),
+        (unread, "too few readings"),
+    ):
+        if rows:
+            notes.append(f"trial {', '.join(str(r + 1) for r in rows)} left out, {what}")
+    kept = np.isfinite(each)
+    if kept.sum() >= 4:
+        middle = float(np.median(each[kept]))
+        scatter = 1.4826 * float(np.median(np.abs(each[kept] - middle)))
+        limit = 4.5 * max(scatter, float(np.nanmedian(own)), 0.01 * middle)
+        odd = np.nonzero(kept & (np.abs(each - middle) > limit))[0]
+        if len(odd):
+            notes.append(f"trial {', '.join(str(r + 1) for r in odd)} left out as outlier")
+            each[odd] = np.nan
+            kept = np.isfinite(each)
+    n = int(kept.sum())
+    if n == 0:
+        verdict = Verdict(False, "no trial shows a fold; push the tip harder", tuple(notes))
+        return BucklingResult(
+            float("nan"), float("inf"), each, excess, readings.body_pressure_psi, method, verdict
+        )
+    mean = float(each[kept].mean())
+    within = float(each[kept].std(ddof=1) / np.sqrt(n)) if n > 1 else float(own[kept][0])
+    # Gain errors are the same in every trial: they do not average out over trials.
+    common = mean * float(np.sqrt(np.sum(gain[beyond] ** 2)) / beyond.sum())
+    se = float(np.hypot(within, common))
+    share = se / mean
+    good = n >= 3 and share <= 0.05
+    reason = (
+        f"{mean:.5f} 1/cm +- {100 * share:.1f} % from {n} trials "
+        f"at {readings.body_pressure_psi:g} psi"
+    )
+    if n < 3:
+        reason += "; three or more trials are needed"
+    elif not good:
+        reason += "; take more trials or calibrate the flex sensors better"
+    return BucklingResult(
+        mean, se, each, excess, readings.body_pressure_psi, method,
+        Verdict(good, reason, tuple(notes)),
+    )  # fmt: skip
+
+
+def _moment(
+    row: Array, center: Array, span: Array, noise: Array, length: float, method: Method
+) -> tuple[float, float]:
+    """Contact moment at the base (1/cm, signed) and its standard error in one trial."""
+    if method == "thesis":
+        design = np.column_stack([np.ones(len(row)), center])
+        if len(row) < 4:
+            line, covariance = np.polyfit(center, row, 1), np.zeros((2, 2))
+            return float(line[1]), float(noise.mean() + covariance[1, 1])
+        fit = fit_linear(design, row, noise, reject=len(row) >= 6)
+        return float(fit.coefficients[0]), fit.se(0)
+    sign = float(np.sign(np.median(row))) or 1.0
+    estimate = 0.01
+    error = 0.0
+    for _ in range(4):
+        lever = _levers(estimate, center, span, length)
+        if len(row) >= 6:
+            # One outlier among the readings must not carry a trial.
+            ratio = sign * row / lever
+            middle = float(np.median(ratio))
+            loose = 1.4826 * float(np.median(np.abs(ratio - middle))) + 1e-9
+            weights = (np.abs(ratio - middle) < 5 * np.maximum(loose, noise / lever)) / noise**2
+        else:
+            weights = 1 / noise**2
+        estimate = float((weights * lever * sign * row).sum() / (weights * lever**2).sum())
+        error = float(1 / np.sqrt((weights * lever**2).sum()))
+        estimate = max(estimate, 1e-5)
+    return sign * estimate, error
+
+
+def _levers(moment: float, center: Array, span: Array, length: float) -> Array:
+    """Curvature of each sensor over the moment at the base, large deflection (no fold)."""
+    bent = push(moment / length, length, free_curvature=0.0, length=length)
+    scale = moment / max(abs(bent.base_moment), 1e-12)
+    bent = push(moment / length * scale, length, free_curvature=0.0, length=length)
+    return np.asarray(bent.averages(center, span) / abs(bent.base_moment), float)

@@ -1,0 +1,248 @@
+"""Encoder counts against the length that the camera sees; and zeros of the pressure sensors."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.calibrate.regression import fit_linear
+from thigmo.calibrate.table import Table
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EncoderResult:
+    """Counts per cm of line.
+
+    Attributes:
+        counts_per_cm: of line.
+        counts_se: its standard error.
+        length_cm: (n,) by camera.
+        counts: (n,) of the encoder.
+        used: (n,) rows that were kept.
+        verdict: in words.
+    """
+
+    counts_per_cm: float
+    counts_se: float
+    length_cm: Array
+    counts: Array
+    used: NDArray[np.bool_]
+    payout_ratio: float
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "counts_per_cm": self.counts_per_cm,
+            "counts_se": self.counts_se,
+            "rows_left_out": [int(i) for i in np.nonzero(~self.used)[0]],
+            "verdict": self.verdict.as_data(),
+        }
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """Counts per cm into a copy of the configuration."""
+        made = config.model_copy(deep=True)
+        made.spool.counts_per_cm = self.counts_per_cm
+        return made
+
+    def figure(self, path: Path) -> None:
+        """Counts against length."""
+        from thigmo.calibrate.figures import encoder_figure
+
+        encoder_figure(self, path)
+
+
+def read_encoder(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+    """counts and length_cm from a CSV."""
+    table = Table.read(path)
+    return table.numbers("counts"), table.numbers("length_cm")
+
+
+def fit_encoder(
+    counts: Array, length_cm: Array, config: RobotConfig, length_se_cm: float = 0.08
+) -> EncoderResult:
+    """Slope of counts over length, in order of growth.
+
+    A slip of the line (the spool turns, the tip does not) shifts all later rows: detected and said.
+
+    Raises:
+        DataError: fewer than four usable rows.
+    """
+    counts, length = np.asarray(counts, float), np.asarray(length_cm, float)
+    ratio = config.spool.payout_ratio
+    notes: list[str] = []
+    lost = int((~(np.isfinite(counts) & np.isfinite(length))).sum())
+    if lost:
+        notes.append(f"{lost} row(s) left out: no counts, or the camera lost the tip")
+    if len(counts) - lost < 4 or np.ptp(length[np.isfinite(length)]) < 5:
+        raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
+    # Counts are exact, the camera is not: length over counts, then inverted.
+    design = np.column_stack([np.ones(len(counts)), counts])
+    fit = fit_linear(design, length, length_se_cm)
+    per_count, se = float(fit.coefficients[1]), fit.se(1)
+    slip = _slip(counts, length, length_se_cm)
+    value = 1 / (per_count * ratio) if per_count > 0 else float("nan")
+    error = se / per_count * value if per_count > 0 else float("inf")
+    if per_count <= 0:
+        verdict = Verdict(
+            False, "counts fall while the robot grows: swap the encoder's A and B", tuple(notes)
+        )
+        value = config.spool.counts_per_cm
+    elif slip is not None:
+        row, size = slip
+        verdict = Verdict(
+            False,
+            f"the line slipped by about {size:.1f} cm before row {row + 1}: the spool turned and "
+            "the tip did not follow; tighten the line and repeat",
+            tuple(notes),
+        )
+    else:
+        out = int((~fit.used).sum()) - lost
+        if out:
+            notes.append(f"{out} row(s) left out as outliers")
+        unit = counts / max(np.nanmax(np.abs(counts)), 1)
+        bow = 0.0
+        if fit.used.sum() >= 6:
+            curved = fit_linear(
+                np.column_stack([np.ones(len(unit)), unit, unit**2]),
+                np.where(fit.used, length, np.nan), length_se_cm, reject=False,
+            )  # fmt: skip
+            if abs(curved.coefficients[2]) > 4 * curved.se(2):
+                bow = float(curved.coefficients[2]) / 4
+        if abs(bow) > 0.3:
+            notes.append(f"the wound radius changes: lengths are off by up to {abs(bow):.1f} cm")
+        good = error / value < 0.02
+        verdict = Verdict(
+            good,
+            f"{value:.2f} counts per cm of line +- {100 * error / value:.2f} %"
+            + ("" if good else "; take more lengths"),
+            tuple(notes),
+        )
+    return EncoderResult(value, error, length, counts, fit.used, ratio, verdict)
+
+
+def _slip(counts: Array, length: Array, se: float) -> tuple[int, float] | None:
+    """Row and size of a lasting offset in length at equal slope; None = none."""
+    good = np.nonzero(np.isfinite(counts) & np.isfinite(length))[0]
+    best: tuple[float, int, float] | None = None
+    for at in range(2, len(good) - 1):
+        step = (np.arange(len(good)) >= at).astype(float)
+        design = np.column_stack([np.ones(len(good)), counts[good], step])
+        try:
+            fit = fit_linear(design, length[good], se, reject=False)
+        except DataError:
+            continue
+        size, error = float(fit.coefficients[2]), fit.se(2)
+        if size < -0.5 and abs(size) > 5 * error and (best is None or fit.sigma < best[0]):
+            best = (fit.sigma, int(good[at]), -size)
+    return None if best is None else (best[1], best[2])
+
+
+@dataclass(frozen=True)
+class PressureZero:
+    """One muscle's pressure sensor at vent.
+
+    Attributes:
+        side: which muscle.
+        zero_count: ADC count at 0 psi.
+        zero_se: its standard error.
+        good: it may be used.
+        reason: why.
+    """
+
+    side: Side
+    zero_count: float
+    zero_se: float
+    good: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class PressureResult:
+    """Both pressure sensors' zeros, in ADC counts; the board holds them (`pressure_zero`)."""
+
+    zeros: tuple[PressureZero, ...]
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "zeros": [
+                {key: getattr(z, key) for key in PressureZero.__dataclass_fields__}
+                for z in self.zeros
+            ],
+            "pressure_zero": self.board_values(),
+            "verdict": self.verdict.as_data(),
+        }
+
+    def board_values(self) -> list[int]:
+        """The board's parameter `pressure_zero`, in 1/64 count, left then right."""
+        return [round(z.zero_count * 64) for z in self.zeros]
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """The zeros are the board's, not the configuration's: a copy."""
+        return config.model_copy(deep=True)
+
+    def figure(self, path: Path) -> None:
+        """The zeros against what is plausible."""
+        from thigmo.calibrate.figures import pressure_figure
+
+        pressure_figure(self, path)
+
+
+def fit_pressure_zero(
+    counts: Array, nominal: float = 102.4, span: float = 819.2, full_psi: float = 60.0
+) -> PressureResult:
+    """Zeros from readings with both muscles vented and the air shut.
+
+    Args:
+        counts: (n, 2) ADC counts, left and right.
+        nominal: count at 0 psi by the data sheet (10 % of the supply).
+        span: counts of full scale.
+        full_psi: full scale.
+
+    Raises:
+        DataError: fewer than ten readings, or not two columns.
+    """
+    y = np.asarray(counts, float)
+    if y.ndim != 2 or y.shape[1] != 2 or len(y) < 10:
+        raise DataError("ten or more readings of both pressure sensors are needed", "read longer")
+    zeros, notes = [], []
+    for column, side in enumerate(SIDES):
+        values = y[np.isfinite(y[:, column]), column]
+        middle = float(np.median(values)) if len(values) else float("nan")
+        spread = 1.4826 * float(np.median(np.abs(values - middle))) if len(values) else 0.0
+        calm = values[np.abs(values - middle) <= 5 * max(spread, 0.5)]
+        zero = float(calm.mean()) if len(calm) else float("nan")
+        se = float(calm.std(ddof=1) / np.sqrt(len(calm))) if len(calm) > 1 else float("inf")
+        off = (zero - nominal) * full_psi / span
+        half = len(calm) // 2
+        fall = float(calm[:half].mean() - calm[half:].mean()) if half else 0.0
+        fall_psi = abs(fall) * full_psi / span
+        if not np.isfinite(zero) or zero < 0.05 * 1024:
+            good, reason = False, "reads below 5 % of its supply: broken wire"
+        elif abs(off) > 3.0:
+            good, reason = (
+                False,
+                f"is {off:+.1f} psi from its data sheet: not vented, or wrong type",
+            )
+        elif fall_psi > 0.15:
+            good, reason = False, f"still moves by {fall_psi:.2f} psi: wait until vented"
+        else:
+            good, reason = True, f"zero at {zero:.2f} counts ({off:+.2f} psi of the data sheet)"
+        if not good:
+            notes.append(f"the {side} pressure sensor {reason}")
+        zeros.append(PressureZero(side, zero, se, good, reason))
+    fine = all(z.good for z in zeros)
+    reason = "both zeros taken" if fine else "vent, shut the air, check the wires, and repeat"
+    return PressureResult(tuple(zeros), Verdict(fine, reason, tuple(notes)))

@@ -1,0 +1,204 @@
+"""Figures of the calibration steps: data, fit, and what was left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from thigmo.calibrate.actuator import _map_values
+from thigmo.errors import DataError
+
+if TYPE_CHECKING:
+    from thigmo.calibrate.actuator import ActuatorResult
+    from thigmo.calibrate.buckling import BucklingResult
+    from thigmo.calibrate.check import CheckResult
+    from thigmo.calibrate.encoder import EncoderResult, PressureResult
+    from thigmo.calibrate.flex import FlexResult
+    from thigmo.calibrate.hysteresis import HysteresisResult
+    from thigmo.calibrate.noise import NoiseResult
+    from thigmo.calibrate.stiffness import StiffnessResult
+    from thigmo.calibrate.verdict import Verdict
+
+_MARK = {"straight": ("s", "tab:gray"), "tip": ("o", "tab:blue"), "bend": ("^", "tab:green")}
+
+
+def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
+    figure.suptitle(
+        f"{'good' if verdict.good else 'BAD'}: {verdict.reason}",
+        fontsize=10,
+        color="black" if verdict.good else "tab:red",
+        wrap=True,
+    )
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise DataError(f"cannot write {path}: {error}", "choose another folder") from error
+
+
+def flex_figure(result: FlexResult, path: Path) -> None:
+    """Resistance against curvature, one panel a sensor."""
+    n = len(result.sensors)
+    columns = max(1, n // 2)
+    figure = Figure(figsize=(3.0 * columns, 6.4), layout="constrained")
+    grid = figure.subplots(2, columns, squeeze=False)
+    kinds = np.array(result.readings.kind)
+    active = np.array(result.readings.active)
+    for column, fit in enumerate(result.sensors):
+        axes = grid.flat[column]
+        k = result.model_curvature[:, column]
+        ohm = result.readings.ohm[:, column] / 1000
+        for kind, (mark, color) in _MARK.items():
+            pick = (kinds == kind) & (active != fit.side) & result.row_good
+            axes.plot(k[pick], ohm[pick], mark, color=color, ms=4, label=kind)
+        out = ~result.row_good
+        axes.plot(k[out], ohm[out], "x", color="tab:red", ms=5, label="left out")
+        if fit.healthy:
+            low, high = float(np.nanmin(k)), float(np.nanmax(k))
+            if fit.valid_direction > 0:
+                low = 0.0
+            elif fit.valid_direction < 0:
+                high = 0.0
+            line = np.array([low, high])
+            axes.plot(line, (fit.zero_ohm + line / fit.scale_per_ohm) / 1000, "k-", lw=1)
+        seen = ohm[np.isfinite(ohm) & result.row_good]
+        if len(seen):
+            low, high = (float(v) for v in np.quantile(seen, [0.02, 0.98]))
+            room = max(0.4 * (high - low), 0.2)
+            axes.set_ylim(low - room, high + room)
+        axes.set_title(f"{fit.name}: {fit.reason}", fontsize=7, wrap=True)
+        axes.set_xlabel("curvature (1/cm)", fontsize=7)
+        axes.tick_params(labelsize=6)
+        if column % columns == 0:
+            axes.set_ylabel("resistance (kOhm)", fontsize=7)
+    grid.flat[0].legend(fontsize=6)
+    _finish(figure, path, result.verdict)
+
+
+def actuator_figure(result: ActuatorResult, path: Path) -> None:
+    """Curvature against pressure with both maps."""
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.subplots()
+    r = result.readings
+    branch = np.array(r.branch)
+    sign = 1.0 if r.side == "left" else -1.0
+    grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
+    curves = (("inflate", "^", "tab:blue", result.zone.inflate),
+              ("deflate", "v", "tab:orange", result.zone.deflate))  # fmt: skip
+    for name, mark, color, curve in curves:
+        pick = (branch == name) & result.used
+        axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
+        x = np.array([np.log(curve.amplitude), np.log(curve.scale_psi), curve.offset_psi])
+        axes.plot(grid, sign * _map_values(grid, x), "-", color=color, lw=1)
+    out = ~result.used
+    axes.plot(r.pressure_psi[out], r.curvature[out], "x", color="tab:red", label="left out")
+    axes.set_xlabel("muscle pressure (psi)")
+    axes.set_ylabel("free curvature (1/cm)")
+    axes.set_title(f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9)
+    axes.legend()
+    _finish(figure, path, result.verdict)
+
+
+def buckling_figure(result: BucklingResult, path: Path) -> None:
+    """Every trial's estimate and the mean."""
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(np.arange(1, len(result.each) + 1), result.each, "o", label="trial")
+    if np.isfinite(result.critical_curvature):
+        mean, se = result.critical_curvature, result.critical_se
+        axes.axhline(mean, color="k", lw=1, label="mean")
+        axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)
+    axes.axhline(0.01108, color="tab:red", ls=":", label="thesis")
+    axes.set_xlabel("trial")
+    axes.set_ylabel("critical curvature (1/cm)")
+    axes.legend()
+    _finish(figure, path, result.verdict)
+
+
+def hysteresis_figure(result: HysteresisResult, path: Path) -> None:
+    """Decays with their laws."""
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for number, record in enumerate(result.records):
+        color = f"C{number % 10}"
+        rest = float(np.nanmedian(record.curvature[-max(3, len(record.curvature) // 8) :]))
+        axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
+    t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
+    for fit in result.sensors:
+        axes.plot(t, fit.law.left(t)[0], "-", lw=1, label=f"{fit.side} {fit.index}")
+    axes.set_xlabel("time since eversion (s)")
+    axes.set_ylabel("reading less its rest (1/cm)")
+    axes.legend(fontsize=7, ncols=2)
+    _finish(figure, path, result.verdict)
+
+
+def stiffness_figure(result: StiffnessResult, path: Path) -> None:
+    """Ratio of every picture and the mean."""
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(np.arange(1, len(result.each) + 1), result.each, "o")
+    axes.axhline(result.ratio, color="k", lw=1)
+    low, high = (result.ratio + s * 1.96 * result.ratio_se for s in (-1, 1))
+    axes.axhspan(low, high, color="k", alpha=0.1)
+    axes.axhline(1.0, color="tab:gray", ls=":")
+    axes.set_xlabel("picture")
+    axes.set_ylabel("stiffness under sensors / in gaps")
+    _finish(figure, path, result.verdict)
+
+
+def noise_figure(result: NoiseResult, path: Path) -> None:
+    """The three parts of every sensor."""
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    at = np.arange(len(result.sensors))
+    parts: list[tuple[str, Any]] = [
+        ("white", [s.white for s in result.sensors]),
+        ("per eversion", [s.per_eversion for s in result.sensors]),
+        ("within a sweep", [s.hysteresis for s in result.sensors]),
+    ]
+    for number, (name, values) in enumerate(parts):
+        axes.bar(at + 0.25 * (number - 1), np.nan_to_num(values), 0.25, label=name)
+    axes.set_xticks(at, [f"{s.side} {s.index}" for s in result.sensors], rotation=45, fontsize=7)
+    axes.set_ylabel("one sigma (1/cm)")
+    axes.legend()
+    _finish(figure, path, result.verdict)
+
+
+def encoder_figure(result: EncoderResult, path: Path) -> None:
+    """Counts against length."""
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(result.length_cm[result.used], result.counts[result.used], "o", label="used")
+    axes.plot(result.length_cm[~result.used], result.counts[~result.used], "x", color="tab:red",
+              label="left out")  # fmt: skip
+    axes.set_xlabel("length by camera (cm)")
+    axes.set_ylabel("encoder counts")
+    axes.legend()
+    _finish(figure, path, result.verdict)
+
+
+def pressure_figure(result: PressureResult, path: Path) -> None:
+    """The zeros."""
+    figure = Figure(figsize=(5, 3.5), layout="constrained")
+    axes = figure.subplots()
+    axes.bar([z.side for z in result.zeros], [z.zero_count for z in result.zeros])
+    axes.axhline(102.4, color="k", ls=":", label="data sheet")
+    axes.set_ylabel("count at 0 psi")
+    axes.legend()
+    _finish(figure, path, result.verdict)
+
+
+def check_figure(result: CheckResult, path: Path) -> None:
+    """The findings as a table."""
+    figure = Figure(figsize=(9, 0.3 * len(result.findings) + 1.2), layout="constrained")
+    axes = figure.subplots()
+    axes.set_axis_off()
+    colors = {"ok": "tab:green", "warning": "tab:orange", "bad": "tab:red"}
+    for row, finding in enumerate(result.findings):
+        axes.text(0.0, -row, finding.mark, color=colors[finding.mark], fontsize=8)
+        axes.text(0.1, -row, f"{finding.what}: {finding.text}", fontsize=8)
+    axes.set_xlim(0, 1)
+    axes.set_ylim(-len(result.findings), 1)
+    _finish(figure, path, result.verdict)

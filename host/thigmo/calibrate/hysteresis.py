@@ -1,0 +1,240 @@
+"""Creep after eversion: decay time and amplitude of each sensor, from records of it standing still.
+
+Each record starts when the sensor has just everted. The compensation that uses the result is
+`thigmo.mechanics.settling`, which also says how much noise it adds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import norm
+
+from thigmo.calibrate.table import Table
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import RobotConfig, Side
+from thigmo.errors import DataError
+from thigmo.mechanics.settling import Settling
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CreepRecord:
+    """One sensor after one eversion.
+
+    Attributes:
+        side, index: which sensor.
+        t_s: (n,) since eversion.
+        curvature: (n,) readings, 1/cm.
+    """
+
+    side: Side
+    index: int
+    t_s: Array
+    curvature: Array
+
+    @classmethod
+    def read_all(cls, path: str | os.PathLike[str]) -> list[CreepRecord]:
+        """From a CSV: side, index, eversion, t_s, curvature."""
+        table = Table.read(path)
+        sides = table.words("side")
+        index = table.numbers("index").astype(int)
+        eversion = table.numbers("eversion", 0.0)
+        t, k = table.numbers("t_s"), table.numbers("curvature")
+        keys = sorted(set(zip(sides, index.tolist(), eversion.tolist(), strict=True)))
+        found = []
+        for side, number, event in keys:
+            if side not in ("left", "right"):
+                raise DataError(f"{path}: side must be left or right", "mend that column")
+            pick = np.array([s == side for s in sides]) & (index == number) & (eversion == event)
+            found.append(cls("left" if side == "left" else "right", number, t[pick], k[pick]))
+        return found
+
+
+@dataclass(frozen=True)
+class CreepFit:
+    """One sensor's law over its eversions.
+
+    Attributes:
+        side, index: which sensor.
+        law: decay, with the spread from eversion to eversion.
+        each: (e, 2) tau and amplitude of every eversion.
+        usable_s: when readings add less than their own noise, compensated.
+        good: the law may be used.
+        reason: why.
+    """
+
+    side: Side
+    index: int
+    law: Settling
+    each: Array
+    usable_s: float
+    good: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class HysteresisResult:
+    """All sensors."""
+
+    sensors: tuple[CreepFit, ...]
+    verdict: Verdict
+    records: tuple[CreepRecord, ...]
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "sensors": [
+                {
+                    "side": fit.side,
+                    "index": fit.index,
+                    "tau_s": fit.law.tau_s,
+                    "tau_se_s": fit.law.tau_se_s,
+                    "amplitude": fit.law.amplitude,
+                    "amplitude_sd": fit.law.amplitude_sd,
+                    "usable_s": fit.usable_s,
+                    "good": fit.good,
+                    "reason": fit.reason,
+                }
+                for fit in self.sensors
+            ],
+            "verdict": self.verdict.as_data(),
+        }
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """Decay time and amplitude into a copy of the configuration."""
+        made = config.model_copy(deep=True)
+        for fit in self.sensors:
+            if fit.good:
+                sensor = made.sensors.column(fit.side)[fit.index]
+                sensor.settle_tau_s = fit.law.tau_s
+                sensor.settle_amplitude = fit.law.amplitude
+        return made
+
+    def figure(self, path: Path) -> None:
+        """Decays with their fits."""
+        from thigmo.calibrate.figures import hysteresis_figure
+
+        hysteresis_figure(self, path)
+
+
+def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
+    """tau, amplitude, rest (3,) of one record and their covariance (3, 3); outliers left out.
+
+    Raises:
+        DataError: fewer than ten readings, or a record shorter than 5 s.
+    """
+    finite = np.isfinite(t_s) & np.isfinite(curvature)
+    t, y = t_s[finite], curvature[finite]
+    if len(t) < 10 or np.ptp(t) < 5:
+        raise DataError("the record is too short to see a decay", "record 30 s after eversion")
+
+    def residuals(x: Array) -> Array:
+        return np.asarray(x[1] * np.exp(-t / np.exp(x[0])) + x[2] - y)
+
+    def slopes(x: Array) -> Array:
+        tau = np.exp(x[0])
+        decay = np.exp(-t / tau)
+        return np.column_stack([x[1] * decay * t / tau, decay, np.ones(len(t))])
+
+    spread = float(np.median(np.abs(np.diff(y))) / (np.sqrt(2) * norm.ppf(0.75))) or 1e-9
+    rest = float(np.median(y[t > t.min() + 0.7 * np.ptp(t)]))
+    early = float(np.median(y[t < t.min() + 0.1 * np.ptp(t)]))
+    best: Any = None
+    for tau in (3.0, 8.0, 15.0):
+        start = np.array([np.log(tau), (early - rest) * np.exp(t.min() / tau), rest])
+        fit = least_squares(
+            residuals, start, jac=slopes, loss="cauchy", f_scale=2.5 * spread, x_scale="jac"
+        )
+        if best is None or fit.cost < best.cost:
+            best = fit
+    keep = np.abs(residuals(best.x)) < 4 * spread
+    if keep.sum() < 10:
+        keep[:] = True
+    t, y = t[keep], y[keep]
+    fit = least_squares(residuals, best.x, jac=slopes, x_scale="jac")
+    rest_of = residuals(fit.x)
+    variance = float(rest_of @ rest_of) / max(1, len(t) - 3)
+    covariance = np.linalg.pinv(slopes(fit.x).T @ slopes(fit.x)) * variance
+    tau = float(np.exp(fit.x[0]))
+    turn = np.diag([tau, 1.0, 1.0])
+    return np.array([tau, fit.x[1], fit.x[2]]), turn @ covariance @ turn
+
+
+def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> HysteresisResult:
+    """Decay law of every sensor that was recorded.
+
+    Raises:
+        DataError: no records, or a sensor that the configuration does not have.
+    """
+    if not records:
+        raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
+    groups: dict[tuple[Side, int], list[CreepRecord]] = {}
+    for record in records:
+        if record.index >= len(config.sensors.column(record.side)):
+            raise DataError(
+                f"no sensor {record.side} {record.index} in robot.toml", "use this robot's file"
+            )
+        groups.setdefault((record.side, record.index), []).append(record)
+    fits, notes = [], []
+    for (side, index), many in sorted(groups.items()):
+        sensor = config.sensors.column(side)[index]
+        found, errors = [], []
+        for record in many:
+            try:
+                x, covariance = fit_decay(record.t_s, record.curvature)
+            except DataError as error:
+                notes.append(f"{side} {index}: {error.what}")
+                continue
+            found.append(x)
+            errors.append(covariance)
+        fits.append(_law(side, index, found, errors, sensor.noise))
+    bad = [fit for fit in fits if not fit.good]
+    notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in bad)
+    if len(bad) == len(fits):
+        return HysteresisResult(
+            tuple(fits), Verdict(False, "no sensor shows a decay that can be fitted", tuple(notes)),
+            tuple(records),
+        )  # fmt: skip
+    ready = max(fit.usable_s for fit in fits if fit.good)
+    verdict = Verdict(
+        True, f"compensated readings count from {ready:.0f} s after eversion", tuple(notes)
+    )
+    return HysteresisResult(tuple(fits), verdict, tuple(records))
+
+
+def _law(side: Side, index: int, found: list[Array], errors: list[Array], noise: float) -> CreepFit:
+    empty = np.zeros((0, 2))
+    if not found:
+        return CreepFit(side, index, Settling(8.0), empty, 60.0, False, "no usable record")
+    each = np.array(found)
+    amplitude_se = np.array([np.sqrt(c[1, 1]) for c in errors])
+    tau_se = np.array([np.sqrt(c[0, 0]) for c in errors])
+    clear = np.abs(each[:, 1]) > 4 * amplitude_se
+    if not clear.any():
+        law = Settling(8.0, 4.0, 0.0, float(amplitude_se.mean()))
+        return CreepFit(side, index, law, each[:, :2], 0.0, True, "no creep beyond the noise")
+    weights = 1 / tau_se[clear] ** 2
+    tau = float((weights * each[clear, 0]).sum() / weights.sum())
+    # Eversions differ in tau more than each one's error says: take whichever is larger.
+    count = int(clear.sum())
+    scatter = float(each[clear, 0].std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
+    tau_error = max(float(weights.sum() ** -0.5), scatter)
+    amplitude = float(each[:, 1].mean())
+    spread = float(each[:, 1].std(ddof=1)) if len(each) > 1 else 0.5 * abs(amplitude)
+    law = Settling(tau, tau_error, amplitude, max(spread, float(amplitude_se.mean())))
+    good = 0.5 < tau < 60 and tau_error < 0.5 * tau
+    reason = (
+        f"tau {tau:.1f} +- {tau_error:.1f} s, amplitude {amplitude:.4f} 1/cm"
+        if good
+        else f"tau of {tau:.1f} +- {tau_error:.1f} s is no decay; record for longer"
+    )
+    return CreepFit(side, index, law, each[:, :2], law.usable_after_s(noise), good, reason)

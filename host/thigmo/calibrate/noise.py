@@ -1,0 +1,170 @@
+"""Noise in its three parts: white, within a sweep (hysteresis), and per eversion (METHODS 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """One sensor at rest.
+
+    Attributes:
+        side, index: which sensor.
+        white: one sigma of a reading, 1/cm.
+        white_se: its standard error.
+        drift_per_min: slope at rest, 1/cm a minute.
+        slow: scatter beyond white noise of ten-reading means, 1/cm.
+        per_eversion: spread of the zero from eversion to eversion, 1/cm (nan = unknown).
+        hysteresis: half the gap between rising and falling pressure, 1/cm (nan = unknown).
+        dropouts: share of wild readings.
+    """
+
+    side: Side
+    index: int
+    white: float
+    white_se: float
+    drift_per_min: float
+    slow: float
+    per_eversion: float
+    hysteresis: float
+    dropouts: float
+
+
+@dataclass(frozen=True)
+class NoiseResult:
+    """All sensors."""
+
+    sensors: tuple[SensorNoise, ...]
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "sensors": [
+                {key: getattr(s, key) for key in SensorNoise.__dataclass_fields__}
+                for s in self.sensors
+            ],
+            "verdict": self.verdict.as_data(),
+        }
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """One sigma of an averaged reading into a copy of the configuration."""
+        made = config.model_copy(deep=True)
+        for s in self.sensors:
+            sensor = made.sensors.column(s.side)[s.index]
+            if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
+                sensor.noise = float(np.hypot(s.white, s.slow))
+        return made
+
+    def figure(self, path: Path) -> None:
+        """The three parts of every sensor."""
+        from thigmo.calibrate.figures import noise_figure
+
+        noise_figure(self, path)
+
+
+def fit_noise(
+    t_s: Array,
+    curvature: Array,
+    config: RobotConfig,
+    *,
+    zeros: Array | None = None,
+    rising: Array | None = None,
+    falling: Array | None = None,
+) -> NoiseResult:
+    """Noise of every sensor.
+
+    Args:
+        t_s: (n,) times of averaged readings of the resting robot.
+        curvature: (n, m) readings, 1/cm.
+        config: for the sensors' names.
+        zeros: (e, m) settled rest readings after each eversion.
+        rising: (s, m) readings at a pressure, rising.
+        falling: (s, m) readings at the same pressures, falling.
+
+    Raises:
+        DataError: fewer than 20 readings, or columns that disagree with the configuration.
+    """
+    sensors = [(side, k) for side in SIDES for k in range(len(config.sensors.column(side)))]
+    y = np.asarray(curvature, float)
+    if y.ndim != 2 or y.shape[1] != len(sensors) or len(y) != len(t_s):
+        raise DataError(f"{y.shape} readings for {len(sensors)} sensors", "use this robot's file")
+    if len(y) < 20:
+        raise DataError(f"{len(y)} readings at rest", "record 20 or more")
+    found, notes = [], []
+    for column, (side, k) in enumerate(sensors):
+        part = _rest(np.asarray(t_s, float), y[:, column])
+        if part is None:
+            notes.append(f"{side} {k}: no readings")
+            continue
+        white, white_se, drift, slow, dropouts = part
+        per = _spread(zeros, column)
+        gap = float("nan")
+        if rising is not None and falling is not None:
+            gap = abs(float(np.nanmedian(falling[:, column] - rising[:, column]))) / 2
+        found.append(SensorNoise(side, k, white, white_se, drift, slow, per, gap, dropouts))
+        if dropouts > 0.05:
+            notes.append(f"{side} {k}: {100 * dropouts:.0f} % wild readings; check its wire")
+        if abs(drift) > 5e-4:
+            notes.append(f"{side} {k} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
+    return NoiseResult(tuple(found), _verdict(found, notes))
+
+
+def _spread(zeros: Array | None, column: int) -> float:
+    if zeros is None or len(zeros) < 2:
+        return float("nan")
+    values = zeros[:, column]
+    values = values[np.isfinite(values)]
+    return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+
+
+def _rest(t: Array, y: Array) -> tuple[float, float, float, float, float] | None:
+    """White sigma and its error, drift a minute, slow scatter, share of wild readings."""
+    finite = np.isfinite(y) & np.isfinite(t)
+    if finite.sum() < 20:
+        return None
+    t, y = t[finite], y[finite]
+    middle = np.median(y)
+    spread = float(np.median(np.abs(y - middle)) / norm.ppf(0.75))
+    calm = np.abs(y - middle) < 6 * max(spread, 1e-12)
+    quiet_t, quiet = t[calm], y[calm]
+    # Differences of neighbours know nothing of drift.
+    white = float(np.sqrt(np.mean(np.diff(quiet) ** 2) / 2))
+    white_se = white * float(np.sqrt(3 / (4 * len(quiet))))
+    drift = float(np.polyfit(quiet_t, quiet, 1)[0]) * 60
+    level = quiet - np.polyval(np.polyfit(quiet_t, quiet, 1), quiet_t)
+    blocks = level[: len(level) // 10 * 10].reshape(-1, 10).mean(axis=1)
+    extra = float(blocks.var(ddof=1)) - white**2 / 10 if len(blocks) > 2 else 0.0
+    slow = float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0
+    return white, white_se, drift, slow, float(1 - calm.mean())
+
+
+def _verdict(found: Sequence[SensorNoise], notes: list[str]) -> Verdict:
+    if not found:
+        return Verdict(False, "no sensor gives readings; check wiring", tuple(notes))
+    loud = [s for s in found if s.white > 2e-3]
+    worst = max(found, key=lambda s: s.white)
+    if len(loud) > len(found) / 2:
+        return Verdict(
+            False,
+            f"most readings scatter by more than 0.002 1/cm (worst {worst.white:.4f}): average "
+            "longer, or look for interference",
+            tuple(notes),
+        )
+    notes.extend(f"{s.side} {s.index} is loud: {s.white:.4f} 1/cm" for s in loud)
+    typical = float(np.median([s.white for s in found]))
+    return Verdict(True, f"white noise {typical:.5f} 1/cm a reading (median)", tuple(notes))

@@ -1,0 +1,187 @@
+"""Is the body as stiff under a sensor as between sensors? (The thesis's open question.)
+
+Pictures of the robot with its tip pushed aside give the axis; the moment along it is known up to
+one factor from where the force acts. With k = m(s) (1 + rho w(s)), w = 1 in gaps and 0 under
+sensors, rho is the excess of curvature in the gaps: EI_sensor / EI_gap = 1 + rho. A sensor's
+calibration already holds the curvature under it; rho matters for the shape of the whole body.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from thigmo.calibrate.table import Table
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AxisPoints:
+    """The body's axis in one picture, tip pushed aside.
+
+    Attributes:
+        points_cm: (n, 2) along the axis, base to tip.
+        force_arc_cm: where the force acts.
+    """
+
+    points_cm: Array
+    force_arc_cm: float
+
+    @classmethod
+    def read_all(cls, path: str | os.PathLike[str]) -> list[AxisPoints]:
+        """From a CSV: picture, x_cm, y_cm, force_arc_cm."""
+        table = Table.read(path)
+        picture = table.numbers("picture")
+        points = np.column_stack([table.numbers("x_cm"), table.numbers("y_cm")])
+        arc = table.numbers("force_arc_cm")
+        return [
+            cls(points[picture == number], float(arc[picture == number][0]))
+            for number in sorted(set(picture.tolist()))
+        ]
+
+
+@dataclass(frozen=True)
+class StiffnessResult:
+    """Stiffness under sensors over stiffness in gaps.
+
+    Attributes:
+        ratio: EI_sensor / EI_gap.
+        ratio_se: its standard error.
+        each: (p,) ratio of every picture alone.
+        verdict: in words.
+    """
+
+    ratio: float
+    ratio_se: float
+    each: Array
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "ratio": self.ratio,
+            "ratio_se": self.ratio_se,
+            "each": self.each.tolist(),
+            "verdict": self.verdict.as_data(),
+        }
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """Nothing in the configuration depends on it: a copy."""
+        return config.model_copy(deep=True)
+
+    def figure(self, path: Path) -> None:
+        """Ratio of every picture and the mean."""
+        from thigmo.calibrate.figures import stiffness_figure
+
+        stiffness_figure(self, path)
+
+
+def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:
+    """Ratio of stiffness under sensors to that in gaps.
+
+    Raises:
+        DataError: fewer than three pictures with a bend, or sensors that leave no gap.
+    """
+    length = config.body.length_cm
+    fine = np.arange(0.0, length + 1e-9, 0.1)
+    gap = np.ones(len(fine))
+    for side in SIDES:
+        for sensor in config.sensors.column(side):
+            gap[np.abs(fine - sensor.center_cm) <= sensor.span_cm / 2] = 0.0
+    share = float(gap.mean())
+    if not 0.05 < share < 0.95:
+        raise DataError("sensors cover all of the body or none of it", "there is no gap to compare")
+    each, errors, notes = [], [], []
+    for number, picture in enumerate(pictures, start=1):
+        bend = float(np.abs(picture.points_cm[:, 1]).max())
+        if len(picture.points_cm) < 20 or bend < 3:
+            notes.append(
+                f"picture {number} left out: bent by {bend:.1f} cm only, or too few points"
+            )
+            continue
+        rho, rho_se = _one(picture, fine, gap)
+        each.append(1 + rho)
+        errors.append(rho_se)
+    if len(each) < 3:
+        raise DataError(
+            f"{len(each)} usable pictures", "take three or more with the tip 5..10 cm aside"
+        )
+    values, se = np.array(each), np.array(errors)
+    middle = np.median(values)
+    odd = np.abs(values - middle) > 4.5 * np.maximum(
+        se, 1.4826 * np.median(np.abs(values - middle))
+    )
+    if odd.any():
+        notes.append(f"{int(odd.sum())} picture(s) left out as outliers")
+    kept, weights = values[~odd], 1 / se[~odd] ** 2
+    ratio = float((weights * kept).sum() / weights.sum())
+    scatter = float(np.sqrt((weights * (kept - ratio) ** 2).sum() / max(1, len(kept) - 1)))
+    error = float(weights.sum() ** -0.5) * max(1.0, scatter)
+    alike = abs(ratio - 1) < 3 * error
+    if error > 0.15:
+        verdict = Verdict(
+            False, f"ratio {ratio:.2f} +- {error:.2f}: too uncertain, add pictures", tuple(notes)
+        )
+    else:
+        words = (
+            "as stiff under sensors as between"
+            if alike
+            else ("stiffer under the sensors" if ratio > 1 else "softer under the sensors")
+        )
+        verdict = Verdict(
+            True, f"the body is {words}: ratio {ratio:.3f} +- {error:.3f}", tuple(notes)
+        )
+    return StiffnessResult(ratio, error, values, verdict)
+
+
+def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
+    """rho and its standard error from one picture."""
+    points = picture.points_cm
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = points[0, 0] + steps
+    step = fine[1] - fine[0]
+    inside = fine < picture.force_arc_cm
+
+    def shape(x: Array) -> tuple[Array, Array, Array]:
+        # Lever with the bend: the force stays normal to the body where it acts.
+        heading = np.zeros(len(fine))
+        for _ in range(3):
+            end = np.interp(picture.force_arc_cm, fine, heading)
+            lean = np.where(inside, np.cos(heading - end), 0.0)
+            lever = np.cumsum(lean[::-1])[::-1] * step
+            k = x[2] * lever * (1 + x[3] * gap)
+            heading = x[1] + np.concatenate([[0.0], np.cumsum((k[1:] + k[:-1]) / 2 * step)])
+        middle = (heading[1:] + heading[:-1]) / 2
+        along = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)])
+        across = x[0] + np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)])
+        return along, across, heading
+
+    def residuals(x: Array) -> Array:
+        along, across, heading = shape(x)
+        away = points - np.column_stack([np.interp(at, fine, along), np.interp(at, fine, across)])
+        turn = np.interp(at, fine, heading)
+        return np.asarray(-np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1])
+
+    force = 3 * points[-1, 1] / picture.force_arc_cm**3
+    start = np.array([points[0, 1], 0.0, force, 0.0])
+    fit = least_squares(
+        residuals, start, loss="soft_l1", f_scale=0.05, x_scale=[0.1, 0.01, 1e-5, 0.1]
+    )
+    rest = residuals(fit.x)
+    along = float(np.corrcoef(rest[1:], rest[:-1])[0, 1])
+    along = min(0.9, max(0.0, along)) if np.isfinite(along) else 0.0
+    variance = float(rest @ rest) / max(1, len(rest) - 4) * (1 + along) / (1 - along)
+    slopes = np.asarray(fit.jac, float)
+    covariance = np.linalg.pinv(slopes.T @ slopes) * variance
+    return float(fit.x[3]), float(np.sqrt(covariance[3, 3]))

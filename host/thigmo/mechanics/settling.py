@@ -1,0 +1,92 @@
+"""Creep of a flex sensor after its eversion: fitted, subtracted, and carried as noise.
+
+A tight bend leaves a sensor reading `rest + amplitude * exp(-t / tau)` (thesis: steady after 30 s,
+so tau is 6 to 10 s; METHODS section 7). Calibration measures tau and amplitude; in use, the part
+seen while the robot stands still after growing tells this eversion's own amplitude, and readings
+count long before the 30 s are over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.errors import DataError
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Settling:
+    """One sensor's decay law.
+
+    Attributes:
+        tau_s: decay time.
+        tau_se_s: its standard error.
+        amplitude: mean at eversion, 1/cm.
+        amplitude_sd: spread from one eversion to the next, 1/cm.
+    """
+
+    tau_s: float
+    tau_se_s: float = 0.0
+    amplitude: float = 0.0
+    amplitude_sd: float = 0.0
+
+    def left(self, t_s: npt.ArrayLike) -> tuple[Floats, Floats]:
+        """Expected rest of the creep at a time since eversion, and its one sigma (1/cm)."""
+        t = np.asarray(t_s, dtype=np.float64)
+        decay = np.exp(-t / self.tau_s)
+        by_tau = self.amplitude * decay * t / self.tau_s**2 * self.tau_se_s
+        return self.amplitude * decay, np.hypot(self.amplitude_sd * decay, by_tau)
+
+    def usable_after_s(self, noise: float) -> float:
+        """Time from which the uncorrected rest adds less than `noise` (1/cm), at most 60 s."""
+        for t in np.arange(0.0, 60.0, 0.25):
+            if float(self.left(t)[1]) < noise:
+                return float(t)
+        return 60.0
+
+    def observe(
+        self, t_s: npt.ArrayLike, reading: npt.ArrayLike, noise: float
+    ) -> tuple[Settled, Settling]:
+        """Settled value from readings of a robot that stands still, and this eversion's own law.
+
+        Args:
+            t_s: (n,) times since eversion.
+            reading: (n,) readings, 1/cm.
+            noise: one sigma of a single reading, 1/cm.
+
+        Raises:
+            DataError: fewer than three readings.
+        """
+        t, y = np.asarray(t_s, dtype=np.float64), np.asarray(reading, dtype=np.float64)
+        if t.ndim != 1 or t.shape != y.shape or len(t) < 3:
+            raise DataError("settling needs three or more readings", "watch the sensor for longer")
+        decay = np.exp(-t / self.tau_s)
+        slope = self.amplitude * decay * t / self.tau_s**2
+        # Unknowns: rest, amplitude, tau's error; the last two with priors from calibration.
+        design = np.column_stack([np.ones_like(t), decay, slope]) / noise
+        prior = np.diag([0.0, 1 / max(self.amplitude_sd, 1e-9), 1 / max(self.tau_se_s, 1e-9)])
+        target = np.concatenate([y / noise, prior @ np.array([0.0, self.amplitude, 0.0])])
+        full = np.vstack([design, prior])
+        normal = full.T @ full
+        covariance = np.linalg.inv(normal)
+        best = covariance @ (full.T @ target)
+        tau = float(np.clip(self.tau_s + best[2], 0.3 * self.tau_s, 3 * self.tau_s))
+        own = Settling(
+            tau,
+            float(np.sqrt(covariance[2, 2])),
+            float(best[1]),
+            float(np.sqrt(covariance[1, 1])),
+        )
+        return Settled(float(best[0]), float(np.sqrt(covariance[0, 0]))), own
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A reading freed of creep: value and one sigma, 1/cm."""
+
+    value: float
+    sigma: float

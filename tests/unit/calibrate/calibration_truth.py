@@ -1,0 +1,94 @@
+"""Synthetic labs: readings of a robot whose constants are known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thigmo.calibrate.actuator import BendReadings
+from thigmo.calibrate.flex import FlexReadings
+from thigmo.config import SIDES, RobotConfig, TanhMap
+from thigmo.mechanics import push
+
+LENGTH = 53.0
+CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0] * 2)
+SPANS = np.full(10, 5.5)
+
+
+class Lab:
+    """A robot with drawn constants; curvature noise `sigma` a reading, camera error `tip_se`."""
+
+    def __init__(self, seed: int, sigma: float = 6e-4, tip_se: float = 0.05) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.sigma, self.tip_se = sigma, tip_se
+        self.scale = self.rng.uniform(2.5e-5, 4.5e-5, 10) * np.repeat([1, -1], 5)
+        self.zero = self.rng.uniform(9e3, 14e3, 10)
+        self.config = RobotConfig()
+
+    def ohm(self, curvature: np.ndarray) -> np.ndarray:
+        noisy = curvature + self.rng.normal(0, self.sigma, np.shape(curvature))
+        return self.zero + noisy / self.scale
+
+    def flex(self, places: int = 10, bends: int = 12, straight: int = 3) -> FlexReadings:
+        kind: list[str] = []
+        tips, ohm, asked, curvature, active = [], [], [], [], []
+
+        def add(what: str, k: np.ndarray, tip=(np.nan, np.nan), want=np.nan, seen=np.nan, side=""):
+            kind.append(what)
+            tips.append(tip)
+            asked.append(want)
+            curvature.append(seen)
+            active.append(side)
+            ohm.append(self.ohm(k))
+
+        for _ in range(straight):
+            add("straight", np.zeros(10), (LENGTH, self.rng.normal(0, self.tip_se)))
+        for want in np.linspace(-8, 8, places):
+            force = 3 * want / LENGTH**3
+            bent = push(force, LENGTH, free_curvature=0.0, length=LENGTH)
+            x, y, _ = bent.tip
+            seen = (x + self.rng.normal(0, self.tip_se), y + self.rng.normal(0, self.tip_se))
+            add("tip", bent.averages(CENTERS, SPANS), seen, want)
+        for n in range(bends):
+            side = SIDES[n % 2]
+            k = (1 if side == "left" else -1) * 0.035 * (n // 2 + 1) / (bends // 2)
+            seen = k + self.rng.normal(0, 1e-4)
+            row = np.full(10, k)
+            # The active side wrinkles: its readings are worth nothing.
+            wrinkled = slice(0, 5) if side == "left" else slice(5, 10)
+            row[wrinkled] *= self.rng.uniform(0.0, 0.8, 5)
+            add("bend", row, seen=seen, side=side)
+        n = len(kind)
+        curvature_se = np.where(np.array(kind) == "bend", 1e-4, 0.0)
+        return FlexReadings(
+            tuple(kind), np.arange(n, dtype=float), np.array(tips), np.array(curvature),
+            curvature_se, tuple(active), np.array(ohm), LENGTH, np.array(asked),
+        )  # fmt: skip
+
+
+INFLATE = TanhMap(amplitude=0.03, scale_psi=9.0, offset_psi=7.0)
+DEFLATE = TanhMap(amplitude=0.032, scale_psi=8.5, offset_psi=5.5)
+
+
+def bends(
+    seed: int, side: str = "left", sigma: float = 2e-4, offset: float = 2e-4, trials: int = 3
+) -> BendReadings:
+    """Three trials of 0..20..0 psi in steps of 2, seen by a camera."""
+    rng = np.random.default_rng(seed)
+    sign = 1.0 if side == "left" else -1.0
+    pressure, seen, branch, trial = [], [], [], []
+    for number in range(trials):
+        common = rng.normal(0, offset)
+        for name, curve, steps in (
+            ("inflate", INFLATE, np.arange(0, 20.1, 2)),
+            ("deflate", DEFLATE, np.arange(20, -0.1, -2)),
+        ):
+            for p in steps:
+                pressure.append(p + rng.normal(0, 0.02))
+                seen.append(sign * curve.curvature(max(p, 0.0)) + common + rng.normal(0, sigma))
+                branch.append(name)
+                trial.append(number)
+    n = len(seen)
+    return BendReadings(
+        "left" if side == "left" else "right", 0.49, np.array(pressure), np.array(seen),
+        np.full(n, 1e-4), tuple(branch), np.array(trial),
+    )  # fmt: skip

@@ -1,0 +1,196 @@
+"""Flex calibration: right within its stated errors, and every mishap of a lab named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_truth import CENTERS, LENGTH, SPANS, Lab
+
+from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex, merge, tip_curvature
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+from thigmo.mechanics import push
+
+
+def errors(result: FlexResult, lab: Lab) -> np.ndarray:
+    """Relative errors of the scales; nan for sensors given up."""
+    return np.array(
+        [f.scale_per_ohm / s - 1 if f.healthy else np.nan
+         for f, s in zip(result.sensors, lab.scale, strict=True)]
+    )  # fmt: skip
+
+
+def test_scales_are_right_within_their_errors():
+    misses, relative = [], []
+    for seed in range(12):
+        lab = Lab(seed)
+        result = fit_flex(lab.flex(), lab.config)
+        assert result.verdict.good, result.verdict
+        error = errors(result, lab)
+        misses.extend(error / [f.scale_se for f in result.sensors])
+        relative.extend(error)
+    chi_square = np.mean(np.square(misses))
+    assert 0.7 < chi_square < 1.4  # 120 estimates: 0.75 .. 1.27 at 95 %, and Student's tails
+    assert np.sqrt(np.mean(np.square(relative))) < 0.02
+
+
+def test_ten_tip_places_alone_leave_distal_sensors_uncertain_and_say_so():
+    lab = Lab(0)
+    result = fit_flex(lab.flex(bends=0, straight=3), lab.config)
+    base, distal = result.sensors[0], result.sensors[4]
+    assert base.scale_se < 0.06
+    assert distal.scale_se > 0.1
+    assert not distal.healthy
+    assert "take more places and bends" in distal.reason
+
+
+def test_zero_noise_and_direction_are_reported():
+    lab = Lab(3)
+    result = fit_flex(lab.flex(places=20, bends=30), lab.config)
+    for fit, zero in zip(result.sensors, lab.zero, strict=True):
+        assert abs(fit.zero_ohm - zero) < 4 * fit.zero_se_ohm
+        assert fit.valid_direction == 0
+        assert fit.noise == pytest.approx(6e-4, rel=0.5)
+
+
+def test_one_way_sensor_is_found():
+    lab = Lab(4)
+    readings = lab.flex(places=24, bends=0)
+    k = result_curvature(readings)
+    ohm = readings.ohm.copy()
+    dull = lab.zero[0] + np.where(k[:, 0] > 0, k[:, 0] / lab.scale[0], 0)
+    ohm[:, 0] = dull + lab.rng.normal(0, 5, len(dull))
+    fit = fit_flex(replace(readings, ohm=ohm), lab.config).sensors[0]
+    assert fit.valid_direction == 1
+    assert fit.scale_per_ohm == pytest.approx(lab.scale[0], rel=0.05)
+
+
+def result_curvature(readings: FlexReadings) -> np.ndarray:
+    return np.array(
+        [np.zeros(10) if kind == "straight"
+         else tip_curvature(tip[1], tip[0], LENGTH, CENTERS, SPANS)
+         for kind, tip in zip(readings.kind, readings.tip_cm, strict=True)]
+    )  # fmt: skip
+
+
+def test_dead_sensor_is_named_and_left_out():
+    lab = Lab(5)
+    readings = lab.flex()
+    ohm = readings.ohm.copy()
+    ohm[:, 2] = 1e6  # open
+    ohm[:, 7] = 11_000 + lab.rng.normal(0, 15, len(ohm))  # stuck
+    result = fit_flex(replace(readings, ohm=ohm), lab.config)
+    assert [f.name for f in result.sensors if not f.healthy] == ["left 2", "right 2"]
+    assert "open or shorted" in result.sensors[2].reason
+    assert "does not answer" in result.sensors[7].reason
+    assert any("left 2" in note for note in result.verdict.notes)
+    made = result.apply(lab.config)
+    assert not made.sensors.left[2].healthy
+    assert np.nanmax(np.abs(errors(result, lab))) < 0.05
+
+
+def test_lost_marker_is_named_and_left_out():
+    lab = Lab(6)
+    readings = lab.flex()
+    tip = readings.tip_cm.copy()
+    tip[5] = np.nan
+    result = fit_flex(replace(readings, tip_cm=tip), lab.config)
+    assert not result.row_good[5]
+    assert any("lost the marker" in note and "6" in note for note in result.verdict.notes)
+    assert np.abs(errors(result, lab)).max() < 0.05
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_tip_on_the_wrong_side_is_detected(asked):
+    lab = Lab(7)
+    readings = lab.flex()
+    row = readings.kind.index("tip") + 1
+    tip, want = readings.tip_cm.copy(), readings.intended_y_cm.copy()
+    tip[row, 1] *= -1  # the camera saw the other side than the sensors felt
+    if not asked:
+        want[:] = np.nan
+    result = fit_flex(replace(readings, tip_cm=tip, intended_y_cm=want), lab.config)
+    assert not result.row_good[row]
+    assert any("side" in note for note in result.verdict.notes)
+    assert np.abs(errors(result, lab)).max() < 0.05
+
+
+def test_moved_camera_is_detected_and_later_rows_left_out():
+    lab = Lab(8)
+    readings = lab.flex(places=16)
+    order = np.r_[np.arange(3), 3 + lab.rng.permutation(16), np.arange(19, len(readings.kind))]
+    tip = readings.tip_cm[order].copy()
+    tip[11:19, 1] += 2.0
+    shuffled = replace(
+        readings, tip_cm=tip, ohm=readings.ohm[order], intended_y_cm=np.full(len(order), np.nan)
+    )
+    result = fit_flex(shuffled, lab.config)
+    assert any("moved" in note for note in result.verdict.notes), result.verdict
+    assert not result.row_good[12:19].any()
+    assert result.row_good[:10].all()
+    assert np.nanmax(np.abs(errors(result, lab))) < 0.05
+
+
+def test_ten_percent_outliers_do_not_bend_the_lines():
+    for seed in range(5):
+        lab = Lab(seed)
+        readings = lab.flex(places=12, bends=24)
+        ohm = readings.ohm.copy()
+        wild = lab.rng.random(ohm.shape) < 0.1
+        ohm[wild] += lab.rng.choice([-1, 1], wild.sum()) * lab.rng.uniform(300, 5000, wild.sum())
+        result = fit_flex(replace(readings, ohm=ohm), lab.config)
+        assert np.nanmax(np.abs(errors(result, lab))) < 0.06
+        assert any("outliers" in note for note in result.verdict.notes)
+
+
+def test_swapped_sides_are_detected():
+    lab = Lab(9)
+    readings = lab.flex(bends=24)
+    swapped = np.hstack([readings.ohm[:, 5:], readings.ohm[:, :5]])
+    result = fit_flex(replace(readings, ohm=swapped), lab.config)
+    assert not result.verdict.good
+    assert "swapped" in result.verdict.reason
+
+
+def test_large_deflection_matters_and_the_thesis_formula_is_an_option():
+    bent = push(2.2e-4, LENGTH, free_curvature=0.0, length=LENGTH)
+    x, y, _ = bent.tip
+    truth = bent.averages(CENTERS, SPANS)
+    large = tip_curvature(y, x, LENGTH, CENTERS, SPANS, "large")
+    small = tip_curvature(y, x, LENGTH, CENTERS, SPANS, "small")
+    assert large == pytest.approx(truth, rel=1e-4)
+    assert small[:3] == pytest.approx(3 * y / x**3 * (x - CENTERS[:3]), rel=1e-9)
+    assert np.abs(small[:4] / truth[:4] - 1).max() > 0.01
+
+
+def test_round_trip_through_csv(tmp_path):
+    lab = Lab(1)
+    readings = lab.flex()
+    readings.write(tmp_path / "flex.csv", lab.config)
+    again = FlexReadings.read(tmp_path / "flex.csv", lab.config)
+    one, two = fit_flex(readings, lab.config), fit_flex(again, lab.config)
+    assert [f.scale_per_ohm for f in one.sensors] == pytest.approx(
+        [f.scale_per_ohm for f in two.sensors], rel=1e-6
+    )
+
+
+def test_bad_input_is_refused_with_a_next_step(tmp_path):
+    lab = Lab(1)
+    (tmp_path / "bad.csv").write_text("kind,tip_x_cm\ntip,1\n")
+    with pytest.raises(DataError, match="no column 'ohm_left_0'"):
+        FlexReadings.read(tmp_path / "bad.csv", RobotConfig())
+    with pytest.raises(DataError, match="rows can be used"):
+        fit_flex(lab.flex(places=1, bends=0, straight=1), lab.config)
+    with pytest.raises(DataError, match="cannot stand"):
+        tip_curvature(50.0, 10.0, LENGTH, CENTERS, SPANS)
+
+
+def test_merge_and_figure(tmp_path):
+    lab = Lab(2)
+    both = merge(lab.flex(bends=0), lab.flex(places=0, bends=12, straight=0))
+    result = fit_flex(both, lab.config)
+    assert result.verdict.good
+    result.figure(tmp_path / "flex.png")
+    assert (tmp_path / "flex.png").stat().st_size > 20_000
