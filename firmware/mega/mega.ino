@@ -9,6 +9,7 @@ void setup() {
   thigmo::mega::sign_image();
   board.begin();
   robot.begin();
+  board.start();
 }
 
 void loop() {

@@ -31,9 +31,13 @@ class MegaBoard {
     Restart::begin();
     Encoder::begin();
     Serial0::begin();
-    Sampler::begin();
     set_sleep_mode(SLEEP_MODE_IDLE);
+  }
+
+  // Once the robot is ready for its first tick.
+  static void start() {
     Restart::guard();
+    Sampler::begin();
     sei();
     while (!Sampler::started()) {
     }

@@ -73,7 +73,9 @@ void stall(chip* c, unsigned count) {
 static void on_pending(struct avr_irq_t* irq, uint32_t value, void* param) {
   (void)irq;
   interrupt_watch* w = param;
-  if (value && w->requested == NEVER) w->requested = w->c->avr->cycle;
+  const avr_int_vector_t* vector = w->vector;
+  if (value && w->requested == NEVER && avr_regbit_get(w->c->avr, vector->enable))
+    w->requested = w->c->avr->cycle;
 }
 
 static void on_running(struct avr_irq_t* irq, uint32_t value, void* param) {
@@ -119,10 +121,16 @@ static void on_reset(avr_t* avr) {
   c->was_reset = true;
 }
 
-// `again`: libsimavr forgets input levels at a reset, and ignores a level that it saw last.
+// Levels of the pins that are driven from outside. libsimavr needs them as "external" values, or an
+// enabled pull-up would win; `again`: it forgets them at a reset, and ignores a level that it saw
+// last.
 static void drive(chip* c, int port, int bit, int level, bool again) {
-  avr_irq_t* irq = avr_io_getirq(c->avr, AVR_IOCTL_IOPORT_GETIRQ('A' + port), bit);
+  const char name = (char)('A' + port);
+  avr_irq_t* irq = avr_io_getirq(c->avr, AVR_IOCTL_IOPORT_GETIRQ(name), bit);
   if (!irq) return;
+  avr_ioport_external_t outside = {
+      .name = (unsigned char)name, .mask = c->driven[port], .value = c->level[port]};
+  avr_ioctl(c->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(name), &outside);
   if (again) irq->value = !level;
   avr_raise_irq(irq, level ? 1 : 0);
 }
@@ -172,11 +180,10 @@ chip* bridge_new(void) {
   c->eeprom.cut_after = -1;
   for (int v = 1; v < BRIDGE_VECTORS; v++) {
     interrupt_watch* w = &c->watch[v];
-    w->c = c, w->vector = v, w->requested = w->accepted = NEVER;
-    avr_int_vector_t* vector = vector_of(c, v);
-    if (!vector) continue;
-    avr_irq_register_notify(vector->irq + AVR_INT_IRQ_PENDING, on_pending, w);
-    avr_irq_register_notify(vector->irq + AVR_INT_IRQ_RUNNING, on_running, w);
+    w->c = c, w->vector = vector_of(c, v), w->requested = w->accepted = NEVER;
+    if (!w->vector) continue;
+    avr_irq_register_notify(w->vector->irq + AVR_INT_IRQ_PENDING, on_pending, w);
+    avr_irq_register_notify(w->vector->irq + AVR_INT_IRQ_RUNNING, on_running, w);
   }
   timer16_attach(c);
   usart_attach(c);

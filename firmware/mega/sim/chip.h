@@ -95,7 +95,7 @@ typedef struct {
 
 typedef struct {
   chip* c;
-  int vector;
+  avr_int_vector_t* vector;
   cycles requested, accepted;
   bridge_interrupt figures;
 } interrupt_watch;

@@ -435,6 +435,16 @@ def test_input_levels_survive_a_reset(program: Programs) -> None:
         assert chip.read_ram(OUT, 2) == bytes([0x20, 0x01])
 
 
+def test_a_driven_input_wins_over_the_pull_up(program: Programs) -> None:
+    chip = program("int main(void) { PORTA = 3; for (;;) OUT[0] = PINA & 3; }")
+    chip.drive_pin("A", 0, False)
+    chip.run_ms(1)
+    assert chip.read_ram(OUT, 1) == b"\x02"
+    chip.drive_pin("A", 0, True)
+    chip.run_ms(1)
+    assert chip.read_ram(OUT, 1) == b"\x03"
+
+
 def test_watchdog_restarts_a_hung_program(program: Programs) -> None:
     chip = program("""
         int main(void) {
