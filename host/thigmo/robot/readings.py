@@ -70,6 +70,11 @@ class SensorTable:
                 table.healthy[index] = sensor.healthy
         return table
 
+    def resistance(self, flex_sum: Floats, oversample: int) -> Floats:
+        """Resistance (ohm) of each sensor from sums of `oversample` conversions (..., 10)."""
+        # A conversion floors, so a count stands for the half above it.
+        return resistance_ohm(flex_sum / oversample + 0.5, self.divider_ohm)
+
     def curvature(self, flex_sum: Floats, zero_sum: Floats, oversample: int) -> Floats:
         """Curvature (1/cm) since the zeroing, positive to the left.
 
@@ -78,9 +83,8 @@ class SensorTable:
             zero_sum: the zeros, same unit, shape (10,); NaN where a sensor has none.
             oversample: conversions a sum holds.
         """
-        # A conversion floors, so a count stands for the half above it.
-        now = resistance_ohm(flex_sum / oversample + 0.5, self.divider_ohm)
-        zero = resistance_ohm(zero_sum / oversample + 0.5, self.divider_ohm)
+        now = self.resistance(flex_sum, oversample)
+        zero = self.resistance(zero_sum, oversample)
         result: Floats = self.scale_per_ohm * (now - zero)
         return result
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.peaks import average_peak, snapshot_reading
 from thigmo.robot.readings import Floats, SensorTable
-from thigmo.robot.state import Reading, SnapshotReading, Status, SweepResult
+from thigmo.robot.state import Reading, Recording, SnapshotReading, Status, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.truth import truth_now
 from thigmo.robot.watch import Watch, fault_error
@@ -205,6 +205,10 @@ class Robot:
             for name, value in asdict(self._client.request(wire.GetLinkStats())).items()
             if name != "status"
         }
+
+    def scenery(self) -> Any:
+        """The emulator's own truth (shapes included), for painting pictures; None on hardware."""
+        return self._client.transport.truth()
 
     def truth(self) -> Truth | None:
         """What the emulated room knows now; None on hardware."""
@@ -459,7 +463,43 @@ class Robot:
             right_psi=float(right),
             length_cm=lengths[-1],
             frames=len(sums),
+            resistance=self._table.resistance(flex.mean(axis=0), self._oversample),
         )
+
+    def record(self, seconds: float) -> Recording:
+        """Keep every telemetry frame of a while.
+
+        Raises:
+            LinkError: no telemetry came.
+        """
+        with self._client.collect(wire.Telemetry) as frames:
+            self.wait(seconds)
+        if not frames:
+            raise LinkError("no telemetry came", "check the parameter telemetry_ms")
+        flex = np.asarray([frame.flex_sum for frame in frames], dtype=np.float64)
+        return Recording(
+            t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
+            resistance=self._table.resistance(flex, self._oversample),
+            left_psi=np.array([frame.left_cpsi / 100 for frame in frames]),
+            right_psi=np.array([frame.right_cpsi / 100 for frame in frames]),
+        )
+
+    def press(
+        self, *, left_psi: float = 0.0, right_psi: float = 0.0, ramp_psi_s: float = 0.0
+    ) -> None:
+        """Hold a muscle pressure (at most one side above zero); returns at once.
+
+        A set point below the transducer's live zero (about 2.2 psi) vents that muscle.
+
+        Args:
+            left_psi, right_psi: set points.
+            ramp_psi_s: slew rate; 0 = as configured.
+
+        Raises:
+            CommandRefusedError: a sensor is half everted, or a set point is above the limit.
+        """
+        ramp = round(ramp_psi_s * 100)
+        self._request(wire.SetPressure(round(left_psi * 100), round(right_psi * 100), ramp))
 
     def snapshots(self) -> list[SnapshotReading]:
         """The readings captured around the last peak of a sweep, in time order."""

@@ -52,6 +52,7 @@ class Reading:
         left_psi, right_psi: mean muscle pressures.
         length_cm: everted length by the encoder.
         frames: number averaged.
+        resistance: of each sensor, shape (10,), ohm; NaN where the circuit is open.
     """
 
     t_s: float
@@ -61,6 +62,23 @@ class Reading:
     right_psi: float
     length_cm: float
     frames: int
+    resistance: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Every telemetry frame of a while.
+
+    Attributes:
+        t_s: device times, shape (n,).
+        resistance: of each sensor, shape (n, 10), ohm, left base first.
+        left_psi, right_psi: muscle pressures, shape (n,).
+    """
+
+    t_s: Floats
+    resistance: Floats
+    left_psi: Floats
+    right_psi: Floats
 
 
 @dataclass(frozen=True, slots=True)
