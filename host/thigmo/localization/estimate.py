@@ -29,6 +29,7 @@ from thigmo.localization.models import (
     mix,
     not_beyond,
     precision,
+    same_side,
     solve_columns,
     start,
 )
@@ -199,7 +200,7 @@ def _best_model(
     likely = False
     if contacts == "auto" and look is not None:
         step = prior.second_threshold(len(readings.y), readings.known)
-        if look.score - step > winner.score - 1.5 or (called and fold is not None):
+        if look.score - step > winner.score - _margin(winner) - 0.5 or (called and fold):
             winner, likely = _more_contacts(readings, one.setting, winner, fold, rich)
     return (mix(ones) if len(winner.arcs) == 1 else winner), likely
 
@@ -225,6 +226,16 @@ def _given_number(
     return _refit_bent(readings, best) if rich else best
 
 
+def _margin(winner: Fit) -> float:
+    """Nats by which one contact must lead two, for a second one not to count as likely.
+
+    A rare load at the tip or a spread one can stand for two contacts that the sensors do not
+    part: such a model must lead clearly.
+    """
+    rare = winner.stretch > 0.0 or "tip_moment" in winner.setting.labels
+    return 4.0 if rare or "tangential_force" in winner.setting.labels else 1.0
+
+
 def _more_contacts(
     readings: Readings, plain: Setting, winner: Fit, fold: Setting | None, rich: bool
 ) -> tuple[Fit, bool]:
@@ -234,7 +245,7 @@ def _more_contacts(
         # Each contact takes two numbers.
         if len(readings.y) < 2 * count:
             break
-        penalty = (count - 1) * step
+        penalty = (count - 1) * step + (prior.THIRD_PENALTY if count > 2 else 0.0)
         rivals = [fit_several(readings, plain, count, penalty)]
         if fold is not None:
             rivals.append(fit_several(readings, fold, count, penalty + prior.FOLD_PENALTY))
@@ -242,8 +253,7 @@ def _more_contacts(
         if rich:
             rival = _refit_bent(readings, rival)
         if rival.score <= winner.score:
-            # One nat short of the threshold counts as likely.
-            return winner, count == 2 and rival.score > winner.score - 1.0
+            return winner, count == 2 and rival.score > winner.score - _margin(winner)
         winner = rival
         if readings.known and winner.misfit < prior.MISFIT:
             break
@@ -309,10 +319,8 @@ def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Opti
             log_weight=np.log(np.full(2, 0.5)),
         )
         folded = _lever_arms(readings, fit_one(readings, buckled))
-    angle = float(solve_columns(folded, readings)[-1]) * prior.FOLD_ANGLE
     # The fold opens the way the contact bends the body.
-    if angle * float(folded.forces[0]) < 0.0:
-        folded.score += 2.0 * -abs(angle) / prior.FOLD_ANGLE - 3.0
+    folded.score += same_side(folded, readings)
     return [*ones, folded]
 
 

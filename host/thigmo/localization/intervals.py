@@ -28,6 +28,7 @@ def cell_mass(width: float, left: float, right: float) -> float:
 def within(share: float, left: float, right: float) -> float:
     """Place 0..1 in a cell below which `share` of the cell's mass lies."""
     difference = right - left
+    share = min(max(share, 1e-15), 1.0 - 1e-15)
     if abs(difference) < 1e-6:
         return share
     # Measured from the denser end, which keeps the numbers small.

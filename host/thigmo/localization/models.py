@@ -7,6 +7,7 @@ are called for and compares their evidence. Everything is in units of the length
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -240,7 +241,7 @@ def fit_several(
 
 # Share of the posterior at places that only the ends of the body bound, from which a fit of
 # several contacts is called ambiguous.
-LOOSE_SHARE = 0.9
+LOOSE_SHARE = 0.5
 
 
 def unit_force(arc: float, setting: Setting, readings: Readings, stretch: float = 0.0) -> Array:
@@ -275,6 +276,19 @@ def solve_columns(fit: Fit, readings: Readings) -> Array:
     gram = np.eye(columns.shape[1]) + columns.T @ (weight[:, None] * columns)
     solution: Array = np.linalg.solve(gram, columns.T @ (weight * residual))
     return solution
+
+
+def same_side(fit: Fit, readings: Readings) -> float:
+    """Log of twice the probability that the last column has the sign of the force.
+
+    What a prior that allows only that sign adds to the log evidence.
+    """
+    columns = fit.setting.columns
+    weight = precision(fit, readings)
+    gram = np.eye(columns.shape[1]) + columns.T @ (weight[:, None] * columns)
+    deviation = float(np.sqrt(np.linalg.inv(gram)[-1, -1]))
+    mean = float(solve_columns(fit, readings)[-1]) * float(np.sign(fit.forces[0]))
+    return math.log(max(math.erfc(-mean / deviation / math.sqrt(2.0)), 1e-30))
 
 
 def precision(fit: Fit, readings: Readings) -> Array:
@@ -441,5 +455,5 @@ def at_corner(
     out.parameters["tip_moment"] = along * radius * side
     # A peg can only push the tip back; what pulls is attached to it, which is rare.
     if along > 0.0:
-        out.score -= prior.CORNER_PENALTY
+        out.score -= prior.PULL_PENALTY
     return out if solution[0] * side > 0.0 else None

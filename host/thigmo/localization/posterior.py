@@ -20,6 +20,7 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.localization.influence import influence
 from thigmo.localization.intervals import cell_mass, masses, median_between, modes, shortest
+from thigmo.localization.prior import LEAST_LEVER
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -144,7 +145,7 @@ def evaluate(
     q = white.shape[2]
     components = moment.shape[0]
     lever = influence(arc, low, high, table, edges, phi)
-    scale = 1.0 / max(abs(lever), 1e-9)
+    scale = 1.0 / max(abs(lever), LEAST_LEVER)
     top = -1e300
     total = 0.0
     mean = 0.0

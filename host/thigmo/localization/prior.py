@@ -20,6 +20,9 @@ MOMENT: Array = np.zeros(2)
 SPREAD: Array = np.array([0.4, 1.5])
 LOG_WEIGHT: Array = np.log(np.array([0.92, 0.08]))
 
+# Nearer to the base than this the prior of the force no longer widens (1 cm of 53).
+LEAST_LEVER = 0.02
+
 # One reading in fifty may be an outlier, ten times wider than the noise.
 OUTLIER_ODDS = 0.02 / 0.98
 OUTLIER_VARIANCE = 100.0
@@ -46,8 +49,10 @@ def contact_threshold(readings: int, known: bool) -> float:
 # What a richer model must add in log evidence before it replaces the plain one: its prior odds.
 FOLD_PENALTY = 2.0
 CORNER_PENALTY = 1.5
-TIP_MOMENT_PENALTY = 3.0
+PULL_PENALTY = 3.0  # on top of it, if the force pulls the tip
+TIP_MOMENT_PENALTY = 4.0
 DISTRIBUTED_PENALTY = 3.0
+THIRD_PENALTY = 1.5
 # A misfit (sum of squared residuals over variance) below this leaves a richer model nothing to
 # gain: it could add half of it, and must add its penalty and what its own priors cost.
 MISFIT = 7.0

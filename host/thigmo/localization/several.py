@@ -14,7 +14,7 @@ from thigmo.compiled import compiled
 from thigmo.localization.influence import influence
 from thigmo.localization.intervals import median_between, modes, shortest
 from thigmo.localization.posterior import finer_levels, noise_levels, prepare_levels
-from thigmo.localization.prior import WIDTH_SHARE
+from thigmo.localization.prior import LEAST_LEVER, WIDTH_SHARE
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -68,7 +68,7 @@ def node_tables(
             reach += influence(place, low, high, table, edges, part_phi) / parts
             for i in range(n):
                 phi[j, i] += part_phi[i] / parts
-        lever[j] = max(abs(reach), 1e-9)
+        lever[j] = max(abs(reach), LEAST_LEVER)
     for s in range(W.shape[0]):
         for j in range(m):
             value = 0.0
@@ -116,6 +116,7 @@ def choice(
     total = 0.0
     best_s = 0
     best_k = 0
+    whole = 0.0
     for s in range(gram.shape[0]):
         for k in range(spread.shape[0]):
             value = const[s] + log_weight[k]
@@ -126,10 +127,11 @@ def choice(
                     g = gram[s, pick[j], pick[r]]
                     if r == j:
                         g += 1.0 / (tau * tau)
+                        whole = g
                     for m in range(r):
                         g -= G[j, m] * G[r, m]
                     if r == j:
-                        G[j, j] = np.sqrt(max(g, 1e-300))
+                        G[j, j] = np.sqrt(max(g, 1e-14 * whole))
                     else:
                         G[j, r] = g / G[r, r]
                 half = b[s, pick[j]]
@@ -151,10 +153,11 @@ def choice(
             g = gram[best_s, pick[j], pick[r]]
             if r == j:
                 g += 1.0 / (tau * tau)
+                whole = g
             for m in range(r):
                 g -= G[j, m] * G[r, m]
             if r == j:
-                G[j, j] = np.sqrt(max(g, 1e-300))
+                G[j, j] = np.sqrt(max(g, 1e-14 * whole))
             else:
                 G[j, r] = g / G[r, r]
         half = b[best_s, pick[j]]
