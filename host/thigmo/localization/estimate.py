@@ -296,9 +296,8 @@ def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) 
     if not base.any() or np.count_nonzero(~base) < 2:
         return None
     moment = abs(float(fit.forces[0] * fit.arcs[0]))
-    near = options.critical is not None and (
-        moment + 2.0 * fit.deviation * float(fit.arcs[0]) > 0.7 * options.critical
-    )
+    limit = prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
+    near = moment + 2.0 * fit.deviation * float(fit.arcs[0]) > limit
     if not near and not called:
         return None
     return fit.setting.with_column(column, prior.FOLD_ANGLE, "fold_angle", "base fold")

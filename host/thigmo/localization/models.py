@@ -450,6 +450,7 @@ def at_corner(
     out.forces = solution[:1]
     out.misfit = float(np.sum(weight * (readings.y - design @ solution) ** 2))
     along = float(solution[-1]) * deviation
+    out.node_forces = np.full(2, solution[0])
     out.parameters["tangential_force"] = along
     # Its line passes beside the centreline: a moment at the tip.
     out.parameters["tip_moment"] = along * radius * side
