@@ -47,7 +47,9 @@ class Trial:
         condition: what was asked for, in words.
         curvature, position, span: (N,) readings (1/cm), believed centres and spans (cm).
         free: believed free curvature, 1/cm.
-        noise: of a reading, 1/cm.
+        noise: white noise of a reading, 1/cm.
+        sigma: (N,) what a lab states as each reading's standard deviation: white noise and the
+            stated uncertainty of its gain together.
         arcs_cm, forces: true contacts, base first.
         obstacle_x_cm: x of each dowel as a camera sees it, base first.
         contact_x_cm: x of each contact point on the skin.
@@ -59,6 +61,7 @@ class Trial:
     span: Floats
     free: float
     noise: float
+    sigma: Floats
     arcs_cm: tuple[float, ...]
     forces: tuple[float, ...]
     obstacle_x_cm: tuple[float, ...]
@@ -134,6 +137,8 @@ class Specimen:
             np.full(count, thesis.SPAN_CM),
             free,
             self.constants.noise,
+            # A lab knows how well it calibrated, not the gain errors themselves.
+            np.hypot(self.constants.noise, self.constants.gain_spread * np.abs(noisy)),
             tuple(contact.arc for contact in contacts),
             tuple(contact.normal for contact in contacts),
             tuple(peg_for(contact, DOWEL_CM).x for contact in contacts),
