@@ -47,6 +47,9 @@ SILENCE_S = 1.6
 # A stray byte keeps the boot loader for 9.3 s: a second, silent, wait before giving up.
 BOOT_LOADER_S = 10.0
 _IN_PROGRESS_S = 0.1
+# A main thread that comes so late to its reading may have starved the thread that collects for it:
+# it gets as long again before silence counts.
+_LATE_S = 0.05
 _EVENTS = 1024
 _NONCES = 32
 
@@ -380,6 +383,8 @@ class Client:
         if self._outstanding is not None:
             wake_s = min(wake_s, self._outstanding.next_s, self._outstanding.deadline_s)
         data = self.transport.read(max(wake_s - now, 0.0))
+        if not data and now > wake_s + _LATE_S:
+            data = self.transport.read(_LATE_S)
         for beat in self.transport.beats():
             self._beat_sent(beat.counter, beat.t_s)
         if data:
