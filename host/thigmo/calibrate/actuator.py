@@ -435,7 +435,11 @@ def at_body_pressure(maps: Sequence[ZoneMap], body_pressure_psi: float) -> ZoneM
             np.log((1 - share) * a.scale_psi + share * b.scale_psi),
             (1 - share) * a.offset_psi + share * b.offset_psi,
         ]
-        fit = least_squares(lambda x: _map_values(grid, x) - values, start, x_scale="jac")
+
+        def misfit(x: Array) -> Array:
+            return _map_values(grid, x) - values
+
+        fit = least_squares(misfit, start, x_scale="jac")
         return TanhMap(
             amplitude=float(np.exp(fit.x[0])),
             scale_psi=float(np.exp(fit.x[1])),

@@ -21,7 +21,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import norm
 
 from thigmo.calibrate.regression import LinearFit, fit_linear
 from thigmo.calibrate.table import Table, write_table
@@ -333,10 +332,20 @@ def _model_rows(
     error = np.zeros((n, len(centers)))
     length = readings.length_cm
     lost, wrong, folded = [], [], []
+    # The straight robot, as the camera sees it, is y = 0.
+    straight = np.array([k == "straight" for k in readings.kind])
+    aside = readings.tip_cm[straight, 1]
+    aside = aside[np.isfinite(aside)]
+    ahead = float(np.median(aside)) if len(aside) else 0.0
+    if abs(ahead) > 2.0:
+        notes.append(
+            f"the straight robot's tip stands {ahead:+.1f} cm aside: lay the robot straight, or "
+            "measure the cards' places again"
+        )
     # The fold at the base: F L = critical moment, y = F L^3 / 3.
     reach = config.body.critical_curvature * length**2 / 3 if deflection == "large" else np.inf
     for row, kind in enumerate(readings.kind):
-        x, y = readings.tip_cm[row]
+        x, y = readings.tip_cm[row] - np.array([0.0, ahead])
         if kind == "straight":
             model[row] = 0.0
         elif kind == "bend":
@@ -453,10 +462,10 @@ def _judge_rows(
     tips = np.array([k == "tip" for k in readings.kind])
     moved = _moved(readings, ohm, model, fits, usable & kept[:, None], tips & kept, live)
     if moved is not None:
-        row, shift = moved
-        kept[row:] &= ~tips[row:]
+        since, shift = moved
+        kept[since:] &= ~tips[since:]
         notes.append(
-            f"the camera or the base moved by about {abs(shift):.1f} cm before row {row + 1}: "
+            f"the camera or the base moved by about {abs(shift):.1f} cm before row {since + 1}: "
             "that row and all later tip places left out"
         )
     rows = np.nonzero(kept & np.isfinite(offset) & tips)[0]
@@ -497,7 +506,7 @@ def _moved(
     """
     places = np.nonzero(tips)[0]
     best: tuple[float, int, float] | None = None
-    for first in places[3:-2]:
+    for first in places[3:-2].tolist():
         late = tips & (np.arange(len(tips)) >= first)
         shifts, errors = [], []
         for column in live:
@@ -530,7 +539,7 @@ def _moved(
         certainty = abs(shift) * float(np.sqrt(weights.sum()))
         agree = float((weights * (np.array(shifts) - shift) ** 2).sum()) / len(shifts) < 6
         if abs(shift) > 0.4 and certainty > 6 and agree and (best is None or certainty > best[0]):
-            best = (certainty, int(first), shift)
+            best = (certainty, first, shift)
     return None if best is None else (best[1], best[2])
 
 

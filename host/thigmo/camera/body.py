@@ -292,6 +292,7 @@ class Centerline:
         coefficients: (m,) lateral start, heading start, curvature coefficients.
         covariance: (m, m) of them.
         average: (n, m-2) cumulative integrals of the basis, for `mean_curvature`.
+        points_cm: (p, 2) what was fitted.
     """
 
     arc_cm: Array
@@ -305,6 +306,7 @@ class Centerline:
     coefficients: Array
     covariance: Array
     average: Array
+    points_cm: Array
 
     @property
     def length_cm(self) -> float:
@@ -428,6 +430,7 @@ def fit_centerline(
         fit.x,
         covariance,
         integral,
+        points[used],
     )
 
 

@@ -1,0 +1,173 @@
+"""A robot on the calibration bench: how to bring it to a state, read it, and keep what was read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from thigmo.calibrate.eyes import Eyes
+from thigmo.calibrate.machine import Hand, Machine
+from thigmo.calibrate.session import Session
+from thigmo.calibrate.verdict import StepResult
+from thigmo.camera.errors import CameraError, CameraMovedError
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+
+Row = dict[str, Any]
+
+_TRIES = 3
+SAME_CM = 0.2
+
+
+@dataclass
+class Plan:
+    """How much of everything.
+
+    Attributes:
+        places: tip places of the flex step.
+        straight: straight rows of the flex step.
+        trials: of the bends.
+        step_psi: of the muscle pressure.
+        pushes: hard pushes of the buckling step.
+        rest_readings: of the noise step.
+        creep_s: watched after each eversion.
+        zones: body pressures whose maps are measured; None = all.
+        tip_reach_cm: farthest tip place; None = just short of the fold.
+    """
+
+    places: int = 10
+    straight: int = 3
+    trials: int = 3
+    step_psi: float = 2.0
+    pushes: int = 5
+    rest_readings: int = 40
+    creep_s: float = 30.0
+    zones: tuple[int, ...] | None = None
+    tip_reach_cm: float | None = None
+
+
+@dataclass
+class Bench:
+    """A robot on the calibration bench.
+
+    Attributes:
+        robot: connected.
+        hand: the operator.
+        eyes: the camera.
+        session: the folder.
+        plan: how much of everything.
+        say: told what happens.
+    """
+
+    robot: Machine
+    hand: Hand
+    eyes: Eyes
+    session: Session
+    plan: Plan = field(default_factory=Plan)
+    say: Callable[[str], None] = lambda text: None
+
+    @property
+    def config(self) -> RobotConfig:
+        """Constants so far."""
+        return self.session.config
+
+    def start(self) -> None:
+        """Configure, learn the length, arm."""
+        self.robot.configure(self.config)
+        status = self.robot.status()
+        if status.length_cm is None:
+            self.robot.confirm_length(self.hand.everted_length_cm())
+        if self.robot.status().state == "safe":
+            self.robot.arm()
+
+    def set_zone(self, zone: int) -> None:
+        """Body pressure of a zone, and the board told."""
+        self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
+        self.robot.select_zone(zone)
+
+    def bring_to(self, length_cm: float, at_stop: Callable[[float], None] | None = None) -> None:
+        """Grow, pitch by pitch and with the body pressure of each zone; never retracts.
+
+        Raises:
+            DataError: the robot is longer already.
+        """
+        now = self.robot.status().length_cm or 0.0
+        if now > length_cm + SAME_CM:
+            raise DataError(
+                f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
+                "retract it with `thigmo retract`, then run this again",
+            )
+        pitch = self.config.sensors.pitch_cm
+        stops = {*np.arange(pitch, length_cm, pitch).tolist(), length_cm}
+        boundaries = {z.until_cm for z in self.config.body.zones if z.until_cm < length_cm}
+        self.robot.vent()
+        for stop in sorted(stops | boundaries):
+            if stop <= now + SAME_CM:
+                continue
+            self.set_zone(self.config.body.zone_at(min(now + SAME_CM, stop)))
+            self.say(f"growing to {stop:.1f} cm")
+            self.robot.grow_to(stop)
+            now = stop
+            if at_stop is not None and stop in stops:
+                at_stop(stop)
+
+    def ready_to_bend(self) -> None:
+        """Full length, its body pressure, sensors settled and zeroed."""
+        self.bring_to(self.config.body.length_cm)
+        self.set_zone(len(self.config.body.zones) - 1)
+        self.robot.vent()
+        self.say("waiting for the sensors to settle")
+        self.robot.wait_settled()
+        self.robot.zero()
+
+    def rows(self, procedure: str, keys: Iterable[str], take: Callable[[str], Row]) -> list[Row]:
+        """Take the planned rows that the folder does not hold yet; all of them, in order.
+
+        Raises:
+            CameraMovedError: pictures taken from now on would be wrong.
+        """
+        planned = list(keys)
+        held = self.session.rows(procedure)
+        missing = [key for key in planned if key not in held]
+        if len(missing) < len(planned) and missing:
+            self.say(f"{procedure}: going on after {len(planned) - len(missing)} rows")
+        for number, key in enumerate(missing, start=len(planned) - len(missing) + 1):
+            self.say(f"{procedure} {number} of {len(planned)}: {key}")
+            row = {"key": key, **take(key)}
+            self.session.add(procedure, row)
+            held[key] = row
+        return [held[key] for key in planned]
+
+    def seen(self, shot: Callable[[], Row], blank: Row) -> Row:
+        """A camera reading, tried three times; `blank` where the robot cannot be seen.
+
+        Raises:
+            CameraMovedError: the camera moved.
+        """
+        for attempt in range(_TRIES):
+            try:
+                return shot()
+            except CameraMovedError:
+                raise
+            except CameraError as error:
+                self.say(f"camera: {error}")
+                if attempt + 1 < _TRIES:
+                    self.robot.wait(0.3)
+        return blank
+
+    def finish(self, step: str, result: StepResult) -> None:
+        """Store a result, say its verdict, and send good constants to the board."""
+        before = self.config
+        backup = self.session.keep(step, result)
+        verdict = result.verdict
+        self.say(f"{step}: {'good' if verdict.good else 'BAD'}: {verdict.reason}")
+        for note in verdict.notes:
+            self.say(f"  {note}")
+        if backup is not None:
+            self.say(f"  robot.toml updated; the one before is {backup.name}")
+        if self.config != before:
+            self.robot.vent()
+            self.robot.configure(self.config)

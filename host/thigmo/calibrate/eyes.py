@@ -1,0 +1,131 @@
+"""The camera as the guided steps use it: one located camera, one source of pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.camera import CameraModel, Centerline, Painted, PictureSource, Seen, Sheet, Sighting
+from thigmo.camera.sheet import card_decals, tip_decal
+from thigmo.camera.sight import TipSighting, look, see_tip
+from thigmo.errors import DataError
+
+
+class Eyes:
+    """What the guided steps ask of the camera.
+
+    Args:
+        source: of pictures; live ones show the robot as it is now.
+        camera: located.
+        sheet: in use.
+        diameter_cm: of the tube.
+    """
+
+    def __init__(
+        self, source: PictureSource, camera: CameraModel, sheet: Sheet, diameter_cm: float = 3.5
+    ) -> None:
+        self.source = source
+        self.camera = camera
+        self.sheet = sheet
+        self.wanted = Seen(diameter_cm=diameter_cm)
+
+    def tip(self) -> TipSighting:
+        """The tip.
+
+        Raises:
+            CameraError: as named.
+        """
+        return see_tip(self.source.read(), self.camera, self.sheet, self.wanted.diameter_cm)
+
+    def axis(self, *, free_bend: bool) -> Centerline:
+        """The body's axis.
+
+        Raises:
+            CameraError: as named.
+        """
+        wanted = replace(self.wanted, constant=free_bend, obstacles=False)
+        sighting = look(self.source.read(), self.camera, self.sheet, wanted)
+        if sighting.axis is None:
+            raise sighting.problems[-1]
+        return sighting.axis
+
+    def everything(self) -> Sighting:
+        """Tip, axis and obstacles.
+
+        Raises:
+            CameraError: no cards, or the camera moved.
+        """
+        return look(self.source.read(), self.camera, self.sheet, self.wanted)
+
+
+class Scenery(Protocol):
+    """The part of a robot that knows the emulator's room."""
+
+    def scenery(self) -> Any:
+        """The emulator's truth; None on hardware."""
+
+
+def emulated_source(
+    robot: Scenery,
+    sheet: Sheet,
+    *,
+    seed: int = 0,
+    diameter_cm: float = 3.5,
+    spoil: Callable[[Any], Any] | None = None,
+) -> tuple[PictureSource, float]:
+    """A camera above an emulated robot, drawn by `seed`, and its height as a tape would tell.
+
+    Args:
+        robot: connected to an emulator.
+        sheet: whose cards lie in the room.
+        seed: of the camera's place, lens, and the room's looks.
+        diameter_cm: of the tube.
+        spoil: changes the true camera before every picture (tests move it).
+
+    Raises:
+        DataError: the robot is real.
+    """
+    if robot.scenery() is None:
+        raise DataError("this robot is not emulated", "give a camera: camera:0, a folder, a video")
+    painter = import_module("thigmo.emulator.render")
+    rng = np.random.default_rng([seed, 0xCA3E4A])
+    camera = painter.overhead_camera(rng)
+    room = painter.random_look(rng)
+    measured = float(camera.eye[2] + rng.normal(0, 0.5))
+    table_seed = int(rng.integers(1 << 31))
+    count = 0
+
+    def paint() -> NDArray[np.uint8]:
+        nonlocal count
+        count += 1
+        truth = robot.scenery()
+        line = truth.now.centreline
+        patches = card_decals(sheet)
+        body = None
+        if len(line) > 1 and line[-1, 0] > 2.0:
+            body = painter.BodyShape(line[:, 3], line[:, 4], diameter_cm / 2)
+            # The heading from the drawn axis: a fold turns it, and the table leaves that out.
+            ahead = line[-1, 3:5] - line[-2, 3:5]
+            patches.append(
+                tip_decal(
+                    sheet, line[-1, 3], line[-1, 4], float(np.arctan2(ahead[1], ahead[0])),
+                    diameter_cm,
+                )
+            )  # fmt: skip
+        pegs = [painter.PegShape(float(p.x), float(p.y), float(p.radius)) for p in truth.pegs]
+        taken = spoil(camera) if spoil is not None else camera
+        # The room stays, the sensor's noise does not.
+        return np.asarray(
+            painter.render(
+                taken, painter.View(body, pegs, patches), room,
+                np.random.default_rng(table_seed), np.random.default_rng([table_seed, count]),
+            ),
+            np.uint8,
+        )  # fmt: skip
+
+    return Painted(paint), measured

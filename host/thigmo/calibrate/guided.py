@@ -1,0 +1,328 @@
+"""The guided steps: readings of the bench into fits, verdicts and robot.toml.
+
+    growth   -> encoder, hysteresis        bends -> actuator, and free bends for flex
+    tips     -> flex, stiffness            pushes -> buckling
+    rest     -> noise                      pressure, check
+
+Order on a new robot: pressure, encoder, actuator, flex, hysteresis, buckling, stiffness, noise,
+check (the keys of `STEPS`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.calibrate.actuator import ActuatorResult, BendReadings, fit_actuator, fit_lag
+from thigmo.calibrate.bench import SAME_CM, Bench, Row
+from thigmo.calibrate.buckling import BucklingResult, PushReadings, fit_buckling
+from thigmo.calibrate.check import CheckResult, run_check
+from thigmo.calibrate.encoder import EncoderResult, PressureResult, fit_encoder, fit_pressure_zero
+from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex
+from thigmo.calibrate.hysteresis import CreepRecord, HysteresisResult, fit_hysteresis
+from thigmo.calibrate.noise import NoiseResult, fit_noise
+from thigmo.calibrate.procedures import (
+    bend_rows,
+    bend_set_points,
+    check_readings,
+    growth_rows,
+    push_rows,
+    ramp,
+    rest_rows,
+    tip_rows,
+)
+from thigmo.calibrate.stiffness import AxisPoints, StiffnessResult, fit_stiffness
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+def pressure(bench: Bench) -> PressureResult:
+    """Zeros of both pressure sensors at vent, into the board."""
+    bench.robot.vent()
+    bench.robot.wait(3.0)
+    record = bench.robot.record(3.0)
+    zero = np.array(bench.robot.parameter("pressure_zero"), float) / 64
+    span = np.array(bench.robot.parameter("pressure_span"), float) / 64
+    full = bench.robot.parameter("pressure_full_cpsi")[0] / 100
+    psi = np.column_stack([record.left_psi, record.right_psi])
+    result = fit_pressure_zero(zero + psi * span / full, 102.4, float(span.mean()), full)
+    bench.finish("pressure", result)
+    if result.verdict.good:
+        bench.robot.set_parameter("pressure_zero", result.board_values())
+        bench.robot.save()
+    return result
+
+
+def encoder(bench: Bench) -> EncoderResult:
+    """Counts per cm from the growth rows."""
+    rows = growth_rows(bench)
+    counts = np.array([row["counts"] for row in rows], float)
+    seen = np.array([_number(row["seen_cm"]) for row in rows])
+    result = fit_encoder(counts, seen, bench.config)
+    bench.finish("encoder", result)
+    return result
+
+
+def hysteresis(bench: Bench) -> HysteresisResult:
+    """Creep from the growth rows: run it after flex, which gives the scales."""
+    rows = growth_rows(bench)
+    config = bench.config
+    records: list[CreepRecord] = []
+    before = 0.0
+    for row in rows:
+        length = float(row["encoder_cm"])
+        ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
+        column = 0
+        for side in SIDES:
+            for index, sensor in enumerate(config.sensors.column(side)):
+                end = sensor.center_cm + sensor.span_cm / 2
+                if before + SAME_CM < end <= length and sensor.healthy:
+                    # Everted when the tip passed its end, a little before growth stopped.
+                    since = t + (length - end) / float(row["speed_cm_s"])
+                    rest = float(np.nanmedian(ohm[-max(3, len(ohm) // 10) :, column]))
+                    k = (ohm[:, column] - rest) * sensor.scale_per_ohm
+                    records.append(CreepRecord(side, index, since, k))
+                column += 1
+        before = length
+    result = fit_hysteresis(records, config)
+    bench.finish("hysteresis", result)
+    return result
+
+
+@dataclass(frozen=True)
+class ActuatorResults:
+    """Both muscles at every body pressure that was measured."""
+
+    each: tuple[ActuatorResult, ...]
+    verdict: Verdict
+
+    def as_data(self) -> Row:
+        """Plain data."""
+        return {"each": [r.as_data() for r in self.each], "verdict": self.verdict.as_data()}
+
+    def apply(self, config: RobotConfig) -> RobotConfig:
+        """All maps into a copy of the configuration."""
+        made = config.model_copy(deep=True)
+        for result in self.each:
+            made = result.apply(made)
+        for side in SIDES:
+            spreads = [r.offset_se for r in self.each if r.readings.side == side]
+            errors = [r.g_se for r in self.each if r.readings.side == side]
+            if spreads:
+                made.actuators.side(side).offset_se = float(np.hypot(max(spreads), max(errors)))
+        return made
+
+    def figure(self, path: Path) -> None:
+        """One figure for each muscle and body pressure."""
+        for result in self.each:
+            body = result.readings.body_pressure_psi
+            result.figure(path.with_name(f"{path.stem}-{result.readings.side}-{body:g}psi.png"))
+
+
+def actuator(bench: Bench) -> ActuatorResults:
+    """Maps of both muscles for the planned body pressures, and the lag."""
+    zones = bench.plan.zones or tuple(range(len(bench.config.body.zones)))
+    rows = bend_rows(bench, zones)
+    lags = {side: ramp(bench, side) for side in SIDES}
+    found: list[ActuatorResult] = []
+    for zone in zones:
+        for side in SIDES:
+            mine = [r for r in rows if r["zone"] == zone and r["side"] == side]
+            readings = BendReadings(
+                side,
+                bench.config.body.zones[zone].pressure_psi,
+                np.array([r["psi"] for r in mine], float),
+                np.array([_number(r["k"]) for r in mine]),
+                np.nan_to_num(np.array([_number(r["k_se"]) for r in mine]), nan=2e-4),
+                tuple(r["branch"] for r in mine),
+                np.array([r["trial"] for r in mine], np.int64),
+            )
+            result = fit_actuator(readings)
+            if result.verdict.good and lags[side] is not None:
+                t, p, k = lags[side] or (np.zeros(0),) * 3
+                lag = fit_lag(t, p, k, result.zone, side)
+                result = _with_lag(result, lag.lag_s, lag.lag_se_s)
+            found.append(result)
+    bad = [r for r in found if not r.verdict.good]
+    notes = tuple(
+        f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {text}"
+        for r in found
+        for text in ((r.verdict.reason,) if r not in bad else ()) + r.verdict.notes
+    )
+    if bad:
+        r = bad[0]
+        verdict = Verdict(
+            False, f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {r.verdict.reason}",
+            notes,
+        )  # fmt: skip
+    else:
+        worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
+        verdict = Verdict(True, f"{len(found)} maps, g to {100 * worst:.2f} % or better", notes)
+    results = ActuatorResults(tuple(found), verdict)
+    bench.finish("actuator", results)
+    return results
+
+
+def _with_lag(result: ActuatorResult, lag_s: float, se: float) -> ActuatorResult:
+    if not np.isfinite(se) or se > 0.1:
+        return result
+    return replace(result, lag_s=lag_s, lag_se_s=se)
+
+
+def flex(bench: Bench) -> FlexResult:
+    """Flex sensors from tip places and free bends (which it takes if there are none yet)."""
+    last = len(bench.config.body.zones) - 1
+    tips = tip_rows(bench)
+    bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
+    if len(bends) < 2 * len(bend_set_points(bench, "left")):
+        bends = bend_rows(bench, [last])
+    tips_first = sorted([*tips, *bends], key=lambda r: float(r["t_s"]))
+    readings = flex_readings(tips_first, bench.config.body.length_cm)
+    result = fit_flex(readings, bench.config)
+    readings.write(bench.session.folder / "flex.csv", bench.config)
+    bench.finish("flex", result)
+    return result
+
+
+def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
+    """Rows of tips and bends as flex readings. A bend of less than 3 psi is at rest: left out."""
+    kept = [r for r in rows if "kind" in r or float(r["psi"]) > 3.0]
+    none = float("nan")
+    return FlexReadings(
+        tuple(r.get("kind", "bend") for r in kept),
+        np.array([r["t_s"] for r in kept], float),
+        np.array([[_number(v) for v in r.get("tip", (None, None))] for r in kept]),
+        np.array([_number(r.get("k")) for r in kept]),
+        np.nan_to_num(np.array([_number(r.get("k_se")) for r in kept])),
+        tuple(r.get("side", "") for r in kept),
+        np.array([[_number(v) for v in r["ohm"]] for r in kept]),
+        length_cm,
+        np.array([none if r.get("asked") is None else float(r["asked"]) for r in kept]),
+    )
+
+
+def stiffness(bench: Bench) -> StiffnessResult:
+    """Stiffness under sensors against gaps, from the pictures of the tip places."""
+    rows = tip_rows(bench)
+    pictures = [
+        AxisPoints(np.array(r["points"], float), bench.config.body.length_cm)
+        for r in rows
+        if r.get("points") is not None and r["kind"] == "tip"
+    ]
+    result = fit_stiffness(pictures, bench.config)
+    bench.finish("stiffness", result)
+    return result
+
+
+def buckling(bench: Bench) -> BucklingResult:
+    """Critical curvature from hard pushes: run it after flex."""
+    rows = push_rows(bench)
+    scale = _scales(bench.config)
+    gone = np.array([[_number(v) for v in r["ohm"]] for r in rows])
+    rest = np.array([[_number(v) for v in r["rest"]] for r in rows])
+    body = bench.config.body
+    readings = PushReadings((gone - rest) * scale, body.zones[-1].pressure_psi, body.length_cm)
+    result = fit_buckling(readings, bench.config)
+    bench.finish("buckling", result)
+    return result
+
+
+def noise(bench: Bench) -> NoiseResult:
+    """Noise at rest; hysteresis within a sweep from the bends, if they were taken."""
+    rows = rest_rows(bench)
+    config = bench.config
+    scale = _scales(config)
+    ohm = np.array([[_number(v) for v in r["ohm"]] for r in rows])
+    rising, falling = _loops(bench, scale)
+    result = fit_noise(
+        np.array([r["t_s"] for r in rows], float), (ohm - np.nanmedian(ohm, axis=0)) * scale,
+        config, rising=rising, falling=falling,
+    )  # fmt: skip
+    bench.finish("noise", result)
+    return result
+
+
+def _loops(bench: Bench, scale: Array) -> tuple[Array | None, Array | None]:
+    """Readings less the camera's curvature, rising and falling, at equal set points."""
+    rows = bench.session.rows("bends")
+    pairs: list[tuple[Array, Array]] = []
+    a_side = len(bench.config.sensors.left)
+    for key, row in rows.items():
+        twin = rows.get(key.replace("inflate", "deflate"))
+        if row["branch"] != "inflate" or twin is None or row["k"] is None or twin["k"] is None:
+            continue
+        up, down = (
+            np.array([_number(v) for v in r["ohm"]]) * scale - float(r["k"]) for r in (row, twin)
+        )
+        # The active side wrinkles.
+        dull = slice(0, a_side) if row["side"] == "left" else slice(a_side, None)
+        up[dull] = np.nan
+        pairs.append((up, down))
+    if len(pairs) < 4:
+        return None, None
+    return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+
+
+def check(bench: Bench) -> CheckResult:
+    """A short check of the whole robot."""
+    result = run_check(check_readings(bench), bench.config)
+    bench.finish("check", result)
+    return result
+
+
+def _scales(config: RobotConfig) -> Array:
+    return np.array([s.scale_per_ohm for side in SIDES for s in config.sensors.column(side)])
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)
+
+
+STEPS: dict[str, Callable[[Bench], StepResult]] = {
+    "pressure": pressure,
+    "encoder": encoder,
+    "actuator": actuator,
+    "flex": flex,
+    "hysteresis": hysteresis,
+    "buckling": buckling,
+    "stiffness": stiffness,
+    "noise": noise,
+    "check": check,
+}
+ROWS_OF = {
+    "encoder": ("growth",),
+    "hysteresis": ("growth",),
+    "actuator": ("bends", "lag"),
+    "flex": ("tips",),
+    "stiffness": ("tips",),
+    "buckling": ("pushes",),
+    "noise": ("rest",),
+}
+
+
+def run(bench: Bench, step: str, *, again: bool = False) -> StepResult:
+    """One guided step.
+
+    Args:
+        bench: robot, operator, camera and folder.
+        step: a key of `STEPS`.
+        again: take its readings anew.
+
+    Raises:
+        DataError: unknown step, or readings that cannot be fitted.
+        CameraError, RobotFaultError and their like: as named; the folder keeps what was read.
+    """
+    if step not in STEPS:
+        raise DataError(f"there is no step '{step}'", f"use one of {', '.join(STEPS)}")
+    if again:
+        for procedure in ROWS_OF.get(step, ()):
+            bench.session.forget(procedure)
+    return STEPS[step](bench)

@@ -1,0 +1,252 @@
+"""What is done with the robot on the bench, reading by reading; the fits come later.
+
+Each procedure plans its rows, leaves out those that the folder already holds, and stores each one
+as it comes, so that a stopped command goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.calibrate.bench import Bench, Row
+from thigmo.calibrate.check import CheckReadings
+from thigmo.config import SIDES, Side
+
+Array = NDArray[np.float64]
+
+_STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing, and a good margin
+_READ_S = 1.0
+
+
+def growth_rows(bench: Bench) -> list[Row]:
+    """Grow from where the robot is; at each stop counts and length, and 30 s of creep."""
+    per_cm = bench.config.spool.counts_per_cm * bench.config.spool.payout_ratio
+    speed = bench.config.spool.max_speed_cm_s
+    held = bench.session.rows("growth")
+
+    def stop(length: float) -> None:
+        key = f"stop {length:g}"
+        if key in held:
+            return
+        began = bench.robot.read(0.05).t_s
+        records = [bench.robot.record(0.25) for _ in range(round(bench.plan.creep_s / 0.25))]
+        reading = bench.robot.read(0.5)
+        blank = {"seen_cm": None}
+        seen = bench.seen(lambda: {"seen_cm": bench.eyes.axis(free_bend=True).length_cm}, blank)
+        bench.session.add(
+            "growth",
+            {
+                "key": key, "counts": reading.length_cm * per_cm, "encoder_cm": reading.length_cm,
+                "speed_cm_s": speed,
+                "t_s": [float(r.t_s.mean()) - began for r in records],
+                "ohm": [np.nanmean(r.resistance, axis=0).tolist() for r in records],
+                **seen,
+            },
+        )  # fmt: skip
+
+    bench.bring_to(bench.config.body.length_cm, stop)
+    return list(bench.session.rows("growth").values())
+
+
+def bend_set_points(bench: Bench, side: Side) -> list[tuple[str, float]]:
+    """Branch and pressure, up and down."""
+    top = bench.config.actuators.side(side).max_pressure_psi
+    up = [*np.arange(0.0, top, bench.plan.step_psi).tolist(), top]
+    return [("inflate", p) for p in up] + [("deflate", p) for p in reversed(up[:-1])]
+
+
+def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
+    """Free bends of both muscles at full length, for each body pressure."""
+    rows: list[Row] = []
+    for zone in zones:
+        body = bench.config.body.zones[zone].pressure_psi
+        keys = [
+            f"zone {zone} trial {trial} {side} {branch} {psi:g}"
+            for trial in range(bench.plan.trials)
+            for side in SIDES
+            for branch, psi in bend_set_points(bench, side)
+        ]
+        prepared = False
+
+        def take(key: str, zone: int = zone, body: float = body) -> Row:
+            nonlocal prepared
+            if not prepared:
+                bench.ready_to_bend()
+                bench.set_zone(zone)
+                prepared = True
+            _, _, _, trial, side, branch, psi = key.split()
+            target = float(psi)
+            if target == 0.0:
+                bench.robot.vent()
+            elif side == "left":
+                bench.robot.press(left_psi=target)
+            else:
+                bench.robot.press(right_psi=target)
+            bench.robot.wait(_STEADY_S)
+            reading = bench.robot.read(_READ_S)
+
+            def shot() -> Row:
+                axis = bench.eyes.axis(free_bend=True)
+                return {"k": axis.coefficients[2], "k_se": float(axis.covariance[2, 2] ** 0.5)}
+
+            seen = bench.seen(shot, {"k": None, "k_se": None})
+            return {
+                "zone": zone, "body_psi": body, "trial": int(trial), "side": side,
+                "branch": branch,
+                "psi": reading.left_psi if side == "left" else reading.right_psi,
+                "ohm": reading.resistance.tolist(), "t_s": reading.t_s, **seen,
+            }  # fmt: skip
+
+        rows.extend(bench.rows("bends", keys, take))
+        if prepared:
+            bench.robot.vent()
+    return rows
+
+
+def tip_rows(bench: Bench) -> list[Row]:
+    """Straight rows, and the tip held at places on both sides."""
+    config, plan = bench.config, bench.plan
+    reach = (
+        plan.tip_reach_cm or 0.85 * config.body.critical_curvature * config.body.length_cm**2 / 3
+    )
+    half = plan.places // 2
+    far = [reach * (n + 1) / half for n in range(half)]
+    # Out on one side and back, then the other: loading and unloading apart.
+    asked = [*far[::2], *reversed(far[1::2]), *(-y for y in far[::2]),
+             *(-y for y in reversed(far[1::2]))]  # fmt: skip
+    keys = [f"straight {n}" for n in range(plan.straight)]
+    keys += [f"tip {n} {y:+.2f}" for n, y in enumerate(asked)]
+    prepared = False
+
+    def take(key: str) -> Row:
+        nonlocal prepared
+        if not prepared:
+            bench.ready_to_bend()
+            prepared = True
+        kind, *rest = key.split()
+        wanted = float(rest[1]) if kind == "tip" else None
+        bench.hand.push_tip(wanted)
+        bench.robot.wait(_STEADY_S)
+        reading = bench.robot.read(2 * _READ_S)
+
+        def shot() -> Row:
+            axis = bench.eyes.axis(free_bend=False)
+            x, y = axis.tip_cm
+            return {"tip": [x, y], "points": axis.points_cm.tolist()}
+
+        seen = bench.seen(shot, {"tip": [None, None], "points": None})
+        return {
+            "kind": kind, "asked": wanted, "ohm": reading.resistance.tolist(),
+            "t_s": reading.t_s, **seen,
+        }  # fmt: skip
+
+    rows = bench.rows("tips", keys, take)
+    bench.hand.push_tip(None)
+    return rows
+
+
+def push_rows(bench: Bench) -> list[Row]:
+    """Hard pushes at the tip, sides in turn, each with its own straight reading."""
+    config = bench.config
+    reach = 1.7 * config.body.critical_curvature * config.body.length_cm**2 / 3
+    prepared = False
+
+    def take(key: str) -> Row:
+        nonlocal prepared
+        if not prepared:
+            bench.ready_to_bend()
+            prepared = True
+        sign = 1 if int(key.split()[1]) % 2 == 0 else -1
+        bench.hand.push_tip(None)
+        bench.robot.wait(_STEADY_S)
+        straight = bench.robot.read(_READ_S)
+        bench.hand.push_tip(sign * reach)
+        bench.robot.wait(_STEADY_S)
+        pushed = bench.robot.read(2 * _READ_S)
+        bench.hand.push_tip(None)
+        return {"rest": straight.resistance.tolist(), "ohm": pushed.resistance.tolist()}
+
+    return bench.rows("pushes", [f"push {n}" for n in range(bench.plan.pushes)], take)
+
+
+def rest_rows(bench: Bench) -> list[Row]:
+    """Readings of the resting robot."""
+    prepared = False
+
+    def take(key: str) -> Row:
+        nonlocal prepared
+        if not prepared:
+            bench.ready_to_bend()
+            prepared = True
+        reading = bench.robot.read(0.5)
+        return {"t_s": reading.t_s, "ohm": reading.resistance.tolist()}
+
+    return bench.rows("rest", [f"rest {n}" for n in range(bench.plan.rest_readings)], take)
+
+
+def ramp(bench: Bench, side: Side) -> tuple[Array, Array, Array] | None:
+    """Time, pressure and curvature (inactive base sensor) of a ramp up and down."""
+    top = 0.9 * bench.config.actuators.side(side).max_pressure_psi
+
+    def take(key: str) -> Row:
+        bench.ready_to_bend()
+        ramp = top / 4.0
+        parts = []
+        for target in (top, 2.5):
+            if side == "left":
+                bench.robot.press(left_psi=target, ramp_psi_s=ramp)
+            else:
+                bench.robot.press(right_psi=target, ramp_psi_s=ramp)
+            parts.append(bench.robot.record(6.0))
+        bench.robot.vent()
+        t = np.concatenate([p.t_s for p in parts])
+        psi = np.concatenate([p.left_psi if side == "left" else p.right_psi for p in parts])
+        far = len(bench.config.sensors.left) if side == "left" else 0
+        count = len(bench.config.sensors.column("right" if side == "left" else "left"))
+        ohm = np.concatenate([p.resistance[:, far : far + count] for p in parts])
+        step = max(1, len(t) // 600)
+        return {"t_s": t[::step].tolist(), "psi": psi[::step].tolist(),
+                "ohm": ohm[::step].tolist()}  # fmt: skip
+
+    row = bench.rows("lag", [f"ramp {side}"], take)[0]
+    other: Side = "right" if side == "left" else "left"
+    sensors = bench.config.sensors.column(other)
+    live = [n for n, s in enumerate(sensors) if s.healthy]
+    if not live:
+        return None
+    ohm = np.array(row["ohm"], float)
+    k = np.mean([ohm[:, n] * sensors[n].scale_per_ohm for n in live], axis=0)
+    return np.array(row["t_s"], float), np.array(row["psi"], float), k
+
+
+def check_readings(bench: Bench) -> CheckReadings:
+    """Rest, one bend and one hold for each muscle."""
+    bench.ready_to_bend()
+    config = bench.config
+    rest = np.array([bench.robot.read(0.25).resistance for _ in range(8)])
+    top = 0.7 * config.actuators.left.max_pressure_psi
+    bent: dict[Side, Array] = {}
+    seen: dict[Side, float] = {}
+    held: dict[Side, Array] = {}
+    for side in SIDES:
+        if side == "left":
+            bench.robot.press(left_psi=top)
+        else:
+            bench.robot.press(right_psi=top)
+        bench.robot.wait(_STEADY_S)
+        record = bench.robot.record(4.0)
+        psi = record.left_psi if side == "left" else record.right_psi
+        held[side] = np.column_stack([record.t_s - record.t_s[0], psi])
+        bent[side] = np.nanmean(record.resistance, axis=0)
+        shot = bench.seen(
+            lambda: {"k": float(bench.eyes.axis(free_bend=True).coefficients[2])}, {"k": None}
+        )
+        if shot["k"] is not None:
+            seen[side] = shot["k"]
+        bench.robot.vent()
+        bench.robot.wait(1.0)
+    zone = len(config.body.zones) - 1
+    return CheckReadings(rest, bent, top, seen, held, zone=zone)

@@ -1,0 +1,133 @@
+"""The calibration folder: every reading as it was taken, every result, and where to go on.
+
+    calibration/NAME/
+      robot.toml            constants so far (with numbered backups)
+      camera.json sheet.toml
+      ROWS.jsonl            readings of a procedure, one line each, written as they come
+      STEP.json STEP.png    result and figure of a step
+
+A guided command that was stopped goes on after its last line; a step that is done is not repeated
+unless asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thigmo.calibrate.verdict import StepResult
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+
+
+class Session:
+    """One calibration folder.
+
+    Raises:
+        DataError: the folder cannot be made.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
+        self.folder = Path(folder)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"cannot make {self.folder}: {error.strerror}", "choose another folder"
+            ) from error
+        self.robot_file = self.folder / "robot.toml"
+        if self.robot_file.exists():
+            self.config = RobotConfig.load(self.robot_file)
+        else:
+            self.config = config or RobotConfig()
+            self.config.save(self.robot_file)
+
+    # Readings.
+
+    def rows(self, procedure: str) -> dict[str, dict[str, Any]]:
+        """Readings taken so far, by key, in order. A line cut off by a crash is dropped.
+
+        Raises:
+            DataError: a damaged line other than the last.
+        """
+        path = self._rows_file(procedure)
+        if not path.exists():
+            return {}
+        found: dict[str, dict[str, Any]] = {}
+        lines = path.read_text().splitlines()
+        for number, line in enumerate(lines, start=1):
+            try:
+                row = json.loads(line)
+                found[row["key"]] = row
+            except (ValueError, KeyError, TypeError) as error:
+                if number == len(lines):
+                    break
+                raise DataError(
+                    f"{path}, line {number} is damaged", "mend or delete that line"
+                ) from error
+        return found
+
+    def add(self, procedure: str, row: dict[str, Any]) -> None:
+        """Append a reading (it must hold a `key`); on disk when this returns.
+
+        Raises:
+            DataError: the folder cannot be written.
+        """
+        path = self._rows_file(procedure)
+        if path.exists():
+            text = path.read_bytes()
+            if text and not text.endswith(b"\n"):
+                path.write_bytes(text[: text.rfind(b"\n") + 1])
+        try:
+            with path.open("a") as file:
+                file.write(json.dumps(row, default=_plain) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise DataError(
+                f"cannot write {path}: {error.strerror}", "free some space, then run it again"
+            ) from error
+
+    def forget(self, procedure: str) -> None:
+        """Set readings aside (kept as `.old`), to take them anew."""
+        path = self._rows_file(procedure)
+        if path.exists():
+            path.replace(path.with_suffix(".jsonl.old"))
+
+    def _rows_file(self, procedure: str) -> Path:
+        return self.folder / f"{procedure}.jsonl"
+
+    # Results.
+
+    def done(self, step: str) -> dict[str, Any] | None:
+        """The stored result of a step, if it was good."""
+        path = self.folder / f"{step}.json"
+        if not path.exists():
+            return None
+        data: dict[str, Any] = json.loads(path.read_text())
+        return data if data.get("verdict", {}).get("good") else None
+
+    def keep(self, step: str, result: StepResult) -> Path | None:
+        """Store a result and its figure; a good one goes into robot.toml. Returns the backup."""
+        data = json.dumps(result.as_data(), indent=1, default=_plain)
+        (self.folder / f"{step}.json").write_text(data)
+        result.figure(self.folder / f"{step}.png")
+        if not result.verdict.good:
+            return None
+        made = result.apply(self.config)
+        if made == self.config:
+            return None
+        self.config = made
+        return made.save(self.robot_file)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value)} has no JSON form")
