@@ -16,7 +16,7 @@ constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 
 struct Derived {
   int32_t flex_gain_q16[kSensors];    // 1e-5/cm per 1/16 ohm
-  int32_t pressure_gain_q16[kSides];  // 0.01 psi per 1/64 count of a sum of five
+  int32_t pressure_gain_q24[kSides];  // 0.01 psi per 1/64 count of a sum of five
   int32_t lag_alpha_q16[kSides];      // share of the way to the input in one control step
   int32_t drive_slope_q16;            // duty per 0.01 psi
   uint32_t um_per_count_q16;          // tip movement per encoder count
@@ -36,8 +36,8 @@ struct Derived {
       }
     }
     for (uint8_t side = 0; side < kSides; ++side) {
-      pressure_gain_q16[side] =
-          static_cast<int32_t>(static_cast<uint32_t>(c.get(Param::kPressureFullCpsi)) * 65536u /
+      pressure_gain_q24[side] =
+          static_cast<int32_t>((static_cast<uint64_t>(c.get(Param::kPressureFullCpsi)) << 24) /
                                (static_cast<uint32_t>(c.get(Param::kPressureSpan, side)) * 5u));
       // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
       const int32_t lag = c.get(Param::kLagMs, side);

@@ -64,8 +64,9 @@ class PressureLoop {
  public:
   static constexpr int16_t kOff = -1;  // output: true zero
 
-  // Time constant of the follower that the pressure is compared with, 2^6 steps = 0.32 s: slower
-  // than transducer and muscle together, so that a moving set point is no fault.
+  // The pressure is compared with a follower of the set point, a first-order lag of 2^6 steps =
+  // 0.32 s, about that of transducer and muscle together: a moving set point then neither winds the
+  // integrator up (with it, a ramp of 15 psi/s to 10 psi overshoots by 1.1 psi) nor is a fault.
   static constexpr uint8_t kFollowLog2 = 6;
 
   void set_target(int16_t cpsi, uint16_t slew_cpsi_s) {
@@ -87,7 +88,10 @@ class PressureLoop {
     set_q8_ += limited<int32_t>(goal - set_q8_, -most, most);
     const int16_t set = set_cpsi();
     const bool on = set >= c.get(Param::kLiveZeroCpsi) && set > 0;
-    watch_following(on ? set : static_cast<int16_t>(0), measured, c);
+    // Twelve fraction bits keep the follower from stopping short of the set point.
+    follower_q12_ += (static_cast<int32_t>(on ? set : 0) * 4096 - follower_q12_) >> kFollowLog2;
+    const int16_t due = static_cast<int16_t>(follower_q12_ >> 12);
+    watch_following(due, measured, c);
     if (!on) {
       pid_.idle(measured);
       output_ = kOff;
@@ -98,7 +102,7 @@ class PressureLoop {
                                       static_cast<int16_t>(c.get(Param::kPressureKd))};
     const int32_t floor = c.get(Param::kDrive4maCpsi);
     const int32_t ceiling = lesser(c.get(Param::kOverPressureCpsi), c.get(Param::kDrive20maCpsi));
-    const int32_t wanted = pid_.step(set, measured, set, gains, floor, greater(floor, ceiling));
+    const int32_t wanted = pid_.step(due, measured, set, gains, floor, greater(floor, ceiling));
     output_ = duty(wanted, c, d);
     return output_;
   }
@@ -119,10 +123,8 @@ class PressureLoop {
   void forgive() { stuck_steps_ = 0; }
 
  private:
-  void watch_following(int16_t set, int16_t measured, const Configuration& c) {
-    // Twelve fraction bits keep the follower from stopping short of the set point.
-    follower_q12_ += (static_cast<int32_t>(set) * 4096 - follower_q12_) >> kFollowLog2;
-    const int32_t apart = magnitude((follower_q12_ >> 12) - measured);
+  void watch_following(int16_t due, int16_t measured, const Configuration& c) {
+    const int32_t apart = magnitude(static_cast<int32_t>(due) - measured);
     const uint16_t limit = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
     if (apart <= c.get(Param::kStuckCpsi)) {
       stuck_steps_ = 0;

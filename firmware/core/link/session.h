@@ -246,7 +246,7 @@ class Session {
       return;
     }
     const uint16_t seq = frame.seq();
-    if (seq == last_seq_ && (has_reply_ || deferred_)) {
+    if (seq == last_seq_ && has_reply_ && frame.id() == last_id_) {
       ++counters_.rx_repeats;
       if (deferred_) {
         notice_ = {
@@ -261,7 +261,8 @@ class Session {
       return;
     }
     last_seq_ = seq;
-    has_reply_ = true;
+    last_id_ = frame.id();
+    has_reply_ = true;  // or will have
     const uint8_t size = protocol::inboundSize(frame.id());
     if (size != frame.payload_size()) {
       const protocol::Reason reason = size == protocol::kUnknownMessage
@@ -324,6 +325,7 @@ class Session {
   uint16_t session_ = 0;
   uint16_t last_seq_ = 0;
   uint16_t telemetry_seq_ = 0;
+  uint8_t last_id_ = 0;
   uint8_t nonce_next_ = 0;
   uint8_t nonce_count_ = 0;
   bool open_ = false;

@@ -1,0 +1,485 @@
+// Link: golden vectors, stuffing, the decoder among garbage, sessions on a bad line, events.
+//
+// golden_vectors.h is written by test_core.py from protocol/golden.json: for each vector the typed
+// message built from the vector's fields, its frame and its bytes on the wire.
+#ifndef THIGMO_TESTS_FIRMWARE_LINK_CASES_H_
+#define THIGMO_TESTS_FIRMWARE_LINK_CASES_H_
+
+#include <cstring>
+#include <string>
+
+#include "check.h"
+#include "link/session.h"
+
+namespace link_cases {
+
+using namespace thigmo;
+using Bytes = std::vector<uint8_t>;
+
+// Feeds bytes; returns the frames found and counts the bad ones.
+inline std::vector<Frame> frames_of(FrameDecoder& decoder, const Bytes& bytes, int* bad = nullptr) {
+  std::vector<Frame> found;
+  for (const uint8_t byte : bytes) {
+    const FrameDecoder::Result result = decoder.push(byte);
+    if (result == FrameDecoder::Result::kFrame) found.push_back(decoder.frame());
+    if (result == FrameDecoder::Result::kBad && bad != nullptr) ++*bad;
+  }
+  return found;
+}
+
+inline Bytes wire_of(const Frame& frame) {
+  uint8_t wire[protocol::kMaxWire];
+  return Bytes(wire, wire + cobs_encode(frame.bytes, frame.size, wire));
+}
+
+template <typename Message>
+Bytes wire_of(const Message& message, uint16_t seq, uint16_t session) {
+  Frame frame;
+  frame.set(message, seq, session);
+  return wire_of(frame);
+}
+
+inline Bytes from_hex(const char* text) {
+  Bytes bytes;
+  for (; *text != 0; text += 2) {
+    bytes.push_back(static_cast<uint8_t>(std::stoi(std::string(text, 2), nullptr, 16)));
+  }
+  return bytes;
+}
+
+// One golden vector: the message encodes to the frame and the wire, and both decode to it.
+template <typename Message>
+void check_vector(const Message& message, uint16_t seq, uint16_t session, const char* raw_hex,
+                  const char* wire_hex) {
+  const Bytes raw = from_hex(raw_hex);
+  const Bytes wire = from_hex(wire_hex);
+  Frame frame;
+  frame.set(message, seq, session);
+  CHECK(Bytes(frame.bytes, frame.bytes + frame.size) == raw);
+  CHECK(wire_of(frame) == wire);
+  FrameDecoder decoder;
+  const std::vector<Frame> found = frames_of(decoder, wire);
+  CHECK_EQUAL(found.size(), 1u);
+  if (found.size() != 1) return;
+  CHECK_EQUAL(found[0].id(), Message::kId);
+  CHECK_EQUAL(found[0].seq(), seq);
+  CHECK_EQUAL(found[0].session(), session);
+  Message decoded = {};
+  CHECK(Message::decode(found[0].payload(), found[0].payload_size(), &decoded));
+  uint8_t again[protocol::kMaxPayload];
+  decoded.encode(again);
+  CHECK(std::memcmp(again, found[0].payload(), Message::kSize) == 0);
+  CHECK(!Message::decode(found[0].payload(), Message::kSize + 1, &decoded));
+}
+
+}  // namespace link_cases
+
+#include "golden_vectors.h"
+
+namespace link_cases {
+
+TEST(golden_vectors_encode_and_decode) {
+  for (const auto check : kGoldenVectors) check();
+}
+
+TEST(golden_bad_frames_are_refused) {
+  for (const char* hex : kGoldenBadFrames) {
+    const Bytes wire = from_hex(hex);
+    FrameDecoder decoder;
+    CHECK_EQUAL(frames_of(decoder, wire).size(), 0u);
+    // And the next good one is found.
+    CHECK_EQUAL(frames_of(decoder, wire_of(protocol::Arm{}, 1, 2)).size(), 1u);
+  }
+}
+
+TEST(stuffing_leaves_no_zero_and_comes_back) {
+  std::mt19937 random(7);
+  for (int i = 0; i < 20000; ++i) {
+    Frame frame;
+    frame.size = static_cast<uint8_t>(7 + random() % (protocol::kMaxFrame - 6));
+    for (int k = 0; k < frame.size - 2; ++k) {
+      frame.bytes[k] = static_cast<uint8_t>(random() % 3 == 0 ? 0 : random());
+    }
+    const uint8_t body = static_cast<uint8_t>(frame.size - 2);
+    protocol::detail::put16(frame.bytes + body, crc16(frame.bytes, body));
+    const Bytes wire = wire_of(frame);
+    CHECK(wire.size() <= protocol::kMaxWire);
+    for (size_t k = 0; k + 1 < wire.size(); ++k) CHECK(wire[k] != 0);
+    FrameDecoder decoder;
+    const std::vector<Frame> found = frames_of(decoder, wire);
+    CHECK_EQUAL(found.size(), 1u);
+    if (found.size() == 1) {
+      CHECK_EQUAL(found[0].size, frame.size);
+      CHECK(std::memcmp(found[0].bytes, frame.bytes, frame.size) == 0);
+    }
+  }
+}
+
+TEST(the_decoder_survives_garbage_and_finds_the_next_frame) {
+  std::mt19937 random(8);
+  FrameDecoder decoder;
+  int false_frames = 0;
+  for (int i = 0; i < 20000; ++i) {
+    Bytes noise(random() % 300);
+    for (uint8_t& byte : noise) byte = static_cast<uint8_t>(random() % 4 == 0 ? 0 : random());
+    noise.push_back(0);
+    false_frames += static_cast<int>(frames_of(decoder, noise).size());
+    CHECK_EQUAL(frames_of(decoder, wire_of(protocol::GetStatus{}, 5, 6)).size(), 1u);
+  }
+  CHECK(false_frames < 30);  // one in 65536 candidates of seven bytes or more
+}
+
+// The other end, for the session's tests.
+struct Device {
+  Session session;
+  EventQueue events;
+  std::vector<uint16_t> executed;  // the argument of each command, in order
+  int heartbeats = 0;
+  int hellos = 0;
+  bool defer = false;
+  uint32_t tick = 0;
+
+  explicit Device(uint32_t nonce = 0x12345678) {
+    session.begin({nonce, protocol::Board::kVirtual, protocol::ResetCause::kPowerOn});
+  }
+  Handled execute(const Frame& command, Frame* reply) {
+    protocol::ClearFaults m = {};
+    if (!protocol::ClearFaults::decode(command.payload(), command.payload_size(), &m)) {
+      m.mask = command.id();
+    }
+    executed.push_back(m.mask);
+    if (defer) return Handled::kDeferred;
+    reply->set(protocol::Ack{protocol::Status::kOk, protocol::Reason::kNone, m.mask}, command.seq(),
+               command.session());
+    return Handled::kReplied;
+  }
+  void heartbeat() { ++heartbeats; }
+  void hello() {
+    ++hellos;
+    events.resend();
+  }
+  void take(const Bytes& bytes) {
+    for (const uint8_t byte : bytes) session.receive(byte, 4711, *this);
+  }
+  // All that waits, as if the line were infinitely fast.
+  std::vector<Frame> give() {
+    std::vector<Frame> out;
+    Frame frame;
+    while (session.next(tick, true, events, &frame)) out.push_back(frame);
+    return out;
+  }
+  uint16_t greet(uint32_t nonce, uint16_t seq = 0) {
+    take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, nonce}, seq, 0));
+    give();
+    return session.session();
+  }
+};
+
+inline Bytes command(uint16_t value, uint16_t seq, uint16_t session) {
+  return wire_of(protocol::ClearFaults{value}, seq, session);
+}
+
+inline protocol::Ack ack_of(const Frame& frame) {
+  protocol::Ack ack = {};
+  CHECK_EQUAL(frame.id(), protocol::kAck);
+  CHECK(protocol::Ack::decode(frame.payload(), frame.payload_size(), &ack));
+  return ack;
+}
+
+TEST(a_board_announces_itself_twice_a_second_until_the_hello) {
+  Device device;
+  int announced = 0;
+  for (device.tick = 0; device.tick < 5000; ++device.tick) {
+    for (const Frame& frame : device.give()) {
+      CHECK_EQUAL(frame.id(), protocol::kAnnounce);
+      ++announced;
+    }
+  }
+  CHECK_EQUAL(announced, 10);
+  device.greet(1);
+  for (const uint32_t end = device.tick + 2000; device.tick < end; ++device.tick) {
+    CHECK(device.give().empty());
+  }
+}
+
+TEST(a_hello_opens_a_session_and_its_repeat_changes_nothing) {
+  Device device;
+  device.take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, 99}, 7, 0));
+  std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  protocol::HelloReply reply = {};
+  CHECK(protocol::HelloReply::decode(sent[0].payload(), sent[0].payload_size(), &reply));
+  CHECK_EQUAL(sent[0].seq(), 7);
+  CHECK_EQUAL(sent[0].session(), 0);
+  CHECK(reply.session != 0 && reply.status == protocol::Status::kOk && reply.host_nonce == 99);
+  device.take(command(1, 8, reply.session));
+  device.give();
+  device.take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, 99}, 7, 0));
+  sent = device.give();
+  protocol::HelloReply again = {};
+  CHECK_EQUAL(sent.size(), 1u);
+  CHECK(protocol::HelloReply::decode(sent[0].payload(), sent[0].payload_size(), &again));
+  CHECK_EQUAL(again.session, reply.session);
+  device.take(command(2, 9, reply.session));
+  CHECK_EQUAL(device.executed.size(), 2u);
+  CHECK_EQUAL(device.hellos, 1);
+}
+
+TEST(a_replayed_hello_of_an_old_conversation_ends_no_new_one) {
+  Device device;
+  const uint16_t first = device.greet(1);
+  const uint16_t second = device.greet(2);
+  CHECK(first != second);
+  CHECK_EQUAL(device.greet(1), second);
+  CHECK_EQUAL(device.session.counters().rx_stale, 1);
+  device.take(command(5, 1, second));
+  CHECK_EQUAL(device.executed.size(), 1u);
+  device.take(command(6, 1, first));
+  CHECK_EQUAL(device.executed.size(), 1u);
+}
+
+TEST(another_schema_is_refused_with_the_boards_own_hash) {
+  Device device;
+  device.take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash ^ 1, 5}, 3, 0));
+  std::vector<Frame> sent;
+  for (const Frame& frame : device.give()) {
+    if (frame.id() == protocol::kHelloReply) sent.push_back(frame);
+  }
+  CHECK_EQUAL(sent.size(), 1u);
+  protocol::HelloReply reply = {};
+  CHECK(protocol::HelloReply::decode(sent[0].payload(), sent[0].payload_size(), &reply));
+  CHECK(reply.status == protocol::Status::kRefused);
+  CHECK(reply.reason == protocol::Reason::kWrongSchema);
+  CHECK_EQUAL(reply.schema_hash, protocol::kSchemaHash);
+  CHECK_EQUAL(reply.session, 0);
+  CHECK_EQUAL(device.session.session(), 0);
+}
+
+TEST(a_repeat_gets_the_stored_reply_and_a_stale_command_none) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  device.take(command(11, 1, session));
+  const std::vector<Frame> first = device.give();
+  CHECK_EQUAL(first.size(), 1u);
+  device.take(command(11, 1, session));
+  const std::vector<Frame> second = device.give();
+  CHECK_EQUAL(second.size(), 1u);
+  CHECK(std::memcmp(first[0].bytes, second[0].bytes, first[0].size) == 0);
+  CHECK_EQUAL(device.executed.size(), 1u);
+  for (const uint16_t stale : {0, 3, 4, 65535}) {
+    device.take(command(12, stale, session));
+    CHECK(device.give().empty());
+  }
+  CHECK_EQUAL(device.executed.size(), 1u);
+  CHECK_EQUAL(device.session.counters().rx_repeats, 1);
+  CHECK_EQUAL(device.session.counters().rx_stale, 4);
+}
+
+TEST(the_same_sequence_with_another_id_is_stale) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  device.take(command(11, 1, session));
+  device.give();
+  device.take(wire_of(protocol::Arm{}, 1, session));
+  CHECK(device.give().empty());
+  CHECK_EQUAL(device.session.counters().rx_stale, 1);
+}
+
+TEST(another_session_is_answered_by_its_own_numbers) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  device.take(command(11, 40, static_cast<uint16_t>(session + 1)));
+  const std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  const protocol::Ack ack = ack_of(sent[0]);
+  CHECK(ack.reason == protocol::Reason::kBadSession);
+  CHECK_EQUAL(sent[0].seq(), 40);
+  CHECK_EQUAL(sent[0].session(), static_cast<uint16_t>(session + 1));
+  CHECK(device.executed.empty());
+}
+
+TEST(unknown_ids_and_wrong_sizes_are_refused_once_each) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  Frame odd;
+  odd.set(protocol::ClearFaults{3}, 1, session);
+  odd.bytes[0] = 0x7E;
+  protocol::detail::put16(odd.bytes + odd.size - 2, crc16(odd.bytes, odd.size - 2));
+  device.take(wire_of(odd));
+  std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  CHECK(ack_of(sent[0]).reason == protocol::Reason::kUnknownId);
+  odd.set(protocol::ClearFaults{3}, 2, session);
+  odd.bytes[0] = protocol::kArm;
+  protocol::detail::put16(odd.bytes + odd.size - 2, crc16(odd.bytes, odd.size - 2));
+  device.take(wire_of(odd));
+  sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  CHECK(ack_of(sent[0]).reason == protocol::Reason::kBadLength);
+  CHECK(device.executed.empty());
+}
+
+TEST(a_deferred_command_is_in_progress_until_it_ends) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  device.defer = true;
+  device.take(command(1, 1, session));
+  CHECK(device.give().empty());
+  device.take(command(1, 1, session));
+  std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  CHECK(ack_of(sent[0]).status == protocol::Status::kInProgress);
+  device.take(command(2, 2, session));  // one is outstanding at a time
+  CHECK(device.give().empty());
+  device.session.finish({protocol::Status::kOk, protocol::Reason::kNone, 42});
+  sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  CHECK_EQUAL(ack_of(sent[0]).detail, 42);
+  device.take(command(1, 1, session));
+  sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  CHECK_EQUAL(ack_of(sent[0]).detail, 42);
+  CHECK_EQUAL(device.executed.size(), 1u);
+}
+
+TEST(a_new_hello_forgets_the_deferred_command) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  device.defer = true;
+  device.take(command(1, 1, session));
+  const uint16_t next = device.greet(2);
+  device.session.finish({protocol::Status::kOk, protocol::Reason::kNone, 42});
+  CHECK(device.give().empty());
+  device.defer = false;
+  device.take(command(2, 1, next));
+  CHECK_EQUAL(device.give().size(), 1u);
+}
+
+TEST(only_a_rising_heartbeat_counts) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  const auto beat = [&](uint32_t counter, uint16_t of) {
+    device.take(wire_of(protocol::Heartbeat{counter}, 0, of));
+    return device.heartbeats;
+  };
+  CHECK_EQUAL(beat(0, session), 0);
+  CHECK_EQUAL(beat(1, session), 1);
+  CHECK_EQUAL(beat(1, session), 1);
+  CHECK_EQUAL(beat(5, session), 2);
+  CHECK_EQUAL(beat(4, session), 2);
+  CHECK_EQUAL(beat(6, static_cast<uint16_t>(session + 1)), 2);
+  const std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 1u);
+  protocol::Pulse pulse = {};
+  CHECK(protocol::Pulse::decode(sent[0].payload(), sent[0].payload_size(), &pulse));
+  CHECK_EQUAL(pulse.counter, 5u);
+  CHECK_EQUAL(pulse.t_us, 4711u);
+  const uint16_t next = device.greet(2);
+  CHECK_EQUAL(beat(1, next), 3);
+}
+
+TEST(events_go_first_and_are_repeated_until_acknowledged) {
+  Device device;
+  device.greet(1);
+  device.events.post(protocol::EventCode::kPeak, 1, 2, 3);
+  device.events.post(protocol::EventCode::kContact, 4, 5, 6);
+  device.session.offer(protocol::Telemetry{});
+  std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 3u);
+  CHECK_EQUAL(sent[0].id(), protocol::kEvent);
+  CHECK_EQUAL(sent[1].id(), protocol::kEvent);
+  CHECK_EQUAL(sent[2].id(), protocol::kTelemetry);
+  CHECK(wire_of(sent[0]).size() <= 24);
+  int repeats = 0;
+  for (device.tick = 1; device.tick <= 1000; ++device.tick) {
+    repeats += static_cast<int>(device.give().size());
+  }
+  CHECK_EQUAL(repeats, 10);
+  device.events.acknowledge(1);
+  repeats = 0;
+  for (; device.tick <= 2000; ++device.tick) repeats += static_cast<int>(device.give().size());
+  CHECK_EQUAL(repeats, 5);
+  device.greet(2);  // a new host hears of it at once
+  sent = device.give();
+  device.events.acknowledge(2);
+  CHECK_EQUAL(device.events.count(), 0);
+}
+
+TEST(a_full_event_queue_leaves_a_gap_and_keeps_the_oldest) {
+  EventQueue events;
+  for (int i = 0; i < EventQueue::kPlaces + 5; ++i) {
+    events.post(protocol::EventCode::kPeak, 0, i, 0);
+  }
+  CHECK_EQUAL(events.newest(), EventQueue::kPlaces + 5);
+  CHECK_EQUAL(events.due(0)->value, 0);
+  events.acknowledge(EventQueue::kPlaces);
+  CHECK_EQUAL(events.count(), 0);
+  events.post(protocol::EventCode::kPeak, 0, 77, 0);
+  CHECK_EQUAL(events.due(0)->number, EventQueue::kPlaces + 6);
+}
+
+TEST(telemetry_that_finds_no_room_is_dropped_and_leaves_a_gap) {
+  Device device;
+  device.session.offer(protocol::Telemetry{});
+  CHECK(device.give().size() == 1);  // the announce: no telemetry before a hello
+  device.greet(1);
+  Frame frame;
+  for (int i = 0; i < 3; ++i) device.session.offer(protocol::Telemetry{});
+  CHECK(!device.session.next(0, false, device.events, &frame));
+  CHECK(device.session.next(0, true, device.events, &frame));
+  CHECK_EQUAL(frame.seq(), 3);
+  CHECK_EQUAL(device.session.counters().tx_dropped, 2);
+  CHECK(device.session.dropped());
+}
+
+// A host that repeats each command until it is answered, over a line that loses, flips, cuts,
+// inserts and replays: every command is executed once, in order.
+TEST(commands_execute_once_and_in_order_on_a_bad_line) {
+  for (uint32_t seed = 0; seed < 60; ++seed) {
+    std::mt19937 random(seed);
+    const uint32_t percent = 1 + seed % 20;
+    const auto strikes = [&] { return random() % 100 < percent; };
+    Device device;
+    std::vector<Bytes> past;
+    const auto line = [&](Bytes bytes) {
+      if (!past.empty() && strikes()) {
+        const Bytes& old = past[random() % past.size()];
+        device.take(old);
+      }
+      past.push_back(bytes);
+      if (strikes()) return;  // lost
+      if (strikes()) bytes[random() % bytes.size()] ^= static_cast<uint8_t>(1u << random() % 8);
+      if (strikes()) bytes.resize(random() % bytes.size());
+      if (strikes()) {
+        bytes.insert(bytes.begin() + static_cast<long>(random() % (bytes.size() + 1)),
+                     static_cast<uint8_t>(random()));
+      }
+      device.take(bytes);
+      if (strikes()) device.take(bytes);
+    };
+    uint16_t session = 0;
+    for (int tries = 0; session == 0 && tries < 500; ++tries) {
+      line(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, 1000 + seed}, 0, 0));
+      session = device.session.session();
+    }
+    CHECK(session != 0);
+    for (uint16_t value = 1; value <= 100; ++value) {
+      bool answered = false;
+      for (int tries = 0; !answered && tries < 500; ++tries) {
+        line(command(value, value, session));
+        for (const Frame& frame : device.give()) {
+          if (frame.id() != protocol::kAck || frame.seq() != value || strikes()) continue;
+          CHECK_EQUAL(ack_of(frame).detail, value);
+          answered = true;
+        }
+      }
+      CHECK(answered);
+    }
+    CHECK_EQUAL(device.executed.size(), 100u);
+    for (size_t i = 0; i < device.executed.size(); ++i) CHECK_EQUAL(device.executed[i], i + 1);
+  }
+}
+
+}  // namespace link_cases
+
+#endif  // THIGMO_TESTS_FIRMWARE_LINK_CASES_H_

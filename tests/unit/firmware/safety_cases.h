@@ -1,0 +1,136 @@
+// Safety: the supervisor's tables over every combination, against rules written another way.
+#ifndef THIGMO_TESTS_FIRMWARE_SAFETY_CASES_H_
+#define THIGMO_TESTS_FIRMWARE_SAFETY_CASES_H_
+
+#include "check.h"
+#include "safety/faults.h"
+
+namespace safety_cases {
+
+using namespace thigmo;
+
+constexpr int kConditions = 1 << protocol::kConditionCount;
+
+// The rules as prose would have them.
+inline State expected(State state, int conditions, int signals) {
+  const bool fault = (signals & bit(Signal::kFaultLatched)) != 0;
+  const bool hello = (signals & bit(Signal::kHello)) != 0;
+  const bool arm = (signals & bit(Signal::kArm)) != 0;
+  const bool stop = (signals & bit(Signal::kStop)) != 0;
+  const bool active = (signals & bit(Signal::kActive)) != 0;
+  if (fault) return State::kFault;
+  switch (state) {
+    case State::kFault:
+      return State::kSafe;
+    case State::kBoot:
+      return hello ? State::kSafe : State::kBoot;
+    case State::kSafe: {
+      const bool good = (conditions & mask(Condition::kConfigValid)) != 0 &&
+                        (conditions & mask(Condition::kSupplyGood)) != 0 &&
+                        (conditions & mask(Condition::kEstop)) == 0;
+      return arm && !stop && good ? State::kReady : State::kSafe;
+    }
+    case State::kReady:
+      return stop ? State::kSafe : (active ? State::kMoving : State::kReady);
+    case State::kMoving:
+      return stop ? State::kSafe : (active ? State::kMoving : State::kReady);
+  }
+  return state;
+}
+
+TEST(every_transition_is_the_prescribed_one) {
+  for (int state = 0; state < protocol::kStateCount; ++state) {
+    for (int conditions = 0; conditions < kConditions; ++conditions) {
+      for (int signals = 0; signals < 32; ++signals) {
+        const State from = static_cast<State>(state);
+        const State to =
+            next_state(from, static_cast<uint16_t>(conditions), static_cast<uint8_t>(signals));
+        if (to != expected(from, conditions, signals)) {
+          CHECK_EQUAL(static_cast<int>(to), static_cast<int>(expected(from, conditions, signals)));
+          return;
+        }
+      }
+    }
+  }
+}
+
+TEST(outputs_are_allowed_in_ready_and_moving_only) {
+  CHECK(!may_energise(State::kBoot) && !may_energise(State::kSafe) && !may_energise(State::kFault));
+  CHECK(may_energise(State::kReady) && may_energise(State::kMoving));
+}
+
+TEST(every_refusal_has_its_reason) {
+  const auto has = [](int conditions, Condition c) { return (conditions & mask(c)) != 0; };
+  for (int kind = 0; kind <= static_cast<int>(Permit::kSave); ++kind) {
+    const Permit permit = static_cast<Permit>(kind);
+    for (int s = 0; s < protocol::kStateCount; ++s) {
+      const State state = static_cast<State>(s);
+      for (int a = 0; a < protocol::kActivityCount; ++a) {
+        const Activity activity = static_cast<Activity>(a);
+        for (int c = 0; c < kConditions; ++c) {
+          const Reason reason = refusal(permit, state, activity, static_cast<uint16_t>(c));
+          const bool bend = permit == Permit::kBend || permit == Permit::kPress;
+          const bool wind = permit == Permit::kGrow || permit == Permit::kRetract;
+          const bool arm = permit == Permit::kArm;
+          const bool confirm = permit == Permit::kConfirm;
+          const bool setup =
+              permit == Permit::kZone || permit == Permit::kConfigure || permit == Permit::kSave;
+          bool state_good = state == State::kReady;
+          if (arm) state_good = state_good || state == State::kSafe || state == State::kMoving;
+          if (permit == Permit::kPress) state_good = state_good || state == State::kMoving;
+          if (confirm || setup) state_good = state != State::kBoot;
+          Reason want = Reason::kNone;
+          if (!state_good) {
+            want = state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
+          } else if (!arm && activity != Activity::kIdle &&
+                     !(permit == Permit::kPress && activity == Activity::kPressing)) {
+            want = Reason::kBusy;
+          } else if (arm && has(c, Condition::kEstop)) {
+            want = Reason::kEstop;
+          } else if (arm && !has(c, Condition::kConfigValid)) {
+            want = Reason::kBadConfig;
+          } else if (arm && !has(c, Condition::kSupplyGood)) {
+            want = Reason::kWrongState;
+          } else if ((bend || wind || permit == Permit::kZero) &&
+                     !has(c, Condition::kLengthKnown)) {
+            want = Reason::kLengthUnknown;
+          } else if (bend && has(c, Condition::kHalfEverted)) {
+            want = Reason::kHalfEverted;
+          } else if (bend && !has(c, Condition::kZoneKnown)) {
+            want = Reason::kZoneUnknown;
+          } else if ((permit == Permit::kBend || wind || permit == Permit::kHome || confirm ||
+                      permit == Permit::kZero) &&
+                     !has(c, Condition::kVented)) {
+            want = Reason::kNotVented;
+          } else if (bend && !has(c, Condition::kZeroed)) {
+            want = Reason::kNotZeroed;
+          } else if (setup && has(c, Condition::kEnergised)) {
+            want = Reason::kBusy;
+          }
+          if (reason != want) {
+            std::printf("permit %d state %d activity %d conditions %x\n", kind, s, a, c);
+            CHECK_EQUAL(static_cast<int>(reason), static_cast<int>(want));
+            return;
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST(a_fault_is_reported_once_and_cleared_only_without_its_cause) {
+  Faults faults;
+  EventQueue events;
+  for (int i = 0; i < 5; ++i) faults.raise(Fault::kFlexOpen, 3, 10, &events);
+  faults.raise(Fault::kEstop, 0, 11, &events);
+  CHECK_EQUAL(events.count(), 2);
+  CHECK_EQUAL(faults.clear(0xFFFF, mask(Fault::kEstop)), mask(Fault::kEstop));
+  CHECK_EQUAL(faults.clear(mask(Fault::kFlexOpen), 0), mask(Fault::kEstop));
+  CHECK_EQUAL(faults.clear(0xFFFF, 0), 0);
+  faults.raise(Fault::kFlexOpen, 3, 20, &events);
+  CHECK_EQUAL(events.count(), 3);
+}
+
+}  // namespace safety_cases
+
+#endif  // THIGMO_TESTS_FIRMWARE_SAFETY_CASES_H_

@@ -1,0 +1,82 @@
+"""The firmware core's C++ tests: built with the address and undefined-behaviour sanitizers, one case
+a test. The golden vectors of the protocol are handed to them as a generated header."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
+FLAGS = [
+    *("-std=c++14", "-O1", "-g1", "-Wall", "-Wextra", "-Werror"),
+    *("-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
+]
+
+
+def _names() -> list[str]:
+    """Case names, as TEST(name) declares them."""
+    sources = sorted(HERE.glob("*_cases.h"))
+    return [
+        name for path in sources for name in re.findall(r"^TEST\((\w+)\)", path.read_text(), re.M)
+    ]
+
+
+def _golden_header() -> str:
+    """C++ that builds each golden vector's message from its fields."""
+    document = json.loads((ROOT / "protocol/golden.json").read_text())
+    header = (ROOT / "firmware/core/link/protocol.h").read_text()
+    structs = dict(re.findall(r"struct (\w+) \{(.*?)\n\};", header, re.S))
+    lines = ["namespace link_cases {"]
+    for number, vector in enumerate(document["vectors"]):
+        kind = "".join(part.capitalize() for part in vector["message"].split("_"))
+        lines += [f"inline void golden_{number}() {{", f"  protocol::{kind} m = {{}};"]
+        for field, value in vector["fields"].items():
+            declared = re.search(rf"^\s*(\w+) {field}\b", structs[kind], re.M)
+            assert declared is not None
+            of = declared[1] if declared[1].endswith("_t") else f"protocol::{declared[1]}"
+            values = value if isinstance(value, list) else [value]
+            for index, item in enumerate(values):
+                at = f"[{index}]" if isinstance(value, list) else ""
+                lines.append(f"  m.{field}{at} = static_cast<{of}>({item}ll);")
+        lines += [
+            f"  check_vector(m, {vector['seq']}, {vector['session']}, "
+            f'"{vector["frame"]}", "{vector["wire"]}");',
+            "}",
+        ]
+    calls = ", ".join(f"golden_{number}" for number in range(len(document["vectors"])))
+    bad = ", ".join(f'"{entry["wire"]}"' for entry in document["bad"])
+    lines += [f"void (*const kGoldenVectors[])() = {{{calls}}};"]
+    lines += [f"const char* const kGoldenBadFrames[] = {{{bad}}};", "}"]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture(scope="session")
+def runner(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("core")
+    (folder / "golden_vectors.h").write_text(_golden_header())
+    program = folder / "runner"
+    include = [f"-I{folder}", f"-I{HERE}", f"-I{ROOT / 'firmware/core'}"]
+    done = subprocess.run(
+        ["c++", *FLAGS, *include, str(HERE / "runner.cpp"), "-o", str(program)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def test_every_case_is_found(runner: Path) -> None:
+    listed = subprocess.run([runner], capture_output=True, text=True, check=True).stdout.split()
+    assert sorted(listed) == sorted(_names())
+
+
+@pytest.mark.parametrize("name", _names())
+def test_core(runner: Path, name: str) -> None:
+    done = subprocess.run([runner, name], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
