@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from thigmo.localization.exact.absolute_fit import absolute_fit
 from thigmo.localization.exact.compiled import compiled
 from thigmo.localization.exact.response import find_edges, first_influence
-from thigmo.localization.exact.square_fit import square_fit_limited
+from thigmo.localization.exact.square_fit import square_fit, triangle
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -88,39 +88,24 @@ def signed_fit(
     """Least sum of |w r| or (w r)^2 over signed coefficients.
 
     Arguments as `absolute_fit`; and the limit on the sum of |beta| over each `group` of one sign,
-    which the constraint columns say to the L1 fit; and `square` (2 m + 3, m) work.
+    which the constraint columns say to the L1 fit; and `square` (5, m + 4, m + 4) work.
     """
     if norm == 1:
         return absolute_fit(g, y, w, m, n, extra, kind, beta, tableau, work, items)
-    h = square[:m]
-    b = square[m]
-    total = 0.0
-    for j in range(n):
-        total += w[j] * w[j] * y[j] * y[j]
-    for r in range(m):
-        value = 0.0
-        for j in range(n):
-            value += w[j] * w[j] * g[r, j] * y[j]
-        b[r] = value
-        for k in range(r + 1):
-            value = 0.0
-            for j in range(n):
-                value += w[j] * w[j] * g[r, j] * g[k, j]
-            h[r, k] = value
-            h[k, r] = value
-    value = square_fit_limited(
-        h,
-        b,
-        total,
+    triangle(g, y, w, m, n, tableau, square[0], square[1, 0])
+    value = square_fit(
+        square[0],
+        square[1, 0],
         m,
         kind,
         group,
         groups,
         limit,
         beta,
-        square[m + 1, :groups],
-        square[m + 2 :],
         items[0],
+        square[2],
+        square[3],
+        square[4],
     )
     return value, True
 
@@ -234,15 +219,15 @@ def fit_several(
     start = first_influence(low, edges, n_edges)
     cells = n_edges - 1
     rows = 3 * c
-    tableau = np.empty((rows, n + c + rows))
+    tableau = np.empty((rows + 1, n + c + rows))
     work = np.empty((6, n + c + rows))
-    items = np.empty((4, n + c + rows), np.int64)
+    items = np.empty((4, n + 2 * c + rows), np.int64)
     g = np.empty((rows, n + c))
     group = np.zeros(rows, np.int64)
-    kind = np.empty(rows, np.int64)
-    beta = np.zeros(rows)
-    inner = np.zeros(c)
-    square = np.empty((2 * rows + 3, rows))
+    kind = np.empty(rows + c, np.int64)
+    beta = np.zeros(rows + c)
+    inner = np.zeros(2 * c)
+    square = np.empty((5, rows + c + 1, rows + c + 1))
 
     table = line_table(low, span, y, w, norm, tableau, work, items)
     tail = np.zeros(n + 1)
@@ -451,7 +436,7 @@ def fit_several(
                 moment += b * place
             # How much a mixture of signs matters: the change of base moment that it stands for.
             mixture = min(plus, minus) * (right - left)
-            mixture = max(mixture, (abs(total) - limit) * left)
+            mixture = max(mixture, (abs(total) - limit) * right)
             if signs[node, j] == 0 and mixture > max(mixed_by, 1e-9 * max(plus, minus) * left):
                 mixed_by = mixture
                 mixed = j
@@ -480,33 +465,41 @@ def fit_several(
                     hull = (hull + beta[offset[j] + 2] * a * b) * inverse[i]
                     spread[j] += weights[q] * abs(hull - force[j] * g[j, q])
         for attempt in range(2):
-            # The best forces at these arcs, if within the limit; else those of the relaxed fit.
-            if attempt == 0:
-                value, proven = signed_fit(
-                    g,
-                    data,
-                    weights,
-                    c,
-                    count,
-                    0,
-                    limit,
-                    group,
-                    0,
-                    norm,
-                    kind,
-                    inner,
-                    tableau,
-                    work,
-                    items,
-                    square,
-                )
-                within = True
+            # The best forces at these arcs; if they pass the limit, the best of these signs within.
+            extra = 0
+            if attempt == 1:
                 for j in range(c):
-                    within = within and abs(inner[j]) <= limit
-                if within:
-                    break
+                    kind[j] = 1 if force[j] >= 0.0 else -1
+                    group[j] = j
+                    for other in range(c):
+                        g[other, count + j] = kind[j] if other == j else 0.0
+                    data[count + j] = limit
+                extra = c
+            value, proven = signed_fit(
+                g,
+                data,
+                weights,
+                c,
+                count,
+                extra,
+                limit,
+                group,
+                extra,
+                norm,
+                kind,
+                inner,
+                tableau,
+                work,
+                items,
+                square,
+            )
+            within = True
             for j in range(c):
-                inner[j] = min(max(force[j], -limit), limit)
+                within = within and abs(inner[j]) <= limit
+            if within:
+                break
+        for j in range(c):
+            inner[j] = min(max(inner[j], -limit), limit)
         value = constant
         for q in range(count):
             r = data[q]

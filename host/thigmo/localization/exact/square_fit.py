@@ -1,8 +1,9 @@
-"""Least squares with signed coefficients: min over beta of |y - beta G|^2 for a handful of rows.
+"""Least squares with signed and limited coefficients, for a handful of them: a proven lower bound.
 
-Lawson and Hanson's active set method (Solving Least Squares Problems, 1974, ch. 23) on the normal
-equations, with free coefficients allowed: they are passive from the start. A coefficient that
-depends on the others to rounding stays 0.
+The data are first rotated into a triangle (orthogonal, so nothing is lost). Signs are settled by
+Lawson and Hanson's active set method (Solving Least Squares Problems, 1974, ch. 23), free
+coefficients being passive throughout; limits on sums of coefficients by the augmented Lagrangian,
+whose minimum is a lower bound for any multipliers and the optimum for the right ones.
 """
 
 from __future__ import annotations
@@ -15,244 +16,280 @@ from thigmo.localization.exact.compiled import compiled
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-DEPENDENT = 1e-13
+DEPENDENT = 1e-12  # a column this close to the span of those before it adds nothing
+STIFFNESS = 100.0  # of the springs on limits, relative to the largest coefficient's column
+
+
+@compiled
+def triangle(
+    g: Floats, y: Floats, w: Floats, m: int, n: int, q: Floats, a: Floats, t: Floats
+) -> None:
+    """Rotate weighted data: |t - beta a| = |w (y - beta g)| for every beta.
+
+    Args:
+        g: (>= m, >= n) one row per coefficient.
+        y: (>= n,) data.
+        w: (>= n,) weights.
+        m: coefficients.
+        n: data.
+        q: (>= m + 1, >= n) work.
+        a: (>= m, >= m + 1) written.
+        t: (>= m + 1,) written.
+    """
+    for r in range(m + 1):
+        before = 0.0
+        for k in range(n):
+            q[r, k] = w[k] * (g[r, k] if r < m else y[k])
+            before += q[r, k] * q[r, k]
+        for p in range(r):
+            dot = 0.0
+            for k in range(n):
+                dot += q[p, k] * q[r, k]
+            for k in range(n):
+                q[r, k] -= dot * q[p, k]
+            if r < m:
+                a[r, p] = dot
+            else:
+                t[p] = dot
+        after = 0.0
+        for k in range(n):
+            after += q[r, k] * q[r, k]
+        size = np.sqrt(after)
+        if r < m:
+            a[r, r] = size
+            for p in range(r + 1, m + 1):
+                a[r, p] = 0.0
+        else:
+            t[r] = size
+        scale = 1.0 / size if after > 0.0 else 0.0
+        if after <= DEPENDENT * DEPENDENT * before:
+            scale = 0.0
+            if r < m:
+                a[r, r] = 0.0
+        for k in range(n):
+            q[r, k] *= scale
 
 
 @compiled
 def solve_passive(
-    h: Floats, b: Floats, passive: Ints, m: int, factor: Floats, beta: Floats
-) -> None:
-    """Solve the normal equations over the passive coefficients; the others become 0."""
+    a: Floats,
+    t: Floats,
+    m: int,
+    rows: int,
+    passive: Ints,
+    beta: Floats,
+    q: Floats,
+    upper: Floats,
+    rest: Floats,
+) -> float:
+    """Least squares over the passive coefficients, the others 0; returns the squared residual."""
+    for k in range(rows):
+        rest[k] = t[k]
     for r in range(m):
         beta[r] = 0.0
-        factor[r, r] = 0.0
-        if passive[r] == 0:
+        upper[r, r] = 0.0
+        if passive[r] <= 0:
             continue
-        for k in range(r):
-            if factor[k, k] > 0.0:
-                value = h[r, k]
-                for i in range(k):
-                    if factor[i, i] > 0.0:
-                        value -= factor[r, i] * factor[k, i]
-                factor[r, k] = value / factor[k, k]
-        value = h[r, r]
-        for k in range(r):
-            if factor[k, k] > 0.0:
-                value -= factor[r, k] * factor[r, k]
-        if value > DEPENDENT * h[r, r]:
-            factor[r, r] = np.sqrt(value)
-            value = b[r]
-            for k in range(r):
-                if factor[k, k] > 0.0:
-                    value -= factor[r, k] * beta[k]
-            beta[r] = value / factor[r, r]
+        before = 0.0
+        for k in range(rows):
+            q[r, k] = a[r, k]
+            before += a[r, k] * a[r, k]
+        for p in range(r):
+            if upper[p, p] > 0.0:
+                dot = 0.0
+                for k in range(rows):
+                    dot += q[p, k] * q[r, k]
+                for k in range(rows):
+                    q[r, k] -= dot * q[p, k]
+                upper[p, r] = dot
+        after = 0.0
+        for k in range(rows):
+            after += q[r, k] * q[r, k]
+        if after > DEPENDENT * DEPENDENT * before:
+            size = np.sqrt(after)
+            upper[r, r] = size
+            dot = 0.0
+            for k in range(rows):
+                q[r, k] /= size
+                dot += q[r, k] * rest[k]
+            for k in range(rows):
+                rest[k] -= dot * q[r, k]
+            beta[r] = dot
     for r in range(m - 1, -1, -1):
-        if factor[r, r] > 0.0:
+        if upper[r, r] > 0.0:
             value = beta[r]
-            for k in range(r + 1, m):
-                if factor[k, k] > 0.0:
-                    value -= factor[k, r] * beta[k]
-            beta[r] = value / factor[r, r]
+            for p in range(r + 1, m):
+                if upper[p, p] > 0.0:
+                    value -= upper[r, p] * beta[p]
+            beta[r] = value / upper[r, r]
+    value = 0.0
+    for k in range(rows):
+        value += rest[k] * rest[k]
+    return value
+
+
+@compiled
+def signed_square_fit(
+    a: Floats,
+    t: Floats,
+    m: int,
+    rows: int,
+    kind: Ints,
+    passive: Ints,
+    beta: Floats,
+    q: Floats,
+    upper: Floats,
+    small: Floats,
+) -> float:
+    """Least |t - beta a|^2 with beta >= 0 where kind is 1, <= 0 where -1, free where 0.
+
+    Args:
+        a: (>= m, >= rows) one row per coefficient.
+        t: (>= rows,).
+        m: coefficients.
+        rows: data.
+        kind: (>= m,).
+        passive: (>= m,) work.
+        beta: (>= m,) written.
+        q: (>= m, >= rows) work.
+        upper: (>= m, >= m) work.
+        small: (2, >= rows) work.
+    """
+    rest = small[0]
+    last = small[1]
+    total = 0.0
+    for k in range(rows):
+        total += t[k] * t[k]
+    for r in range(m):
+        passive[r] = 1
+        last[r] = 0.0
+    value = total
+    enter = -1
+    phase = 0  # 0: all passive at once, right whenever the signs come out so; then one by one
+    for _ in range(20 * m):
+        value = solve_passive(a, t, m, rows, passive, beta, q, upper, rest)
+        wrong = -1
+        step = 1.0
+        for r in range(m):
+            if kind[r] * beta[r] < 0.0:
+                share = last[r] / (last[r] - beta[r]) if last[r] != beta[r] else 0.0
+                if wrong < 0 or share < step:
+                    step = share
+                    wrong = r
+        if phase == 0 and wrong >= 0:
+            phase = 1
+            for r in range(m):
+                passive[r] = 1 if kind[r] == 0 else 0
+            continue
+        if wrong >= 0 and wrong == enter and last[wrong] == 0.0:
+            passive[wrong] = -1  # its slope was rounding: not again before the point has moved
+            enter = -1
+            continue
+        if wrong >= 0:
+            for r in range(m):
+                last[r] += step * (beta[r] - last[r])
+            passive[wrong] = 0
+            last[wrong] = 0.0
+            continue
+        if phase == 0:
+            return value
+        if enter >= 0:
+            for r in range(m):
+                passive[r] = max(passive[r], 0)
+        enter = -1
+        steepest = 1e-14 * np.sqrt(total)
+        for r in range(m):
+            last[r] = beta[r]
+            if passive[r] == 0:
+                slope = 0.0
+                size = 0.0
+                for k in range(rows):
+                    slope += a[r, k] * rest[k]
+                    size += a[r, k] * a[r, k]
+                if size > 0.0 and kind[r] * slope > steepest * np.sqrt(size):
+                    steepest = kind[r] * slope / np.sqrt(size)
+                    enter = r
+        if enter < 0:
+            return value
+        passive[enter] = 1
+    return 0.0
 
 
 @compiled
 def square_fit(
-    h: Floats,
-    b: Floats,
-    total: float,
-    m: int,
-    kind: Ints,
-    beta: Floats,
-    work: Floats,
-    passive: Ints,
-) -> float:
-    """Fit from the normal equations; returns the least |y - beta G|^2.
-
-    Args:
-        h: (>= m, >= m) G G^T.
-        b: (>= m,) G y.
-        total: y y.
-        m: coefficients.
-        kind: (>= m,) 0 free, 1 beta >= 0, -1 beta <= 0.
-        beta: (>= m,) written.
-        work: (>= m + 1, >= m) work.
-        passive: (>= m,) work.
-    """
-    factor = work[:m]
-    last = work[m]
-    # All passive first: right whenever the signs come out so.
-    for r in range(m):
-        passive[r] = 1
-    solve_passive(h, b, passive, m, factor, beta)
-    right = True
-    for r in range(m):
-        right = right and kind[r] * beta[r] >= 0.0
-    if not right:
-        for r in range(m):
-            passive[r] = 1 if kind[r] == 0 else 0
-        solve_passive(h, b, passive, m, factor, beta)
-        for _ in range(6 * m):
-            enter = -1
-            steepest = 0.0
-            for r in range(m):
-                if passive[r] == 0 and h[r, r] > 0.0:
-                    slope = b[r]
-                    for k in range(m):
-                        slope -= h[r, k] * beta[k]
-                    slope *= kind[r] / np.sqrt(h[r, r])
-                    if slope > steepest:
-                        steepest = slope
-                        enter = r
-            if enter < 0 or steepest <= 1e-14 * np.sqrt(total):
-                break
-            passive[enter] = 1
-            for r in range(m):
-                last[r] = beta[r]
-            while True:
-                solve_passive(h, b, passive, m, factor, beta)
-                step = 1.0
-                leave = -1
-                for r in range(m):
-                    if passive[r] == 1 and kind[r] * beta[r] < 0.0:
-                        share = last[r] / (last[r] - beta[r]) if last[r] != beta[r] else 0.0
-                        if share < step or leave < 0:
-                            step = share
-                            leave = r
-                if leave < 0:
-                    break
-                for r in range(m):
-                    last[r] += step * (beta[r] - last[r])
-                passive[leave] = 0
-                last[leave] = 0.0
-    value = total
-    for r in range(m):
-        value -= b[r] * beta[r]
-    return value
-
-
-@compiled
-def charged_fit(
-    h: Floats,
-    b: Floats,
-    total: float,
-    m: int,
-    kind: Ints,
-    group: Ints,
-    multiplier: Floats,
-    limit: float,
-    beta: Floats,
-    work: Floats,
-    passive: Ints,
-) -> float:
-    """Least |y - beta G|^2 + 2 sum over groups of multiplier (sum |beta| - limit)."""
-    for r in range(m):
-        b[r] -= kind[r] * multiplier[group[r]]
-    value = square_fit(h, b, total, m, kind, beta, work, passive)
-    for r in range(m):
-        b[r] += kind[r] * multiplier[group[r]]
-    for k in range(multiplier.shape[0]):
-        value -= 2.0 * multiplier[k] * limit
-    return value
-
-
-@compiled
-def square_fit_limited(
-    h: Floats,
-    b: Floats,
-    total: float,
+    a: Floats,
+    t: Floats,
     m: int,
     kind: Ints,
     group: Ints,
     groups: int,
     limit: float,
     beta: Floats,
-    multiplier: Floats,
-    work: Floats,
     passive: Ints,
+    q: Floats,
+    upper: Floats,
+    small: Floats,
 ) -> float:
-    """`square_fit` with the sum of each group's |beta| at most `limit`: a proven lower bound.
-
-    Coefficients of a group must have one sign; the others (kind 0) are not limited. The value is
-    the Lagrangian's minimum: a lower bound for any multipliers, the optimum for the right ones,
-    which are found one group at a time (the sum falls as its multiplier rises).
+    """`signed_square_fit` with the sum of each group's |beta| at most `limit`: a lower bound.
 
     Args:
-        h: as `square_fit`.
-        b: as `square_fit`.
-        total: as `square_fit`.
+        a: (>= m + groups, >= m + 1 + groups) from `triangle`; the rest is used for limits.
+        t: (>= m + 1 + groups,) likewise.
         m: coefficients.
-        kind: as `square_fit`.
+        kind: (>= m + groups,); the coefficients of a group have one sign, or kind 0 and no limit.
         group: (>= m,) group of each coefficient.
         groups: how many.
         limit: > 0.
-        beta: (>= m,) written.
-        multiplier: (>= groups,) work.
-        work: as `square_fit`.
-        passive: as `square_fit`.
+        beta: (>= m + groups,) written.
+        passive: (>= m + groups,) work.
+        q: (>= m + groups, >= m + 1 + groups) work.
+        upper: (>= m + groups, >= m + groups) work.
+        small: (3, >= m + 1 + groups) work.
     """
-    best = square_fit(h, b, total, m, kind, beta, work, passive)
-    for k in range(multiplier.shape[0]):
-        multiplier[k] = 0.0
-    for sweep in range(3):
-        moved = False
+    multiplier = small[2]
+    best = 0.0
+    stiff = 0.0
+    root = 0.0
+    count = m
+    rows = m + 1
+    for _ in range(12):
+        value = signed_square_fit(a, t, count, rows, kind, passive, beta, q, upper, small)
+        settled = True
         for k in range(groups):
             over = -limit
-            size = 0.0
             for r in range(m):
                 if group[r] == k:
                     over += kind[r] * beta[r]
-                    size = max(size, h[r, r])
-            if abs(over) <= 1e-9 * limit or (over < 0.0 and multiplier[k] == 0.0):
-                continue
-            moved = True
-            low = 0.0
-            high = np.inf
-            at_low = 0.0
-            at_high = 0.0
-            if over > 0.0:
-                low = multiplier[k]
-                at_low = over
-                step = max(low, 1e-6 * size * limit)
+            if count == m:
+                settled = settled and over <= 1e-12 * limit
             else:
-                high = multiplier[k]
-                at_high = over
-                step = 0.0
-            last = 0
-            for _ in range(60):
-                if high == np.inf:
-                    trial = low + step
-                    step *= 8.0
-                elif at_low == 0.0:
-                    trial = low
-                else:
-                    trial = low + (high - low) * at_low / (at_low - at_high)
-                multiplier[k] = trial
-                value = charged_fit(
-                    h, b, total, m, kind, group, multiplier, limit, beta, work, passive
-                )
-                best = max(best, value)
-                over = -limit
-                for r in range(m):
-                    if group[r] == k:
-                        over += kind[r] * beta[r]
-                if abs(over) <= 1e-9 * limit:
-                    break
-                if over > 0.0:
-                    low = trial
-                    at_low = over
-                    if last > 0:
-                        at_high *= 0.5
-                    last = 1
-                else:
-                    if trial == 0.0:
-                        break
-                    high = trial
-                    at_high = over
-                    if last < 0:
-                        at_low *= 0.5
-                    last = -1
-                if high - low <= 1e-12 * high:
-                    break
-        if not moved:
+                value -= multiplier[k] * multiplier[k] / stiff
+                over += beta[m + k]
+                multiplier[k] = max(multiplier[k] + stiff * over, 0.0)
+                settled = settled and abs(over) <= 1e-11 * limit
+        best = max(best, value)
+        if settled:
             break
+        if count == m:
+            # Each limit becomes a spring on sum |beta| + slack - limit.
+            size = 0.0
+            for r in range(m):
+                value = 0.0
+                for k in range(m + 1):
+                    value += a[r, k] * a[r, k]
+                size = max(size, value)
+            stiff = STIFFNESS * size
+            root = np.sqrt(stiff)
+            count = m + groups
+            rows = m + 1 + groups
+            for k in range(groups):
+                multiplier[k] = 0.0
+                kind[m + k] = 1
+                for c in range(rows):
+                    a[m + k, c] = 0.0
+                a[m + k, m + 1 + k] = root
+                for r in range(m):
+                    a[r, m + 1 + k] = root * kind[r] if group[r] == k else 0.0
+        for k in range(groups):
+            t[m + 1 + k] = root * limit - multiplier[k] / root
     return best
