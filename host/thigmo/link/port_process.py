@@ -185,8 +185,11 @@ class PortProcess:
 
 def describe(error: Exception) -> bytes:
     """An error as FAILED carries it: its errno (0 = none), a space, its text."""
-    number = getattr(error, "errno", None) or 0
-    return f"{number} {error}".encode()
+    number = getattr(error, "errno", None)
+    cause = error.__context__  # termios.error has no errno, but pyserial's words around it
+    if number is None and cause is not None and cause.args and isinstance(cause.args[0], int):
+        number = cause.args[0]
+    return f"{number or 0} {error}".encode()
 
 
 def main() -> int:

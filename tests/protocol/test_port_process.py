@@ -1,0 +1,367 @@
+"""The process that holds the port, in real time over a pseudo-terminal.
+
+The heart must outlive a busy main thread, even one that holds the interpreter lock, and must not
+outlive the host.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from pty_device import PtyDevice
+from reference_device import ReferenceDevice
+
+from thigmo.errors import LinkError, NotARobotError, PortError
+from thigmo.link import client as client_module
+from thigmo.link import port_process
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.heart import PERIOD_S
+from thigmo.link.pipe import Kind, read_packet
+from thigmo.link.serial_port import SerialTransport, port_error
+from thigmo.link.transport import open_transport
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+LIMIT_S = 0.5  # the board's default limit of host silence
+SETTLE = wire.PARAMETERS["settle_ms"].index
+
+
+@pytest.fixture
+def board() -> Iterator[PtyDevice]:
+    with PtyDevice(ReferenceDevice()) as board:
+        yield board
+
+
+@pytest.fixture
+def client(board: PtyDevice) -> Iterator[Client]:
+    with Client(open_transport(board.port)) as client:
+        client.wait_for(lambda: len(board.beats) >= 2, 2.0)
+        yield client
+
+
+def gaps(board: PtyDevice, since: float) -> list[float]:
+    times = [since] + [t for t in board.beats if t > since] + [time.monotonic()]
+    return [b - a for a, b in pairwise(times)]
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs (an orphan that ended but was not collected does not)."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def wait_until(predicate: Callable[[], bool], timeout_s: float) -> bool:
+    """Wait in real time, on a condition."""
+    never = threading.Event()
+    until = time.monotonic() + timeout_s
+    while not predicate():
+        if time.monotonic() > until:
+            return False
+        never.wait(0.01)
+    return True
+
+
+# A conversation.
+
+
+def test_a_conversation_over_a_port(client: Client, board: PtyDevice) -> None:
+    assert client.request(wire.SetParameter(SETTLE, 77)).value == 77
+    assert client.wait_for(lambda: client.stats.telemetry >= 100, 2.0)
+    assert client.stats.telemetry_lost == 0
+    assert client.stats.bad_frames == 0
+    assert client.clock.synchronised
+    with board.lock:
+        now_us = board.device._t_us
+    assert client.clock.to_host(now_us) == pytest.approx(client.now(), abs=0.1)
+
+
+def test_a_busy_main_thread_starves_no_heart(client: Client, board: PtyDevice) -> None:
+    began = time.monotonic()
+    while time.monotonic() - began < 1.5:
+        sum(range(1000))
+    assert max(gaps(board, began)) < LIMIT_S
+    stats = client.stats
+    client.wait_for(lambda: stats.telemetry >= 300, 2.0)
+    assert stats.telemetry_lost == 0  # what came meanwhile was kept
+    assert stats.timeouts == 0
+
+
+def test_the_lease_ends_the_heart_of_a_host_that_hangs(
+    board: PtyDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a lease of 0.6 s instead of 30; a touch starts the heart again."""
+    source = "import thigmo.link.port_process as p; p.LEASE_S = 0.6; p.main()"
+    real = subprocess.Popen
+
+    def popen(command, **options):
+        assert command[1:3] == ["-m", "thigmo.link.port_process"]
+        return real([command[0], "-c", source, *command[3:]], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    with Client(open_transport(board.port)) as client:
+        client.wait_for(lambda: len(board.beats) >= 12, 3.0)
+        assert board.silent_for() < LIMIT_S  # reading renews it
+        assert wait_until(lambda: board.silent_for() > 3 * PERIOD_S + 0.3, 3.0)
+        client.wait_for(lambda: board.silent_for() < 0.2, 2.0)
+        assert board.silent_for() < 0.2
+    assert port_process.LEASE_S == 30.0
+
+
+def test_a_muted_board_hears_no_beats_until_it_speaks(client: Client, board: PtyDevice) -> None:
+    """It may be in its boot loader."""
+    with board.lock:
+        board.device.silent = True
+        board.device.read()
+    received: list[bytes] = []
+    with board.lock:
+        board.device.write = received.append
+    client.wait_for(lambda: False, 1.5)
+    assert len(received) <= 6
+    with board.lock:
+        del board.device.write
+        board.device.silent = False
+    count = len(board.beats)
+    assert client.wait_for(lambda: len(board.beats) > count, 1.0)
+
+
+HOST = """
+import sys
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
+client = Client(open_transport(sys.argv[1]))
+print(client.transport.pid, flush=True)
+client.wait_for(lambda: False, 60.0)
+"""
+
+
+@pytest.fixture
+def host(board: PtyDevice) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    process = subprocess.Popen([sys.executable, "-c", HOST, board.port], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    pid = int(process.stdout.readline())
+    assert wait_until(lambda: len(board.beats) > 3, 5.0)
+    yield process, pid
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+STALLED = """
+import ctypes, sys
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
+client = Client(open_transport(sys.argv[1]))
+client.wait_for(lambda: False, 0.3)
+ctypes.PyDLL(None).usleep(5_000_000)
+value = client.request(wire.SetParameter(int(sys.argv[2]), 5)).value
+client.wait_for(lambda: False, 0.5)
+print(value, client.stats.timeouts, client.stats.telemetry_lost, client.transport.dropped_bytes)
+"""
+
+
+def test_five_seconds_of_a_thread_that_holds_the_interpreter_starve_no_heart(
+    board: PtyDevice,
+) -> None:
+    """PyDLL keeps the interpreter's lock, as a long compilation does."""
+    command = [sys.executable, "-c", STALLED, board.port, str(SETTLE)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=30)
+    assert done.stdout.split() == [b"5", b"0", b"0", b"0"]
+    assert board.beats[-1] - board.beats[0] > 5.5
+    assert max(b - a for a, b in pairwise(board.beats)) < LIMIT_S
+
+
+def test_a_killed_host_takes_the_heart_with_it(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
+) -> None:
+    process, pid = host
+    process.send_signal(signal.SIGKILL)
+    killed = time.monotonic()
+    process.wait()
+    assert wait_until(lambda: not alive(pid), 3.0), "the port's process outlived its host"
+    assert board.beats[-1] - killed < 0.4
+    with Client(open_transport(board.port)):
+        pass  # and the port is free again
+
+
+def test_a_stopped_host_keeps_the_heart(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
+) -> None:
+    process, _ = host
+    process.send_signal(signal.SIGSTOP)
+    stopped = time.monotonic()
+    assert not wait_until(lambda: board.silent_for() > LIMIT_S, 1.5)
+    assert max(gaps(board, stopped)) < LIMIT_S
+    process.send_signal(signal.SIGCONT)
+
+
+def test_control_c_reaches_the_host_and_not_the_port(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
+) -> None:
+    _, pid = host
+    os.kill(pid, signal.SIGINT)
+    assert not wait_until(lambda: not alive(pid), 0.5)
+    assert board.silent_for() < LIMIT_S
+
+
+def test_closing_ends_the_process(board: PtyDevice) -> None:
+    transport = open_transport(board.port)
+    assert isinstance(transport, SerialTransport)
+    transport.close()
+    transport.close()
+    assert not alive(transport.pid)
+    with pytest.raises(LinkError):
+        transport.write(b"x")
+
+
+# Ports that fail.
+
+
+def test_a_port_that_is_not_there() -> None:
+    with pytest.raises(PortError, match=r"there is no port /dev/ttyNONE; (give one of|plug)"):
+        open_transport("/dev/ttyNONE")
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    with pytest.raises(PortError, match="file is no serial port; "):
+        open_transport(str(path))
+
+
+def test_a_port_in_use(board: PtyDevice, client: Client) -> None:
+    with pytest.raises(PortError, match="is in use; close the other program"):
+        open_transport(board.port)
+
+
+def test_an_unknown_scheme() -> None:
+    with pytest.raises(PortError, match="is no address that can be opened"):
+        open_transport("carrier-pigeon://roof")
+
+
+def test_a_server_that_does_not_listen() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"socket://127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(PortError, match="check that its server is running"):
+        open_transport(address)
+
+
+def test_a_baud_rate_that_is_none() -> None:
+    with pytest.raises(PortError, match="fast is no baud rate"):
+        open_transport("/dev/ttyNONE?baud=fast")
+
+
+@pytest.mark.parametrize(
+    ("number", "text", "what"),
+    [
+        (13, "Permission denied", "no permission to open X; add yourself to the group"),
+        (16, "Device or resource busy", "X is in use"),
+        (11, "Could not exclusively lock port X", "X is in use"),
+        (2, "No such file", "there is no port X"),
+        (25, "Inappropriate ioctl", "X is no serial port"),
+        (0, "weird", "cannot open X: weird"),
+    ],
+)
+def test_each_failure_has_its_words(number: int, text: str, what: str) -> None:
+    assert str(port_error("X", number, text)).startswith(what)
+
+
+def test_a_cable_pulled_in_mid_conversation(client: Client, board: PtyDevice) -> None:
+    board.unplug()
+    with pytest.raises(LinkError, match=r"was lost: .*; check the cable"):
+        client.wait_for(lambda: False, 3.0)
+    with pytest.raises(LinkError):
+        client.request(wire.GetStatus())
+
+
+def test_a_port_process_that_dies_is_told(client: Client) -> None:
+    transport = client.transport
+    assert isinstance(transport, SerialTransport)
+    os.kill(transport.pid, signal.SIGKILL)
+    with pytest.raises(LinkError, match=r"the process that holds .* (died|is gone)"):
+        client.wait_for(lambda: False, 3.0)
+
+
+class Babble(ReferenceDevice):
+    def read(self) -> bytes:
+        return os.urandom(64)
+
+    def write(self, data: bytes) -> None:
+        pass
+
+
+def test_a_port_that_is_not_a_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_module, "BOOT_LOADER_S", 0.2)
+    monkeypatch.setattr(client_module, "SILENCE_S", 0.2)
+    monkeypatch.setattr(wire.Hello, "DEADLINE_S", 0.5)
+    with (
+        PtyDevice(Babble()) as board,
+        pytest.raises(NotARobotError, match="bytes that are no robot's"),
+        Client(open_transport(board.port)),
+    ):
+        pass
+
+
+def test_over_a_socket() -> None:
+    """socket:// of pyserial, as a serial server offers it."""
+    device = ReferenceDevice()
+    stop = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            peer, _ = server.accept()
+            peer.settimeout(0.005)
+            began = time.monotonic()
+            with peer:
+                while not stop.is_set():
+                    with suppress(TimeoutError):
+                        device.write(peer.recv(4096))
+                    device.step(int((time.monotonic() - began) * 1000) - device.now_us // 1000)
+                    with suppress(OSError):  # the host may have closed
+                        peer.sendall(device.read())
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        with Client(open_transport(f"socket://127.0.0.1:{server.getsockname()[1]}")) as client:
+            assert client.request(wire.SetParameter(SETTLE, 9)).value == 9
+            assert client.wait_for(lambda: client.stats.telemetry >= 50, 3.0)
+            assert client.stats.telemetry_lost == 0
+        stop.set()
+        thread.join()
+
+
+# The backlog for a host that does not read.
+
+
+def test_a_host_that_does_not_read_loses_the_oldest_bytes_and_is_told() -> None:
+    reader, writer = os.pipe()
+    with os.fdopen(reader, "rb") as source, os.fdopen(writer, "wb") as sink:
+        outbox = port_process.Outbox(sink, backlog_bytes=100_000)
+        for number in range(1000):
+            outbox.put(Kind.DATA, number.to_bytes(4, "little") * 256, float(number))
+        packets = []
+        while not packets or packets[-1].t_s < 999.0 or packets[-1].kind is not Kind.DATA:
+            packet = read_packet(source)
+            assert packet is not None
+            packets.append(packet)
+        outbox.close(1.0)
+    dropped = sum(int(p.data) for p in packets if p.kind is Kind.DROPPED)
+    kept = [p.t_s for p in packets if p.kind is Kind.DATA]
+    assert dropped + 1024 * len(kept) == 1024 * 1000
+    assert dropped > 700_000
+    assert kept == sorted(kept)
