@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.experiments import conditions, figures, thesis
+from thigmo.bench.study import Claim, Outcome, Table, write
+from thigmo.experiments import conditions, figures, sensitivity, thesis
 from thigmo.experiments.compare import Row, baseline, row
+from thigmo.experiments.fit import frozen
 from thigmo.experiments.specimen import Constants, Specimen, Trial
 
 if TYPE_CHECKING:
@@ -24,11 +27,13 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class Results:
-    """What an experiment gave: rows of the table, its trials, its figures by name."""
+    """What an experiment gave: rows of the comparison, trials, figures by name, claims, tables."""
 
     rows: list[Row]
     trials: list[Trial]
     figures: dict[str, Figure] = field(default_factory=dict)
+    claims: list[Claim] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
 
 
 def collect(
@@ -93,8 +98,49 @@ def actuated(constants: Constants, robots: int, trials: int, seed: int) -> Resul
     return Results(rows, found, figures.actuated(found))
 
 
+def sensitivity_study(constants: Constants, robots: int, trials: int, seed: int) -> Results:
+    """Noise x sensors x norm; `constants` are not used, the noise is the study's own."""
+    found = sensitivity.cells(robots * trials, seed)
+    table = Table("cells", tuple(vars(found[0])), [tuple(vars(cell).values()) for cell in found])
+    return Results(
+        [], [], {"sensitivity": sensitivity.figure(found)}, sensitivity.claims(found), [table]
+    )
+
+
 EXPERIMENTS: dict[str, Callable[[Constants, int, int, int], Results]] = {
     "single-contact": single_contact,
     "two-contacts": two_contacts,
     "actuated": actuated,
+    "sensitivity": sensitivity_study,
 }
+
+
+def run(name: str, out: Path, *, robots: int, trials: int, seed: int) -> Results:
+    """Run an experiment with the frozen constants and write its tables and figures.
+
+    Args:
+        name: a key of EXPERIMENTS.
+        out: folder, made if missing.
+        robots: robots to build; each has its own gains and sensor places.
+        trials: trials a condition and robot.
+        seed: every random number comes from it.
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+    """
+    results = EXPERIMENTS[name](frozen(), robots, trials, seed)
+    if results.rows:
+        columns = (*vars(results.rows[0]), "allowed", "beaten")
+        lines = [(*vars(r).values(), r.allowed, r.beaten) for r in results.rows]
+        results.tables.append(Table("rows", columns, lines))
+    for r in results.rows:
+        results.claims.append(
+            Claim(
+                f"{r.experiment}, {r.condition}: workspace x error",
+                r.ours_workspace_mean,
+                r.allowed,
+                unit="cm",
+            )
+        )
+    write(Outcome(results.tables, results.figures, results.claims), name, out)
+    return results
