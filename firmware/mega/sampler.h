@@ -40,7 +40,8 @@ class Sampler {
     ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
     ADCSRB = kByTimer;
     tick_ = 0xFFFFFFFF;
-    step_ = 0;
+    step_ = kIdle;
+    odd_ = true;  // tick 0 is even
     TCCR1A = 0;
     TCCR1B = _BV(WGM12);
     TCNT1 = kTrigger - 192;
@@ -98,56 +99,61 @@ class Sampler {
   static inline void on_tick() {
     Restart::on_tick();
     tick_ = tick_ + 1;
-    if (step_ != 1) {  // the chain was broken: start over at the next tick
+    if (step_ != kFirst) {  // the chain was broken: start over before the next tick
       ADMUX = kReference | kBandgap;
       ADCSRB = kByTimer;
       TIFR1 = _BV(OCF1B);
       OCR1C = kChain;
-      step_ = 0;
+      step_ = kIdle;
+      odd_ = (static_cast<uint8_t>(tick_) & 1) != 0;
     }
   }
 
   static inline void on_slot() {
-    const uint8_t step = step_;
     const uint16_t result = ADC;
-    if (step == 0) {  // in the bandgap's conversion: slot 0 follows it at once
+    // No conversion ended: do not invent a reading.
+    if ((ADCSRA & _BV(ADIF)) == 0) whole_ = false;
+    ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
+    const uint8_t step = step_;
+    if (step < kLast) {  // in slot 0..6, the most frequent case
+      const Input* next = next_;
+      ADMUX = pgm_read_byte(&next->mux);
+      ADCSRB = pgm_read_byte(&next->control);
+      next_ = next + 1;
+      OCR1C += kConversion;
+      if (step != kFirst) {
+        *fill_++ = result;
+      } else {
+        take_bandgap(result);
+      }
+      step_ = step + 1;
+    } else if (step == kLast) {  // in slot 7: nothing follows until compare B
+      ADMUX = kReference | kBandgap;
+      ADCSRB = kByTimer;
+      OCR1C = kEnd;
+      *fill_++ = result;
+      step_ = kDone;
+    } else if (step == kDone) {
+      *fill_ = result;
+      OCR1C = kChain;
+      step_ = kIdle;
+      // When the core is late, the newest frame is dropped.
+      const uint8_t in = frame_in_;
+      if (whole_ && static_cast<uint8_t>(in - frame_out_) < kAdcFrames) {
+        frames_[in % kRoom].tick = tick_;
+        frame_in_ = in + 1;
+      }
+    } else {  // in the bandgap's conversion: slot 0 follows it at once
       ADMUX = kReference | (kPressureChannel & 7);
       ADCSRB = _BV(MUX5);
       TIFR1 = _BV(OCF1B);
       OCR1C = kMiddle;
-      ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
       whole_ = true;
-      step_ = 1;
-      return;
+      fill_ = frames_[frame_in_ % kRoom].count;
+      odd_ = !odd_;
+      next_ = odd_ ? kInputs.odd : kInputs.even;
+      step_ = kFirst;
     }
-    if ((ADCSRA & _BV(ADIF)) == 0) whole_ = false;  // no conversion ended: do not invent a reading
-    ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
-    AdcFrame& frame = frames_[frame_in_ % kRoom];
-    if (step <= kAdcSlots) {
-      if (step < kAdcSlots) {
-        const uint8_t slot = step + ((static_cast<uint8_t>(tick_) & 1) != 0 ? kAdcSlots : 0);
-        ADMUX = pgm_read_byte(&kInputs.mux[slot]);
-        ADCSRB = pgm_read_byte(&kInputs.control[slot]);
-        OCR1C += kConversion;
-      } else {
-        ADMUX = kReference | kBandgap;
-        ADCSRB = kByTimer;  // nothing follows until compare B
-        OCR1C = kEnd;
-      }
-      if (step == 1)
-        take_bandgap(result);
-      else
-        frame.count[step - 2] = result;
-      step_ = step + 1;
-      return;
-    }
-    frame.count[kAdcSlots - 1] = result;
-    frame.tick = tick_;
-    // When the core is late, the newest frame is dropped.
-    if (whole_ && static_cast<uint8_t>(frame_in_ - frame_out_) < kAdcFrames)
-      frame_in_ = frame_in_ + 1;
-    OCR1C = kChain;
-    step_ = 0;
   }
 
  private:
@@ -171,19 +177,24 @@ class Sampler {
     }
   }
 
-  // ADMUX and ADCSRB of each slot, of even then odd ticks.
-  struct Inputs {
-    uint8_t mux[2 * kAdcSlots];
-    uint8_t control[2 * kAdcSlots];
+  // Registers that choose the inputs of slots 1..7, on even and on odd ticks.
+  struct Input {
+    uint8_t mux;      // ADMUX
+    uint8_t control;  // ADCSRB; free running
   };
+  struct Inputs {
+    Input even[kAdcSlots - 1];
+    Input odd[kAdcSlots - 1];
+  };
+  static constexpr Input input(uint8_t channel) {
+    return {static_cast<uint8_t>(kReference | (channel & 7)),
+            static_cast<uint8_t>(channel >= 8 ? _BV(MUX5) : 0)};
+  }
   static constexpr Inputs inputs() {
     Inputs table{};
-    for (uint8_t odd = 0; odd < 2; ++odd) {
-      for (uint8_t slot = 0; slot < kAdcSlots; ++slot) {
-        const uint8_t channel = adc_channel(odd != 0, slot);
-        table.mux[odd * kAdcSlots + slot] = kReference | (channel & 7);
-        table.control[odd * kAdcSlots + slot] = channel >= 8 ? _BV(MUX5) : 0;
-      }
+    for (uint8_t slot = 1; slot < kAdcSlots; ++slot) {
+      table.even[slot - 1] = input(adc_channel(false, slot));
+      table.odd[slot - 1] = input(adc_channel(true, slot));
     }
     return table;
   }
@@ -191,8 +202,16 @@ class Sampler {
 
   static constexpr uint8_t kRoom = 8;  // kAdcFrames waiting and one being filled; a power of two
   static volatile uint32_t tick_;
-  static volatile uint8_t step_;  // of the chain: 0 start, 1..8 in slot 0..7, 9 end
-  static bool whole_;             // every conversion of the running frame has ended
+  // Where in the chain the next compare C falls.
+  static constexpr uint8_t kFirst = 0;  // in slot 0
+  static constexpr uint8_t kLast = kFirst + kAdcSlots - 1;
+  static constexpr uint8_t kDone = kLast + 1;  // after slot 7
+  static constexpr uint8_t kIdle = kDone + 1;  // in the bandgap's conversion
+  static volatile uint8_t step_;
+  static bool odd_;           // the tick whose frame is being filled
+  static bool whole_;         // every conversion of the running frame has ended
+  static uint16_t* fill_;     // place of the next count
+  static const Input* next_;  // in flash
   static AdcFrame frames_[kRoom];
   static volatile uint8_t frame_in_, frame_out_;
   static volatile uint16_t bandgap_, bandgap_sum_;
@@ -203,7 +222,9 @@ class Sampler {
 const Sampler::Inputs Sampler::kInputs PROGMEM = Sampler::inputs();
 volatile uint32_t Sampler::tick_;
 volatile uint8_t Sampler::step_;
-bool Sampler::whole_;
+bool Sampler::odd_, Sampler::whole_;
+uint16_t* Sampler::fill_;
+const Sampler::Input* Sampler::next_;
 AdcFrame Sampler::frames_[kRoom];
 volatile uint8_t Sampler::frame_in_, Sampler::frame_out_;
 volatile uint16_t Sampler::bandgap_, Sampler::bandgap_sum_;
