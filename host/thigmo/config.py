@@ -17,7 +17,7 @@ import shutil
 import tomllib
 from math import tanh
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -236,13 +236,29 @@ def load_toml(model: type[M], path: str | os.PathLike[str]) -> M:
     Raises:
         ConfigError: the file is missing, malformed or invalid.
     """
+    return validated(model, read_toml(path), path)
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        ConfigError: the file is missing or malformed.
+    """
     try:
-        text = Path(path).read_bytes().decode()
-        data = tomllib.loads(text)
+        return tomllib.loads(Path(path).read_bytes().decode())
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}", "mend that line") from error
+
+
+def validated(model: type[M], data: dict[str, Any], path: str | os.PathLike[str]) -> M:
+    """Make a model of data that came from a file.
+
+    Raises:
+        ConfigError: an entry is invalid; it is named, and so is the file.
+    """
     try:
         return model.model_validate(data)
     except ValidationError as error:

@@ -24,32 +24,32 @@ MOTOR_FULL = 800
 class Board(Protocol):
     """A controller board in lockstep with the emulated robot."""
 
-    def step(self, ticks: int) -> None:
+    def step(self, ticks: int, /) -> None:
         """Run for so many ticks of 1 ms."""
 
     @property
     def now_us(self) -> int:
         """Time since the start (64 bits, us)."""
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, /) -> None:
         """Bytes to the board's UART; they arrive at its baud rate."""
 
     def read(self) -> bytes:
         """Bytes that the board has sent so far."""
 
-    def set_analog(self, counts: Floats) -> None:
+    def set_analog(self, counts: Floats, /) -> None:
         """Ideal ADC counts in [0, 1024), shape (16, 2): at the next step's start and end."""
 
-    def set_adc_noise(self, sigma: Floats) -> None:
+    def set_adc_noise(self, sigma: Floats, /) -> None:
         """White noise of a conversion in counts, one sigma, shape (16,)."""
 
-    def set_encoder(self, start: float, end: float) -> None:
+    def set_encoder(self, start: float, end: float, /) -> None:
         """Encoder position (x4 counts) at the next step's start and end."""
 
-    def set_supply_mv(self, millivolt: int) -> None:
+    def set_supply_mv(self, millivolt: int, /) -> None:
         """Supply voltage."""
 
-    def set_estop(self, pressed: bool) -> None:
+    def set_estop(self, pressed: bool, /) -> None:
         """Emergency stop input."""
 
     @property
@@ -72,10 +72,10 @@ class Board(Protocol):
     def eeprom(self) -> bytes:
         """The configuration store's content."""
 
-    def cut_power_after(self, n_bytes: int) -> None:
+    def cut_power_after(self, n_bytes: int, /) -> None:
         """Lose power once so many more bytes have been written to the store."""
 
-    def reset(self, cause: int) -> None:
+    def reset(self, cause: int, /) -> None:
         """Restart, for a `ResetCause`."""
 
     def hang(self) -> None:

@@ -62,7 +62,9 @@ class FaultInjector:
         return (
             (fault.at_s is None or plant.t_s >= fault.at_s)
             and (fault.above_length_cm is None or plant.length_cm > fault.above_length_cm)
-            and (fault.above_pressure_psi is None or max(plant.muscle_psi) > fault.above_pressure_psi)
+            and (
+                fault.above_pressure_psi is None or max(plant.muscle_psi) > fault.above_pressure_psi
+            )
             and (not fault.while_motor_runs or board.motor != 0)
         )
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from math import cos, exp, sin, sqrt
-from math import pi as PI
+from math import cos, exp, isnan, nan, pi, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -172,7 +171,7 @@ class Plant:
             tolerance_cm=scene.plant.tolerance_cm,
             cell_cm=scene.plant.cell_cm,
         )
-        self._solved = (np.nan, np.nan)
+        self._solved_g = nan
         self._history: list[Moment] = []
         self._logged_s = -np.inf
         self._logged_touching = 0
@@ -191,7 +190,7 @@ class Plant:
         constants = np.zeros((_SENSORS, k.SENSOR_CONSTANTS))
         state = np.zeros((_SENSORS, k.SENSOR_STATE))
         draws = rng.standard_normal((_SENSORS, 2))
-        phases = rng.uniform(0, 2 * PI, (_SENSORS, 2))
+        phases = rng.uniform(0, 2 * pi, (_SENSORS, 2))
         for s, side in enumerate(SIDES):
             column = scene.robot.sensors.column(side)
             for j in range(FLEX_RIGHT):
@@ -222,7 +221,7 @@ class Plant:
         """Turn the body's regulator: maps, fold and growth change with it."""
         self.body_psi = pressure_psi
         self.body.critical_moment = self._critical()
-        self._solved = (np.nan, np.nan)
+        self._solved_g = nan
         for s, side in enumerate(SIDES):
             maps = sorted(self._robot.actuators.side(side).maps, key=lambda m: m.body_pressure_psi)
             at = [m.body_pressure_psi for m in maps]
@@ -299,14 +298,11 @@ class Plant:
         )  # fmt: skip
         k.swing(self._swing, target, self._transition)
         before = self._encoder()
-        k.spool(
-            self._spool, motor, braked, self.spool_stuck, self.slip_cm_s, self._spool_constants
-        )
+        k.spool(self._spool, motor, braked, self.spool_stuck, self.slip_cm_s, self._spool_constants)
         self.encoder = (before, self._encoder())
         length = self._grown()
-        if length != self.length_cm or abs(self._swing[0] - self._solved[0]) > 1e-8:
-            self._solve(length)
-        elif self._solved[0] != self._solved[0]:
+        moved = abs(self._swing[0] - self._solved_g) > 1e-8
+        if moved or length != self.length_cm or isnan(self._solved_g):
             self._solve(length)
         self._sense()
 
@@ -337,7 +333,7 @@ class Plant:
                 self.body.step(g, length)
         changed = length != self.length_cm
         self.length_cm = length
-        self._solved = (g, length)
+        self._solved_g = g
         if changed:
             self._evert(settled=False)
         self._measure()
@@ -410,7 +406,7 @@ class Plant:
 
 def _second_order(frequency_hz: float, damping: float, dt: float) -> Floats:
     """Transition matrix of (distance, rate) of a second-order system over dt."""
-    w = 2 * PI * frequency_hz
+    w = 2 * pi * frequency_hz
     a = damping * w
     if damping < 1:
         d = w * sqrt(1 - damping**2)

@@ -6,7 +6,7 @@ turns the body's curvature into ADC counts). State lives in plain arrays owned b
 
 from __future__ import annotations
 
-from math import cos, exp, fabs, sin, tanh
+from math import cos, exp, fabs, isnan, sin, tanh
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +77,7 @@ def air(
         elif goal < state[side, PLAY] - constants[PLAY_PSI]:
             state[side, PLAY] = goal + constants[PLAY_PSI]
         goal = state[side, PLAY]
-        if forced[side] == forced[side]:
+        if not isnan(forced[side]):
             goal = forced[side]
         change = (goal - state[side, OUTLET]) * (1.0 - exp(-dt / constants[LAG]))
         most = constants[SLEW] * dt
@@ -109,13 +109,14 @@ def _past(ring: Floats, head: int, steps: float) -> float:
     part = steps - whole
     a = ring[(head - whole) % RING]
     b = ring[(head - whole - 1) % RING]
-    return a + part * (b - a)
+    return float(a + part * (b - a))
 
 
 @compiled
 def _curve(pressure: float, shape: Floats) -> float:
     """amplitude * (tanh((p - p0) / scale) - tanh(-p0 / scale))."""
-    return shape[0] * (tanh((pressure - shape[2]) / shape[1]) - tanh(-shape[2] / shape[1]))
+    turn = tanh((pressure - shape[2]) / shape[1]) - tanh(-shape[2] / shape[1])
+    return float(shape[0] * turn)
 
 
 @compiled
@@ -131,7 +132,9 @@ def swing(x: Floats, target: float, transition: Floats) -> None:
 
 
 @compiled
-def spool(state: Floats, duty: int, held: bool, stuck: bool, slip: float, constants: Floats) -> None:
+def spool(
+    state: Floats, duty: int, held: bool, stuck: bool, slip: float, constants: Floats
+) -> None:
     """Advance motor and line by one step. slip: line speed forced by the body's pull (cm/s)."""
     dt = constants[SPOOL_DT]
     drive = 0.0

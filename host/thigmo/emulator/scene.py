@@ -1,8 +1,9 @@
 """Scene files: the true robot, the room around it, and all that is wrong with both.
 
 A scene is TOML. Everything has a default, so the shortest scene is an empty file: the robot of
-`RobotConfig` in an empty room. `scenes/default.toml` shows every key with its source; what is a
-guess is marked [G] there. `robot` holds the *true* constants; `belief` says how far the host's
+`RobotConfig` in an empty room. `extends = "default"` starts from another scene: tables are merged,
+lists (pegs, faults, sensors, zones, maps) are replaced. `scenes/default.toml` shows every key with
+its source; what is a guess is marked [G] there. `robot` holds the *true* constants; `belief` says how far the host's
 robot.toml is off. Lengths in cm, pressures in psi, curvature in 1/cm, time in s.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 from math import hypot
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,7 +24,8 @@ from thigmo.config import (
     Positive,
     RobotConfig,
     Side,
-    load_toml,
+    read_toml,
+    validated,
 )
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg
@@ -183,6 +185,7 @@ class Scene(Model):
     """The whole of a scene file."""
 
     version: Literal[1] = 1
+    extends: str | None = None  # scene, or path beside this file, whose entries hold unless given
     name: str = "unnamed"
     about: str = ""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -223,17 +226,8 @@ class Scene(Model):
         Raises:
             ConfigError: no such scene, or a file that is malformed (the entry is named).
         """
-        text = str(source)
-        path = Path(text)
-        if path.suffix != ".toml":
-            path = SCENES / f"{text}.toml"
-            if not path.is_file() or Path(text).name != text:
-                names = ", ".join(sorted(p.stem for p in SCENES.glob("*.toml")))
-                raise ConfigError(
-                    f"there is no scene named {text!r}",
-                    f"name one of {names}, or give the path of a .toml file",
-                )
-        scene = load_toml(cls, path)
+        path = _find(str(source))
+        scene = validated(cls, _merged(path, ()), path)
         if scene.name == "unnamed":
             scene.name = path.stem
         return scene
@@ -270,5 +264,46 @@ class Scene(Model):
             config.body.critical_curvature_se,
             spread.critical_error * config.body.critical_curvature,
         )
-        config.body.critical_curvature *= max(1 + spread.critical_error * rng.standard_normal(), 0.1)
+        config.body.critical_curvature *= max(
+            1 + spread.critical_error * rng.standard_normal(), 0.1
+        )
         return config
+
+
+def _find(text: str) -> Path:
+    """The file of a scene given by name or path."""
+    if Path(text).suffix == ".toml":
+        return Path(text)
+    path = SCENES / f"{text}.toml"
+    if Path(text).name != text or not path.is_file():
+        names = ", ".join(sorted(p.stem for p in SCENES.glob("*.toml")))
+        raise ConfigError(
+            f"there is no scene named {text!r}",
+            f"name one of {names}, or give the path of a .toml file",
+        )
+    return path
+
+
+def _merged(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
+    """A scene's entries over those of the scene that it extends."""
+    if path in below:
+        raise ConfigError(f"{path} extends itself", "remove that `extends`")
+    data = read_toml(path)
+    base = data.get("extends")
+    if not isinstance(base, str):
+        return data
+    other = path.parent / base if base.endswith(".toml") else _find(base)
+    start = {k: v for k, v in _merged(other, (*below, path)).items() if k not in _OWN}
+    return _over(start, data)
+
+
+_OWN = ("name", "about", "extends")  # never inherited
+
+
+def _over(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in top.items():
+        old = result.get(key)
+        both = isinstance(old, dict) and isinstance(value, dict)
+        result[key] = _over(old, value) if both else value  # type: ignore[arg-type]
+    return result

@@ -23,7 +23,7 @@ from thigmo.errors import ConfigError, LinkError
 from thigmo.link.heart import Beat, Heart
 
 if TYPE_CHECKING:
-    from thigmo.link.transport import Transport
+    from thigmo.link.transport import Operator, Transport
 
 _KEPT_BEATS = 64
 
@@ -80,7 +80,7 @@ class EmulatorTransport:
         self.seed = scene.seed if seed is None else seed
         self.lockstep = Lockstep(scene, board, seed=self.seed, exchange_ms=exchange_ms)
         self.config: RobotConfig = scene.believed(self.seed)
-        self.operator: EmulatedOperator | None = EmulatedOperator(self)
+        self.operator: Operator | None = EmulatedOperator(self)
         self.read_s = 0.0
         self._heart: Heart | None = None
         self._beats: deque[Beat] = deque(maxlen=_KEPT_BEATS)
@@ -103,8 +103,11 @@ class EmulatorTransport:
         """Bytes as soon as there are any; b"" when so much virtual time passed without."""
         self._require_open()
         end = self.now() + timeout_s - 1e-9
-        while not self._received and self.now() < end:
+        # Any wait, however short, makes time pass: a caller may wait for a moment between two steps.
+        while not self._received and timeout_s > 0:
             self._advance()
+            if self.now() >= end:
+                break
         data = bytes(self._received)
         self._received.clear()
         return data

@@ -49,8 +49,6 @@ def clearance(
     """Smallest gap (cm) between the arc in `nodes` and any peg; 1e30 without pegs."""
     least = 1e30
     for i in range(pegs.shape[0]):
-        gap, _ = kernel.gap_to(
-            pegs[i, 0], pegs[i, 1], pegs[i, 2], tube, nodes, n_nodes, 0.0, 1.0
-        )
+        gap, _ = kernel.gap_to(pegs[i, 0], pegs[i, 1], pegs[i, 2], tube, nodes, n_nodes, 0.0, 1.0)
         least = min(least, gap)
     return least

@@ -2,7 +2,8 @@
 
 y'' = g + sum_j f_j (a_j - s)+ with x = s (thesis (2.5) to (2.9)), contacts at the pegs' x. Linear,
 so contacts are a small complementarity problem. It comes with a bound on the error of positions
-against the large-deflection rod: foreshortening, the integral of theta^2 / 2, times a safety factor.
+against the large-deflection rod: foreshortening (the integral of theta^2 / 2) times a safety
+factor.
 """
 
 from __future__ import annotations

@@ -89,9 +89,10 @@ class Body:
             self._by_arc(free_curvature, length, cells)
         elif self._choice == "beam":
             self._by_beam(free_curvature, length, cells, 1e30)
-        elif not (self._free_arc(free_curvature, length, cells)):
-            if not self._by_beam(free_curvature, length, cells, self.tolerance_cm):
-                self._by_rod(free_curvature, length)
+        elif not self._free_arc(free_curvature, length, cells) and not self._by_beam(
+            free_curvature, length, cells, self.tolerance_cm
+        ):
+            self._by_rod(free_curvature, length)
         self.length = length
         self.free_curvature = free_curvature
         self.counts[self.model] += 1

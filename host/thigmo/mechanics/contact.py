@@ -9,7 +9,7 @@ face of the end.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, hypot, sin
 from typing import Literal
 
 from thigmo.mechanics import kernel
@@ -59,7 +59,7 @@ class PegContact:
     @property
     def magnitude(self) -> float:
         """Size of the force (1/cm^2)."""
-        return (self.normal**2 + self.tangential**2) ** 0.5
+        return hypot(self.normal, self.tangential)
 
 
 def describe(

@@ -91,8 +91,9 @@ class Solution:
     """One equilibrium.
 
     Attributes:
-        s, heading, curvature, x, y: the centreline at the mesh's nodes and the contacts, shape (n,).
-            `curvature` leaves out the fold, which is `fold_angle` spread over [0, diameter].
+        s, heading, curvature, x, y: the centreline at the mesh's nodes and the contacts, each of
+            shape (n,). `curvature` leaves out the fold, which is `fold_angle` spread over
+            [0, diameter].
         length: everted length (cm).
         free_curvature: natural curvature as given: one value, or nodes over [0, length].
         contacts: touching pegs, base first.
@@ -429,7 +430,11 @@ class Rod:
 
 
 def _refine(g: Floats, n: int) -> Floats:
-    return np.interp(np.linspace(0, 1, n), np.linspace(0, 1, g.size), g) if g.size > 1 else np.full(n, g[0])
+    return (
+        np.interp(np.linspace(0, 1, n), np.linspace(0, 1, g.size), g)
+        if g.size > 1
+        else np.full(n, g[0])
+    )
 
 
 def _residuals(
@@ -446,9 +451,7 @@ def _residuals(
     tip_moment = tip_force = 0.0
     for contact in contacts:
         beyond = s <= contact.arc + 1e-9
-        moment += beyond * (
-            (contact.x - x) * contact.force_y - (contact.y - y) * contact.force_x
-        )
+        moment += beyond * ((contact.x - x) * contact.force_y - (contact.y - y) * contact.force_x)
     for arc, normal, tangential, fx, fy in loads:
         i = int(np.argmin(np.abs(s - arc)))
         c, d = cos(nodes[i, kernel.THETA]), sin(nodes[i, kernel.THETA])

@@ -53,11 +53,11 @@ def free_angle(s: float, length: float, g: Floats, cumulative: Floats) -> float:
     """Integral of the natural curvature from 0 to s; g holds one value, or nodes over 0..length."""
     n = g.size
     if n == 1:
-        return g[0] * s
+        return float(g[0] * s)
     cell = length / (n - 1)
     i = min(max(int(s / cell), 0), n - 2)
     u = s - i * cell
-    return cumulative[i] + u * (g[i] + 0.5 * u * (g[i + 1] - g[i]) / cell)
+    return float(cumulative[i] + u * (g[i] + 0.5 * u * (g[i + 1] - g[i]) / cell))
 
 
 @compiled
@@ -65,10 +65,10 @@ def free_curvature(s: float, length: float, g: Floats) -> float:
     """Natural curvature at s."""
     n = g.size
     if n == 1:
-        return g[0]
+        return float(g[0])
     cell = length / (n - 1)
     i = min(max(int(s / cell), 0), n - 2)
-    return g[i] + (s / cell - i) * (g[i + 1] - g[i])
+    return float(g[i] + (s / cell - i) * (g[i + 1] - g[i]))
 
 
 @compiled
@@ -152,7 +152,7 @@ def shoot(
     ny = 0.0
     ca = cos(alpha)
     sa = sin(alpha)
-    k = int(ceil(s / h - _TINY)) - 1
+    k = ceil(s / h - _TINY) - 1
     e = 0
     n_nodes = 0
     while True:
@@ -161,7 +161,7 @@ def shoot(
             c = cos(th)
             d = sin(th)
             if j < count:
-                a, off, ot, on, kind = skin(place[j], length, tube, radius[j])
+                _, off, ot, on, kind = skin(place[j], length, tube, radius[j])
                 frames[j, 0] = x
                 frames[j, 1] = y
                 frames[j, 2] = th
@@ -274,7 +274,7 @@ def _heading(s: float, nodes: Floats, i: int, psi: float, fold: float) -> float:
     b = nodes[i + 1, S]
     width = b - a
     if width <= 0.0:
-        return nodes[i, THETA]
+        return float(nodes[i, THETA])
     fa = 0.0
     fb = 0.0
     fs = 0.0
@@ -286,7 +286,7 @@ def _heading(s: float, nodes: Floats, i: int, psi: float, fold: float) -> float:
     tb = nodes[i + 1, THETA] - fb
     u = (s - a) / width
     v = 1.0 - u
-    return (
+    return float(
         fs
         + ta * (1.0 + 2.0 * u) * v * v
         + tb * (1.0 + 2.0 * v) * u * u
@@ -296,7 +296,13 @@ def _heading(s: float, nodes: Floats, i: int, psi: float, fold: float) -> float:
 
 @compiled
 def averages(
-    centers: Floats, spans: Floats, nodes: Floats, n_nodes: int, psi: float, fold: float, out: Floats
+    centers: Floats,
+    spans: Floats,
+    nodes: Floats,
+    n_nodes: int,
+    psi: float,
+    fold: float,
+    out: Floats,
 ) -> None:
     """Mean curvature over each span, exactly: difference of heading over length.
 
@@ -313,9 +319,9 @@ def averages(
         if b - a < 1e-9:
             out[k] = 0.0
             continue
-        out[k] = (
-            pose(b, nodes, n_nodes, psi, fold)[2] - pose(a, nodes, n_nodes, psi, fold)[2]
-        ) / (b - a)
+        out[k] = (pose(b, nodes, n_nodes, psi, fold)[2] - pose(a, nodes, n_nodes, psi, fold)[2]) / (
+            b - a
+        )
 
 
 @compiled
@@ -847,9 +853,7 @@ def _penalised(
     if critical < 1e200:
         energy += critical * (sqrt(psi * psi + 1e-8) - 1e-4)
     for j in range(pegs.shape[0]):
-        gap, q = gap_to(
-            pegs[j, 0], pegs[j, 1], pegs[j, 2], tube, nodes, cells + 1, psi, fold
-        )
+        gap, q = gap_to(pegs[j, 0], pegs[j, 1], pegs[j, 2], tube, nodes, cells + 1, psi, fold)
         gaps[j] = gap
         places[j] = q
         f = hold[j] - stiff * gap
@@ -996,9 +1000,7 @@ def relax(
             for _half in range(14):
                 for i in range(cells):
                     new[i] = m[i] + scale * dm[i]
-                _place_cells(
-                    new, psi + scale * dpsi, length, fold, g, cumulative, cells, nodes
-                )
+                _place_cells(new, psi + scale * dpsi, length, fold, g, cumulative, cells, nodes)
                 e = _penalised(
                     new, psi + scale * dpsi, length, tube, fold, critical, pegs, hold, stiff,
                     cells, nodes, gaps, places,
@@ -1119,9 +1121,7 @@ def equilibrium(
             _place_cells(m, psi, length, fold, g, cumulative, cells, nodes)
             n_nodes = cells + 1
             for j in range(pegs.shape[0]):
-                gap, q = gap_to(
-                    pegs[j, 0], pegs[j, 1], pegs[j, 2], tube, nodes, n_nodes, psi, fold
-                )
+                gap, q = gap_to(pegs[j, 0], pegs[j, 1], pegs[j, 2], tube, nodes, n_nodes, psi, fold)
                 deepest = min(deepest, gap)
                 if hold[j] > 1e-9 and count < MAX_CONTACTS:
                     who[count] = j

@@ -1,0 +1,4 @@
+"""The emulated robot and room, behind the URLs `emulator://SCENE` and `mega-sim://SCENE`.
+
+Whoever uses a robot reaches it through the link and never imports this package; the tests do.
+"""

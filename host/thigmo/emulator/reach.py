@@ -1,0 +1,153 @@
+"""Where pegs can be felt: the noise-free answer that explorations are judged by.
+
+Sweeps the quasi-static body (no lags, no noise, the true maps) through every growth stage and says
+at which stage and side the base contact curvature first passes the trigger's threshold. Also makes
+random rooms in which that happens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.config import SIDES, RobotConfig, Side, ZoneMap
+from thigmo.mechanics import Body, Peg, PegContact, Tube, critical_moment
+
+TRIGGER = 0.005  # 1/cm
+_STEP_PSI = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """A contact that passes the threshold.
+
+    Attributes:
+        length_cm: growth stage.
+        side: of the active muscle.
+        pressure_psi: at which the threshold is passed.
+        peak: largest |base contact curvature| of that sweep (1/cm).
+        contacts: touching pegs at the sweep's peak.
+        fold_angle: of the base at the peak (rad).
+    """
+
+    length_cm: float
+    side: Side
+    pressure_psi: float
+    peak: float
+    contacts: tuple[PegContact, ...]
+    fold_angle: float
+
+
+def stages(robot: RobotConfig) -> list[float]:
+    """Everted lengths at which a robot that grows by whole pitches sweeps, the last one full."""
+    full, pitch = robot.body.length_cm, robot.sensors.pitch_cm
+    whole = [pitch * n for n in range(1, int(full / pitch) + 1) if pitch * n < full - 1e-6]
+    return [*whole, full]
+
+
+def first_felt(
+    robot: RobotConfig,
+    pegs: Sequence[Peg],
+    *,
+    lengths: Sequence[float] | None = None,
+    amplitude_psi: float | None = None,
+    threshold: float = TRIGGER,
+    fold: bool = True,
+) -> Felt | None:
+    """The first growth stage and side whose full sweep is felt at the base, or None.
+
+    The base contact curvature is the base sensor's mean curvature (fold included) less the free
+    curvature. At each stage the left half of the sweep comes first.
+
+    Args:
+        robot: the true robot.
+        pegs: the room.
+        lengths: everted lengths in their order; default `stages`.
+        amplitude_psi: of the sweep; default each muscle's highest pressure.
+        threshold: of the trigger, 1/cm.
+        fold: whether the base folds.
+    """
+    for length in stages(robot) if lengths is None else lengths:
+        for side in SIDES:
+            felt = sweep_once(
+                robot, pegs, length, side, amplitude_psi=amplitude_psi, threshold=threshold,
+                fold=fold,
+            )  # fmt: skip
+            if felt is not None and felt.peak >= threshold:
+                return felt
+    return None
+
+
+def sweep_once(
+    robot: RobotConfig,
+    pegs: Sequence[Peg],
+    length_cm: float,
+    side: Side,
+    *,
+    amplitude_psi: float | None = None,
+    threshold: float = TRIGGER,
+    fold: bool = True,
+) -> Felt | None:
+    """Inflate one muscle from zero to the amplitude; None if nothing is touched."""
+    body = robot.body
+    index = body.zone_at(length_cm)
+    muscle = robot.actuators.side(side)
+    zone: ZoneMap = muscle.maps[index]
+    top = muscle.max_pressure_psi if amplitude_psi is None else amplitude_psi
+    crit = critical_moment(
+        body.critical_curvature, body.critical_pressure_psi, body.zones[index].pressure_psi
+    )
+    model = Body(Tube(body.diameter_cm, crit if fold else None), pegs)
+    model.step(0.0, length_cm)
+    base = robot.sensors.column("right" if side == "left" else "left")[0]
+    center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
+    sign = 1.0 if side == "left" else -1.0
+    peak, passed, touched = 0.0, 0.0, False
+    for pressure in np.linspace(0.0, top, max(2, round(top / _STEP_PSI) + 1))[1:]:
+        g = sign * zone.inflate.curvature(float(pressure))
+        model.step(g, length_cm)
+        if not model.touching:
+            continue
+        touched = True
+        model.averages_into(center, span, mean)
+        excess = abs(float(mean[0]) - g)
+        if excess >= threshold and passed == 0.0:
+            passed = float(pressure)
+        peak = max(peak, excess)
+    if not touched:
+        return None
+    return Felt(length_cm, side, passed, peak, model.contacts(), model.fold_angle)
+
+
+def random_peg(
+    robot: RobotConfig,
+    rng: np.random.Generator,
+    *,
+    radius: tuple[float, float] = (0.4, 1.0),
+    margin: float = 1.0,
+    threshold: float = TRIGGER,
+) -> tuple[Peg, Felt]:
+    """A peg beside the path of growth that the exploration must feel, and where it first does.
+
+    Only pegs that still hold the body at the peak of that sweep are made: a body that slips past
+    its peg (contacts are frictionless) has nothing left to measure there.
+
+    Args:
+        robot: the true robot.
+        rng: source of randomness.
+        radius: range of radii, cm.
+        margin: the peak must exceed margin * threshold.
+        threshold: of the trigger, 1/cm.
+    """
+    full = robot.body.length_cm
+    while True:
+        r = float(rng.uniform(*radius))
+        clear = robot.body.radius_cm + r + 0.3
+        x = float(rng.uniform(5.0, full))
+        y = float(rng.choice([-1.0, 1.0]) * rng.uniform(clear, 0.8 * full))
+        peg = Peg(round(x, 3), round(y, 3), round(r, 3))
+        felt = first_felt(robot, [peg], threshold=threshold)
+        if felt is not None and felt.contacts and felt.peak >= margin * threshold:
+            return peg, felt

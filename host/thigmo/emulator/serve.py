@@ -1,0 +1,178 @@
+"""`thigmo emulate SCENE`: the emulated robot on a pseudo-terminal, in real time.
+
+Any program that opens serial ports can talk to it. As on the Mega, opening the port resets the
+board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through that,
+and stays under air when the program at the other end dies: its heartbeat is what makes it safe.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from thigmo.emulator.board import Board
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.plant import STEP_S
+from thigmo.emulator.scene import Scene
+from thigmo.errors import PortError
+from thigmo.link.protocol import ResetCause
+
+_MOST_BEHIND_S = 0.5  # after a longer stall of this computer, virtual time slips instead
+_QUEUE = 65_536  # bytes kept for a program that does not read; beyond, they are lost
+# A whole second is simulated at once before the port is announced: everything is compiled then.
+_WARM_STEPS = 100
+
+
+class PtyServer:
+    """A lockstep behind a pseudo-terminal.
+
+    Args:
+        lockstep: board and plant.
+        reset_on_open: restart the board when a program opens the port, as DTR does.
+        link: a symbolic link to make to the port, for a stable name.
+
+    Attributes:
+        path: the port to open.
+    """
+
+    def __init__(
+        self, lockstep: Lockstep, *, reset_on_open: bool = True, link: Path | None = None
+    ) -> None:
+        try:
+            import pty
+            import tty
+        except ImportError as error:
+            raise PortError(
+                "this system has no pseudo-terminals", "use emulator://SCENE, or run it on Linux"
+            ) from error
+        self.lockstep = lockstep
+        self._reset_on_open = reset_on_open
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        # With no end of ours open, the master sees a hang-up while nobody else has the port open.
+        os.close(slave)
+        os.set_blocking(self._master, False)
+        self._poll = select.poll()
+        self._poll.register(self._master, select.POLLIN | select.POLLHUP)
+        self._opened = False
+        self._out = bytearray()
+        self._link = link
+        if link is not None:
+            self._make_link(link)
+
+    def _make_link(self, link: Path) -> None:
+        try:
+            if link.is_symlink():
+                link.unlink()
+            link.symlink_to(self.path)
+        except OSError as error:
+            os.close(self._master)
+            raise PortError(
+                f"cannot make the link {link}: {error.strerror}", "choose another place"
+            ) from error
+
+    def close(self) -> None:
+        """Close the port and remove the link."""
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1
+        if self._link is not None and self._link.is_symlink():
+            self._link.unlink()
+            self._link = None
+
+    def run(self, keep_on: Callable[[], bool] = lambda: True) -> None:
+        """Serve in real time while `keep_on()` says so."""
+        began = time.monotonic() - self.lockstep.t_s
+        while keep_on():
+            wait_s = self.lockstep.t_s + STEP_S - (time.monotonic() - began)
+            if wait_s > 0:
+                self._wait(wait_s)
+            elif wait_s < -_MOST_BEHIND_S:
+                began -= wait_s
+            self._exchange()
+
+    def _wait(self, seconds: float) -> None:
+        """Sleep until the next step; a hang-up would end a poll at once, so it is slept through."""
+        if self._opened:
+            self._poll.poll(max(1, round(seconds * 1000)))
+        else:
+            time.sleep(seconds)
+
+    def _exchange(self) -> None:
+        """Bytes in, one step, bytes out."""
+        events = dict(self._poll.poll(0)).get(self._master, 0)
+        opened = not events & select.POLLHUP
+        board = self.lockstep.board
+        if opened and not self._opened:
+            self._out.clear()
+            if self._reset_on_open:
+                board.reset(int(ResetCause.EXTERNAL))
+        self._opened = opened
+        if events & select.POLLIN:
+            data = self._take()
+            if data and not self.lockstep.faults.host_silent:
+                board.write(data)
+        self.lockstep.advance()
+        self._out += board.read()
+        if not opened:
+            self._out.clear()
+        elif self._out:
+            self._give()
+
+    def _take(self) -> bytes:
+        try:
+            return os.read(self._master, 4096)
+        except OSError:  # closed between poll and read
+            return b""
+
+    def _give(self) -> None:
+        try:
+            sent = os.write(self._master, self._out)
+        except OSError:  # full: the program does not read
+            sent = 0
+        del self._out[:sent]
+        if len(self._out) > _QUEUE:
+            del self._out[: len(self._out) - _QUEUE]
+
+
+def serve(
+    scene: str | Path,
+    *,
+    seed: int | None = None,
+    link: Path | None = None,
+    announce: Callable[[str], None] = print,
+    keep_on: Callable[[], bool] = lambda: True,
+    board: Board | None = None,
+) -> None:
+    """Serve a scene until `keep_on()` ends it or the program is interrupted.
+
+    Args:
+        scene: a scene's name or the path of its file.
+        seed: of all noise; None takes the scene's.
+        link: a symbolic link to make to the port.
+        announce: told where the port is, once it can be opened.
+        keep_on: asked every 10 ms.
+        board: another board than the virtual one.
+
+    Raises:
+        ConfigError: no such scene, or a malformed one.
+        PortError: no pseudo-terminals here, or the link cannot be made.
+    """
+    room = Scene.load(scene)
+    if board is None:
+        from thigmo.emulator._board import VirtualBoard
+
+        board = VirtualBoard(room.seed if seed is None else seed)
+    lockstep = Lockstep(room, board, seed=seed)
+    for _ in range(_WARM_STEPS):
+        lockstep.advance()
+    server = PtyServer(lockstep, link=link)
+    try:
+        announce(f"{room.name}: open {server.path if link is None else link}; Ctrl-C ends it")
+        server.run(keep_on)
+    finally:
+        server.close()

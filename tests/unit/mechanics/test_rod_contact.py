@@ -1,0 +1,269 @@
+"""The rod among pegs: inequalities hold, the fold yields, and nothing hangs."""
+
+from __future__ import annotations
+
+from math import hypot, pi
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from thigmo.mechanics import Body, Peg, Rod, Solution, Tube, fold_share, kernel, solve
+
+CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+
+
+def distance_to_skin(found: Solution, peg: Peg) -> float:
+    """Gap of a peg by brute force: least distance to points all over the skin."""
+    radius = found.tube.radius_cm
+    least = np.inf
+    for arc in np.linspace(0.0, found.length, 4000):
+        x, y, heading = found.pose(float(arc))
+        for side in (-1, 1):
+            px = x - side * radius * np.sin(heading)
+            py = y + side * radius * np.cos(heading)
+            least = min(least, hypot(px - peg.x, py - peg.y))
+    x, y, heading = found.tip
+    for across in np.linspace(-radius, radius, 400):
+        px, py = x - across * np.sin(heading), y + across * np.cos(heading)
+        least = min(least, hypot(px - peg.x, py - peg.y))
+    return float(least) - peg.radius
+
+
+@pytest.mark.parametrize(
+    ("peg", "g", "kind"),
+    [
+        (Peg(34.0, 10.0, 0.6), 0.03, "side"),
+        (Peg(34.0, -10.0, 0.6), -0.03, "side"),
+        (Peg(43.855, 24.259, 0.6), 0.019, "corner"),
+        (Peg(43.855, -24.259, 0.6), -0.019, "corner"),
+        (Peg(43.855, 24.259, 0.6), 0.028, "face"),
+    ],
+)
+def test_contact_touches_where_it_says(peg: Peg, g: float, kind: str) -> None:
+    found = solve(g, 53.0, pegs=[peg])
+    (contact,) = found.contacts
+    assert contact.kind == kind
+    assert distance_to_skin(found, peg) == pytest.approx(0.0, abs=1e-3)
+    assert hypot(contact.x - peg.x, contact.y - peg.y) == pytest.approx(peg.radius, abs=1e-6)
+    # The force points from the peg's centre to the contact: it pushes, and without friction.
+    out = np.array([contact.x - peg.x, contact.y - peg.y])
+    force = np.array([contact.force_x, contact.force_y])
+    assert float(force @ out) == pytest.approx(peg.radius * float(np.hypot(*force)), rel=1e-6)
+    if kind == "side":
+        assert contact.tangential == 0.0
+        assert np.sign(contact.normal) == -np.sign(peg.y)
+    else:
+        assert contact.arc == 53.0
+        assert contact.tangential < 0.0
+    if kind == "corner":
+        lever = abs(contact.couple / contact.tangential)
+        assert lever == pytest.approx(1.75)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    places=st.lists(
+        st.tuples(st.floats(4.0, 56.0), st.floats(2.0, 30.0), st.booleans(), st.floats(0.1, 2.0)),
+        min_size=1,
+        max_size=4,
+    ),
+    g=st.floats(-0.05, 0.05),
+    length=st.floats(9.0, 53.0),
+    critical=st.sampled_from([None, 0.005, 0.01108, 0.033]),
+)
+def test_any_room_gives_a_body_that_overlaps_nothing(
+    places: list[tuple[float, float, bool, float]],
+    g: float,
+    length: float,
+    critical: float | None,
+) -> None:
+    pegs = [Peg(x, (1.75 + r + y) * (1 if up else -1), r) for x, y, up, r in places]
+    rod = Rod(Tube(3.5, critical), pegs)
+    rod.step(0.0, length)
+    for u in (0.5, 1.0, 0.3, 0.0):
+        rod.step(g * u, length)
+        found = rod.solution()
+        assert np.isfinite(found.x).all()
+        assert np.isfinite(found.curvature).all()
+        assert found.status != "approximate"
+        assert found.residuals.position < 1e-6
+        assert found.residuals.overlap < 1e-6
+        assert found.residuals.moment < 1e-8
+        assert found.residuals.tip_moment < 1e-9
+        assert all(contact.magnitude >= 0 for contact in found.contacts)
+        if critical is not None:
+            assert abs(found.base_moment) <= critical * (1 + 1e-6)
+            if found.fold_angle:
+                assert abs(found.base_moment) == pytest.approx(critical, rel=1e-6)
+                assert found.fold_angle * found.base_moment > 0
+
+
+@settings(max_examples=40, deadline=None)
+@given(x=st.floats(3.0, 52.0), y=st.floats(-2.0, 2.0), radius=st.floats(0.3, 1.5))
+def test_peg_inside_the_straight_body_is_pushed_out(x: float, y: float, radius: float) -> None:
+    found = solve(0.01, 53.0, pegs=[Peg(x, y, radius)])
+    assert np.isfinite(found.x).all()
+    # A peg beside the clamped base cannot be cleared by more than bending allows.
+    if x > 12.0:
+        assert found.gap(Peg(x, y, radius)) > -1e-2
+
+
+def test_two_opposed_pegs_press_from_both_sides() -> None:
+    pegs = [Peg(45.0, 9.0, 0.6), Peg(20.0, -2.5, 0.6)]
+    found = solve(0.035, 53.0, pegs=pegs)
+    assert [c.peg for c in found.contacts] == [1, 0]
+    assert found.contacts[0].normal > 0 > found.contacts[1].normal
+
+
+def test_newton_finds_the_energy_minimum_that_relaxation_finds() -> None:
+    g = 0.035
+    pegs = np.array([[45.0, 9.0, 0.6], [20.0, -2.5, 0.6]])
+    found = solve(g, 53.0, pegs=[Peg(*row) for row in pegs])
+    assert len(found.contacts) == 2
+    cells = 212
+    curvature = np.full(cells, -g)  # from the straight body, as `solve`
+    nodes, hold, places = np.zeros((cells + 1, 5)), np.zeros(2), np.zeros(2)
+    kernel.relax(
+        53.0, 1.75, 3.5, 1e300, np.array([g]), np.zeros(1), pegs, cells, curvature, 0.0,
+        nodes, hold, places,
+    )  # fmt: skip
+    assert nodes[-1, kernel.X] == pytest.approx(found.tip[0], abs=5e-3)
+    assert nodes[-1, kernel.Y] == pytest.approx(found.tip[1], abs=5e-3)
+    forces = {c.peg: c.magnitude for c in found.contacts}
+    assert hold[0] == pytest.approx(forces[0], rel=2e-3)
+    assert hold[1] == pytest.approx(forces[1], rel=1e-2)
+
+
+def test_base_folds_at_the_critical_moment_and_stays_there() -> None:
+    critical, peg = 0.01108, Peg(45.0, 12.0, 0.6)
+    rod = Rod(Tube(3.5, critical), [peg])
+    rod.step(0.0, 53.0)
+    moments, folds = [], []
+    for g in np.linspace(0.0, 0.03, 61):
+        rod.step(g, 53.0)
+        moments.append(abs(rod.base_moment))
+        folds.append(abs(rod.fold_angle))
+    folded = np.array(folds) > 0
+    assert folded.any()
+    assert not folded[: int(np.argmax(folded))].any()
+    assert np.array(moments)[folded] == pytest.approx(critical, rel=1e-9)
+    assert np.all(np.diff(np.array(folds)[folded]) > 0)
+
+
+def test_fold_is_spread_over_one_diameter_in_shape_and_sensors() -> None:
+    rod = Rod(Tube(3.5, 0.01108), [Peg(45.0, 12.0, 0.6)])
+    rod.step(0.0, 53.0)
+    rod.step(0.028, 53.0)
+    found = rod.solution()
+    psi = found.fold_angle
+    assert psi < 0
+    base = found.averages([5.0], 5.5)[0]
+    smooth = np.interp(np.linspace(2.25, 7.75, 2001), found.s, found.curvature).mean()
+    assert base - smooth == pytest.approx(psi * fold_share([5.0], 5.5, 3.5)[0], abs=2e-6)
+    assert fold_share([5.0], 5.5, 3.5)[0] == pytest.approx(1.25 / 5.5 / 3.5)
+    turn = found.pose(3.5)[2] - np.trapezoid(
+        np.interp(np.linspace(0, 3.5, 500), found.s, found.curvature), np.linspace(0, 3.5, 500)
+    )
+    assert turn == pytest.approx(psi, abs=1e-5)
+
+
+def test_tip_that_slips_off_its_peg_snaps_free() -> None:
+    rod = Rod(Tube(3.5, 0.01108), [Peg(46.0, 12.0, 0.6)])
+    rod.step(0.0, 48.0)
+    touched = False
+    for g in np.linspace(0.0, 0.06, 241):
+        rod.step(g, 48.0)
+        touched |= rod.touching > 0
+    found = rod.solution()
+    assert touched
+    assert not found.contacts
+    assert found.averages(CENTERS[:4], 5.5) == pytest.approx(np.full(4, 0.06), abs=1e-9)
+
+
+def test_history_decides_on_which_side_of_a_peg_the_body_lies() -> None:
+    peg = Peg(35.0, 8.0, 0.6)
+    rod = Rod(Tube(), [peg])
+    rod.step(0.0, 30.0)
+    rod.step(0.03, 30.0)  # curls up short of the peg
+    rod.step(0.03, 53.0)  # then grows beside it
+    above = rod.solution()
+    below = solve(0.03, 53.0, pegs=[peg])
+    assert above.residuals.overlap < 1e-6
+    assert below.contacts[0].normal < 0
+    assert not any(c.normal < 0 for c in above.contacts)
+
+
+def test_growth_keeps_contacts_where_they_are_in_the_room() -> None:
+    rod = Rod(Tube(), [Peg(25.0, 7.0, 0.6)])
+    rod.step(0.0, 40.0)
+    rod.step(0.03, 40.0)
+    before = rod.solution()
+    for length in np.arange(40.0, 53.0, 0.1):
+        rod.step(0.03, float(length))
+    after = rod.solution()
+    assert len(before.contacts) == len(after.contacts) == 1
+    assert after.contacts[0].arc == pytest.approx(before.contacts[0].arc, abs=1e-6)
+    assert after.contacts[0].normal == pytest.approx(before.contacts[0].normal, rel=1e-6)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-6, 0.3, -1.2])
+def test_growing_into_a_peg_ahead_bends_the_body_aside(offset: float) -> None:
+    rod = Rod(Tube(3.5, 0.01108), [Peg(34.0, offset, 0.8)])
+    for length in np.arange(20.0, 42.0, 0.1):
+        rod.step(0.0, float(length))
+        assert rod.axial_push() < 0.05
+    found = rod.solution()
+    assert found.residuals.overlap < 1e-3
+    assert abs(found.tip[1]) > 0.1
+
+
+def test_place_on_the_skin_is_continuous_around_the_tip() -> None:
+    length, tube, peg = 53.0, 1.75, 0.6
+    end = 2 * length + 2 * tube + pi * peg
+    before = None
+    for q in np.linspace(50.0, end - 50.0, 4001):
+        arc, off, out_t, out_n, _ = kernel.skin(float(q), length, tube, peg)
+        centre = np.array([arc + peg * out_t, off + peg * out_n])
+        if before is not None:
+            assert np.hypot(*(centre - before)) == pytest.approx((end - 100.0) / 4000, rel=1e-3)
+        before = centre
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    x=st.floats(10.0, 50.0),
+    y=st.floats(2.5, 12.0),
+    g=st.floats(0.0005, 0.012),
+    tolerance=st.sampled_from([0.02, 0.1, 0.5]),
+)
+def test_automatic_choice_keeps_its_error_bound(
+    x: float, y: float, g: float, tolerance: float
+) -> None:
+    peg = Peg(x, -y, 0.6)
+    bodies = [
+        Body(Tube(3.5, 0.01108), [peg], model=model, tolerance_cm=tolerance)
+        for model in ("auto", "elastica")
+    ]
+    for body in bodies:
+        body.step(0.0, 53.0)
+        for u in np.linspace(0.0, 1.0, 9)[1:]:
+            body.step(-g * u, 53.0)
+    auto, exact = bodies
+    for arc in np.linspace(5.0, 53.0, 9):
+        a, b = auto.pose(float(arc)), exact.pose(float(arc))
+        error = hypot(a[0] - b[0], a[1] - b[1])
+        assert error <= auto.error_bound_cm + 1e-4
+        assert error <= tolerance + 1e-4
+    assert auto.counts["arc"] >= 1
+    assert (auto.model == "beam") <= (auto.error_bound_cm <= tolerance)
+
+
+def test_overridden_choice_is_obeyed() -> None:
+    for model in ("arc", "beam", "elastica"):
+        body = Body(Tube(), [Peg(30.0, -4.0, 0.6)], model=model)
+        body.step(0.0, 53.0)
+        body.step(-0.01, 53.0)
+        assert set(body.counts) == {model}
+        assert (body.touching == 0) == (model == "arc")
