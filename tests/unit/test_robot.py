@@ -308,7 +308,7 @@ def test_the_sweeps_period_keeps_the_lags_error_within_its_share_of_the_threshol
     config = RobotConfig()
     period = sweep_period_s(config, 0)
     g_max = config.actuators.left.maps[0].inflate.curvature(18.0)
-    assert 2 * np.pi / period * g_max * 0.25 * 0.2 <= 0.25 * 0.005 + 1e-12
+    assert 2 * np.pi / period * g_max * 0.5 * 0.2 <= 0.25 * 0.005 + 1e-12
     config.actuators.left.lag_s = config.actuators.right.lag_s = 0.4
     assert sweep_period_s(config, 0) == pytest.approx(2 * period, rel=0.2)
     assert sweep_period_s(config, 0, trigger_per_cm=0.01) < sweep_period_s(config, 0)

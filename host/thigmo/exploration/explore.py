@@ -168,6 +168,7 @@ def _sigterm_raises() -> Iterator[None]:
         return
 
     def terminate(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, before)  # a second one does not wait for the robot
         raise _TerminatedError
 
     before = signal.signal(signal.SIGTERM, terminate)

@@ -40,6 +40,7 @@ R = TypeVar("R", bound=wire.Message)
 SENSORS = 10
 VENTED_PSI = 0.5
 _UNKNOWN_ZONE = 255
+_SETTLE_EXTRA_S = 30.0
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
@@ -399,12 +400,18 @@ class Robot:
 
         Args:
             progress: told the seconds that are left, about once a second.
+
+        Raises:
+            CommandTimeoutError: they do not settle in their time.
+            RobotFaultError: a fault was latched meanwhile.
         """
-        while True:
-            status = self.status()
-            waiting = status.everted & ~status.settled
-            if not waiting:
-                return
+        end = self.now() + self.config.sensors.settle_s + _SETTLE_EXTRA_S
+        while waiting := (status := self.status()).everted & ~status.settled:
+            if self.now() > end:
+                raise CommandTimeoutError(
+                    f"sensors {[n for n in range(SENSORS) if waiting >> n & 1]} do not settle",
+                    "check the board's parameter settle_ms",
+                )
             reports = [
                 self._client.request(wire.GetSensor(sensor))
                 for sensor in range(SENSORS)

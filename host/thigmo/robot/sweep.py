@@ -13,13 +13,13 @@ from math import pi
 
 from thigmo.config import SIDES, RobotConfig
 
-# One part in four of the lag stays unknown after calibration: muscles deflate more slowly than
-# they inflate (0.22 s against 0.16 s), and one constant stands for both.
-RESIDUAL_LAG = 0.25
+# Half of the lag stays unknown after calibration: one constant stands for muscles that inflate with
+# 0.16 s and deflate with 0.22 s and for a body that swings at 1..2 Hz behind them.
+RESIDUAL_LAG = 0.5
 # Of the threshold, the share that this error may take: the rest is for noise, zero and hysteresis.
 ALLOWED_FRACTION = 0.25
-# Below this the regulator and the body's own oscillation (1..2 Hz) are no longer followed.
-SHORTEST_PERIOD_S = 8.0
+# Faster than this the pressure loop no longer follows 18 psi (0.15 s of transducer, 15 psi/s).
+SHORTEST_PERIOD_S = 15.0
 
 
 def sweep_period_s(

@@ -47,17 +47,22 @@ class Watch:
         while self._client.events:
             event = self._client.events.popleft().message
             if event.code == wire.EventCode.FAULT:
-                raise fault_error((wire.Fault(event.arg).key,))
+                self._raise_if_latched(wire.Fault(event.arg))
             yield event
 
-    def forget(self) -> None:
-        """Drop events that were received and not asked for, before something new is started.
+    def _raise_if_latched(self, fault: wire.Fault) -> None:
+        """Raise a fault unless it was cleared since its event."""
+        latched = wire.Fault.from_mask(self._client.request(wire.GetStatus()).faults)
+        if fault in latched:
+            others = (other.key for other in latched if other is not fault)
+            raise fault_error((fault.key, *others))
 
-        Raises:
-            RobotFaultError: a fault is among them.
+    def forget(self) -> None:
+        """Drop what was received and not asked for, before something new is started.
+
+        A fault among it needs no attention here: the board refuses to start while it is latched.
         """
-        for _ in self._taken():
-            pass
+        self._client.events.clear()
 
     def wait(self, seconds: float) -> None:
         """Let time pass.
