@@ -76,8 +76,9 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
   const uint16_t fastest = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
   const uint16_t slew =
       wanted.ramp_cpsi_s == 0 ? fastest : lesser<uint16_t>(wanted.ramp_cpsi_s, fastest);
-  loop_[0].set_target(wanted.left_cpsi, slew);
-  loop_[1].set_target(wanted.right_cpsi, slew);
+  const int32_t step_q8 = Derived::slew_step_q8(slew);
+  loop_[0].set_target(wanted.left_cpsi, step_q8);
+  loop_[1].set_target(wanted.right_cpsi, step_q8);
   if (!release && activity_ == Activity::kIdle) start(Activity::kPressing);
   return kAccepted;
 }
@@ -203,6 +204,7 @@ inline void Controller::apply() {
   const uint8_t filter = derived_.trigger_log2;
   const uint32_t scale = derived_.um_per_count_q16;
   derived_.update(config_);
+  eversion_.reconsider();
   if (derived_.oversample_log2 != oversample) {
     flex_.set_oversampling(derived_.oversample_log2);
     zeros_.invalidate(0xFFFF);

@@ -94,8 +94,7 @@ inline void Controller::advance_sweep() {
   }
   if (sweep_.half_began()) begin_half();
   const uint8_t side = sweep_.side();
-  const uint16_t slew = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
-  loop_[side].set_target(sweep_.set_cpsi(tick_), slew);
+  loop_[side].set_target(sweep_.set_cpsi(tick_), derived_.slew_q8);
   loop_[side ^ 1].cut();
 }
 
@@ -112,7 +111,8 @@ inline void Controller::pressure_step(uint8_t side) {
   sensor.update(config_.get(Param::kPressureZero, side), derived_.pressure_gain_q24[side]);
   const int16_t measured = sensor.cpsi();
   muscle_[side].update(measured, derived_.lag_alpha_q16[side],
-                       config_.get(Param::kReversalCpsi, side));
+                       static_cast<int16_t>(config_.get(Param::kReversalCpsi, side)),
+                       derived_.reversal_inverse_q24[side]);
   const int16_t duty = loop_[side].step(measured, config_, derived_);
   outputs_.drive[side] = may_energise(state_) ? duty : PressureLoop::kOff;
 
@@ -292,8 +292,7 @@ inline void Controller::trigger_step() {
 
 inline void Controller::hold_contact(uint8_t side) {
   activity_ = Activity::kHolding;
-  const uint16_t slew = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
-  loop_[side].set_target(loop_[side].set_cpsi(), slew);
+  loop_[side].set_target(loop_[side].set_cpsi(), derived_.slew_q8);
   loop_[side ^ 1].cut();
   peak_side_ = side;
   // The ten readings are taken here instead, once the body has come to rest.

@@ -36,9 +36,9 @@ class Robot {
     const uint32_t begun = board_.micros();
     board_.task(static_cast<uint8_t>(Task::kReceive));
     receive();
-    AdcFrame frame;
-    if (board_.take_frame(&frame)) {
-      tick(frame);
+    Inputs in;
+    if (board_.take_frame(&in.frame)) {
+      tick(&in);
       board_.kick_watchdog();
     }
     board_.task(static_cast<uint8_t>(Task::kStore));
@@ -66,16 +66,14 @@ class Robot {
     }
   }
 
-  void tick(const AdcFrame& frame) {
-    Inputs in;
-    in.frame = frame;
-    in.encoder = board_.encoder_count();
-    in.supply_mv = board_.supply_mv();
-    in.rx_overruns = board_.rx_overruns();
-    in.estop = board_.estop();
-    commands_.timing().rx_overruns = in.rx_overruns;
+  void tick(Inputs* in) {
+    in->encoder = board_.encoder_count();
+    in->supply_mv = board_.supply_mv();
+    in->rx_overruns = board_.rx_overruns();
+    in->estop = board_.estop();
+    commands_.timing().rx_overruns = in->rx_overruns;
     board_.task(static_cast<uint8_t>(Task::kSense));
-    controller_.sense(in);
+    controller_.sense(*in);
     board_.task(static_cast<uint8_t>(Task::kControl));
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));

@@ -15,13 +15,17 @@ constexpr int32_t kControlHz = 200;
 constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 
 struct Derived {
-  int32_t flex_gain_q16[kSensors];    // 1e-5/cm per 1/16 ohm
-  int32_t pressure_gain_q24[kSides];  // 0.01 psi per 1/64 count of a sum of five
-  int32_t lag_alpha_q16[kSides];      // share of the way to the input in one control step
-  int32_t drive_slope_q16;            // duty per 0.01 psi
-  uint32_t um_per_count_q16;          // tip movement per encoder count
+  int32_t flex_gain_q16[kSensors];        // 1e-5/cm per 1/16 ohm
+  int32_t pressure_gain_q24[kSides];      // 0.01 psi per 1/64 count of a sum of five
+  uint32_t reversal_inverse_q24[kSides];  // rounded up, so that the whole width gives 256 / 256
+  int32_t lag_alpha_q16[kSides];          // share of the way to the input in one control step
+  int32_t drive_slope_q16;                // duty per 0.01 psi
+  uint32_t um_per_count_q16;              // tip movement per encoder count
   int32_t slip_counts;
   int32_t tolerance_counts;
+  int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
+  uint16_t stuck_steps;
+  uint16_t stall_steps;
   uint16_t enabled_mask;
   uint8_t oversample_log2;
   uint8_t trigger_log2;
@@ -39,6 +43,8 @@ struct Derived {
       pressure_gain_q24[side] =
           static_cast<int32_t>((static_cast<uint64_t>(c.get(Param::kPressureFullCpsi)) << 24) /
                                (static_cast<uint32_t>(c.get(Param::kPressureSpan, side)) * 5u));
+      reversal_inverse_q24[side] =
+          0x1000000u / static_cast<uint32_t>(c.get(Param::kReversalCpsi, side)) + 1;
       // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
       const int32_t lag = c.get(Param::kLagMs, side);
       const int32_t alpha = 2 * kControlMs * 65536 / (2 * lag + kControlMs);
@@ -52,8 +58,16 @@ struct Derived {
                                               static_cast<uint64_t>(c.get(Param::kPayoutQ8))));
     slip_counts = greater<int32_t>(counts(c.get(Param::kSlipUm)), 2);
     tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
+    slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
+    stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
+    stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
     oversample_log2 = static_cast<uint8_t>(c.get(Param::kOversampleLog2));
     trigger_log2 = static_cast<uint8_t>(c.get(Param::kTriggerFilterLog2));
+  }
+
+  // A slew rate as the most change in a control step, 1/256 of 0.01 psi.
+  static int32_t slew_step_q8(uint16_t cpsi_s) {
+    return greater<int32_t>(static_cast<int32_t>(cpsi_s) * 256 / kControlHz, 1);
   }
 
   // Encoder counts of a tip movement, rounded to nearest. One 64-bit division.

@@ -31,13 +31,13 @@ class PressurePid {
   int32_t step(int16_t set, int16_t measured, int32_t feed_forward, const Gains& gains, int32_t low,
                int32_t high) {
     const int32_t error = limited<int32_t>(static_cast<int32_t>(set) - measured, -6000, 6000);
-    const int32_t proportional = static_cast<int32_t>(gains.kp) * error / 256;
+    const int32_t proportional = static_cast<int32_t>(gains.kp) * error >> 8;
     // 300 * 32767 * 200 fits 31 bits; faster change than 600 psi/s is noise.
     const int32_t change = limited<int32_t>(static_cast<int32_t>(measured) - last_, -300, 300);
-    const int32_t derivative = change * gains.kd * kControlHz / 256;
+    const int32_t derivative = change * gains.kd * kControlHz >> 8;
     last_ = measured;
 
-    const int32_t wanted = feed_forward + proportional + sum_ / (256 * kControlHz) - derivative;
+    const int32_t wanted = feed_forward + proportional + integral_cpsi() - derivative;
     const int32_t output = limited(wanted, low, high);
     // Integrate unless the output is at a limit and the error pushes further into it.
     if (!((wanted > high && error > 0) || (wanted < low && error < 0))) {
@@ -52,7 +52,9 @@ class PressurePid {
 
   void reset() { sum_ = 0; }
 
-  int32_t integral_cpsi() const { return sum_ / (256 * kControlHz); }
+  // sum_ / 51200 (256 * 200), the division by 25 as a multiplication: 1/25 is 20972 / 2^19 but for
+  // 2e-5 of it, and the limit leaves the sum 14 bits after eleven are shifted out.
+  int32_t integral_cpsi() const { return (sum_ >> 11) * 20972 >> 19; }
 
  private:
   int32_t sum_ = 0;  // of ki * error, per step
@@ -69,9 +71,10 @@ class PressureLoop {
   // integrator up (with it, a ramp of 15 psi/s to 10 psi overshoots by 1.1 psi) nor is a fault.
   static constexpr uint8_t kFollowLog2 = 6;
 
-  void set_target(int16_t cpsi, uint16_t slew_cpsi_s) {
+  // Slew as of Derived::slew_step_q8().
+  void set_target(int16_t cpsi, int32_t slew_q8) {
     target_ = cpsi;
-    slew_ = slew_cpsi_s;
+    slew_q8_ = slew_q8;
   }
 
   // True zero at once (vent, stop, fault).
@@ -83,15 +86,13 @@ class PressureLoop {
   // One control step; returns the duty 0..kDriveFull, or kOff.
   int16_t step(int16_t measured, const Configuration& c, const Derived& d) {
     const int32_t goal = static_cast<int32_t>(target_) * 256;
-    // slew in 0.01 psi/s; a step is 1/200 s.
-    const int32_t most = greater<int32_t>(static_cast<int32_t>(slew_) * 256 / kControlHz, 1);
-    set_q8_ += limited<int32_t>(goal - set_q8_, -most, most);
+    set_q8_ += limited<int32_t>(goal - set_q8_, -slew_q8_, slew_q8_);
     const int16_t set = set_cpsi();
     const bool on = set >= c.get(Param::kLiveZeroCpsi) && set > 0;
     // Twelve fraction bits keep the follower from stopping short of the set point.
     follower_q12_ += (static_cast<int32_t>(on ? set : 0) * 4096 - follower_q12_) >> kFollowLog2;
     const int16_t due = static_cast<int16_t>(follower_q12_ >> 12);
-    watch_following(due, measured, c);
+    watch_following(due, measured, c.get(Param::kStuckCpsi), d.stuck_steps);
     if (!on) {
       pid_.idle(measured);
       output_ = kOff;
@@ -123,15 +124,13 @@ class PressureLoop {
   void forgive() { stuck_steps_ = 0; }
 
  private:
-  void watch_following(int16_t due, int16_t measured, const Configuration& c) {
-    const int32_t apart = magnitude(static_cast<int32_t>(due) - measured);
-    const uint16_t limit = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
-    if (apart <= c.get(Param::kStuckCpsi)) {
+  void watch_following(int16_t due, int16_t measured, int32_t most, uint16_t steps) {
+    if (magnitude(static_cast<int32_t>(due) - measured) <= most) {
       stuck_steps_ = 0;
-    } else if (stuck_steps_ < limit) {
+    } else if (stuck_steps_ < steps) {
       ++stuck_steps_;
     }
-    stuck_ = stuck_steps_ >= limit;
+    stuck_ = stuck_steps_ >= steps;
   }
 
   PressurePid pid_;
@@ -139,7 +138,7 @@ class PressureLoop {
   int32_t follower_q12_ = 0;
   int16_t target_ = 0;
   int16_t output_ = kOff;
-  uint16_t slew_ = 0;
+  int32_t slew_q8_ = 0;
   uint16_t stuck_steps_ = 0;
   bool stuck_ = false;
 };

@@ -52,7 +52,7 @@ class Profile {
 
  private:
   int64_t stopping_q16(int32_t steps) const {
-    return static_cast<int64_t>(accel_q16_) * steps * (steps + 1) / 2;
+    return static_cast<int64_t>(accel_q16_) * steps * (steps + 1) >> 1;
   }
 
   int64_t position_q16_ = 0;

@@ -47,22 +47,22 @@ class SpoolLoop {
       return Outcome::kArrived;
     }
     watch_stall(counts, way, error, c);
-    if (still_steps_ >= static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs)) {
+    if (still_steps_ >= d.stall_steps) {
       duty_ = 0;
       return Outcome::kStalled;
     }
 
     // Speeds in counts/s; beyond 20 000 the loop saturates anyway.
     const int32_t wanted_speed =
-        limited<int32_t>((profile_.speed_q16() / 256) * kControlHz / 256, -20000, 20000);
+        limited<int32_t>((profile_.speed_q16() >> 8) * kControlHz >> 8, -20000, 20000);
     const int32_t speed =
         limited<int32_t>((counts - past_[oldest_]) * (kControlHz / kSpeedSteps), -20000, 20000);
     past_[oldest_] = counts;
     oldest_ = static_cast<uint8_t>((oldest_ + 1) % kSpeedSteps);
 
-    int32_t duty = c.get(Param::kSpoolKp) * error / 256 + sum_ / (256 * kControlHz) +
-                   c.get(Param::kSpoolKd) * (wanted_speed - speed) / 256 +
-                   c.get(Param::kSpoolKff) * wanted_speed / 256;
+    int32_t duty = (c.get(Param::kSpoolKp) * error >> 8) + (sum_ >> 8) / kControlHz +
+                   (c.get(Param::kSpoolKd) * (wanted_speed - speed) >> 8) +
+                   (c.get(Param::kSpoolKff) * wanted_speed >> 8);
     if (way * duty > 0) duty += way * c.get(Param::kSpoolDeadZone);
     const int32_t top = top_duty_;
     const bool saturated = way * duty >= top || way * duty <= 0;

@@ -39,7 +39,8 @@ constexpr uint16_t kCrcTable[256] THIGMO_PROGMEM = {
 
 constexpr uint16_t kCrcStart = 0xFFFF;
 
-inline uint16_t crc16_add(uint16_t crc, uint8_t byte) {
+// Inlined by order: a call would cost as much as the step.
+__attribute__((always_inline)) inline uint16_t crc16_add(uint16_t crc, uint8_t byte) {
   const uint8_t index = static_cast<uint8_t>((crc >> 8) ^ byte);
   return static_cast<uint16_t>((crc << 8) ^ THIGMO_FLASH_U16(kCrcTable + index));
 }

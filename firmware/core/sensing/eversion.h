@@ -22,30 +22,15 @@ class Eversion {
                   uint16_t enabled_mask) {
     if (!length_known) {
       half_mask_ = 0;
+      moved_ = true;
       return 0;
     }
     uint16_t fresh = 0;
-    half_mask_ = 0;
-    const int32_t margin = c.get(Param::kFoldMarginUm);
-    uint16_t bit = 1;
-    for (uint8_t i = 0; i < kSensors; ++i, bit = static_cast<uint16_t>(bit << 1)) {
-      const int32_t center = c.get(Param::kFlexCenterUm, i);
-      const int32_t reach = c.get(Param::kFlexSpanUm, i) / 2 + margin;
-      if (length_um >= center + reach) {
-        if ((everted_mask_ & bit) == 0) {
-          fresh = static_cast<uint16_t>(fresh | bit);
-          everted_tick_[i] = tick;
-        }
-      } else if ((everted_mask_ & bit) == 0 || length_um < center + reach - kHysteresisUm) {
-        everted_mask_ = static_cast<uint16_t>(everted_mask_ & ~bit);
-        settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~bit);
-        if (length_um > center - reach && (enabled_mask & bit) != 0) {
-          half_mask_ = static_cast<uint16_t>(half_mask_ | bit);
-        }
-      }
+    if (moved_ || length_um != length_um_) {
+      moved_ = false;
+      length_um_ = length_um;
+      fresh = look(tick, c, enabled_mask);
     }
-    everted_mask_ = static_cast<uint16_t>(everted_mask_ | fresh);
-    settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~fresh);
     const uint32_t settle = static_cast<uint32_t>(c.get(Param::kSettleMs));
     uint16_t waiting = static_cast<uint16_t>(everted_mask_ & ~settled_mask_);
     for (uint8_t i = 0; waiting != 0; ++i, waiting = static_cast<uint16_t>(waiting >> 1)) {
@@ -55,6 +40,9 @@ class Eversion {
     }
     return fresh;
   }
+
+  // Sensors were moved or switched by a change of the configuration.
+  void reconsider() { moved_ = true; }
 
   // The operator vouches for the length: whatever everted, did so long ago, or counts from now.
   void confirm(bool settled, uint32_t tick) {
@@ -76,10 +64,39 @@ class Eversion {
   }
 
  private:
+  // Finds each sensor's place relative to the fold: needed only when the tip has moved.
+  uint16_t look(uint32_t tick, const Configuration& c, uint16_t enabled_mask) {
+    uint16_t fresh = 0;
+    half_mask_ = 0;
+    const int32_t margin = c.get(Param::kFoldMarginUm);
+    uint16_t bit = 1;
+    for (uint8_t i = 0; i < kSensors; ++i, bit = static_cast<uint16_t>(bit << 1)) {
+      const int32_t center = c.get(Param::kFlexCenterUm, i);
+      const int32_t reach = c.get(Param::kFlexSpanUm, i) / 2 + margin;
+      if (length_um_ >= center + reach) {
+        if ((everted_mask_ & bit) == 0) {
+          fresh = static_cast<uint16_t>(fresh | bit);
+          everted_tick_[i] = tick;
+        }
+      } else if ((everted_mask_ & bit) == 0 || length_um_ < center + reach - kHysteresisUm) {
+        everted_mask_ = static_cast<uint16_t>(everted_mask_ & ~bit);
+        settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~bit);
+        if (length_um_ > center - reach && (enabled_mask & bit) != 0) {
+          half_mask_ = static_cast<uint16_t>(half_mask_ | bit);
+        }
+      }
+    }
+    everted_mask_ = static_cast<uint16_t>(everted_mask_ | fresh);
+    settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~fresh);
+    return fresh;
+  }
+
   uint32_t everted_tick_[kSensors] = {};
+  int32_t length_um_ = 0;
   uint16_t everted_mask_ = 0;
   uint16_t settled_mask_ = 0;
   uint16_t half_mask_ = 0;
+  bool moved_ = true;
 };
 
 }  // namespace thigmo

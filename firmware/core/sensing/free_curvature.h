@@ -15,20 +15,40 @@
 
 namespace thigmo {
 
-// A map at a pressure, linear between its supports, held beyond them. 1e-5/cm.
-inline int16_t map_at(const int16_t* map, int16_t cpsi) {
-  if (cpsi <= 0) return map[0];
-  const uint16_t index = static_cast<uint16_t>(cpsi) / protocol::kMapStepCpsi;
-  if (index >= protocol::kMapPoints - 1) return map[protocol::kMapPoints - 1];
-  const int32_t above = cpsi - static_cast<int16_t>(index * protocol::kMapStepCpsi);
-  const int32_t rise = static_cast<int32_t>(map[index + 1]) - map[index];
-  return static_cast<int16_t>(map[index] + rise * above / protocol::kMapStepCpsi);
+// Where a pressure lies between a map's supports. Divisions by the supports' distance are
+// multiplications by its inverse, exact for the pressures that a map spans.
+struct MapPlace {
+  uint8_t index;
+  uint16_t share_q14;  // of the way to the next support
+
+  explicit MapPlace(int16_t cpsi) : index(0), share_q14(0) {
+    static_assert(protocol::kMapStepCpsi == 200 && protocol::kMapPoints <= 16, "adapt the inverse");
+    if (cpsi <= 0) return;
+    constexpr int16_t kTop = protocol::kMapStepCpsi * (protocol::kMapPoints - 1);
+    if (cpsi >= kTop) {
+      index = protocol::kMapPoints - 1;
+      return;
+    }
+    const uint16_t p = static_cast<uint16_t>(cpsi);
+    index = static_cast<uint8_t>((static_cast<uint32_t>(p) * 5243u) >> 20);
+    const uint16_t above = static_cast<uint16_t>(p - index * 200u);
+    share_q14 = static_cast<uint16_t>((static_cast<uint32_t>(above) * 41943u + 256u) >> 9);
+  }
+};
+
+// A map at a place, linear between its supports, held beyond them. 1e-5/cm.
+inline int16_t map_at(const int16_t* map, const MapPlace& place) {
+  const int16_t below = map[place.index];
+  if (place.share_q14 == 0) return below;
+  const int32_t rise = static_cast<int32_t>(map[place.index + 1]) - below;
+  return static_cast<int16_t>(below + ((rise * place.share_q14 + 0x2000) >> 14));
 }
 
 // One muscle's lag filter and play operator; update() once each control step.
 class MuscleState {
  public:
-  void update(int16_t measured_cpsi, int32_t lag_alpha_q16, int32_t reversal_cpsi) {
+  void update(int16_t measured_cpsi, int32_t lag_alpha_q16, int16_t reversal_cpsi,
+              uint32_t reversal_inverse_q24) {
     const int32_t input = static_cast<int32_t>(measured_cpsi) * 65536;
     if (!started_) {
       started_ = true;
@@ -41,13 +61,11 @@ class MuscleState {
     const int16_t lagged = lagged_cpsi();
     // Play: the floor trails a rising pressure by the width and is pushed down by a falling one.
     if (lagged < floor_) floor_ = lagged;
-    const int16_t width = static_cast<int16_t>(reversal_cpsi);
-    if (static_cast<int32_t>(lagged) - floor_ > width) {
-      floor_ = static_cast<int16_t>(lagged - width);
+    if (static_cast<int32_t>(lagged) - floor_ > reversal_cpsi) {
+      floor_ = static_cast<int16_t>(lagged - reversal_cpsi);
     }
-    inflating_q8_ =
-        static_cast<uint16_t>((static_cast<uint32_t>(static_cast<uint16_t>(lagged - floor_)) << 8) /
-                              static_cast<uint16_t>(width));
+    inflating_q8_ = static_cast<uint16_t>(
+        (static_cast<uint16_t>(lagged - floor_) * reversal_inverse_q24) >> 16);
   }
 
   int16_t lagged_cpsi() const { return static_cast<int16_t>((lagged_q16_ + 0x8000) >> 16); }
@@ -58,9 +76,9 @@ class MuscleState {
 
   // Free curvature by a muscle's two maps.
   int16_t free_e5(const int16_t maps[kBranches][protocol::kMapPoints]) const {
-    const int16_t cpsi = lagged_cpsi();
-    const int32_t up = map_at(maps[0], cpsi);
-    const int32_t down = map_at(maps[1], cpsi);
+    const MapPlace place(lagged_cpsi());
+    const int32_t up = map_at(maps[0], place);
+    const int32_t down = map_at(maps[1], place);
     return static_cast<int16_t>(down + ((up - down) * inflating_q8_ >> 8));
   }
 

@@ -25,21 +25,23 @@ class MovingSum {
     in_block_ = 0;
     block_ = 0;
     sum_ = 0;
+    for (uint8_t i = 0; i < kPlaces; ++i) ring_[i] = 0;
   }
 
   void add(uint16_t sample) {
-    block_ = static_cast<uint16_t>(block_ + sample);
-    if (++in_block_ < block_samples_) return;
-    if (filled_ == places_) {
-      sum_ -= ring_[next_];
-    } else {
-      ++filled_;
+    if (block_samples_ != 1) {
+      block_ = static_cast<uint16_t>(block_ + sample);
+      if (++in_block_ < block_samples_) return;
+      sample = block_;
+      block_ = 0;
+      in_block_ = 0;
     }
-    ring_[next_] = block_;
-    sum_ += block_;
+    uint16_t& place = ring_[next_];
+    sum_ += sample;
+    sum_ -= place;
+    place = sample;
     next_ = static_cast<uint8_t>((next_ + 1) & (places_ - 1));
-    block_ = 0;
-    in_block_ = 0;
+    if (filled_ != places_) ++filled_;
   }
 
   bool full() const { return filled_ == places_; }

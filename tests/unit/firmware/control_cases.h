@@ -87,7 +87,7 @@ TEST(pressure_reaches_its_set_point_without_offset) {
   for (const int target : {300, 800, 1800}) {
     PressureLoop loop;
     Muscle muscle;
-    loop.set_target(static_cast<int16_t>(target), 1500);
+    loop.set_target(static_cast<int16_t>(target), Derived::slew_step_q8(1500));
     double most = 0;
     for (int i = 0; i < 200 * 8; ++i) {
       muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
@@ -102,7 +102,7 @@ TEST(pressure_reaches_its_set_point_without_offset) {
 TEST(set_point_moves_no_faster_than_its_slew) {
   Settings s;
   PressureLoop loop;
-  loop.set_target(1800, 600);
+  loop.set_target(1800, Derived::slew_step_q8(600));
   int previous = 0;
   int steps = 0;
   while (loop.set_cpsi() < 1800 && steps < 2000) {
@@ -117,9 +117,9 @@ TEST(set_point_moves_no_faster_than_its_slew) {
 TEST(below_the_live_zero_the_output_is_a_true_zero) {
   Settings s;
   PressureLoop loop;
-  loop.set_target(219, 10000);
+  loop.set_target(219, Derived::slew_step_q8(10000));
   for (int i = 0; i < 400; ++i) CHECK_EQUAL(loop.step(0, s.c, s.d), PressureLoop::kOff);
-  loop.set_target(220, 10000);
+  loop.set_target(220, Derived::slew_step_q8(10000));
   int16_t duty = loop.step(0, s.c, s.d);
   for (int i = 0; i < 5; ++i) duty = loop.step(0, s.c, s.d);
   CHECK(duty >= 320);  // 4 mA at least
@@ -131,14 +131,14 @@ TEST(the_integrator_is_frozen_below_the_live_zero_and_re_enters_without_a_bump) 
   Settings s;
   PressureLoop loop;
   Muscle muscle;
-  loop.set_target(1000, 1500);
+  loop.set_target(1000, Derived::slew_step_q8(1500));
   for (int i = 0; i < 200 * 10; ++i) muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
   const int16_t before = loop.output();
-  loop.set_target(0, 1500);
+  loop.set_target(0, Derived::slew_step_q8(1500));
   for (int i = 0; i < 200 * 20; ++i) muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
   CHECK_EQUAL(loop.output(), PressureLoop::kOff);
   CHECK(muscle.psi < 0.01);
-  loop.set_target(1000, 1500);
+  loop.set_target(1000, Derived::slew_step_q8(1500));
   double most = 0;
   for (int i = 0; i < 200 * 10; ++i) {
     muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
@@ -172,7 +172,7 @@ TEST(the_derivative_acts_on_the_measurement_alone) {
 TEST(a_pressure_that_does_not_follow_is_stuck_and_a_sweep_is_not) {
   Settings s;
   PressureLoop loop;
-  loop.set_target(800, 1500);
+  loop.set_target(800, Derived::slew_step_q8(1500));
   int steps = 0;
   while (!loop.stuck() && steps < 4000) {
     loop.step(0, s.c, s.d);
@@ -185,7 +185,7 @@ TEST(a_pressure_that_does_not_follow_is_stuck_and_a_sweep_is_not) {
   sweep.start(1800, 0, 8000, 3, 0);
   uint32_t tick = 0;
   while (sweep.advance(tick)) {
-    moving.set_target(sweep.set_cpsi(tick), 1500);
+    moving.set_target(sweep.set_cpsi(tick), Derived::slew_step_q8(1500));
     muscle.step(moving.step(muscle.cpsi(), s.c, s.d));
     CHECK(!moving.stuck());
     tick += 5;

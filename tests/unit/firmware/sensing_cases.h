@@ -141,15 +141,17 @@ TEST(a_pressure_wire_is_broken_outside_its_band) {
 TEST(a_map_is_linear_between_its_supports) {
   const int16_t map[protocol::kMapPoints] = {0,    790,  1520, 2148, 2656, 3046,
                                              3335, 3541, 3687, 3787, -3856};
-  CHECK_EQUAL(map_at(map, -500), 0);
-  CHECK_EQUAL(map_at(map, 32000), -3856);
+  CHECK_EQUAL(map_at(map, MapPlace(-500)), 0);
+  CHECK_EQUAL(map_at(map, MapPlace(32000)), -3856);
   for (int cpsi = 0; cpsi <= 2000; ++cpsi) {
     const int index = cpsi < 2000 ? cpsi / 200 : 9;
     const double share = (cpsi - 200 * index) / 200.0;
-    CHECK_NEAR(map_at(map, static_cast<int16_t>(cpsi)),
+    CHECK_NEAR(map_at(map, MapPlace(static_cast<int16_t>(cpsi))),
                map[index] + share * (map[index + 1] - map[index]), 1.0);
   }
 }
+
+constexpr uint32_t kInverse = 0x1000000u / 100 + 1;  // of a reversal width of 1 psi
 
 TEST(measured_pressure_is_filtered_by_the_calibrated_lag) {
   Configuration c;
@@ -159,9 +161,9 @@ TEST(measured_pressure_is_filtered_by_the_calibrated_lag) {
     CHECK(c.set(static_cast<uint16_t>(Param::kLagMs), lag));
     d.update(c);
     MuscleState muscle;
-    muscle.update(0, d.lag_alpha_q16[0], 100);
+    muscle.update(0, d.lag_alpha_q16[0], 100, kInverse);
     for (int i = 1; i < 600; ++i) {
-      muscle.update(1000, d.lag_alpha_q16[0], 100);
+      muscle.update(1000, d.lag_alpha_q16[0], 100, kInverse);
       // Midway between the steps, as a sampled input is held.
       const double t = i * 0.005;
       const double want = lag == 0 ? 1000 : 1000 * (1 - std::exp(-t / (lag * 1e-3)));
@@ -175,23 +177,24 @@ TEST(the_branch_turns_over_the_reversal_width) {
   const int32_t all = 65536;  // no lag
   const int16_t maps[kBranches][protocol::kMapPoints] = {
       {1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000}, {}};
-  muscle.update(0, all, 100);
+  muscle.update(0, all, 100, kInverse);
   CHECK_EQUAL(muscle.free_e5(maps), 0);
   for (int16_t p = 0; p <= 500; p = static_cast<int16_t>(p + 10)) {
-    muscle.update(p, all, 100);
+    muscle.update(p, all, 100, kInverse);
     CHECK_NEAR(muscle.free_e5(maps), 1000.0 * std::fmin(1.0, p / 100.0), 5);
   }
   CHECK(muscle.branch() == protocol::Branch::kInflate);
   for (int16_t p = 500; p >= 0; p = static_cast<int16_t>(p - 10)) {
-    muscle.update(p, all, 100);
+    muscle.update(p, all, 100, kInverse);
     CHECK_NEAR(muscle.free_e5(maps), 1000.0 * std::fmax(0.0, 1 - (500 - p) / 100.0), 5);
   }
   CHECK(muscle.branch() == protocol::Branch::kDeflate);
   // A reversal of less than the width goes part of the way, and back.
-  for (int16_t p = 0; p <= 300; p = static_cast<int16_t>(p + 10)) muscle.update(p, all, 100);
-  muscle.update(250, all, 100);
+  for (int16_t p = 0; p <= 300; p = static_cast<int16_t>(p + 10))
+    muscle.update(p, all, 100, kInverse);
+  muscle.update(250, all, 100, kInverse);
   CHECK_NEAR(muscle.free_e5(maps), 500, 5);
-  muscle.update(300, all, 100);
+  muscle.update(300, all, 100, kInverse);
   CHECK_EQUAL(muscle.free_e5(maps), 1000);
 }
 
