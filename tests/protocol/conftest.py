@@ -1,0 +1,46 @@
+"""The boards that the conformance suite runs against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from desk import Board, Desk
+
+from thigmo.errors import PortError
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "desk" in metafunc.fixturenames:
+        port = metafunc.config.getoption("--robot")
+        backends = ["virtual", "mega-sim", *([port] if port else [])]
+        metafunc.parametrize("desk", backends, indirect=True, scope="module")
+
+
+def virtual_board() -> Board:
+    """The firmware core, natively."""
+    from thigmo.emulator._board import VirtualBoard
+
+    return VirtualBoard(1)
+
+
+def simulated_mega() -> Board:
+    """The real image on a simulated chip."""
+    from thigmo.emulator.mega_sim import SimulatedMega
+
+    try:
+        return SimulatedMega(1)
+    except PortError as error:  # its simulator or compiler is not installed
+        pytest.skip(str(error))
+
+
+SIMULATED = {"virtual": virtual_board, "mega-sim": simulated_mega}
+
+
+@pytest.fixture(scope="module")
+def desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
+    make = SIMULATED.get(request.param)
+    desk = Desk(request.param, make() if make else None)
+    yield desk
+    desk.put_back()
+    desk.transport.close()

@@ -1,0 +1,140 @@
+"""A host that says exactly what a test tells it to, rules or not."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import TypeVar
+
+from thigmo.link import protocol as wire
+from thigmo.link.framing import Decoder, Frame, encode
+from thigmo.link.transport import Transport
+
+M = TypeVar("M", bound=wire.Message)
+ANSWER_S = 0.5
+
+
+class RawMessage(wire.Message):
+    """Any id with any payload."""
+
+    def __init__(self, message_id: int, payload: bytes) -> None:
+        self.ID = message_id  # type: ignore[misc]
+        self.payload = payload
+
+    def pack(self) -> bytes:
+        return self.payload
+
+
+class RawHost:
+    """Frames to and from a board, without the client's help.
+
+    Attributes:
+        session, seq: of the conversation that `hello` opened.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.session = 0
+        self.seq = 0
+        self.decoder = Decoder()
+        self._nonce = 1000
+        self._frames: deque[Frame] = deque()
+
+    def send(
+        self, message: wire.Message, *, seq: int | None = None, session: int | None = None
+    ) -> None:
+        self.transport.write(
+            encode(
+                message,
+                self.seq if seq is None else seq,
+                self.session if session is None else session,
+            )
+        )
+
+    def next_frame(self, wanted: Callable[[Frame], bool], timeout_s: float) -> Frame | None:
+        """The next frame that is wanted; the others are thrown away."""
+        until = self.transport.now() + timeout_s
+        while True:
+            while self._frames:
+                frame = self._frames.popleft()
+                if wanted(frame):
+                    return frame
+            left = until - self.transport.now()
+            if left <= 0:
+                return None
+            self._frames += self.decoder.feed(self.transport.read(left))
+
+    def listen(self, seconds: float) -> list[Frame]:
+        """Everything that comes in so long."""
+        found: list[Frame] = []
+        self.next_frame(lambda frame: found.append(frame) or False, seconds)  # type: ignore[func-returns-value]
+        return found
+
+    def drop_pending(self) -> None:
+        """Forget what has come so far."""
+        self._frames.clear()
+        self._frames += self.decoder.feed(self.transport.read(0.0))
+        self._frames.clear()
+
+    def answer(self, seq: int, session: int, timeout_s: float = ANSWER_S) -> Frame | None:
+        """The reply to a frame; None if there is none in time."""
+        return self.next_frame(
+            lambda f: (f.seq, f.session) == (seq, session) and 0x80 <= f.id < 0xA0, timeout_s
+        )
+
+    def hello(self, nonce: int | None = None, seq: int = 0) -> wire.HelloReply:
+        """Open a conversation."""
+        if nonce is None:
+            self._nonce += 1
+            nonce = self._nonce
+        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, nonce)
+        self.send(hello, seq=seq, session=0)
+        frame = self.answer(seq, 0)
+        assert frame is not None, "no answer to hello"
+        reply = frame.message()
+        assert isinstance(reply, wire.HelloReply)
+        self.session, self.seq = reply.session, seq
+        return reply
+
+    def ask(self, message: wire.Message, timeout_s: float = ANSWER_S) -> wire.Message:
+        """The reply to the next command, which is repeated once if the line lost it."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        for _ in range(2):
+            self.send(message)
+            frame = self.answer(self.seq, self.session, timeout_s)
+            if frame is not None:
+                return frame.message()
+        raise AssertionError(f"no answer to {message}")
+
+    def get(self, message: wire.Command[M]) -> M:
+        """The typed reply to a command that must not be refused."""
+        reply = self.ask(message)
+        assert type(reply) is message.REPLY, reply
+        if isinstance(reply, wire.Ack):
+            assert reply.status is wire.Status.OK, reply
+        return reply  # type: ignore[return-value]
+
+    def refusal(self, message: wire.Message) -> tuple[wire.Reason, int]:
+        """Why a command that must be refused was, and the detail."""
+        reply = self.ask(message)
+        assert isinstance(reply, wire.Ack), reply
+        assert reply.status is wire.Status.REFUSED, reply
+        return reply.reason, reply.detail
+
+    def save(self) -> int:
+        """Store the configuration; its generation."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        self.send(wire.SaveConfig())
+        frame = self.next_frame(
+            lambda f: (
+                f.id == wire.Ack.ID
+                and f.seq == self.seq
+                and f.payload[0] != wire.Status.IN_PROGRESS
+            ),
+            15.0,
+        )
+        assert frame is not None, "a save without an end"
+        ack = frame.message()
+        assert isinstance(ack, wire.Ack)
+        assert ack.status is wire.Status.OK, ack
+        return ack.detail
