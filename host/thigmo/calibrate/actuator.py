@@ -30,6 +30,7 @@ Branch = Literal["inflate", "deflate"]
 BRANCHES: tuple[Branch, Branch] = ("inflate", "deflate")
 
 _REJECT = 4.0
+_ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     slot = np.array([trials.index(t) if t in trials else 0 for t in readings.trial.tolist()])
     used = finite.copy()
     top = float(np.quantile(np.abs(k[finite]), 0.9))
-    sigma, offset_sigma = 0.03 * max(top, 1e-3), 1e-3
+    sigma, offset_sigma = 0.03 * max(top, 1e-3), _ONE_TRIAL_SE
     best = np.zeros(0)
     jacobian = np.zeros((0, 0))
     maps = 3 * len(present)
@@ -437,7 +438,7 @@ def at_body_pressure(maps: Sequence[ZoneMap], body_pressure_psi: float) -> ZoneM
         ]
 
         def misfit(x: Array) -> Array:
-            return _map_values(grid, x) - values
+            return np.asarray(_map_values(grid, x) - values)
 
         fit = least_squares(misfit, start, x_scale="jac")
         return TanhMap(

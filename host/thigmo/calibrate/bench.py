@@ -14,11 +14,12 @@ from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
 from thigmo.config import RobotConfig
-from thigmo.errors import DataError
+from thigmo.errors import CommandRefusedError, DataError
 
 Row = dict[str, Any]
 
 _TRIES = 3
+_QUIET_S = 5.0  # after venting, before zeros are taken
 SAME_CM = 0.2
 
 
@@ -77,11 +78,17 @@ class Bench:
     def start(self) -> None:
         """Configure, learn the length, arm."""
         self.robot.configure(self.config)
-        status = self.robot.status()
-        if status.length_cm is None:
-            self.robot.confirm_length(self.hand.everted_length_cm())
+        self.length_cm()
         if self.robot.status().state == "safe":
             self.robot.arm()
+
+    def length_cm(self) -> float:
+        """Everted length; the operator is asked where the board does not know it."""
+        known = self.robot.status().length_cm
+        if known is None:
+            known = self.hand.everted_length_cm()
+            self.robot.confirm_length(known)
+        return known
 
     def set_zone(self, zone: int) -> None:
         """Body pressure of a zone, and the board told."""
@@ -94,7 +101,7 @@ class Bench:
         Raises:
             DataError: the robot is longer already.
         """
-        now = self.robot.status().length_cm or 0.0
+        now = self.length_cm()
         if now > length_cm + SAME_CM:
             raise DataError(
                 f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
@@ -121,7 +128,16 @@ class Bench:
         self.robot.vent()
         self.say("waiting for the sensors to settle")
         self.robot.wait_settled()
-        self.robot.zero()
+        for attempt in range(_TRIES):
+            self.robot.wait(_QUIET_S)
+            try:
+                self.robot.zero()
+            except CommandRefusedError as error:
+                if error.reason != "drifting" or attempt + 1 == _TRIES:
+                    raise
+                self.say("readings still drift; waiting")
+            else:
+                return
 
     def rows(self, procedure: str, keys: Iterable[str], take: Callable[[str], Row]) -> list[Row]:
         """Take the planned rows that the folder does not hold yet; all of them, in order.

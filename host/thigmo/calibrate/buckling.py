@@ -173,7 +173,9 @@ def fit_buckling(
             float("nan"), float("inf"), each, excess, readings.body_pressure_psi, method, verdict
         )
     mean = float(each[kept].mean())
-    within = float(each[kept].std(ddof=1) / np.sqrt(n)) if n > 1 else float(own[kept][0])
+    # A handful of trials tells their scatter poorly: never less than the readings' own error.
+    scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
+    within = max(scatter, float(np.sqrt(np.mean(own[kept] ** 2)))) / float(np.sqrt(n))
     # Gain errors are the same in every trial: they do not average out over trials.
     common = mean * float(np.sqrt(np.sum(gain[beyond] ** 2)) / beyond.sum())
     se = float(np.hypot(within, common))

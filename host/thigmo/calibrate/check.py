@@ -86,7 +86,9 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     if rest.shape[1] != len(sensors):
         raise DataError(f"{rest.shape[1]} columns for {len(sensors)} sensors", "use its robot.toml")
     findings: list[Finding] = []
-    zero = np.nanmedian(rest, axis=0) if np.isfinite(rest).any() else np.full(len(sensors), np.nan)
+    zero = np.array(
+        [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in rest.T]
+    )
     for column, (side, k) in enumerate(sensors):
         findings.append(_at_rest(side, k, zero[column], rest[:, column], config))
     for side in SIDES:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing, and a good margin
 _READ_S = 1.0
+# Slow, because an overshoot would turn the muscle over to its other branch.
+_RAMP_PSI_S = 1.0
 
 
 def growth_rows(bench: Bench) -> list[Row]:
@@ -82,10 +84,10 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
             if target == 0.0:
                 bench.robot.vent()
             elif side == "left":
-                bench.robot.press(left_psi=target)
+                bench.robot.press(left_psi=target, ramp_psi_s=_RAMP_PSI_S)
             else:
-                bench.robot.press(right_psi=target)
-            bench.robot.wait(_STEADY_S)
+                bench.robot.press(right_psi=target, ramp_psi_s=_RAMP_PSI_S)
+            bench.robot.wait(_STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
             reading = bench.robot.read(_READ_S)
 
             def shot() -> Row:

@@ -102,7 +102,7 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     share = float(gap.mean())
     if not 0.05 < share < 0.95:
         raise DataError("sensors cover all of the body or none of it", "there is no gap to compare")
-    each, errors, notes = [], [], []
+    each, errors, bends, notes = [], [], [], []
     for number, picture in enumerate(pictures, start=1):
         bend = float(np.abs(picture.points_cm[:, 1]).max())
         if len(picture.points_cm) < 20 or bend < 3:
@@ -112,13 +112,18 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
             continue
         rho, rho_se = _one(picture, fine, gap)
         each.append(1 + rho)
-        errors.append(rho_se)
+        errors.append(rho_se / (1 + rho))
+        bends.append(bend)
     if len(each) < 3:
         raise DataError(
             f"{len(each)} usable pictures", "take three or more with the tip 5..10 cm aside"
         )
-    values, se = np.array(each), np.array(errors)
-    middle = np.median(values)
+    values = np.array(each)
+    # A picture's own error grows with its own estimate, which would favour low ones: the error at
+    # the common estimate, from how far the body was bent.
+    middle = float(np.median(values))
+    size = np.array(bends)
+    se = middle * float(np.median(np.array(errors) * size)) / size
     odd = np.abs(values - middle) > 4.5 * np.maximum(
         se, 1.4826 * np.median(np.abs(values - middle))
     )

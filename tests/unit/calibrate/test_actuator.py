@@ -1,0 +1,127 @@
+"""Actuator maps: right within their errors, offsets and lag found, mishaps named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_truth import DEFLATE, INFLATE, bends
+
+from thigmo.calibrate.actuator import (
+    BendReadings,
+    at_body_pressure,
+    fit_actuator,
+    fit_lag,
+    low_pass,
+)
+from thigmo.config import RobotConfig, TanhMap, ZoneMap
+from thigmo.errors import DataError
+
+GRID = np.linspace(0.0, 18.0, 19)
+
+
+def worst(made: TanhMap, true: TanhMap) -> float:
+    return max(abs(made.curvature(p) - true.curvature(p)) for p in GRID)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_both_branches_within_half_a_percent_without_trial_offsets(side):
+    for seed in range(6):
+        result = fit_actuator(bends(seed, side, sigma=1e-4, offset=0.0))
+        assert result.verdict.good, result.verdict
+        assert worst(result.zone.inflate, INFLATE) < 0.005 * result.full_scale
+        assert worst(result.zone.deflate, DEFLATE) < 0.005 * result.full_scale
+
+
+def test_errors_of_g_agree_with_the_stated_ones():
+    misses = []
+    for seed in range(40):
+        result = fit_actuator(bends(seed, offset=0.0))
+        error = worst(result.zone.inflate, INFLATE)
+        misses.append(error / result.g_se)
+    # g_se is the largest standard error over both branches: the largest error over the grid is
+    # about one to two of it.
+    assert 0.5 < np.sqrt(np.mean(np.square(misses))) < 1.7
+
+
+def test_spread_of_trials_becomes_the_offset_error():
+    found = [fit_actuator(bends(seed, offset=6e-4, trials=8)).offset_se for seed in range(8)]
+    assert np.mean(found) == pytest.approx(6e-4, rel=0.35)
+
+
+def test_ten_percent_outliers_and_lost_pictures_are_left_out_and_said():
+    clean = bends(3, offset=0.0)
+    rng = np.random.default_rng(1)
+    k = clean.curvature.copy()
+    wild = rng.choice(len(k), len(k) // 10, replace=False)
+    k[wild] += rng.choice([-1, 1], len(wild)) * rng.uniform(0.004, 0.03, len(wild))
+    k[[2, 40]] = np.nan
+    result = fit_actuator(replace(clean, curvature=k))
+    assert result.verdict.good, result.verdict
+    assert not result.used[wild].any()
+    assert worst(result.zone.inflate, INFLATE) < 0.01 * result.full_scale
+    assert any("outliers" in note for note in result.verdict.notes)
+    assert any("camera lost" in note for note in result.verdict.notes)
+
+
+def test_swapped_muscles_are_detected():
+    readings = bends(4)
+    result = fit_actuator(replace(readings, curvature=-readings.curvature))
+    assert not result.verdict.good
+    assert "swapped" in result.verdict.reason
+
+
+def test_camera_moved_between_trials_is_detected():
+    readings = bends(5)
+    k = readings.curvature + np.where(readings.trial == 2, 6e-3, 0.0)
+    result = fit_actuator(replace(readings, curvature=k))
+    assert not result.verdict.good
+    assert "moved" in result.verdict.reason
+
+
+def test_lag_is_found_from_a_ramp():
+    zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 12, 0.02)
+    p = np.interp(t, [0, 4, 6, 10, 12], [2.5, 16, 16, 2.5, 2.5])
+    felt = low_pass(t, p, 0.31)
+    g = np.array([INFLATE.curvature(v) for v in felt])
+    falling = np.gradient(felt, t) < 0
+    g[falling] = [DEFLATE.curvature(v) for v in felt[falling]]
+    k = 1.1 * g + 0.001 + rng.normal(0, 6e-4, len(t))
+    lag = fit_lag(t, p + rng.normal(0, 0.03, len(t)), k, zone, "left")
+    assert lag.lag_s == pytest.approx(0.31, abs=0.04)
+    assert lag.lag_se_s < 0.05
+
+
+def test_maps_interpolate_over_body_pressure():
+    low = ZoneMap(body_pressure_psi=0.5, inflate=INFLATE, deflate=DEFLATE)
+    softer = INFLATE.model_copy(update={"amplitude": 0.02})
+    high = ZoneMap(body_pressure_psi=1.5, inflate=softer, deflate=DEFLATE)
+    middle = at_body_pressure([low, high], 1.0)
+    expected = [(INFLATE.curvature(p) + softer.curvature(p)) / 2 for p in GRID]
+    assert [middle.inflate.curvature(p) for p in GRID] == pytest.approx(expected, abs=1e-4)
+    with pytest.raises(DataError, match="outside"):
+        at_body_pressure([low, high], 3.0)
+
+
+def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
+    result = fit_actuator(bends(6, "right"))
+    made = result.apply(RobotConfig())
+    assert made.actuators.right.maps[2] == result.zone
+    assert made.actuators.right.maps[0] == RobotConfig().actuators.right.maps[0]
+    result.figure(tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+    elsewhere = replace(bends(6), body_pressure_psi=3.0)
+    with pytest.raises(DataError, match="no zone"):
+        fit_actuator(elsewhere).apply(RobotConfig())
+
+
+def test_csv_round_trip(tmp_path):
+    both = [bends(7, "left"), bends(8, "right")]
+    BendReadings.write_all(tmp_path / "bends.csv", both)
+    again = BendReadings.read_all(tmp_path / "bends.csv")
+    assert [r.side for r in again] == ["left", "right"]
+    one, two = fit_actuator(both[1]), fit_actuator(again[1])
+    assert two.zone.inflate.amplitude == pytest.approx(one.zone.inflate.amplitude, rel=1e-5)

@@ -1,0 +1,318 @@
+"""Buckling, hysteresis, stiffness, noise, encoder, pressure and check against known truth."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from calibration_truth import CENTERS, LENGTH, SPANS
+
+from thigmo.calibrate.buckling import PushReadings, fit_buckling
+from thigmo.calibrate.check import CheckReadings, run_check
+from thigmo.calibrate.encoder import fit_encoder, fit_pressure_zero
+from thigmo.calibrate.hysteresis import CreepRecord, fit_decay, fit_hysteresis
+from thigmo.calibrate.noise import fit_noise
+from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+from thigmo.mechanics import push
+from thigmo.mechanics.settling import Settling
+
+CRITICAL = 0.01108
+
+
+def pushes(seed: int, trials: int = 5, noise: float = 3e-4, spread: float = 0.01) -> PushReadings:
+    """Folded base: contact moment at the critical value, sides in turn."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for trial in range(trials):
+        sign = 1 if trial % 2 == 0 else -1
+        moment = CRITICAL * (1 + rng.normal(0, spread))
+        force = moment / LENGTH
+        for _ in range(3):
+            bent = push(sign * force, LENGTH, free_curvature=0.0, length=LENGTH)
+            force *= moment / abs(bent.base_moment)
+        k = push(sign * force, LENGTH, free_curvature=0, length=LENGTH).averages(CENTERS, SPANS)
+        k = k.copy()
+        k[[0, 5]] += sign * 0.15 / 5.5 * 0.23  # part of the fold lies under the base sensors
+        rows.append(k + rng.normal(0, noise, 10))
+    return PushReadings(np.array(rows), 0.49, LENGTH)
+
+
+def test_critical_curvature_within_three_percent_and_within_its_error():
+    config = RobotConfig()
+    for sensor in (*config.sensors.left, *config.sensors.right):
+        sensor.noise = 3e-4
+    misses = []
+    for seed in range(30):
+        result = fit_buckling(pushes(seed), config)
+        assert result.verdict.good, result.verdict
+        assert result.critical_curvature == pytest.approx(CRITICAL, rel=0.03)
+        misses.append((result.critical_curvature - CRITICAL) / result.critical_se)
+    assert 0.5 < np.mean(np.square(misses)) < 2.2  # five trials: Student's t
+
+
+def test_known_tip_beats_the_thesis_regression():
+    config = RobotConfig()
+    error = {
+        method: np.std(
+            [fit_buckling(pushes(seed, spread=0), config, method=method).critical_curvature
+             for seed in range(40)]
+        )
+        for method in ("known tip", "thesis")
+    }  # fmt: skip
+    assert error["known tip"] < 0.85 * error["thesis"]  # 0.66 in theory
+
+
+def test_gain_errors_widen_the_error_of_the_critical_curvature():
+    config = RobotConfig()
+    sharp = fit_buckling(pushes(1), config).critical_se
+    for sensor in (*config.sensors.left, *config.sensors.right):
+        sensor.scale_se = 0.05
+    assert fit_buckling(pushes(1), config).critical_se > 1.2 * sharp
+
+
+def test_push_without_a_fold_is_left_out_and_an_outlier_trial_named():
+    readings = pushes(2, trials=7)
+    rows = readings.curvature.copy()
+    rows[1] *= 0.5
+    rows[1, [0, 5]] = rows[1, 1] * 48 / 38
+    rows[4] *= 2.0
+    result = fit_buckling(PushReadings(rows, 0.49, LENGTH), RobotConfig())
+    assert np.isnan(result.each[[1, 4]]).all()
+    assert any("did not fold" in note for note in result.verdict.notes)
+    assert any("outlier" in note for note in result.verdict.notes)
+    assert result.critical_curvature == pytest.approx(CRITICAL, rel=0.03)
+
+
+def decay(rng: np.random.Generator, tau: float, amplitude: float) -> tuple[np.ndarray, np.ndarray]:
+    t = np.arange(1.0, 31.0, 0.25)
+    return t, 0.003 + amplitude * np.exp(-t / tau) + rng.normal(0, 4e-4, len(t))
+
+
+def test_decay_is_fitted_within_its_errors_despite_outliers():
+    misses = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t, y = decay(rng, 8.0, 0.02)
+        y[rng.choice(len(y), 8, replace=False)] += rng.uniform(0.01, 0.05, 8)
+        x, covariance = fit_decay(t, y)
+        misses.append((x - [8.0, 0.02, 0.003]) / np.sqrt(np.diag(covariance)))
+    assert 0.6 < np.mean(np.square(misses)) < 1.6
+
+
+def test_hysteresis_law_and_its_use_before_thirty_seconds():
+    rng = np.random.default_rng(0)
+    config = RobotConfig()
+    records = []
+    for _ in range(4):
+        for index in range(5):
+            t, y = decay(rng, 7.5, rng.normal(0.02, 0.005))
+            records.append(CreepRecord("left", index, t, y))
+    result = fit_hysteresis(records, config)
+    assert result.verdict.good
+    made = result.apply(config)
+    assert [s.settle_tau_s for s in made.sensors.left] == pytest.approx([7.5] * 5, rel=0.1)
+    assert made.sensors.right == config.sensors.right
+    law = result.sensors[0].law
+    misses, plain = [], []
+    for _ in range(200):
+        t = np.arange(1.0, 5.0, 0.25)
+        y = 0.004 + rng.normal(0.02, 0.005) * np.exp(-t / 7.5) + rng.normal(0, 6e-4, len(t))
+        settled, _ = law.observe(t, y, 6e-4)
+        misses.append((settled.value - 0.004) / settled.sigma)
+        plain.append(y[-1] - 0.004)
+        error = settled.sigma
+    assert 0.6 < np.mean(np.square(misses)) < 1.4
+    assert error < 0.25 * np.sqrt(np.mean(np.square(plain)))
+
+
+def test_a_sensor_without_creep_is_no_failure():
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 30.0, 0.25)
+    records = [CreepRecord("left", 0, t, rng.normal(0, 4e-4, len(t)))]
+    result = fit_hysteresis(records, RobotConfig())
+    assert result.verdict.good
+    assert "no creep" in result.sensors[0].reason
+
+
+def test_settling_needs_readings():
+    with pytest.raises(DataError, match="three or more"):
+        Settling(8.0, 1.0, 0.02, 0.01).observe([1.0], [0.01], 1e-3)
+
+
+def axis(ratio: float, y: float, rng: np.random.Generator, se: float = 0.02) -> AxisPoints:
+    """Axis of a cantilever whose gaps are softer by `ratio`, tip pushed to about y."""
+    s = np.arange(0, LENGTH + 1e-9, 0.05)
+    under = np.zeros(len(s), bool)
+    for center in CENTERS[:5]:
+        under |= np.abs(s - center) <= 2.75
+    soft = np.where(under, 1.0, ratio)
+    heading = np.zeros(len(s))
+    for _ in range(20):
+        lean = np.cos(heading - heading[-1])
+        lever = np.cumsum(lean[::-1])[::-1] * 0.05
+        k = 3 * y / LENGTH**3 / (1 + 0.7 * (ratio - 1)) * lever * soft
+        heading = np.concatenate([[0], np.cumsum((k[1:] + k[:-1]) / 2 * 0.05)])
+    x = np.concatenate([[0], np.cumsum(np.cos((heading[1:] + heading[:-1]) / 2) * 0.05)])
+    across = np.concatenate([[0], np.cumsum(np.sin((heading[1:] + heading[:-1]) / 2) * 0.05)])
+    pick = np.arange(10, len(s), 10)
+    points = np.column_stack([x, across])[pick]
+    return AxisPoints(points + rng.normal(0, se, points.shape), LENGTH)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.3])
+def test_stiffness_ratio_is_found(ratio):
+    rng = np.random.default_rng(7)
+    reach = np.tile([6.0, 9.0, -7.0, -9.0, 8.0], 6)
+    result = fit_stiffness([axis(ratio, y, rng, se=0.012) for y in reach], RobotConfig())
+    assert abs(result.ratio - ratio) < 3 * result.ratio_se
+    assert result.ratio_se < 0.1
+    words = "as stiff" if ratio == 1.0 else "stiffer under the sensors"
+    assert words in result.verdict.reason
+
+
+def test_noise_in_its_three_parts():
+    rng = np.random.default_rng(2)
+    config = RobotConfig()
+    t = np.arange(200) * 0.5
+    white = np.linspace(4e-4, 9e-4, 10)
+    y = rng.normal(0, 1, (200, 10)) * white + 2e-6 * t[:, None]
+    y[rng.random(y.shape) < 0.03] += 0.05
+    zeros = rng.normal(0, 2e-3, (60, 10))
+    rising = rng.normal(0, 1e-4, (40, 10))
+    falling = rising + 8e-4 + rng.normal(0, 1e-4, (40, 10))
+    result = fit_noise(t, y, config, zeros=zeros, rising=rising, falling=falling)
+    assert result.verdict.good
+    misses = [(s.white - w) / s.white_se for s, w in zip(result.sensors, white, strict=True)]
+    assert np.mean(np.square(misses)) < 2.5
+    assert all(0.01 < s.dropouts < 0.06 for s in result.sensors)
+    assert all(s.per_eversion == pytest.approx(2e-3, rel=0.35) for s in result.sensors)
+    assert all(s.hysteresis == pytest.approx(4e-4, rel=0.2) for s in result.sensors)
+    assert all(s.drift_per_min == pytest.approx(1.2e-4, abs=4e-4) for s in result.sensors)
+
+
+def test_encoder_slope_within_its_error():
+    config = RobotConfig()
+    misses = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        length = np.array([10, 20, 26.5, 30, 35.3, 40, 50, 53.0])
+        result = fit_encoder(length * 2 * 71.3, length + rng.normal(0, 0.08, 8), config)
+        assert result.verdict.good
+        misses.append((result.counts_per_cm - 71.3) / result.counts_se)
+    assert 0.6 < np.mean(np.square(misses)) < 1.8
+
+
+def test_encoder_slip_reversal_and_lost_marker_are_detected():
+    config = RobotConfig()
+    rng = np.random.default_rng(3)
+    length = np.arange(5.0, 53, 5.0)
+    seen = length + rng.normal(0, 0.08, len(length))
+    slipped = fit_encoder(length * 152 + np.where(length > 27, 304, 0), seen, config)
+    assert not slipped.verdict.good
+    assert re.search(r"slipped by about (1\.9|2\..) cm before row 6", slipped.verdict.reason)
+    backwards = fit_encoder(-length * 152, seen, config)
+    assert not backwards.verdict.good
+    assert "swap" in backwards.verdict.reason
+    seen[3] = np.nan
+    lost = fit_encoder(length * 152, seen, config)
+    assert lost.verdict.good
+    assert "lost the tip" in lost.verdict.notes[0]
+
+
+def test_pressure_zero_and_its_faults():
+    rng = np.random.default_rng(4)
+    counts = np.column_stack([rng.normal(104.1, 0.5, 300), rng.normal(99.8, 0.5, 300)])
+    good = fit_pressure_zero(counts)
+    assert good.verdict.good
+    for zero, true in zip(good.zeros, (104.1, 99.8), strict=True):
+        assert abs(zero.zero_count - true) < 4 * zero.zero_se
+    assert good.board_values() == pytest.approx([104.1 * 64, 99.8 * 64], abs=8)
+    cut = counts.copy()
+    cut[:, 1] = 0.5
+    assert "broken wire" in " ".join(fit_pressure_zero(cut).verdict.notes)
+    emptying = counts + np.linspace(20, 0, 300)[:, None]
+    assert "wait until vented" in " ".join(fit_pressure_zero(emptying).verdict.notes)
+
+
+def whole(config: RobotConfig) -> CheckReadings:
+    """A check of a robot that is as its configuration says."""
+    rng = np.random.default_rng(5)
+    sensors = [*config.sensors.left, *config.sensors.right]
+    zero = np.array([s.zero_ohm for s in sensors])
+    scale = np.array([s.scale_per_ohm for s in sensors])
+    bent, seen, held = {}, {}, {}
+    for side, sign, dull in (("left", 1, slice(0, 5)), ("right", -1, slice(5, 10))):
+        k = sign * config.actuators.side(side).maps[2].inflate.curvature(12.0)
+        row = np.full(10, k)
+        row[dull] *= rng.uniform(-0.3, 0.4, 5)
+        bent[side], seen[side] = zero + row / scale, k
+        t = np.arange(0, 4, 0.1)
+        held[side] = np.column_stack([t, 12 + rng.normal(0, 0.02, len(t))])
+    return CheckReadings(zero + rng.normal(0, 10, (8, 10)), bent, 12.0, seen, held, zone=2)
+
+
+def test_check_passes_a_sound_robot():
+    config = RobotConfig()
+    result = run_check(whole(config), config)
+    assert result.verdict.good, result.verdict
+
+
+def test_check_names_each_fault():
+    config = RobotConfig()
+    sound = whole(config)
+    rest = sound.rest_ohm.copy()
+    rest[:, 3] = np.nan
+    rest[:, 6] += 1000
+    bent = {
+        side: ohm + np.where(np.arange(10) == 6, 1000, 0) for side, ohm in sound.bend_ohm.items()
+    }
+    found = {f.what: f for f in run_check(
+        CheckReadings(rest, bent, 12.0, sound.bend_seen, sound.held_psi, zone=2), config
+    ).findings}  # fmt: skip
+    assert found["sensor left 3"].mark == "bad"
+    assert "open circuit" in found["sensor left 3"].text
+    assert "drifted" in found["sensor right 1"].text
+
+    swapped = {side: np.r_[ohm[5:], ohm[:5]] for side, ohm in sound.bend_ohm.items()}
+    columns = run_check(
+        CheckReadings(sound.rest_ohm, swapped, 12.0, sound.bend_seen, sound.held_psi, zone=2),
+        config,
+    )
+    assert any("columns are swapped" in f.text for f in columns.findings)
+
+    crossed = {"left": sound.bend_seen["right"], "right": sound.bend_seen["left"]}
+    tubes = run_check(
+        CheckReadings(sound.rest_ohm, sound.bend_ohm, 12.0, crossed, sound.held_psi, zone=2), config
+    )
+    assert "tubes are swapped" in tubes.verdict.reason
+
+    t = np.arange(0, 4, 0.1)
+    leaking = {**sound.held_psi, "left": np.column_stack([t, 12 - 0.4 * t])}
+    leak = run_check(
+        CheckReadings(sound.rest_ohm, sound.bend_ohm, 12.0, sound.bend_seen, leaking, zone=2),
+        config,
+    )
+    assert "a leak" in leak.verdict.reason
+
+
+def test_every_result_draws_its_figure_and_makes_plain_data(tmp_path):
+    config = RobotConfig()
+    rng = np.random.default_rng(6)
+    results = [
+        fit_buckling(pushes(0), config),
+        fit_hysteresis([CreepRecord("left", 0, *decay(rng, 8.0, 0.02))], config),
+        fit_stiffness([axis(1.0, y, rng) for y in (7.0, -8.0, 9.0)], config),
+        fit_noise(np.arange(40.0), rng.normal(0, 6e-4, (40, 10)), config),
+        fit_encoder(np.arange(8) * 700.0 + 700, np.arange(8) * 4.6 + 4.6, config),
+        fit_pressure_zero(rng.normal(102, 0.5, (30, 2))),
+        run_check(whole(config), config),
+    ]
+    for number, result in enumerate(results):
+        path = tmp_path / f"{number}.png"
+        result.figure(path)
+        assert path.stat().st_size > 5_000
+        assert result.as_data()["verdict"]["good"] == result.verdict.good
+        assert isinstance(result.apply(config), RobotConfig)
