@@ -20,7 +20,7 @@ from thigmo.errors import DataError
 from thigmo.localization import prior
 from thigmo.localization.influence import STRAIGHT
 from thigmo.localization.posterior import one_contact
-from thigmo.localization.readings import normalise
+from thigmo.localization.readings import TRUST, normalise
 from thigmo.localization.result import LocalizeResult, Status
 
 Array = npt.NDArray[np.float64]
@@ -55,6 +55,7 @@ class BatchResult:
 @compiled_parallel
 def _posteriors(
     y: Array,
+    free: Array,
     low: Array,
     high: Array,
     variance: Array,
@@ -80,7 +81,7 @@ def _posteriors(
             continue
         part = np.empty((4, n))
         k = 0
-        most = 0.0
+        most = free[row]
         for i in range(y.shape[1]):
             if not np.isnan(y[row, i]):
                 part[0, k] = y[row, i]
@@ -91,7 +92,7 @@ def _posteriors(
                 k += 1
         if known:
             for k in range(n):
-                part[3, k] = max(part[3, k], max(1e-6 * most, 1e-9) ** 2)
+                part[3, k] = max(part[3, k], max(TRUST * most, 1e-9) ** 2)
         found = one_contact(
             part[0],
             part[1],
@@ -163,7 +164,7 @@ def localize_batch(
         noise,
     )
     y = np.ascontiguousarray(readings - free)
-    workers = numba.config.NUMBA_NUM_THREADS if threads == 0 else threads
+    workers = _cores() if threads == 0 else threads
     scale = checked.length
     if method in ("l1", "l2"):
         from thigmo.localization.exact import one_contact_batch
@@ -191,10 +192,11 @@ def localize_batch(
         raise DataError(f"unknown method {method!r}", 'use "l1", "l2" or "exact"')
     out = np.zeros((len(y), 7))
     before = numba.get_num_threads()
-    numba.set_num_threads(max(1, min(workers, numba.config.NUMBA_NUM_THREADS)))
+    numba.set_num_threads(max(1, min(workers, _cores())))
     try:
         _posteriors(
             np.clip(y * scale, -1e6, 1e6),
+            np.broadcast_to(np.abs(free).max(axis=-1) if free.ndim else abs(free), len(y)) * scale,
             checked.low,
             checked.high,
             checked.variance,
@@ -264,3 +266,8 @@ def _some_rows(
     from thigmo.localization.estimate import localize
 
     return [localize(row, position, **options) for row in rows]
+
+
+def _cores() -> int:
+    """Threads that numba may use."""
+    return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]

@@ -262,9 +262,11 @@ def _more_contacts(
 
 def _turning(fit: Fit, readings: Readings) -> float:
     """Largest turning (rad) between a contact and the base under a fit, roughly."""
-    free = abs(float(readings.free.mean()))
-    loads = sum(abs(f) * a * a / 2 for a, f in zip(fit.arcs, fit.forces, strict=True))
-    return free * float(fit.arcs.max()) + float(loads)
+    total, far = 0.0, 0.0
+    for arc, force in zip(fit.arcs.tolist(), fit.forces.tolist(), strict=True):
+        total += abs(force) * arc * arc / 2
+        far = max(far, arc)
+    return total + abs(readings.bend) * far
 
 
 def _lever_arms(readings: Readings, fit: Fit) -> Fit:
@@ -290,22 +292,22 @@ def _refit_bent(readings: Readings, fit: Fit) -> Fit:
 
 def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) -> Setting | None:
     """The same body with a fold at its base, where base sensors or the moment suggest one."""
-    column = fold_column(readings, options.radius)
-    base = column > 0.0
-    # A fold needs other sensors to be told from a contact.
-    if not base.any() or np.count_nonzero(~base) < 2:
-        return None
-    moment = abs(float(fit.forces[0] * fit.arcs[0]))
+    arc, force = float(fit.arcs[0]), float(fit.forces[0])
     limit = prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
-    near = moment + 2.0 * fit.deviation * float(fit.arcs[0]) > limit
+    near = (abs(force) + 2.0 * fit.deviation) * arc > limit
     if not near and not called:
+        return None
+    column = fold_column(readings, options.radius)
+    # A fold needs base sensors to show it, and others to be told from a contact.
+    base = np.count_nonzero(column > 0.0)
+    if base == 0 or len(column) - base < 2:
         return None
     return fit.setting.with_column(column, prior.FOLD_ANGLE, "fold_angle", "base fold")
 
 
 def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Options) -> list[Fit]:
     """Add the folded base to the one-contact models; with a known critical moment, enforce it."""
-    counted = float(readings.free.mean()) if options.critical_of == "total" else 0.0
+    counted = readings.bend if options.critical_of == "total" else 0.0
     if options.critical is None:
         folded = _lever_arms(readings, fit_one(readings, fold, prior.FOLD_PENALTY))
     else:
@@ -326,17 +328,18 @@ def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Opti
 def _tip_models(readings: Readings, fit: Fit, options: Options, called: bool) -> list[Fit]:
     """Tip moment and oblique force at the tip, where the place or the misfit suggests them."""
     out: list[Fit] = []
-    moment = fit.setting.with_column(
-        np.ones(len(readings.y)), prior.TIP_MOMENT, "tip_moment", "tip moment"
-    )
-    if called and len(readings.y) >= 3:
-        out.append(_lever_arms(readings, fit_one(readings, moment, prior.TIP_MOMENT_PENALTY)))
-    near_tip = float(fit.intervals[0, 1]) > NEAR_TIP
-    if not near_tip or _turning(fit, readings) < prior.BEND:
+    near_tip = float(fit.intervals[0, 1]) > NEAR_TIP and _turning(fit, readings) > prior.BEND
+    if not called and not near_tip:
         return out
     settings = [(fit.setting, 0.0)]
-    if called and len(readings.y) >= 4:
+    if called and len(readings.y) >= LEAST_FOR_TIP_MOMENT:
+        moment = fit.setting.with_column(
+            np.ones(len(readings.y)), prior.TIP_MOMENT, "tip_moment", "tip moment"
+        )
+        out.append(_lever_arms(readings, fit_one(readings, moment, prior.TIP_MOMENT_PENALTY)))
         settings.append((moment, prior.TIP_MOMENT_PENALTY))
+    if not near_tip:
+        return out
     for setting, penalty in settings:
         corner = at_corner(readings, setting, fit, options.radius, penalty)
         for _ in range(2):
@@ -349,6 +352,8 @@ def _tip_models(readings: Readings, fit: Fit, options: Options, called: bool) ->
     return out
 
 
+# A place, a force and a tip moment take three readings; one more to test them.
+LEAST_FOR_TIP_MOMENT = 4
 # An interval that ends beyond this share of the length may be a contact on the tip's corner.
 NEAR_TIP = 0.85
 
@@ -356,7 +361,8 @@ NEAR_TIP = 0.85
 def _spread_models(readings: Readings, fit: Fit) -> list[Fit]:
     """A uniform load over a stretch of a few widths."""
     penalty = prior.DISTRIBUTED_PENALTY + math.log(len(prior.HALF_WIDTHS))
-    return [fit_several(readings, fit.setting, 1, penalty, half) for half in prior.HALF_WIDTHS]
+    setting = replace(fit.setting, name=f"{fit.setting.name} + distributed contact")
+    return [fit_several(readings, setting, 1, penalty, half) for half in prior.HALF_WIDTHS]
 
 
 def _contacts(

@@ -7,6 +7,8 @@ highest-density set, which may be several pieces: its pieces are the modes.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -20,8 +22,8 @@ def cell_mass(width: float, left: float, right: float) -> float:
     """Integral over a cell of a density whose log is linear, from `left` to `right`."""
     difference = right - left
     if abs(difference) < 1e-6:
-        return width * np.exp(0.5 * (left + right))
-    return width * (np.exp(right) - np.exp(left)) / difference
+        return width * math.exp(0.5 * (left + right))
+    return width * (math.exp(right) - math.exp(left)) / difference
 
 
 @compiled
@@ -33,8 +35,8 @@ def within(share: float, left: float, right: float) -> float:
         return share
     # Measured from the denser end, which keeps the numbers small.
     if difference > 0.0:
-        return 1.0 + np.log(share + (1.0 - share) * np.exp(-difference)) / difference
-    return np.log(1.0 - share + share * np.exp(difference)) / difference
+        return 1.0 + math.log(share + (1.0 - share) * math.exp(-difference)) / difference
+    return math.log(1.0 - share + share * math.exp(difference)) / difference
 
 
 @compiled
@@ -54,7 +56,7 @@ def masses(arcs: Array, logp: Array, count: int, cumulative: Array) -> float:
     total = cumulative[count - 1]
     for j in range(count):
         cumulative[j] /= total
-    return top + np.log(total)
+    return top + math.log(total)
 
 
 @compiled

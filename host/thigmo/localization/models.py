@@ -303,7 +303,7 @@ def bent_shape(fit: Fit, readings: Readings) -> Array:
     """(G, 5) shape of the body under a fit: free curvature, contacts and loads at the tip."""
     table = fit.setting.table
     edges = sensor_edges(table, GRID, GRID)
-    curvature = np.full(len(GRID), readings.free.mean())
+    curvature = np.full(len(GRID), readings.bend)
     for arc, force in zip(fit.arcs, fit.forces, strict=True):
         curvature += force * _lever(float(arc), GRID, GRID, table, edges, fit.stretch)
     coefficients = solve_columns(fit, readings)

@@ -14,6 +14,8 @@ likelihood. An unknown noise scale is one more sum, over levels.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -28,7 +30,7 @@ Flags = npt.NDArray[np.bool_]
 # Log-density fall (nats) below the top at which cells are no longer refined.
 REACH = 9.0
 MAX_NODES = 900
-COARSE = 81
+COARSE = 49
 # Prior of an unknown noise deviation times the length: 0.032 for flex sensors after averaging,
 # 1e-3..1e-2 for fibre gratings.
 SIGMA_MEDIAN = 0.01
@@ -348,6 +350,141 @@ def robust_flags(
 
 
 @compiled
+def coarse_error(y: Array, step: float) -> float:
+    """Deviation that half a grid step in the arc can feign in a reading, roughly."""
+    return 0.75 * step * np.abs(y).max()
+
+
+@compiled
+def climb_arc(
+    start: float,
+    end: float,
+    low: Array,
+    high: Array,
+    table: Array,
+    edges: Array,
+    y: Array,
+    flagged: Flags,
+    odds: float,
+    kappa2: float,
+    W: Array,
+    white: Array,
+    fit: Array,
+    const: Array,
+    moment: Array,
+    spread: Array,
+    log_weight: Array,
+    phi: Array,
+    t: Array,
+    flips: Array,
+) -> float:
+    """Arc of the highest density between two arcs (golden section)."""
+    ratio = 0.6180339887498949
+    a = end - ratio * (end - start)
+    b = start + ratio * (end - start)
+    at_a, _, _ = evaluate(
+        a,
+        low,
+        high,
+        table,
+        edges,
+        y,
+        flagged,
+        odds,
+        kappa2,
+        W,
+        white,
+        fit,
+        const,
+        moment,
+        spread,
+        log_weight,
+        phi,
+        t,
+        flips,
+        False,
+    )
+    at_b, _, _ = evaluate(
+        b,
+        low,
+        high,
+        table,
+        edges,
+        y,
+        flagged,
+        odds,
+        kappa2,
+        W,
+        white,
+        fit,
+        const,
+        moment,
+        spread,
+        log_weight,
+        phi,
+        t,
+        flips,
+        False,
+    )
+    for _ in range(18):
+        if at_a >= at_b:
+            end = b
+            b = a
+            at_b = at_a
+            a = end - ratio * (end - start)
+            at_a, _, _ = evaluate(
+                a,
+                low,
+                high,
+                table,
+                edges,
+                y,
+                flagged,
+                odds,
+                kappa2,
+                W,
+                white,
+                fit,
+                const,
+                moment,
+                spread,
+                log_weight,
+                phi,
+                t,
+                flips,
+                False,
+            )
+        else:
+            start = a
+            a = b
+            at_a = at_b
+            b = start + ratio * (end - start)
+            at_b, _, _ = evaluate(
+                b,
+                low,
+                high,
+                table,
+                edges,
+                y,
+                flagged,
+                odds,
+                kappa2,
+                W,
+                white,
+                fit,
+                const,
+                moment,
+                spread,
+                log_weight,
+                phi,
+                t,
+                flips,
+                False,
+            )
+    return a if at_a >= at_b else b
+
+
+@compiled
 def search_pattern(
     arcs: Array,
     low: Array,
@@ -356,6 +493,7 @@ def search_pattern(
     edges: Array,
     y: Array,
     variance: Array,
+    known: bool,
     sigma: Array,
     log_sigma_prior: Array,
     columns: Array,
@@ -371,11 +509,15 @@ def search_pattern(
     fit: Array,
     const: Array,
     logp: Array,
-) -> tuple[float, int]:
+    force: Array,
+) -> float:
     """Climb to the outlier pattern with the most weight, one reading at a time.
 
+    Readings much finer than the grid of arcs would all look like outliers on it: the place is then
+    sought with the grid's own error added to the noise, and climbed to without it.
+
     Returns:
-        The best log density over `arcs` (or the evidence without contact); index of the best arc.
+        The best log density over `arcs` (or the evidence without contact).
     """
     n = y.shape[0]
     q = columns.shape[1]
@@ -383,11 +525,14 @@ def search_pattern(
     t = np.empty(q)
     flips = np.empty(n + 1)
     top = -1e300
-    at = 0
-    for _ in range(n + 2):
+    count = arcs.shape[0]
+    error = coarse_error(y, 1.0 / (count - 1.0)) ** 2
+    fine = contact and known and error > 0.1 * variance.min()
+    rough = variance + error
+    for turn in range(n + 2):
         prepare_levels(
             y,
-            variance,
+            rough if fine else variance,
             sigma,
             log_sigma_prior,
             columns,
@@ -401,8 +546,8 @@ def search_pattern(
         )
         if contact:
             at = 0
-            for j in range(arcs.shape[0]):
-                logp[j] = evaluate(
+            for j in range(count):
+                logp[j], force[j], _ = evaluate(
                     arcs[j],
                     low,
                     high,
@@ -423,12 +568,99 @@ def search_pattern(
                     t,
                     flips,
                     False,
-                )[0]
+                )
                 if logp[j] > logp[at]:
                     at = j
-            top = logp[at]
-            evaluate(
-                arcs[at],
+            if fine:
+                prepare_levels(
+                    y,
+                    variance,
+                    sigma,
+                    log_sigma_prior,
+                    columns,
+                    flagged,
+                    odds,
+                    kappa2,
+                    W,
+                    white,
+                    fit,
+                    const,
+                )
+            best = n
+            arc = arcs[at]
+            # Only a reading that is off at the best arc itself is an outlier.
+            for look in range(2):
+                if look == 1 or fine or not known:
+                    arc = climb_arc(
+                        arcs[max(at - 1, 0)],
+                        arcs[min(at + 1, count - 1)],
+                        low,
+                        high,
+                        table,
+                        edges,
+                        y,
+                        flagged,
+                        odds,
+                        kappa2,
+                        W,
+                        white,
+                        fit,
+                        const,
+                        moment,
+                        spread,
+                        log_weight,
+                        phi,
+                        t,
+                        flips,
+                    )
+                top, _, _ = evaluate(
+                    arc,
+                    low,
+                    high,
+                    table,
+                    edges,
+                    y,
+                    flagged,
+                    odds,
+                    kappa2,
+                    W,
+                    white,
+                    fit,
+                    const,
+                    moment,
+                    spread,
+                    log_weight,
+                    phi,
+                    t,
+                    flips,
+                    True,
+                )
+                best = n
+                for i in range(n):
+                    if flips[i] > flips[best] + 1e-9:
+                        best = i
+                if best == n or fine or not known:
+                    break
+        else:
+            top = null_evidence(y, flagged, odds, kappa2, W, white, fit, const, flips)
+            best = n
+            for i in range(n):
+                if flips[i] > flips[best] + 1e-9:
+                    best = i
+        if best == n or turn == n + 1:
+            break
+        if not flagged[best]:
+            outliers = 1
+            for i in range(n):
+                if flagged[i]:
+                    outliers += 1
+            if 2 * outliers > n:
+                break
+        flagged[best] = not flagged[best]
+    if fine:
+        for j in range(count):
+            logp[j], force[j], _ = evaluate(
+                arcs[j],
                 low,
                 high,
                 table,
@@ -447,25 +679,9 @@ def search_pattern(
                 phi,
                 t,
                 flips,
-                True,
+                False,
             )
-        else:
-            top = null_evidence(y, flagged, odds, kappa2, W, white, fit, const, flips)
-        best = n
-        for i in range(n):
-            if flips[i] > flips[best] + 1e-9:
-                best = i
-        if best == n:
-            break
-        if not flagged[best]:
-            count = 1
-            for i in range(n):
-                if flagged[i]:
-                    count += 1
-            if 2 * count > n:
-                break
-        flagged[best] = not flagged[best]
-    return top, at
+    return top
 
 
 @compiled
@@ -493,6 +709,7 @@ def best_pattern(
     fit: Array,
     const: Array,
     logp: Array,
+    force: Array,
 ) -> tuple[float, Flags]:
     """The better of two climbs: from no outlier, and from the 1-norm's outliers.
 
@@ -503,7 +720,7 @@ def best_pattern(
     """
     n = y.shape[0]
     flagged = given.copy()
-    top, _ = search_pattern(
+    top = search_pattern(
         arcs,
         low,
         high,
@@ -511,6 +728,7 @@ def best_pattern(
         edges,
         y,
         variance,
+        known,
         sigma,
         log_sigma_prior,
         columns,
@@ -526,6 +744,7 @@ def best_pattern(
         fit,
         const,
         logp,
+        force,
     )
     # A second start pays only where something is odd: an outlier was found, or the scale is free.
     odd = not known
@@ -540,7 +759,7 @@ def best_pattern(
         same = same and other[i] == flagged[i]
     if same:
         return top, flagged
-    rival, _ = search_pattern(
+    rival = search_pattern(
         arcs,
         low,
         high,
@@ -548,6 +767,7 @@ def best_pattern(
         edges,
         y,
         variance,
+        known,
         sigma,
         log_sigma_prior,
         columns,
@@ -563,6 +783,7 @@ def best_pattern(
         fit,
         const,
         logp,
+        force,
     )
     if rival > top:
         return rival, other
@@ -574,6 +795,7 @@ def best_pattern(
         edges,
         y,
         variance,
+        known,
         sigma,
         log_sigma_prior,
         columns,
@@ -589,6 +811,7 @@ def best_pattern(
         fit,
         const,
         logp,
+        force,
     )
     return top, flagged
 
@@ -618,7 +841,7 @@ def refine(
     """Halve cells until the density is resolved where it matters.
 
     A cell is split where the density is within REACH nats of the top and changes by more than
-    1 nat or holds more than 3 % of the mass, and beside local maxima that may hide a higher one.
+    1 nat or holds more than 5 % of the mass, and beside local maxima that may hide a higher one.
     `arcs`, `logp`, `force` (MAX_NODES,) hold `count` sorted nodes and are grown in place.
 
     Returns:
@@ -644,7 +867,7 @@ def refine(
             want = False
             if max(left, right) > -REACH:
                 want = abs(left - right) > 1.0
-                want = want or cell_mass(width, left, right) > 0.03 * mass
+                want = want or cell_mass(width, left, right) > 0.05 * mass
             if not want and width > 1e-9:
                 # Beside a local maximum the peak may stand higher than its samples.
                 for peak in range(j, j + 2):
@@ -795,6 +1018,7 @@ def one_contact(
         fit,
         const,
         logp,
+        force,
     )
     if not known:
         sigma, log_prior = noise_levels(y, variance)
@@ -827,6 +1051,7 @@ def one_contact(
         fit,
         const,
         logp,
+        force,
     )
     phi = np.empty(n)
     t = np.empty(q)
@@ -861,29 +1086,29 @@ def one_contact(
         prepare_levels(
             y, variance, sigma, log_prior, columns, flagged, odds, kappa2, W, white, fit, const
         )
-    for j in range(count):
-        logp[j], force[j], _ = evaluate(
-            arcs[j],
-            low,
-            high,
-            table,
-            edges,
-            y,
-            flagged,
-            odds,
-            kappa2,
-            W,
-            white,
-            fit,
-            const,
-            moment,
-            spread,
-            log_weight,
-            phi,
-            t,
-            flips,
-            False,
-        )
+        for j in range(count):
+            logp[j], force[j], _ = evaluate(
+                arcs[j],
+                low,
+                high,
+                table,
+                edges,
+                y,
+                flagged,
+                odds,
+                kappa2,
+                W,
+                white,
+                fit,
+                const,
+                moment,
+                spread,
+                log_weight,
+                phi,
+                t,
+                flips,
+                False,
+            )
     count = refine(
         low,
         high,
@@ -1042,7 +1267,7 @@ def noise_levels(y: Array, variance: Array) -> tuple[Array, Array]:
 @compiled
 def level_step(n: int) -> float:
     """Spacing of log noise levels that resolves what N readings can tell."""
-    return min(0.35, 1.3 / np.sqrt(n))
+    return min(0.35, 1.3 / math.sqrt(n))
 
 
 @compiled

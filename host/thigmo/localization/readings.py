@@ -21,8 +21,9 @@ Indices = npt.NDArray[np.int64]
 # Turning of more than this (rad over the body) is no reading of a beam; larger readings are taken
 # as this, so that squares stay finite.
 LARGEST = 1e6
-# Readings are never trusted to more than this share of the largest of them.
-TRUST = 1e-6
+# Readings are never trusted to more than this share of the largest of them or of the free
+# curvature: no beam model and no sensor constant is better.
+TRUST = 5e-4
 
 _PROBLEMS = {
     1: ("position and curvature differ in length", "give one position for each reading"),
@@ -52,7 +53,7 @@ class Readings:
         high: (N,) far end over length.
         variance: (N,) noise variance of y, or ones where the scale is not known.
         known: whether the noise is known.
-        free: (N,) free curvature at each sensor, times length.
+        bend: mean free curvature, times length.
         index: (N,) place of each in the caller's arrays.
         length: the everted length, caller's unit.
     """
@@ -62,7 +63,7 @@ class Readings:
     high: Array
     variance: Array
     known: bool
-    free: Array
+    bend: float
     index: Indices
     length: float
 
@@ -79,21 +80,21 @@ def _normalise(
     low: Array,
     high: Array,
     variance: Array,
-    free_out: Array,
     index: Indices,
-) -> tuple[int, int]:
-    """Check and scale; returns (problem or 0, number of finite readings)."""
+) -> tuple[int, int, float]:
+    """Check and scale; returns (problem or 0, number of finite readings, mean free curvature)."""
     n = curvature.shape[0]
     if position.shape[0] != n:
-        return 1, 0
+        return 1, 0, 0.0
     if span.shape[0] != n and span.shape[0] != 1:
-        return 2, 0
+        return 2, 0, 0.0
     if free.shape[0] != n and free.shape[0] != 1:
-        return 3, 0
+        return 3, 0, 0.0
     if noise.shape[0] > 1 and noise.shape[0] != n:
-        return 4, 0
+        return 4, 0, 0.0
     count = 0
     most = 0.0
+    bend = 0.0
     slack = 1e-9 * length
     for i in range(n):
         x = position[i]
@@ -103,17 +104,17 @@ def _normalise(
         if noise.shape[0] > 0:
             s = noise[i if noise.shape[0] > 1 else 0]
         if not np.isfinite(x):
-            return 5, 0
+            return 5, 0, 0.0
         if x > length + slack or x < -slack:
-            return 6, 0
+            return 6, 0, 0.0
         if not np.isfinite(width) or width < 0.0:
-            return 7, 0
+            return 7, 0, 0.0
         if np.isinf(curvature[i]):
-            return 8, 0
+            return 8, 0, 0.0
         if not np.isfinite(g):
-            return 9, 0
+            return 9, 0, 0.0
         if not np.isfinite(s) or s < 0.0:
-            return 10, 0
+            return 10, 0, 0.0
         if np.isnan(curvature[i]):
             continue
         half = min(0.5 * width / length, 1e3)
@@ -124,17 +125,17 @@ def _normalise(
         low[count] = x / length - half
         high[count] = x / length + half
         variance[count] = min(s * length, LARGEST) ** 2
-        free_out[count] = min(max(g * length, -LARGEST), LARGEST)
+        bend += min(max(g * length, -LARGEST), LARGEST)
         index[count] = i
-        most = max(most, abs(y[count]))
+        most = max(most, abs(y[count]), min(abs(g) * length, LARGEST))
         count += 1
     if count == 0:
-        return 11, 0
+        return 11, 0, 0.0
     if noise.shape[0] > 0:
         least = max(TRUST * most, 1e-9) ** 2
         for i in range(count):
             variance[i] = max(variance[i], least)
-    return 0, count
+    return 0, count, bend / count
 
 
 def _vector(value: npt.ArrayLike, name: str) -> Array:
@@ -183,14 +184,14 @@ def normalise(
     if not (math.isfinite(total) and 1e-9 <= total <= 1e9):
         raise DataError(f"length {total:g} is no length", "give the everted length, in cm, m or mm")
     n = len(k)
-    block = np.empty((5, n))
+    block = np.empty((4, n))
     index = np.empty(n, dtype=np.int64)
-    problem, count = _normalise(
-        k, x, width, g, s, total, block[0], block[1], block[2], block[3], block[4], index
+    problem, count, bend = _normalise(
+        k, x, width, g, s, total, block[0], block[1], block[2], block[3], index
     )
     if problem:
         raise DataError(*_PROBLEMS[problem])
     block = block[:, :count]
     return Readings(
-        block[0], block[1], block[2], block[3], noise is not None, block[4], index[:count], total
+        block[0], block[1], block[2], block[3], noise is not None, bend, index[:count], total
     )

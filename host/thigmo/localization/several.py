@@ -13,7 +13,7 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.localization.influence import influence
 from thigmo.localization.intervals import median_between, modes, shortest
-from thigmo.localization.posterior import finer_levels, noise_levels, prepare_levels
+from thigmo.localization.posterior import coarse_error, finer_levels, noise_levels, prepare_levels
 from thigmo.localization.prior import LEAST_LEVER, WIDTH_SHARE
 
 Array = npt.NDArray[np.float64]
@@ -420,6 +420,11 @@ def several(
     top = -1e300
     climbs = 0
     refined = 0
+    leveled = False
+    error = coarse_error(y, 1.0 / (NODES[c] - 1.0)) ** 2
+    fine = not known or error > 0.1 * variance.min()
+    if fine:
+        passes = max(passes, PASSES)
     for _ in range(passes + n + 4):
         prepare_levels(
             y, variance, sigma, log_prior, columns, flagged, odds, kappa2, W, white, fit, const
@@ -446,35 +451,6 @@ def several(
             if not next_pick(pick, m):
                 break
         _, s, _ = choice(best_pick, gram, b, lever, spread, log_weight, const, G, force)
-        # Outliers: climb one reading at a time before the grid is refined.
-        flip_weights(
-            best_pick, s, phi, t, y, flagged, W, white, fit, G, force, odds, kappa2, change
-        )
-        if climbs < n + 2:
-            best = 0
-            count = 0
-            for i in range(n):
-                if change[i] > change[best]:
-                    best = i
-                if flagged[i]:
-                    count += 1
-            if change[best] > 1.0 and (flagged[best] or 2 * (count + 1) <= n):
-                flagged[best] = not flagged[best]
-                climbs += 1
-                continue
-            if not known and climbs < n + 2:
-                # Keep the noise levels that matter from here on.
-                sigma, log_prior = levels_near(
-                    best_pick, gram, b, lever, spread, log_weight, const, sigma, n
-                )
-                levels = sigma.shape[0]
-                W = np.empty((levels, n))
-                white = np.empty((levels, n, q))
-                fit = np.empty((levels, q))
-                const = np.empty(levels)
-                climbs = n + 3
-                continue
-            climbs = n + 3
         # A grid too coarse for the noise misfits everywhere: then judge by what it does reach.
         misfit = 0.0
         for i in range(n):
@@ -501,7 +477,37 @@ def several(
                 grown[write] = 0.5 * (nodes[j] + nodes[j + 1])
                 write += 1
                 added += 1
-        if added == 0 or refined == passes:
+        done = added == 0 or refined == passes
+        if not known and not leveled:
+            # Keep the noise levels that matter from here on.
+            sigma, log_prior = levels_near(
+                best_pick, gram, b, lever, spread, log_weight, const, sigma, n
+            )
+            levels = sigma.shape[0]
+            W = np.empty((levels, n))
+            white = np.empty((levels, n, q))
+            fit = np.empty((levels, q))
+            const = np.empty(levels)
+            leveled = True
+            continue
+        # Outliers, one reading at a time: at once if the grid is fine enough for the noise, else
+        # when it has been refined.
+        if (done or not fine) and climbs < n + 2:
+            flip_weights(
+                best_pick, s, phi, t, y, flagged, W, white, fit, G, force, odds, kappa2, change
+            )
+            best = 0
+            count = 0
+            for i in range(n):
+                if change[i] > change[best]:
+                    best = i
+                if flagged[i]:
+                    count += 1
+            if change[best] > 1.0 and (flagged[best] or 2 * (count + 1) <= n):
+                flagged[best] = not flagged[best]
+                climbs += 1
+                continue
+        if done:
             break
         refined += 1
         m += added
