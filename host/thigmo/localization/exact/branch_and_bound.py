@@ -264,7 +264,7 @@ def fit_several(
     n_free = 0
     used = 0
     size = 0
-    k = np.empty(3, np.int64)
+    cell = np.empty(3, np.int64)
     # Combinations from the tip inwards, so that what is lost beyond the last contact cuts first.
     for ka in range(cells - 1, start - 1, -1):
         bound_a = tail[beyond[ka]]
@@ -281,21 +281,21 @@ def fit_several(
                 if c > 2 and before[kb] > beyond[kc]:
                     bound += table[beyond[kc], before[kb]]
                 if c == 1:
-                    k[0] = ka
+                    cell[0] = ka
                 elif c == 2:
-                    k[0] = kb
-                    k[1] = ka
+                    cell[0] = kb
+                    cell[1] = ka
                 else:
-                    k[0] = kc
-                    k[1] = kb
-                    k[2] = ka
-                bound += table[0, before[k[0]]]
+                    cell[0] = kc
+                    cell[1] = kb
+                    cell[2] = ka
+                bound += table[0, before[cell[0]]]
                 if bound > min(best, ceiling) - slack:
                     continue
                 outside = False
                 for j in range(c):
-                    outside = outside or edges[k[j]] > limits[j, 1]
-                    outside = outside or edges[k[j] + 1] < limits[j, 0]
+                    outside = outside or edges[cell[j]] > limits[j, 1]
+                    outside = outside or edges[cell[j] + 1] < limits[j, 0]
                 if outside:
                     continue
                 if used == capacity:
@@ -311,10 +311,10 @@ def fit_several(
                     free = np.empty(2 * capacity, np.int64)
                     capacity *= 2
                 for j in range(c):
-                    boxes[used, 2 * j] = max(edges[k[j]], limits[j, 0])
-                    boxes[used, 2 * j + 1] = min(edges[k[j] + 1], limits[j, 1])
+                    boxes[used, 2 * j] = max(edges[cell[j]], limits[j, 0])
+                    boxes[used, 2 * j + 1] = min(edges[cell[j] + 1], limits[j, 1])
                     signs[used, j] = sign
-                    where[used, j] = k[j]
+                    where[used, j] = cell[j]
                 size = heap_push(keys, heap, size, bound, used)
                 used += 1
 

@@ -148,7 +148,7 @@ def fit_dense_l1(
     near = np.empty((2, 256))
     small = np.zeros((9, 6))
     ranges = np.empty((4, 2))
-    value, guess, force, pieces = fit_l2(
+    value, guess, force, _pieces = fit_l2(
         y,
         low,
         span,

@@ -86,8 +86,10 @@ def fit_l1(
     place: Ints,
     ranges: Floats,
 ) -> tuple[float, float, float, int]:
-    """One problem. Work arrays: roots (N, 4 N), n_roots (N,), near (2, CANDIDATES), cuts (6 N + 8,),
-    forms (5, N).
+    """One problem.
+
+    Work arrays: roots and others (N, 4 N), n_roots (N,), near (2, CANDIDATES), cuts and turns
+    (6 N + 8,), forms (5, N), signed and place (N,).
 
     Args:
         y: (N,) readings above free curvature.

@@ -1,0 +1,340 @@
+"""Several contacts and dense sensing: dynamic programming over straight pieces, then refinement.
+
+With point sensors the curvature is a continuous piecewise-linear function of arc that is zero
+beyond the last contact, and contacts are its knots. On a grid of knots the least-squares optimum is
+found exactly, from the tip inwards: the best cost beyond a knot is, as a function of the curvature
+at that knot, the lower envelope of quadratics, one for each place of the next knot, and those that
+are nowhere lowest are dropped (functional pruning, as in Fearnhead, Maidstone and Letchford,
+Detecting changes in slope with an L0 penalty, 2019). The knots are then refined off the grid with
+the sensors' true spans, for either norm, by steps that solve for arcs and forces together and are
+kept only if they improve.
+
+What is exact: the least-squares optimum over the grid, for point sensors. What is not: the
+refinement is local, so the result off the grid carries no proof (`gap` is infinite).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.localization.exact.absolute_fit import absolute_fit
+from thigmo.localization.exact.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@compiled
+def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, out: Ints) -> float:
+    """Least-squares knots on a grid.
+
+    Args:
+        x: (N,) sensor centres, ascending.
+        y: (N,) readings above free curvature.
+        w: (N,) weights.
+        knots: (M,) grid, ascending.
+        contacts: 1 to 3.
+        out: (contacts,) written: indices into `knots`, ascending.
+
+    Returns:
+        The objective on the grid.
+    """
+    n = x.shape[0]
+    m = knots.shape[0]
+    # Running sums of w^2 times 1, x, x^2, y, y x, y^2.
+    sums = np.zeros((6, n + 1))
+    for j in range(n):
+        v = w[j] * w[j]
+        sums[0, j + 1] = sums[0, j] + v
+        sums[1, j + 1] = sums[1, j] + v * x[j]
+        sums[2, j + 1] = sums[2, j] + v * x[j] * x[j]
+        sums[3, j + 1] = sums[3, j] + v * y[j]
+        sums[4, j + 1] = sums[4, j] + v * y[j] * x[j]
+        sums[5, j + 1] = sums[5, j] + v * y[j] * y[j]
+    at = np.zeros(m, np.int64)
+    k = 0
+    for i in range(m):
+        while k < n and x[k] < knots[i]:
+            k += 1
+        at[i] = k
+    # Cost of the base's piece as a u^2 + d u + e of the curvature u at its knot, slope free.
+    base = np.zeros((m, 3))
+    for i in range(m):
+        p = knots[i]
+        c = at[i]
+        x0 = sums[0, c]
+        x1 = p * sums[0, c] - sums[1, c]
+        x2 = p * p * sums[0, c] - 2.0 * p * sums[1, c] + sums[2, c]
+        z0 = sums[3, c]
+        z1 = p * sums[3, c] - sums[4, c]
+        base[i, 0] = x0
+        base[i, 1] = -2.0 * z0
+        base[i, 2] = sums[5, c]
+        if x2 > 0.0:
+            base[i, 0] -= x1 * x1 / x2
+            base[i, 1] += 2.0 * z1 * x1 / x2
+            base[i, 2] -= z1 * z1 / x2
+    best = np.inf
+    if contacts == 1:
+        for i in range(m):
+            value = base[i, 2] + sums[5, n] - sums[5, at[i]]
+            if value < best:
+                best = value
+                out[0] = i
+        return best
+    # Envelope beyond each knot: quadratics a u^2 + d u + e and the knot that each stands for.
+    shape = np.empty((m, m, 3))
+    label = np.empty((m, m), np.int64)
+    count = np.zeros(m, np.int64)
+    trial = np.empty((m, 3))
+    done = np.zeros(m, np.int64)
+    for i in range(m):
+        p = knots[i]
+        for j in range(i + 1, m):
+            h = knots[j] - p
+            s0 = sums[0, at[j]] - sums[0, at[i]]
+            s1 = sums[1, at[j]] - sums[1, at[i]] - p * s0
+            s2 = sums[2, at[j]] - sums[2, at[i]] - p * (2.0 * s1 + p * s0)
+            z0 = sums[3, at[j]] - sums[3, at[i]]
+            z1 = sums[4, at[j]] - sums[4, at[i]] - p * z0
+            trial[j, 0] = max(s0 - 2.0 * s1 / h + s2 / (h * h), 0.0)
+            trial[j, 1] = -2.0 * (z0 - z1 / h)
+            trial[j, 2] = sums[5, n] - sums[5, at[i]]
+            done[j] = 0
+        # All are equal at u = 0, so u (a u + d) is least where a u + d is, as a line, lowest for
+        # u > 0 and highest for u < 0: walk both envelopes of lines outwards from 0.
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            current = -1
+            for j in range(i + 1, m):
+                if current < 0:
+                    current = j
+                    continue
+                gain = sign * (trial[current, 1] - trial[j, 1])
+                if gain > 0.0 or (gain == 0.0 and trial[j, 0] < trial[current, 0]):
+                    current = j
+            while current >= 0:
+                if done[current] == 0:
+                    done[current] = 1
+                    for k in range(3):
+                        shape[i, count[i], k] = trial[current, k]
+                    label[i, count[i]] = current
+                    count[i] += 1
+                following = -1
+                nearest = np.inf
+                for j in range(i + 1, m):
+                    fall = trial[current, 0] - trial[j, 0]
+                    if fall > 0.0:
+                        root = sign * (trial[j, 1] - trial[current, 1]) / fall
+                        if root < nearest or (
+                            root == nearest and trial[j, 0] < trial[following, 0]
+                        ):
+                            nearest = root
+                            following = j
+                current = following
+    for i in range(m):
+        if contacts == 2:
+            for k in range(count[i]):
+                a = shape[i, k, 0] + base[i, 0]
+                d = shape[i, k, 1] + base[i, 1]
+                value = shape[i, k, 2] + base[i, 2]
+                if a > 0.0:
+                    value -= 0.25 * d * d / a
+                if value < best:
+                    best = value
+                    out[0] = i
+                    out[1] = label[i, k]
+            continue
+        for g in range(i):
+            # Piece from knot g (curvature z) to knot i (curvature u).
+            p = knots[g]
+            h = knots[i] - p
+            s0 = sums[0, at[i]] - sums[0, at[g]]
+            s1 = sums[1, at[i]] - sums[1, at[g]] - p * s0
+            s2 = sums[2, at[i]] - sums[2, at[g]] - p * (2.0 * s1 + p * s0)
+            z0 = sums[3, at[i]] - sums[3, at[g]]
+            z1 = sums[4, at[i]] - sums[4, at[g]] - p * z0
+            uu = s2 / (h * h)
+            zu = 2.0 * (s1 / h - uu)
+            zz = s0 - 2.0 * s1 / h + uu + base[g, 0]
+            du = -2.0 * z1 / h
+            dz = -2.0 * (z0 - z1 / h) + base[g, 1]
+            e = sums[5, at[i]] - sums[5, at[g]] + base[g, 2]
+            for k in range(count[i]):
+                a = shape[i, k, 0] + uu
+                d = shape[i, k, 1] + du
+                value = shape[i, k, 2] + e
+                if a > 0.0:
+                    value -= 0.25 * d * d / a
+                    curve = zz - 0.25 * zu * zu / a
+                    slope = dz - 0.5 * zu * d / a
+                else:
+                    curve = zz
+                    slope = dz
+                if curve > 1e-12 * zz:
+                    value -= 0.25 * slope * slope / curve
+                if value < best:
+                    best = value
+                    out[0] = g
+                    out[1] = i
+                    out[2] = label[i, k]
+    return best
+
+
+@compiled
+def columns(
+    arcs: Floats, low: Floats, span: Floats, inverse: Floats, slopes: bool, g: Floats
+) -> None:
+    """Influence of each contact (row j) and, below them, its slope in the arc (row C + j).
+
+    Args:
+        arcs: (C,).
+        low: (N,).
+        span: (N,).
+        inverse: (N,).
+        slopes: whether to fill the lower half.
+        g: (>= 2 C, >= N), written.
+    """
+    c = arcs.shape[0]
+    for j in range(c):
+        for i in range(low.shape[0]):
+            t = arcs[j] - low[i]
+            inside = min(max(t, 0.0), span[i])
+            g[j, i] = inside * inside * inverse[i] + (max(t, span[i]) - span[i])
+            if slopes:
+                if span[i] > 0.0:
+                    g[c + j, i] = inside / span[i]
+                else:
+                    g[c + j, i] = 1.0 if t > 0.0 else 0.0
+
+
+@compiled
+def free_fit(
+    g: Floats,
+    y: Floats,
+    w: Floats,
+    m: int,
+    norm: int,
+    beta: Floats,
+    tableau: Floats,
+    work: Floats,
+    items: Ints,
+    kind: Ints,
+) -> float:
+    """Least objective over free coefficients of the first m rows of g; `beta` (m,) written."""
+    n = y.shape[0]
+    if norm == 1:
+        value, proven = absolute_fit(g, y, w, m, n, 0, kind, beta, tableau, work, items)
+        return value if proven else np.inf
+    # Orthogonal columns one after another; what is left of y is the residual.
+    total = 0.0
+    for i in range(n):
+        work[0, i] = w[i] * y[i]
+    for r in range(m):
+        before = 0.0
+        for i in range(n):
+            tableau[r, i] = w[i] * g[r, i]
+            before += tableau[r, i] * tableau[r, i]
+        for p in range(r):
+            dot = 0.0
+            for i in range(n):
+                dot += tableau[p, i] * tableau[r, i]
+            for i in range(n):
+                tableau[r, i] -= dot * tableau[p, i]
+            work[1 + p, r] = dot
+        after = 0.0
+        for i in range(n):
+            after += tableau[r, i] * tableau[r, i]
+        size = np.sqrt(after)
+        work[1 + r, r] = size if after > 1e-24 * before else 0.0
+        scale = 1.0 / size if after > 1e-24 * before else 0.0
+        dot = 0.0
+        for i in range(n):
+            tableau[r, i] *= scale
+            dot += tableau[r, i] * work[0, i]
+        for i in range(n):
+            work[0, i] -= dot * tableau[r, i]
+        beta[r] = dot
+    for r in range(m - 1, -1, -1):
+        value = beta[r]
+        for p in range(r + 1, m):
+            value -= work[1 + r, p] * beta[p]
+        beta[r] = value / work[1 + r, r] if work[1 + r, r] > 0.0 else 0.0
+    for i in range(n):
+        total += work[0, i] * work[0, i]
+    return total
+
+
+@compiled
+def refine(
+    y: Floats,
+    low: Floats,
+    span: Floats,
+    w: Floats,
+    length: float,
+    norm: int,
+    step: float,
+    arcs: Floats,
+    forces: Floats,
+) -> float:
+    """Improve arcs (C,) in place, forces free; returns the objective. `step`: first search step."""
+    n = y.shape[0]
+    c = arcs.shape[0]
+    inverse = np.zeros(n)
+    for i in range(n):
+        if span[i] > 0.0:
+            inverse[i] = 0.5 / span[i]
+    g = np.empty((2 * c, n))
+    tableau = np.empty((2 * c, n + 2 * c))
+    work = np.empty((2 * c + 6, n + 2 * c))
+    items = np.empty((4, n + 2 * c), np.int64)
+    kind = np.zeros(2 * c, np.int64)
+    beta = np.zeros(2 * c)
+    trial = np.empty(c)
+    columns(arcs, low, span, inverse, False, g)
+    best = free_fit(g, y, w, c, norm, forces, tableau, work, items, kind)
+    scale = best
+    while step > 1e-10 * length:
+        start = best
+        # Arcs and forces together: linear in (f, f da) while no sensor is passed.
+        for _ in range(8):
+            columns(arcs, low, span, inverse, True, g)
+            free_fit(g, y, w, 2 * c, norm, beta, tableau, work, items, kind)
+            share = 1.0
+            gained = False
+            for _halving in range(4):
+                for j in range(c):
+                    move = beta[c + j] / beta[j] if beta[j] != 0.0 else 0.0
+                    move = min(max(share * move, -8.0 * step), 8.0 * step)
+                    trial[j] = min(max(arcs[j] + move, 0.0), length)
+                columns(trial, low, span, inverse, False, g)
+                value = free_fit(g, y, w, c, norm, beta, tableau, work, items, kind)
+                if value < best - 1e-12 * scale:
+                    best = value
+                    for j in range(c):
+                        arcs[j] = trial[j]
+                        forces[j] = beta[j]
+                    gained = True
+                    break
+                share *= 0.4
+                columns(arcs, low, span, inverse, True, g)
+                free_fit(g, y, w, 2 * c, norm, beta, tableau, work, items, kind)
+            if not gained:
+                break
+        # One arc at a time: crosses the kinks that the steps above stop at.
+        for j in range(c):
+            for side in range(2):
+                for k in range(c):
+                    trial[k] = arcs[k]
+                trial[j] = min(max(arcs[j] + (1.0 - 2.0 * side) * step, 0.0), length)
+                columns(trial, low, span, inverse, False, g)
+                value = free_fit(g, y, w, c, norm, beta, tableau, work, items, kind)
+                if value < best - 1e-12 * scale:
+                    best = value
+                    arcs[j] = trial[j]
+                    for k in range(c):
+                        forces[k] = beta[k]
+        if best >= start - 1e-12 * scale:
+            step *= 0.35
+    return best
