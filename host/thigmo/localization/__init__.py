@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from thigmo.localization.batch import BatchResult, localize_batch, localize_rows
+from thigmo.localization.bounds import Identifiability, identifiability
 from thigmo.localization.estimate import localize
+from thigmo.localization.history import ArcFilter, localize_sweep
 from thigmo.localization.result import Contact, LocalizeResult
 from thigmo.localization.warm import warm_up
 
@@ -14,12 +16,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "METHODS",
+    "ArcFilter",
     "BatchResult",
     "Contact",
+    "Identifiability",
     "LocalizeResult",
+    "identifiability",
     "localize",
     "localize_batch",
     "localize_rows",
+    "localize_sweep",
     "warm_up",
 ]
 

@@ -68,7 +68,8 @@ def influence(arc: float, low: Array, high: Array, table: Array, edges: Array, o
             moment = c * (x * reach - (sum_x - edges[i, 2]))
             moment += s * (y * reach - (sum_y - edges[i, 3]))
             out[i] = moment / (high[i] - low[i])
-    return c * x + s * y
+    base: float = c * x + s * y
+    return base
 
 
 def shape_table(curvature: Array) -> Array:

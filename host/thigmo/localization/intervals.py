@@ -170,4 +170,5 @@ def median_between(
         j += 1
     share = (goal - cumulative[j]) / max(cumulative[j + 1] - cumulative[j], 1e-300)
     share = min(max(share, 0.0), 1.0)
-    return arcs[j] + (arcs[j + 1] - arcs[j]) * within(share, logp[j], logp[j + 1])
+    place: float = arcs[j] + (arcs[j + 1] - arcs[j]) * within(share, logp[j], logp[j + 1])
+    return place

@@ -220,6 +220,13 @@ def fit_several(
         stretch,
         passes,
     )
+    if stretch > 0.0:
+        # Nodes near an end stand for stretches that it cuts: report the middle of what is left.
+        slope = np.where((nodes < stretch) | (nodes > 1.0 - stretch), 0.5, 1.0)
+        density[-1] -= np.log(slope)
+        nodes, arcs = _middle(nodes, stretch), _middle(arcs, stretch)
+        intervals = _middle(intervals, stretch)
+        pieces[:, :, :2] = _middle(pieces[:, :, :2], stretch)
     return Fit(
         setting,
         evidence - penalty,
@@ -244,6 +251,11 @@ def fit_several(
 LOOSE_SHARE = 0.5
 
 
+def _middle(arc: Array, stretch: float) -> Array:
+    """Middle of the stretch around `arc`, cut at the ends of the body."""
+    return np.asarray(0.5 * (np.maximum(arc - stretch, 0.0) + np.minimum(arc + stretch, 1.0)))
+
+
 def unit_force(arc: float, setting: Setting, readings: Readings, stretch: float = 0.0) -> Array:
     """(N,) readings for a unit force at an arc."""
     return _lever(arc, readings.low, readings.high, setting.table, setting.edges, stretch)
@@ -256,8 +268,9 @@ def _lever(
     if stretch <= 0.0:
         influence(arc, low, high, table, edges, out)
         return out
-    total = np.zeros(len(low))
-    near, far = max(arc - stretch, 0.0), min(arc + stretch, 1.0)
+    total: Array = np.zeros(len(low))
+    half = min(stretch, arc, 1.0 - arc)
+    near, far = arc - half, arc + half
     for part in range(8):
         influence(near + (far - near) * (part + 0.5) / 8, low, high, table, edges, out)
         total += out / 8
@@ -444,7 +457,7 @@ def at_corner(
     weight = precision(out, readings)
     ridge = np.eye(design.shape[1])
     ridge[0, 0] = 1e-6
-    solution = np.linalg.solve(
+    solution: Array = np.linalg.solve(
         ridge + design.T @ (weight[:, None] * design), design.T @ (weight * readings.y)
     )
     out.forces = solution[:1]

@@ -282,7 +282,7 @@ def levels_near(
 
 
 @compiled
-def place_bound(
+def arc_bounds(
     arcs: Array,
     force: Array,
     low: Array,
@@ -291,8 +291,18 @@ def place_bound(
     edges: Array,
     W: Array,
     columns: Array,
-) -> float:
-    """Largest Cramer-Rao bound of the arcs: how well the readings alone fix the places."""
+) -> Array:
+    """Cramer-Rao bounds of the arcs: how well the readings alone can fix the places.
+
+    Args:
+        arcs, force: (C,) contacts.
+        low, high, table, edges: as for `influence`.
+        W: (N,) precision of the readings.
+        columns: (N, Q) nuisance columns times their prior deviations.
+
+    Returns:
+        (C,) standard deviations; infinite where the information matrix is singular.
+    """
     c = arcs.shape[0]
     n = low.shape[0]
     q = columns.shape[1]
@@ -327,7 +337,7 @@ def place_bound(
     for a in range(size):
         scale[a] = np.sqrt(F[a, a])
         if not scale[a] > 1e-150:
-            return np.inf
+            return np.full(c, np.inf)
     for a in range(size):
         for r in range(size):
             F[a, r] /= scale[a] * scale[r]
@@ -339,11 +349,11 @@ def place_bound(
                 value -= F[a, m] * F[r, m]
             if a == r:
                 if value < 1e-11:
-                    return np.inf
+                    return np.full(c, np.inf)
                 F[a, a] = np.sqrt(value)
             else:
                 F[a, r] = value / F[r, r]
-    worst = 0.0
+    out = np.empty(c)
     column = np.empty(size)
     for j in range(c, 2 * c):
         total = 0.0
@@ -353,7 +363,23 @@ def place_bound(
                 value -= F[a, m] * column[m]
             column[a] = value / F[a, a]
             total += column[a] * column[a]
-        worst = max(worst, np.sqrt(total) / scale[j])
+        out[j - c] = np.sqrt(total) / scale[j]
+    return out
+
+
+@compiled
+def place_bound(
+    arcs: Array,
+    force: Array,
+    low: Array,
+    high: Array,
+    table: Array,
+    edges: Array,
+    W: Array,
+    columns: Array,
+) -> float:
+    """The largest of `arc_bounds`."""
+    worst: float = arc_bounds(arcs, force, low, high, table, edges, W, columns).max()
     return worst
 
 
