@@ -178,7 +178,7 @@ class Plant:
         self.analog = np.zeros((CHANNELS, 2))
         self.encoder = (self._encoder(), self._encoder())
         self.set_body_pressure(self.body_psi)
-        self._solve(0.0)
+        self._solve(self.length_cm)
         self._evert(settled=scene.start_settled)
         self._sense()
         self.analog[:, 0] = self.analog[:, 1]
@@ -322,7 +322,7 @@ class Plant:
         g = float(self._swing[0])
         grown = length > self.length_cm
         if length >= _SMALLEST_CM:
-            if grown and self.body.touching:
+            if grown and self.pegs:
                 state = self.body.save()
                 self.body.step(g, length)
                 if self.body.axial_push() > self.scene.body.growth_force * self.body_psi:

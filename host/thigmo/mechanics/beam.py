@@ -3,7 +3,7 @@
 y'' = g + sum_j f_j (a_j - s)+ with x = s (thesis (2.5) to (2.9)), contacts at the pegs' x. Linear,
 so contacts are a small complementarity problem. It comes with a bound on the error of positions
 against the large-deflection rod: foreshortening (the integral of theta^2 / 2) times a safety
-factor.
+factor. Pegs in the straight body's way make the bound infinite.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ def equilibrium(
     at = np.zeros(n_pegs)
     active = np.zeros(n_pegs, np.bool_)
     f = np.zeros(n_pegs)
+    astray = False
     for j in range(n_pegs):
         x, y, r = pegs[j, 0], pegs[j, 1], pegs[j, 2]
         side[j] = 0.0
@@ -70,6 +71,10 @@ def equilibrium(
         if x > length:
             reach = sqrt(r * r - (x - length) * (x - length))
         side[j] = 1.0 if y < 0.0 else -1.0
+        # In the straight body's way: which side it is on, or whether the end's face meets it, is a
+        # matter of history that this model does not know.
+        if fabs(y) < tube + r:
+            astray = True
         level[j] = y + side[j] * (tube + reach)
     psi = 0.0
     folded = 0.0
@@ -168,4 +173,4 @@ def equilibrium(
         if i > 0:
             shortening += 0.25 * h * (slope * slope + before * before)
         before = slope
-    return count, cells + 1, psi, SAFETY * shortening
+    return count, cells + 1, psi, 1e30 if astray else SAFETY * shortening
