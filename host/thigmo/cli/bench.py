@@ -33,6 +33,12 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Chart speed against accuracy, and show where each method fails."""
+    import os
+
+    # Single calls are timed on one core; idle threads of a linear-algebra library only disturb.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from thigmo.bench import STUDIES, Context, load
