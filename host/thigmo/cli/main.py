@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thigmo.cli import board, emulator, explore, localize, runs
+from thigmo.cli import board, emulator, explore, flash, localize, runs
 from thigmo.errors import ThigmoError
 
 app = typer.Typer(
@@ -22,7 +22,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for module in (explore, localize, runs, board, emulator):
+for module in (explore, localize, runs, board, flash, emulator):
     module.register(app)
 
 

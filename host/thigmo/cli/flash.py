@@ -1,0 +1,48 @@
+"""`thigmo flash PORT`: the firmware onto an Arduino Mega 2560."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(flash)
+
+
+def flash(
+    port: Annotated[str, typer.Argument(help="Serial port of the board, as /dev/ttyACM0.")],
+    image: Annotated[
+        Path | None,
+        typer.Option(help="Image (.hex); left out: this source tree's, built if need be."),
+    ] = None,
+    avrdude: Annotated[str, typer.Option(help="The avrdude program.")] = "avrdude",
+    as_json: JsonOption = False,
+) -> None:
+    """Write the firmware, verify it, and wait until the board says hello."""
+    from thigmo.link import flash as flasher
+
+    def tell(doing: str) -> None:
+        if not as_json:
+            typer.echo(doing, err=True)
+
+    done = flasher.flash(port, image, avrdude=avrdude, tell=tell)
+    version = ".".join(map(str, done.hello.firmware_version))
+    if as_json:
+        print_json(
+            {
+                "port": port,
+                "image": str(done.image.path),
+                "bytes": done.image.size,
+                "firmware": version,
+                "schema_hash": f"{done.hello.schema_hash:08x}",
+                "reset_cause": done.hello.reset_cause.name.lower(),
+            }
+        )
+    else:
+        typer.echo(f"firmware {version} ({done.image.size} bytes) runs on {port}")

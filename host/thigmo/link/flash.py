@@ -1,0 +1,202 @@
+"""Puts a firmware image on an Arduino Mega 2560 and makes sure that it runs.
+
+avrdude does the writing, through the board's own boot loader; this module checks what goes in,
+says what its failures mean, and waits for the hello of what booted.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from thigmo.errors import (
+    ConfigError,
+    LinkError,
+    NotARobotError,
+    PortError,
+    SchemaMismatchError,
+)
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.image import Image, build_image, read_image
+from thigmo.link.transport import open_transport
+
+BOOT_LOADER_BAUD = 115_200
+_DEADLINE_S = 180.0
+_MEGA_2560 = "1e9801"
+
+# What avrdude says, what it means, and what to do. First match counts.
+_FAILURES: tuple[tuple[str, type[LinkError], str, str], ...] = (
+    (
+        r"permission denied",
+        PortError,
+        "you may not open {port}",
+        "join the port's group (often dialout) and log in again",
+    ),
+    (
+        r"(no such file|cannot find the file)",
+        PortError,
+        "there is no port {port}",
+        "plug the board in and look which port appears",
+    ),
+    (
+        r"(busy|resource temporarily unavailable|access is denied)",
+        PortError,
+        "{port} is in use",
+        "close the other program (a serial monitor?) and try again",
+    ),
+    (
+        r"(device signature = 0x(?!1e9801)|expected signature)",
+        NotARobotError,
+        "the board on {port} is no Mega 2560 (signature {signature})",
+        "connect an Arduino Mega 2560, or give its port",
+    ),
+    (
+        r"(verification (error|mismatch)|content mismatch)",
+        LinkError,
+        "what was read back from the board differs from the image",
+        "flash again; if it happens twice, change the USB cable and its supply",
+    ),
+    (
+        r"(timeout|getsync|not in sync|not responding|can't communicate|programmer is not)",
+        NotARobotError,
+        "no boot loader answers on {port}",
+        "check that it is the Mega's port and press its reset button as you start again;"
+        " a Mega without its boot loader needs an ISP programmer once",
+    ),
+    (
+        r"(can't open device|unable to open|cannot open port)",
+        PortError,
+        "{port} cannot be opened",
+        "check the port's name, and that no other program uses it",
+    ),
+    (
+        r"(input/output error|write error|read error|disconnected)",
+        LinkError,
+        "the board went away while it was being written",
+        "plug it in again and flash again: the boot loader survives that",
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Flashed:
+    """What is on the board now."""
+
+    image: Image
+    hello: wire.HelloReply
+
+
+def check(image: Image) -> None:
+    """Refuse an image that this host could not talk to.
+
+    Raises:
+        SchemaMismatchError: built from another protocol schema.
+    """
+    if image.schema_hash != wire.SCHEMA_HASH or image.protocol != wire.PROTOCOL:
+        raise SchemaMismatchError(
+            f"{image.path.name} speaks schema {image.schema_hash:08x} and this host"
+            f" {wire.SCHEMA_HASH:08x}",
+            "build the image from this host's sources (`make firmware`), or install the host"
+            " that came with it",
+        )
+
+
+def flash(
+    port: str,
+    image: Path | None = None,
+    *,
+    avrdude: str = "avrdude",
+    tell: Callable[[str], None] = lambda doing: None,
+) -> Flashed:
+    """Write an image to the board on a port, verify it, and wait until it says hello.
+
+    Args:
+        port: serial port, as /dev/ttyACM0 or COM3.
+        image: Intel HEX; None: this source tree's, built if need be.
+        avrdude: the program.
+        tell: called with what is being done.
+
+    Raises:
+        ConfigError: the file is no thigmo image.
+        SchemaMismatchError: the image speaks another schema; nothing was written.
+        PortError, NotARobotError, LinkError: the port, the board or the line failed; the message
+            says what to do.
+    """
+    if "://" in port:
+        raise ConfigError(f"{port} cannot be flashed", "give the serial port of a board")
+    tell("reading the image")
+    content = read_image(build_image() if image is None else image)
+    check(content)
+    program = shutil.which(avrdude)
+    if program is None:
+        raise PortError(
+            "avrdude is not installed", "install it (the Arduino IDE brings one) and try again"
+        )
+    if port.startswith("/") and not Path(port).exists():  # avrdude would try for minutes
+        raise PortError(f"there is no port {port}", "plug the board in and look which port appears")
+    tell(f"writing and verifying {content.size} bytes")
+    _run(program, port, content.path)
+    tell("waiting for the board's hello")
+    return Flashed(content, _hello(port))
+
+
+def _run(program: str, port: str, image: Path) -> None:
+    command = [program, "-p", "atmega2560", "-c", "wiring", "-P", port]
+    command += ["-b", str(BOOT_LOADER_BAUD), "-D", "-U", f"flash:w:{image}:i"]
+    try:
+        result = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_DEADLINE_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise LinkError(
+            f"avrdude did not finish within {_DEADLINE_S:.0f} s",
+            "unplug the board, plug it in and flash again",
+        ) from error
+    if result.returncode:
+        raise explain(result.stderr + result.stdout, port)
+
+
+def explain(output: str, port: str) -> LinkError:
+    """The error for what a failed avrdude printed."""
+    lowered = output.lower()
+    found = re.search(r"device signature = 0x([0-9a-f]{6})", lowered)
+    for pattern, kind, what, cure in _FAILURES:
+        if re.search(pattern, lowered):
+            signature = found[1] if found else "unknown"
+            if "signature" in pattern and signature == _MEGA_2560:
+                continue
+            return kind(what.format(port=port, signature=signature), cure)
+    lines = [line for line in output.splitlines() if "error" in line.lower()] or ["no message"]
+    return LinkError(f"avrdude failed: {lines[0].strip()}", "flash again; report it if it stays")
+
+
+def _hello(port: str) -> wire.HelloReply:
+    transport = open_transport(port)
+    try:
+        client = Client(transport)
+    except SchemaMismatchError:
+        raise
+    except NotARobotError as error:
+        raise NotARobotError(
+            "the image was written and verified, but nothing on the board says hello",
+            "press the board's reset button; if it stays silent, flash again",
+        ) from error
+    finally:
+        transport.close()
+    hello = client.hello
+    if hello.board != wire.Board.MEGA:
+        raise NotARobotError(
+            f"{port} answers as {hello.board.name.lower()}, not as a Mega", "give the board's port"
+        )
+    return hello

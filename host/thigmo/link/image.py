@@ -1,0 +1,136 @@
+"""Firmware images: reading Intel HEX, and what an image says it is.
+
+The image carries a signature (firmware/mega/signature.h), so that an image of another schema is
+refused before it is written, not by the hello afterwards.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from thigmo.errors import ConfigError, PortError
+
+ROOT = Path(__file__).resolve().parents[3]
+BUILD = ROOT / "build" / "mega"
+MAGIC = b"thigmo-image"
+_SIGNATURE = struct.Struct("<IBB3B")
+LARGEST = 253_952  # bytes below the Mega's boot loader
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A firmware image and what its signature says.
+
+    Attributes:
+        path: the Intel HEX file.
+        size: bytes of program.
+        schema_hash, protocol: of the messages that it speaks.
+        version: major, minor, patch.
+    """
+
+    path: Path
+    size: int
+    schema_hash: int
+    protocol: int
+    version: tuple[int, int, int]
+
+
+def read_hex(path: Path) -> list[tuple[int, bytes]]:
+    """Blocks of an Intel HEX file: (address, bytes), in the file's order, merged where they meet.
+
+    Raises:
+        ConfigError: unreadable file, malformed record or wrong checksum.
+    """
+    try:
+        lines = path.read_text(encoding="ascii").split()
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is no Intel HEX file", "give the .hex of a build") from error
+    blocks: list[tuple[int, bytearray]] = []
+    base = 0
+    for number, line in enumerate(lines, 1):
+        try:
+            record = bytes.fromhex(line[1:]) if line.startswith(":") else b""
+        except ValueError:
+            record = b""
+        if len(record) < 5 or len(record) != record[0] + 5 or sum(record) & 255:
+            raise ConfigError(f"{path}:{number} is damaged", "build the image again")
+        address, kind, data = int.from_bytes(record[1:3], "big"), record[3], record[4:-1]
+        if kind == 0:
+            start = base + address
+            if blocks and blocks[-1][0] + len(blocks[-1][1]) == start:
+                blocks[-1][1].extend(data)
+            else:
+                blocks.append((start, bytearray(data)))
+        elif kind == 1:
+            break
+        elif kind in (2, 4):
+            base = int.from_bytes(data, "big") << (4 if kind == 2 else 16)
+    return [(start, bytes(data)) for start, data in blocks]
+
+
+def read_image(path: Path) -> Image:
+    """Read an image's signature.
+
+    Raises:
+        ConfigError: no Intel HEX file, no thigmo image, or too large for the board.
+    """
+    blocks = read_hex(path)
+    end = max((start + len(data) for start, data in blocks), default=0)
+    found = b"".join(data for _, data in blocks).partition(MAGIC)[2]
+    if len(found) < _SIGNATURE.size:
+        raise ConfigError(
+            f"{path} is not a thigmo image", "build one with `make firmware` and flash that"
+        )
+    if end > LARGEST:
+        raise ConfigError(
+            f"{path} needs {end} bytes and the board has {LARGEST}", "build it with the Makefile"
+        )
+    schema, protocol, _board, *version = _SIGNATURE.unpack_from(found)
+    return Image(path, end, schema, protocol, (version[0], version[1], version[2]))
+
+
+def build_image(baud: int = 250_000) -> Path:
+    """The image of this source tree, built if need be (nothing is built that is up to date).
+
+    Raises:
+        PortError: no sources, no compiler, or the build failed.
+    """
+    folder = ROOT / "firmware" / "mega"
+    if not (folder / "Makefile").exists():
+        raise PortError(
+            "this installation has no firmware sources", "give the image: --image FILE.hex"
+        )
+    for tool in ("make", "avr-g++"):
+        if shutil.which(tool) is None:
+            raise PortError(
+                f"{tool} is not installed", "install gcc-avr and avr-libc, or give --image FILE.hex"
+            )
+    name = "thigmo.hex" if baud == 250_000 else f"thigmo-{baud}.hex"
+    return make(folder, BUILD / name, f"BAUD={baud}")
+
+
+def make(folder: Path, target: Path, *settings: str) -> Path:
+    """Run a Makefile of the firmware.
+
+    Raises:
+        PortError: it failed; the message holds its first line.
+    """
+    result = subprocess.run(
+        ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if result.returncode or not target.exists():
+        lines = (result.stderr or result.stdout).strip().splitlines() or ["no message"]
+        raise PortError(
+            f"building {target.name} failed: {lines[0]}",
+            f"run `make -C {folder.relative_to(ROOT)}` and mend it",
+        )
+    return target

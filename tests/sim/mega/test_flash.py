@@ -1,0 +1,128 @@
+"""`thigmo flash` into the real boot loader, on a simulated Mega behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from pty_mega import PtyMega
+from typer.testing import CliRunner
+
+from thigmo.cli.main import app
+from thigmo.emulator import mega_build
+from thigmo.errors import (
+    ConfigError,
+    LinkError,
+    NotARobotError,
+    PortError,
+    SchemaMismatchError,
+)
+from thigmo.link import flash as flasher
+from thigmo.link import protocol as wire
+from thigmo.link.image import MAGIC, read_image
+
+needs_avrdude = pytest.mark.skipif(
+    shutil.which("avrdude") is None or not mega_build.BOOT_LOADER.exists(),
+    reason="avrdude or arduino-core-avr (the boot loader) is not installed",
+)
+
+
+@pytest.fixture(scope="module")
+def image() -> Path:
+    return mega_build.firmware_hex()
+
+
+def patched(image: Path, target: Path, old: bytes, new: bytes) -> Path:
+    """A copy of an image with some bytes replaced."""
+    lines = []
+    blocks = [(start, data.replace(old, new)) for start, data in mega_build.read_hex(image)]
+    for start, data in blocks:
+        for at in range(0, len(data), 16):
+            part = data[at : at + 16]
+            record = bytes([len(part), *(start + at).to_bytes(2, "big"), 0]) + part
+            lines.append(f":{record.hex()}{-sum(record) & 255:02x}")
+    target.write_text("\n".join([*lines, ":00000001ff"]))
+    return target
+
+
+def test_the_image_says_what_it_is(image: Path) -> None:
+    content = read_image(image)
+    assert content.schema_hash == wire.SCHEMA_HASH
+    assert content.protocol == wire.PROTOCOL
+    assert 20_000 < content.size < 100_000
+
+
+@needs_avrdude
+@pytest.mark.timeout(90)
+def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> None:
+    with PtyMega() as mega:
+        result = CliRunner().invoke(app, ["flash", mega.path, "--image", str(image), "--json"])
+        assert result.exit_code == 0, result.output
+        told = json.loads(result.stdout)
+        assert told["bytes"] == read_image(image).size
+        assert told["schema_hash"] == f"{wire.SCHEMA_HASH:08x}"
+        assert mega.opened == 2, "once by avrdude, once for the hello"
+        for start, data in mega_build.read_hex(image):
+            assert mega.chip.read_flash(start, len(data)) == data
+
+
+def test_an_image_of_another_schema_is_refused_before_anything_is_written(
+    image: Path, tmp_path: Path
+) -> None:
+    other = wire.SCHEMA_HASH ^ 1
+    wrong = patched(
+        image,
+        tmp_path / "other.hex",
+        MAGIC + wire.SCHEMA_HASH.to_bytes(4, "little"),
+        MAGIC + other.to_bytes(4, "little"),
+    )
+    with pytest.raises(SchemaMismatchError, match=f"{other:08x}.*{wire.SCHEMA_HASH:08x}"):
+        flasher.flash("/dev/nonexistent", wrong)
+
+
+def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
+    blink = tmp_path / "blink.hex"
+    blink.write_text(":100000000C9435000C945D000C945D000C945D0024\n:00000001FF\n")
+    with pytest.raises(ConfigError, match="not a thigmo image"):
+        flasher.flash("/dev/nonexistent", blink)
+    damaged = tmp_path / "damaged.hex"
+    damaged.write_text(":100000000C9435000C945D000C945D000C945D0025\n")
+    with pytest.raises(ConfigError, match="damaged"):
+        flasher.flash("/dev/nonexistent", damaged)
+    with pytest.raises(ConfigError, match="cannot read"):
+        flasher.flash("/dev/nonexistent", tmp_path / "nowhere.hex")
+
+
+def test_a_missing_port_is_named(image: Path) -> None:
+    with pytest.raises(PortError, match="no port /dev/thigmo-nowhere"):
+        flasher.flash("/dev/thigmo-nowhere", image)
+
+
+def test_missing_avrdude_is_named(image: Path) -> None:
+    with pytest.raises(PortError, match="avrdude is not installed"):
+        flasher.flash("/dev/ttyACM0", image, avrdude="no-such-avrdude")
+
+
+@pytest.mark.parametrize(
+    ("output", "kind", "says"),
+    [
+        ("ser_open(): can't open device \"/dev/x\": Permission denied", PortError, "group"),
+        ("ser_open(): can't open device \"/dev/x\": Device or resource busy", PortError, "use"),
+        ("Device signature = 0x1e9801\nverification error, first mismatch at byte 0x0100",
+         LinkError, "cable"),
+        ("Device signature = 0x1e950f (probably m328p)\nexpected signature for ATmega2560 is 1E 98"
+         " 01", NotARobotError, "1e950f"),
+        ("avrdude error: timeout\navrdude error: timeout communicating with programmer\n"
+         "avrdude error: unable to open programmer wiring on port /dev/x", NotARobotError,
+         "reset button"),
+        ("avrdude: ser_send(): write error: Input/output error", LinkError, "plug it in"),
+        ("avrdude: something new error: 42", LinkError, "something new"),
+    ],
+)  # fmt: skip
+def test_failures_of_avrdude_are_explained(output: str, kind: type[LinkError], says: str) -> None:
+    error = flasher.explain(output, "/dev/x")
+    assert type(error) is kind
+    assert says in str(error)
+    assert error.next_step
