@@ -14,6 +14,7 @@ STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures as conditions get harder",
     "scaling": "time over sensors, contacts and batch size",
+    "camera": "errors of the overhead camera over painted rooms",
 }
 
 __all__ = ["STUDIES", "Context", "Outcome", "load"]

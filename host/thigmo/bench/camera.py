@@ -252,7 +252,7 @@ def summarise(glimpses: list[Glimpse]) -> dict[str, float]:
     }
 
 
-def camera(context: Context) -> Outcome:
+def run(context: Context) -> Outcome:
     """Errors over many renderings, for three ways to know the lens."""
     outcome = Outcome()
     count = context.count(12, 100)

@@ -7,6 +7,7 @@ two ordinary cores and are printed as claims, never asserted in a test.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -93,9 +94,9 @@ def run(context: Context) -> Outcome:
     for size in BATCHES:
         some = rows[:size]
         times = max(2, repeats // 5)
-        fit_only = _median_us(lambda s=some: one_contact_batch(s, where, LENGTH, span=SPAN), times)
+        fit_only = _median_us(partial(one_contact_batch, some, where, LENGTH, span=SPAN), times)
         whole = _median_us(
-            lambda s=some: localize_batch(s, where, length=LENGTH, span=SPAN, noise=SIGMA), times
+            partial(localize_batch, some, where, length=LENGTH, span=SPAN, noise=SIGMA), times
         )
         by_batch += [(size, "exact L1 fit", fit_only / size), (size, "localize", whole / size)]
 

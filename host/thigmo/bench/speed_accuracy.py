@@ -124,8 +124,14 @@ def chart(scores: list[Score]) -> Figure:
             xlabel="median time of one call (us)",
             ylabel="mean error of the arc (cm)",
         )
+        # Labels stand to the right of their dots.
+        least, most = (f(s.time_us for s in here) for f in (min, max))
+        axis.set_xlim(least / 2, most * 12)
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
+        axis.tick_params(axis="y", which="both", labelsize=7)
         axis.grid(which="both", alpha=0.2)
-        axis.legend(loc="upper left", fontsize=8)
+        axis.legend(loc="upper right", fontsize=8)
     for axis in axes[len(scenes) :]:
         axis.set_axis_off()
     figure.suptitle(
@@ -146,7 +152,8 @@ def _batch_us(context: Context) -> float:
 
 def run(context: Context) -> Outcome:
     """The study: all methods on all kinds of scene."""
-    methods = tuple(METHODS)
+    # The remedies for a folded base differ from the solver behind them only where one folds.
+    methods = tuple(m for m in METHODS if m not in ("clamped", "coupled"))
     cases = context.count(12, 200)
     scores = [s for scene in SCENES for s in score(context, scene, methods, cases)]
     table = Table(
