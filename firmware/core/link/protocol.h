@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xDAA61086u;
+constexpr uint32_t kSchemaHash = 0x7A29455Fu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -142,7 +142,7 @@ enum class Fault : uint8_t {
   kBadConfig = 10,    // No valid configuration is stored; configure and save, then clear.
   kEstop = 11,        // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,    // The length became unknown or a sensor half everted during a bend; vented.
-                      // Grow or retract to a whole pitch, then clear.
+                      // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
 };
@@ -1285,7 +1285,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {0, 32767, 1024},            // spool_kp
     {0, 32767, 1024},            // spool_ki
     {0, 32767, 26},              // spool_kd
-    {0, 32767, 200},             // spool_kff
+    {0, 32767, 106},             // spool_kff
     {0, 400, 60},                // spool_dead_zone
     {50, 50000, 500},            // spool_tolerance_um
     {50, 10000, 400},            // stall_ms

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0xDAA61086
+SCHEMA_HASH = 0x7A29455F
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -222,8 +222,8 @@ class Fault(Documented):
     INTERLOCK = (
         12,
         (
-            "The length became unknown or a sensor half everted during a bend; vented. Grow "
-            "or retract to a whole pitch, then clear."
+            "The length became unknown or a sensor half everted during a bend; vented. Clear,"
+            " confirm the length if unknown, and grow or retract to a whole pitch."
         ),
     )
     LINK_OVERRUN = (
@@ -1971,7 +1971,7 @@ PARAMETERS: dict[str, Parameter] = {
         Parameter("spool_ki", 77, 1, "1/256 duty per count s", 0, 32767, (1024,), "Integral gain."),
         Parameter("spool_kd", 78, 1, "1/256 duty s per count", 0, 32767, (26,), "Derivative gain."),
         Parameter(
-            "spool_kff", 79, 1, "1/256 duty s per count", 0, 32767, (200,), "Feed-forward of speed."
+            "spool_kff", 79, 1, "1/256 duty s per count", 0, 32767, (106,), "Feed-forward of speed."
         ),
         Parameter(
             "spool_dead_zone",
