@@ -15,6 +15,7 @@ STUDIES: dict[str, str] = {
     "stability": "error and failures as conditions get harder",
     "scaling": "time over sensors, contacts and batch size",
     "camera": "errors of the overhead camera over painted rooms",
+    "plant-models": "time against error of the plant's mechanics",
 }
 
 __all__ = ["STUDIES", "Context", "Outcome", "load"]

@@ -261,7 +261,7 @@ class Plant:
         )  # fmt: skip
 
     def _moment(self) -> Moment:
-        solved = self.body.length > 0
+        solved = self.length_cm >= _SMALLEST_CM
         return Moment(
             t_s=self.t_s,
             length_cm=self.length_cm,
@@ -269,7 +269,7 @@ class Plant:
             body_psi=self.body_psi,
             muscle_psi=self.muscle_psi,
             contacts=self.body.contacts() if solved else (),
-            fold_angle=self.body.fold_angle,
+            fold_angle=self.body.fold_angle if solved else 0.0,
             centreline=self.body.nodes() if solved else np.zeros((1, 5)),
             model=self.body.model,
             error_bound_cm=self.body.error_bound_cm,

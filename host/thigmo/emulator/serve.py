@@ -1,8 +1,9 @@
 """`thigmo emulate SCENE`: the emulated robot on a pseudo-terminal, in real time.
 
 Any program that opens serial ports can talk to it. As on the Mega, opening the port resets the
-board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through that,
-and stays under air when the program at the other end dies: its heartbeat is what makes it safe.
+board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through
+that, and goes on when the program at the other end dies: the board's own heartbeat limit is what
+makes it safe then.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ class EmulatorTransport:
         """Bytes as soon as there are any; b"" when so much virtual time passed without."""
         self._require_open()
         end = self.now() + timeout_s - 1e-9
-        # Any wait, however short, makes time pass: a caller may wait for a moment between two steps.
+        # Any wait, however short, makes time pass: what is waited for may lie between two steps.
         while not self._received and timeout_s > 0:
             self._advance()
             if self.now() >= end:

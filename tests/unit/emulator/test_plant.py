@@ -27,7 +27,9 @@ def quiet(**changes: object) -> Scene:
     return scene
 
 
-def run(plant: Plant, seconds: float, *, left: float = 0.0, right: float = 0.0, motor: int = 0) -> None:
+def run(
+    plant: Plant, seconds: float, *, left: float = 0.0, right: float = 0.0, motor: int = 0
+) -> None:
     """Hold currents (mA) and motor duty."""
     drive = (round(left / 20 * 1599), round(right / 20 * 1599))
     for _ in range(round(seconds / STEP_S)):

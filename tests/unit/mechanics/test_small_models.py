@@ -83,14 +83,10 @@ def test_beam_folds_at_its_critical_moment() -> None:
 
 
 @given(
-    pegs=st.lists(
-        st.tuples(st.floats(5.0, 55.0), st.floats(2.4, 8.0), st.booleans()), max_size=4
-    ),
+    pegs=st.lists(st.tuples(st.floats(5.0, 55.0), st.floats(2.4, 8.0), st.booleans()), max_size=4),
     g=st.floats(-0.02, 0.02),
 )
-def test_beam_contacts_are_complementary(
-    pegs: list[tuple[float, float, bool]], g: float
-) -> None:
+def test_beam_contacts_are_complementary(pegs: list[tuple[float, float, bool]], g: float) -> None:
     room = [Peg(x, y if up else -y, 0.6) for x, y, up in pegs]
     body = Body(Tube(), room, model="beam")
     body.step(g, 53.0)

@@ -1,0 +1,252 @@
+"""The firmware core inside the emulated robot: repeatability, motion, faults, and the pty."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.plant import Plant
+from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.serve import serve
+from thigmo.emulator.transport import EmulatorTransport, open_emulator
+from thigmo.errors import BoardResetError, ConfigError, LinkError, PortError, RobotFaultError
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.robot import Robot, connect
+
+
+def emulated(scene: Scene, seed: int = 1) -> tuple[Robot, EmulatorTransport]:
+    transport = EmulatorTransport(scene, VirtualBoard(seed), seed=seed)
+    return Robot(Client(transport)), transport
+
+
+def ready(scene: Scene, seed: int = 1) -> tuple[Robot, EmulatorTransport]:
+    """A configured, armed robot that knows its length and zone."""
+    robot, transport = emulated(scene, seed)
+    robot.configure(transport.config)
+    robot.clear_faults()
+    robot.arm()
+    robot.confirm_length(scene.start_length_cm, settled=True)
+    robot.select_zone(scene.robot.body.zone_at(scene.start_length_cm))
+    return robot, transport
+
+
+@pytest.fixture
+def room() -> Scene:
+    """The default room with the robot fully out and rested, and a host that knows it exactly."""
+    scene = Scene.load("default")
+    scene.start_length_cm = 53.0
+    scene.belief = type(scene.belief)()
+    return scene
+
+
+def stream(seed: int) -> str:
+    """Digest of every byte that the board says during a growth and a press."""
+    scene = Scene.load("default")
+    robot, transport = ready(scene, seed)
+    digest = hashlib.sha256()
+
+    def tap(direction: Any, frame: bytes, t_s: float) -> None:
+        digest.update(f"{direction}{t_s:.6f}".encode() + frame)
+
+    robot._client.taps.append(tap)
+    robot.grow_to(10.0)
+    robot.wait(5.0)
+    digest.update(repr(transport.truth().now.length_cm).encode())
+    return digest.hexdigest()
+
+
+def test_same_seed_same_bytes() -> None:
+    # Nonces are the host's and differ by design, so the stream begins after the hello.
+    assert stream(5) == stream(5)
+    assert stream(5) != stream(6)
+
+
+def test_growth_ends_at_the_length_asked_for(room: Scene) -> None:
+    room.start_length_cm = 0.0
+    robot, transport = ready(room)
+    robot.grow_to(10.0)
+    assert transport.truth().now.length_cm == pytest.approx(10.0, abs=0.1)
+    assert transport.lockstep.plant.encoder[1] == pytest.approx(2 * 10.0 * 76, rel=0.02)
+
+
+def test_homing_finds_the_base(room: Scene) -> None:
+    room.start_length_cm = 8.0
+    robot, transport = emulated(room)
+    robot.configure(transport.config)
+    robot.clear_faults()
+    robot.arm()
+    robot.home()
+    assert transport.truth().now.length_cm == 0.0
+    assert robot.status().length_cm == pytest.approx(0.0, abs=0.05)
+
+
+def test_sweep_reaches_its_amplitude_and_touches_the_peg(room: Scene) -> None:
+    robot, transport = ready(room)
+    robot.zero()
+    result = robot.sweep(left_psi=18.0, right_psi=18.0, period_s=30.0)
+    history = transport.truth().history
+    peak = max(moment.muscle_psi[0] for moment in history)
+    assert peak == pytest.approx(18.0, abs=0.6)
+    assert [trigger.side for trigger in result.triggers] == ["left"]
+    touched = {contact.peg for moment in history for contact in moment.contacts}
+    assert touched == {0}
+    assert all(moment.free_curvature < 0 for moment in history if moment.muscle_psi[1] > 5)
+
+
+def test_operator_changes_the_pressure_that_the_board_is_told_of(room: Scene) -> None:
+    robot, transport = ready(room)
+    before = robot.now()
+    robot.operator.set_body_pressure(1.01)
+    assert transport.lockstep.plant.body_psi == 1.01
+    assert robot.now() - before == pytest.approx(room.operator.takes_s)
+    assert "host_alive" in robot.status().conditions  # the heart beat meanwhile
+
+
+def test_known_config_is_what_the_scenes_lab_believes() -> None:
+    scene = Scene.load("default")
+    robot, _ = emulated(scene, seed=3)
+    assert robot.known_config == scene.believed(3)
+    assert robot.known_config != scene.robot
+
+
+PRESS = {"left_psi": 12.0, "right_psi": 0.0, "period_s": 20.0}
+
+
+@pytest.mark.parametrize(
+    ("fault", "key", "moving"),
+    [
+        ({"kind": "flex_wire_cut", "side": "right", "sensor": 1}, "flex_open", "sweep"),
+        ({"kind": "flex_short", "side": "left", "sensor": 3}, "flex_short", "sweep"),
+        ({"kind": "pressure_wire_cut", "side": "left"}, "pressure_wire", "sweep"),
+        ({"kind": "pressure_stuck", "side": "left", "value": 0.0}, "pressure_stuck", "sweep"),
+        ({"kind": "over_pressure", "side": "left"}, "over_pressure", "sweep"),
+        ({"kind": "spool_stall"}, "spool_stall", "retract"),
+        ({"kind": "spool_slip"}, "spool_slip", "sweep"),
+        ({"kind": "host_silent", "duration_s": 2.0}, "host_silent", "sweep"),
+        ({"kind": "brown_out"}, "brown_out", "sweep"),
+        ({"kind": "estop"}, "estop", "sweep"),
+    ],
+)
+def test_injected_fault_is_named_safe_and_latched(
+    room: Scene, fault: dict[str, Any], key: str, moving: str
+) -> None:
+    robot, transport = ready(room)
+    if moving == "sweep":
+        robot.zero()
+    transport.lockstep.faults.inject(FaultTable(at_s=robot.now() + 2.0, **fault))
+    move = partial(robot.sweep, **PRESS) if moving == "sweep" else partial(robot.retract_to, 30.0)
+    with pytest.raises((RobotFaultError, LinkError)) as caught:
+        move()
+    if isinstance(caught.value, RobotFaultError):
+        assert key in caught.value.faults
+    board = transport.lockstep.board
+    assert board.drive_enabled == (False, False)
+    assert board.motor == 0
+    assert board.braked
+    transport.read(3.0)
+    assert key in robot.status().faults  # latched, whatever became of its cause
+
+
+def test_hang_bites_the_watchdog_and_the_length_is_forgotten(room: Scene) -> None:
+    robot, transport = ready(room)
+    robot.zero()
+    transport.lockstep.faults.inject(FaultTable(kind="hang", at_s=robot.now() + 2.0))
+    with pytest.raises((BoardResetError, LinkError, RobotFaultError)):
+        robot.sweep(**PRESS)
+    transport.pass_time(2.0)
+    again = Robot(Client(transport))
+    status = again.status()
+    assert "watchdog" in status.faults
+    assert status.length_cm is None
+    assert transport.lockstep.plant.muscle_psi[0] < 2.5
+
+
+def test_power_cut_vents_the_muscles(room: Scene) -> None:
+    robot, transport = ready(room)
+    robot.zero()
+    transport.lockstep.faults.inject(
+        FaultTable(kind="power_cut", at_s=robot.now() + 4.0, duration_s=1.5)
+    )
+    with pytest.raises((BoardResetError, LinkError, RobotFaultError)):
+        robot.sweep(**PRESS)
+    transport.pass_time(4.0)
+    assert transport.lockstep.plant.muscle_psi == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert Robot(Client(transport)).status().config_generation == 1
+
+
+def test_trigger_threshold_is_passed_where_the_noise_free_plant_says(room: Scene) -> None:
+    # The plant alone, driven slowly: base contact curvature against reach.first_felt.
+    from thigmo.emulator.reach import first_felt
+
+    felt = first_felt(room.robot, room.peg_list())
+    assert felt is not None
+    room.transducer.gain_error = room.transducer.hysteresis_psi = 0.0
+    plant = Plant(room)
+    passed = None
+    for psi in np.arange(2.5, 12.0, 0.004):
+        duty = round((4.0 + 16.0 * (psi - 2.0) / 58.0) / 20.0 * 1599)
+        plant.step((duty, 0), (True, False), 0, True)
+        excess = plant.sensor_curvature[5] - plant.free_curvature
+        if passed is None and abs(excess) >= 0.005:
+            passed = plant.muscle_psi[0]
+    assert passed == pytest.approx(felt.pressure_psi, abs=0.4)
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[str]:
+    """The port of an emulated robot in real time, by its link."""
+    link = tmp_path / "robot"
+    up, stop = threading.Event(), threading.Event()
+    thread = threading.Thread(
+        target=serve,
+        args=("default",),
+        kwargs={
+            "seed": 1,
+            "link": link,
+            "announce": lambda text: up.set(),
+            "keep_on": lambda: not stop.is_set(),
+        },
+    )
+    thread.start()
+    assert up.wait(30)
+    try:
+        yield str(link)
+    finally:
+        stop.set()
+        thread.join()
+    assert not link.is_symlink()
+
+
+def test_served_robot_answers_on_its_port_and_opening_resets_it(served: str) -> None:
+    nonces = []
+    for _ in range(2):
+        with connect(served) as robot:
+            assert robot.identity["board"] == "virtual"
+            assert robot.identity["reset_cause"] == "external"
+            assert robot.status().length_cm is None
+            nonces.append(robot.identity["boot_nonce"])
+    assert nonces[0] != nonces[1]
+
+
+def test_unusable_scene_or_link_is_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no scene"):
+        open_emulator("emulator://nowhere")
+    with pytest.raises(ConfigError, match="no scene"):
+        serve("nowhere")
+    with pytest.raises(PortError, match="link"):
+        serve("default", link=tmp_path / "missing" / "robot")
+
+
+def test_message_ids_of_the_board_are_this_hosts(room: Scene) -> None:
+    from thigmo.emulator import _board
+
+    assert _board.SCHEMA_HASH == wire.SCHEMA_HASH
