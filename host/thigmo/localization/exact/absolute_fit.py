@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization.exact.compiled import compiled
+from thigmo.compiled import compiled_sums
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 PIVOTS = 400
 
 
-@compiled
+@compiled_sums
 def crossing(key: Floats, amount: Floats, order: Ints, count: int, need: float) -> int:
     """Place in `order` up to which the amounts, by ascending key, first add up to `need`.
 
@@ -90,7 +90,7 @@ def crossing(key: Floats, amount: Floats, order: Ints, count: int, need: float) 
     return right if right < count else count
 
 
-@compiled
+@compiled_sums
 def absolute_fit(
     g: Floats,
     y: Floats,

@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.absolute_fit import absolute_fit
-from thigmo.localization.exact.compiled import compiled
 from thigmo.localization.exact.response import find_edges, first_influence
 from thigmo.localization.exact.square_fit import square_fit, triangle
 
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@compiled
+@compiled_sums
 def heap_push(keys: Floats, items: Ints, size: int, key: float, item: int) -> int:
     """Add to a binary heap (least key first); returns the new size."""
     k = size
@@ -41,7 +41,7 @@ def heap_push(keys: Floats, items: Ints, size: int, key: float, item: int) -> in
     return size + 1
 
 
-@compiled
+@compiled_sums
 def heap_pop(keys: Floats, items: Ints, size: int) -> tuple[float, int]:
     """Take the least from a heap of `size` entries."""
     top = keys[0]
@@ -66,7 +66,7 @@ def heap_pop(keys: Floats, items: Ints, size: int) -> tuple[float, int]:
     return top, item
 
 
-@compiled
+@compiled_sums
 def signed_fit(
     g: Floats,
     y: Floats,
@@ -110,7 +110,7 @@ def signed_fit(
     return value, True
 
 
-@compiled
+@compiled_sums
 def line_table(
     low: Floats,
     span: Floats,
@@ -167,7 +167,7 @@ def line_table(
     return table
 
 
-@compiled
+@compiled_sums
 def fit_several(
     y: Floats,
     low: Floats,
@@ -570,7 +570,7 @@ def fit_several(
     return best, lower, nodes
 
 
-@compiled
+@compiled_sums
 def grown(array: Floats) -> Floats:
     """A copy with twice the rows."""
     out = np.empty((2 * array.shape[0], array.shape[1]))
@@ -578,7 +578,7 @@ def grown(array: Floats) -> Floats:
     return out
 
 
-@compiled
+@compiled_sums
 def grown_ints(array: Ints) -> Ints:
     """A copy with twice the rows."""
     out = np.empty((2 * array.shape[0], array.shape[1]), np.int64)

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.absolute_fit import absolute_fit, crossing
 from thigmo.localization.exact.branch_and_bound import heap_pop, heap_push
-from thigmo.localization.exact.compiled import compiled
 from thigmo.localization.exact.one_contact_l2 import fit_l2
 from thigmo.localization.exact.response import (
     INNER_END,
@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@compiled
+@compiled_sums
 def dense_profile(
     arc: float,
     y: Floats,
@@ -74,7 +74,7 @@ def dense_profile(
     return objective_l1(arc, force, y, low, span, inverse, w), force
 
 
-@compiled
+@compiled_sums
 def fit_dense_l1(
     y: Floats,
     low: Floats,

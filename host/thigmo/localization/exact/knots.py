@@ -18,14 +18,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.absolute_fit import absolute_fit
-from thigmo.localization.exact.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@compiled
+@compiled_sums
 def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, out: Ints) -> float:
     """Least-squares knots on a grid.
 
@@ -182,7 +182,7 @@ def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, ou
     return best
 
 
-@compiled
+@compiled_sums
 def columns(
     arcs: Floats, low: Floats, span: Floats, inverse: Floats, slopes: bool, g: Floats
 ) -> None:
@@ -209,7 +209,7 @@ def columns(
                     g[c + j, i] = 1.0 if t > 0.0 else 0.0
 
 
-@compiled
+@compiled_sums
 def free_fit(
     g: Floats,
     y: Floats,
@@ -266,7 +266,7 @@ def free_fit(
     return total
 
 
-@compiled
+@compiled_sums
 def refine(
     y: Floats,
     low: Floats,

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization.exact.compiled import compiled
+from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.response import (
     INNER_END,
     find_edges,
@@ -29,7 +29,7 @@ CANDIDATES = 256  # near-best candidates kept to find the optimum set
 PIECES = 4
 
 
-@compiled
+@compiled_sums
 def profile_l1(
     arc: float,
     y: Floats,
@@ -63,7 +63,7 @@ def profile_l1(
     return best, f_best
 
 
-@compiled
+@compiled_sums
 def fit_l1(
     y: Floats,
     low: Floats,
@@ -501,7 +501,7 @@ def fit_l1(
     return best, best_arc, best_force, pieces
 
 
-@compiled
+@compiled_sums
 def fit_l1_rows(
     y: Floats,
     low: Floats,

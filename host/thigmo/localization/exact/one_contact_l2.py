@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization.exact.compiled import compiled
+from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.polynomial import quartic_misses_unit, unit_roots
 from thigmo.localization.exact.response import (
     INNER_END,
@@ -29,7 +29,7 @@ CANDIDATES = 256
 PIECES = 4
 
 
-@compiled
+@compiled_sums
 def profile_l2(
     arc: float,
     y: Floats,
@@ -52,7 +52,7 @@ def profile_l2(
     return objective_l2(arc, force, y, low, span, inverse, w), force
 
 
-@compiled
+@compiled_sums
 def fit_l2(
     y: Floats,
     low: Floats,
@@ -293,7 +293,7 @@ def fit_l2(
     return best, best_arc, best_force, pieces
 
 
-@compiled
+@compiled_sums
 def fit_l2_rows(
     y: Floats,
     low: Floats,

@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization.exact.compiled import compiled
+from thigmo.compiled import compiled_sums
 
 Floats = NDArray[np.float64]
 
 
-@compiled
+@compiled_sums
 def quartic_misses_unit(c: Floats) -> bool:
     """Whether the Bernstein coefficients prove that a quartic has no root in [0, 1].
 
@@ -29,10 +29,10 @@ def quartic_misses_unit(c: Floats) -> bool:
     b4 = c[0] + c[1] + c[2] + c[3] + c[4]
     lowest = min(min(b0, b1), min(min(b2, b3), b4))
     highest = max(max(b0, b1), max(max(b2, b3), b4))
-    return lowest > 0.0 or highest < 0.0
+    return bool(lowest > 0.0 or highest < 0.0)
 
 
-@compiled
+@compiled_sums
 def unit_roots(c: Floats, degree: int, roots: Floats, derivatives: Floats, brackets: Floats) -> int:
     """Roots in [0, 1], ascending; returns how many.
 

@@ -9,21 +9,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization.exact.compiled import compiled
+from thigmo.compiled import compiled_sums
 
 Floats = NDArray[np.float64]
 
 INNER_END = 1e-9  # where in the first cell its open end is looked at, as a share of the cell
 
 
-@compiled
+@compiled_sums
 def response(arc: float, low: float, span: float, inverse: float) -> float:
     """Influence phi of a unit force at `arc` on one sensor (METHODS: average over the span)."""
     inside = min(max(arc - low, 0.0), span)
     return inside * inside * inverse + (max(arc - low, span) - span)
 
 
-@compiled
+@compiled_sums
 def objective_l1(
     arc: float, force: float, y: Floats, low: Floats, span: Floats, inverse: Floats, w: Floats
 ) -> float:
@@ -36,7 +36,7 @@ def objective_l1(
     return total
 
 
-@compiled
+@compiled_sums
 def objective_l2(
     arc: float, force: float, y: Floats, low: Floats, span: Floats, inverse: Floats, w: Floats
 ) -> float:
@@ -50,7 +50,7 @@ def objective_l2(
     return total
 
 
-@compiled
+@compiled_sums
 def find_edges(low: Floats, span: Floats, length: float, edges: Floats) -> int:
     """Sorted distinct ends of spans within [0, length], 0 and length included; returns how many.
 
@@ -81,7 +81,7 @@ def find_edges(low: Floats, span: Floats, length: float, edges: Floats) -> int:
     return count
 
 
-@compiled
+@compiled_sums
 def first_influence(low: Floats, edges: Floats, n_edges: int) -> int:
     """Index of the last edge at which no sensor answers yet (0 if one answers at the base)."""
     least = np.inf

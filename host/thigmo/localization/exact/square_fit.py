@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization.exact.compiled import compiled
+from thigmo.compiled import compiled_sums
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,7 +20,7 @@ DEPENDENT = 1e-12  # a column this close to the span of those before it adds not
 STIFFNESS = 100.0  # of the springs on limits, relative to the largest coefficient's column
 
 
-@compiled
+@compiled_sums
 def triangle(
     g: Floats, y: Floats, w: Floats, m: int, n: int, q: Floats, a: Floats, t: Floats
 ) -> None:
@@ -70,7 +70,7 @@ def triangle(
             q[r, k] *= scale
 
 
-@compiled
+@compiled_sums
 def solve_passive(
     a: Floats,
     t: Floats,
@@ -122,13 +122,13 @@ def solve_passive(
                 if upper[p, p] > 0.0:
                     value -= upper[r, p] * beta[p]
             beta[r] = value / upper[r, r]
-    value = 0.0
+    left = 0.0
     for k in range(rows):
-        value += rest[k] * rest[k]
-    return value
+        left += rest[k] * rest[k]
+    return left
 
 
-@compiled
+@compiled_sums
 def signed_square_fit(
     a: Floats,
     t: Floats,
@@ -215,7 +215,7 @@ def signed_square_fit(
     return 0.0
 
 
-@compiled
+@compiled_sums
 def square_fit(
     a: Floats,
     t: Floats,
