@@ -131,7 +131,11 @@ def test_another_schema_is_refused_with_both_hashes() -> None:
         Client(LoopTransport(device))
     assert "deadbeef" in str(caught.value)
     assert f"{wire.SCHEMA_HASH:08x}" in str(caught.value)
-    assert "thigmo flash loop" in caught.value.next_step
+    assert caught.value.next_step == "run `make install`"  # of a simulated board
+    transport = LoopTransport(device)
+    transport.virtual = False
+    with pytest.raises(SchemaMismatchError, match="; run `thigmo flash loop`"):
+        Client(transport)
 
 
 class RawReply(wire.Message):
@@ -387,7 +391,7 @@ def test_latched_events_outlive_a_new_conversation(device: ReferenceDevice) -> N
 def test_a_full_queue_leaves_events_at_the_board(
     client: Client, device: ReferenceDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("thigmo.link.client._EVENTS", 3)
+    monkeypatch.setattr("thigmo.link.inbox._EVENTS", 3)
     for value in range(5):
         device.event(wire.EventCode.EVERTED, 0, value)
     wait(client, 1.0)

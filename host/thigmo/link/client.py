@@ -12,32 +12,22 @@ Nothing here sleeps or asks a clock but the transport's: reading is waiting.
 from __future__ import annotations
 
 import secrets
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal, Self, TypeVar, cast
 
-from thigmo.errors import (
-    BoardResetError,
-    CommandRefusedError,
-    CommandTimeoutError,
-    LinkError,
-    NotARobotError,
-    SchemaMismatchError,
-)
+from thigmo.errors import LinkError
+from thigmo.link import failures
 from thigmo.link import protocol as wire
-from thigmo.link.clock import DeviceClock
-from thigmo.link.events import EventLedger
 from thigmo.link.framing import Decoder, Frame, FrameError, encode
 from thigmo.link.heart import PERIOD_S
-from thigmo.link.received import LinkCounters, ReceivedEvent, TelemetryFrame
+from thigmo.link.inbox import Inbox
 from thigmo.link.round_trip import RoundTrip
 from thigmo.link.transport import Transport
 
 R = TypeVar("R", bound=wire.Message)
-M = TypeVar("M", bound=wire.Message)
 Direction = Literal["tx", "rx"]
 Tap = Callable[[Direction, bytes, float], None]
 
@@ -50,7 +40,6 @@ _IN_PROGRESS_S = 0.1
 # A main thread that comes so late to its reading may have starved the thread that collects for it:
 # it gets as long again before silence counts.
 _LATE_S = 0.05
-_EVENTS = 1024
 _NONCES = 32
 
 
@@ -71,19 +60,16 @@ class _Outstanding:
     orphaned: bool = False  # the board knows the session no more
 
 
-class Client:
+class Client(Inbox):
     """A conversation over a transport. A context manager: leaving it closes the transport.
 
     Attributes:
         transport: what carries it.
         hello: who the board is, as of the last hello.
-        clock: the board's clock.
-        stats: counters.
-        events: received and not yet taken, oldest first. When it is full the board keeps the rest.
-        telemetry: the latest frame, or None.
-        on_telemetry, on_event: called for each, in order. They must not send commands.
         taps: called with every good frame in and every frame out: direction, the bytes on the
             wire without the closing zero, host time.
+
+    The others are the `Inbox`'s.
     """
 
     def __init__(
@@ -107,20 +93,14 @@ class Client:
         Raises:
             LinkError: as `connect`.
         """
+        super().__init__()
         self.transport = transport
-        self.clock = DeviceClock()
-        self.stats = LinkCounters()
-        self.events: deque[ReceivedEvent] = deque()
-        self.telemetry: TelemetryFrame | None = None
-        self.on_telemetry: list[Callable[[TelemetryFrame], None]] = []
-        self.on_event: list[Callable[[ReceivedEvent], None]] = []
         self.taps: list[Tap] = [tap] if tap else []
         self._hello: wire.HelloReply | None = None
         self._heartbeat_s = heartbeat_s
         self._schema_hash = schema_hash
         self._decoder = Decoder()
         self._round_trip = RoundTrip()
-        self._session = 0
         self._seq = 0
         self._outstanding: _Outstanding | None = None
         self._broken: LinkError | None = None
@@ -128,11 +108,6 @@ class Client:
         self._announce: wire.Announce | None = None
         self._other_hash: int | None = None
         self._nonces: deque[int] = deque(maxlen=_NONCES)
-        self._telemetry_seq: int | None = None
-        self._ledger = EventLedger()
-        self._ack_due: int | None = None
-        self._beats: OrderedDict[int, float] = OrderedDict()
-        self._collectors: list[tuple[type[wire.Message], list[wire.Message]]] = []
         self._handling = False
         if connect:
             self.connect()
@@ -199,7 +174,12 @@ class Client:
             self._announce = None
             self._listen(BOOT_LOADER_S)
             if self._announce is None or self._say_hello(wire.Hello.DEADLINE_S) is None:
-                raise self._nobody(self._decoder.garbage - garbage)
+                announce = self._announce
+                if announce is not None and announce.schema_hash != self._schema_hash:
+                    raise failures.other_schema(
+                        self._schema_hash, announce.schema_hash, self.transport
+                    )
+                raise failures.nobody(self.transport, announce, self._decoder.garbage - garbage)
         return self.hello
 
     # Commands.
@@ -225,7 +205,7 @@ class Client:
             self._pump(until_s)
             self._raise_if_broken()
             if self._outstanding is not None and self.now() >= until_s:
-                raise self._timed_out(command, limit)
+                raise failures.timed_out(command, limit)
         reply: wire.Message | None = None
         while reply is None:
             if not self._talking:
@@ -240,9 +220,9 @@ class Client:
             if reply is None and not (outstanding.orphaned and outstanding.attempts == 1):
                 if outstanding.orphaned:
                     self._resume(command, limit, until_s)
-                raise self._timed_out(command, limit)
-        if isinstance(reply, wire.Ack):
-            self._judge(command, reply)
+                raise failures.timed_out(command, limit)
+        if isinstance(reply, wire.Ack) and reply.status is wire.Status.REFUSED:
+            raise failures.refused(command, reply.reason)
         return cast("R", reply)
 
     # Waiting.
@@ -272,27 +252,6 @@ class Client:
                 return False
             self.poll(left_s)
         return True
-
-    @contextmanager
-    def collect(self, kind: type[M]) -> Iterator[list[M]]:
-        """A list that fills with messages of a kind (telemetry, events) while the block runs."""
-        found: list[M] = []
-        entry = (cast("type[wire.Message]", kind), cast("list[wire.Message]", found))
-        self._collectors.append(entry)
-        try:
-            yield found
-        finally:
-            self._collectors.remove(entry)
-
-    # Time.
-
-    def device_us(self, t_us: int) -> int:
-        """Unwrapped microseconds of a 32-bit device stamp."""
-        return self.clock.unwrap(t_us)
-
-    def device_s(self, t_us: int) -> float:
-        """Unwrapped seconds of a 32-bit device stamp."""
-        return self.clock.unwrap(t_us) * 1e-6
 
     # Sending.
 
@@ -332,7 +291,7 @@ class Client:
         while outstanding.answer is None and self._outstanding is outstanding:
             self._pump(until_s)
         if self._other_hash is not None:
-            raise self._other_schema(self._other_hash)
+            raise failures.other_schema(self._schema_hash, self._other_hash, self.transport)
         reply = outstanding.answer
         if not isinstance(reply, wire.HelloReply):
             return None
@@ -340,16 +299,11 @@ class Client:
         return reply
 
     def _open(self, reply: wire.HelloReply) -> None:
-        if self._hello is None or reply.boot_nonce != self._hello.boot_nonce:
-            self.clock.reset()
-            self._ledger.reset()
+        new_boot = self._hello is None or reply.boot_nonce != self._hello.boot_nonce
         self._hello = reply
         if reply.boot_nonce not in self._nonces:
             self._nonces.append(reply.boot_nonce)
-        self._session = reply.session
-        self._telemetry_seq = None
-        self._ack_due = None
-        self._beats.clear()
+        self._begin_session(reply.session, new_boot)
         self._talking = True
         self.stats.hellos += 1
         self.transport.start_heartbeat(reply.session, self._heartbeat_s)
@@ -360,9 +314,9 @@ class Client:
         if before is None:
             raise LinkError("no conversation with a board yet", "connect first")
         if self._say_hello(until_s - self.now()) is None:
-            raise self._timed_out(command, limit_s)
+            raise failures.timed_out(command, limit_s)
         if self.hello.boot_nonce != before.boot_nonce:
-            raise self._reset_error(self.hello.reset_cause)
+            raise failures.restarted(self.hello.reset_cause)
 
     # Receiving.
 
@@ -385,8 +339,7 @@ class Client:
         data = self.transport.read(max(wake_s - now, 0.0))
         if not data and now > wake_s + _LATE_S:
             data = self.transport.read(_LATE_S)
-        for beat in self.transport.beats():
-            self._beat_sent(beat.counter, beat.t_s)
+        self._note_beats()
         if data:
             # A backlog is judged by when it came: a busy main thread is no silent board.
             self._take(data, self.transport.read_s)
@@ -406,14 +359,13 @@ class Client:
             self._round_trip.back_off()
             self._transmit(outstanding)
 
-    def _beat_sent(self, counter: int, t_s: float) -> None:
-        self._beats[counter] = t_s
-        if len(self._beats) > 64:
-            self._beats.popitem(last=False)
-        if self.taps:
-            frame = encode(wire.Heartbeat(counter), 0, self._session)[:-1]
-            for tap in self.taps:
-                tap("tx", frame, t_s)
+    def _note_beats(self) -> None:
+        for beat in self.transport.beats():
+            self._beat_sent(beat.counter, beat.t_s)
+            if self.taps:
+                frame = encode(wire.Heartbeat(beat.counter), 0, self._session)[:-1]
+                for tap in self.taps:
+                    tap("tx", frame, beat.t_s)
 
     def _take(self, data: bytes, t_s: float) -> None:
         frames = self._decoder.feed(data)
@@ -451,27 +403,6 @@ class Client:
         else:
             self.stats.foreign += 1
 
-    def _take_telemetry(self, frame: Frame, t_s: float) -> None:
-        payload = frame.payload
-        if frame.session != self._session or len(payload) != wire.Telemetry.SIZE:
-            self.stats.foreign += 1
-            return
-        if self._telemetry_seq is not None:
-            delta = (frame.seq - self._telemetry_seq) & 0xFFFF
-            if not 0 < delta < 0x8000:
-                self.stats.telemetry_stale += 1
-                return
-            self.stats.telemetry_lost += delta - 1
-        self._telemetry_seq = frame.seq
-        self.stats.telemetry += 1
-        device_us = self.clock.unwrap(int.from_bytes(payload[:4], "little"))
-        received = TelemetryFrame(frame.seq, t_s, device_us, payload)
-        self.telemetry = received
-        for callback in self.on_telemetry:
-            callback(received)
-        if self._collectors:
-            self._collect(wire.Telemetry, received.message)
-
     def _other_board(self, payload: bytes) -> bool:
         """Notice a refusal by a board of another schema, whose enumerations may be unknown here.
 
@@ -498,39 +429,7 @@ class Client:
         if self._talking:  # a new boot
             self._talking = False
             self._outstanding = None
-            self._broken = self._reset_error(message.reset_cause)
-
-    def _take_pulse(self, message: wire.Pulse, session: int, t_s: float) -> None:
-        if session != self._session:
-            self.stats.foreign += 1
-            return
-        sent_s = self._beats.pop(message.counter, None)
-        device_us = self.clock.unwrap(message.t_us)
-        if sent_s is not None:
-            self.clock.pair(sent_s, t_s, device_us)
-
-    def _take_event(self, message: wire.Event, session: int, t_s: float) -> None:
-        if session != self._session:
-            self.stats.foreign += 1
-            return
-        if len(self.events) >= _EVENTS:
-            return  # unacknowledged, so the board keeps it and asks again
-        new = self._ledger.take(message.number)
-        self._ack_due = self._ledger.acknowledge  # again, if the board did not hear the last one
-        if not new:
-            self.stats.event_repeats += 1
-            return
-        self.stats.events += 1
-        received = ReceivedEvent(message, t_s, self.clock.unwrap(message.t_us))
-        self.events.append(received)
-        for callback in self.on_event:
-            callback(received)
-        self._collect(wire.Event, message)
-
-    def _collect(self, kind: type[wire.Message], message: wire.Message) -> None:
-        for wanted, found in self._collectors:
-            if wanted is kind:
-                found.append(message)
+            self._broken = failures.restarted(message.reset_cause)
 
     def _take_reply(self, message: wire.Message, frame: Frame, t_s: float) -> None:
         outstanding = self._outstanding
@@ -572,49 +471,3 @@ class Client:
     def _raise_if_broken(self) -> None:
         if self._broken is not None:
             raise self._broken
-
-    def _judge(self, command: wire.Message, ack: wire.Ack) -> None:
-        if ack.status is wire.Status.REFUSED:
-            what, _, step = ack.reason.doc.rstrip(".").partition("; ")
-            raise CommandRefusedError(
-                f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
-                step,
-                reason=ack.reason.key,
-            )
-
-    def _timed_out(self, command: wire.Message, limit_s: float) -> CommandTimeoutError:
-        return CommandTimeoutError(
-            f"{command.NAME} found no answer within {limit_s:g} s, and may or may not be done",
-            "check the cable and the board's power, and look at the robot's status",
-        )
-
-    def _reset_error(self, cause: wire.ResetCause) -> BoardResetError:
-        return BoardResetError(
-            f"the board restarted ({cause.key.replace('_', ' ')}): outputs are safe, "
-            "the everted length is unknown",
-            "connect again, then measure and confirm the length, or home the robot",
-        )
-
-    def _other_schema(self, theirs: int) -> SchemaMismatchError:
-        return SchemaMismatchError(
-            f"the board's firmware has schema {theirs:08x}, this host has {self._schema_hash:08x}",
-            f"run `thigmo flash {self.transport.name}`",
-        )
-
-    def _nobody(self, garbage: int) -> LinkError:
-        if self._announce is not None and self._announce.schema_hash != self._schema_hash:
-            return self._other_schema(self._announce.schema_hash)
-        if self._announce is not None:
-            return NotARobotError(
-                f"the board on {self.transport.name} announces itself but does not answer",
-                "check the cable's transmit line, or try another cable",
-            )
-        if garbage:
-            return NotARobotError(
-                f"{self.transport.name} sends {garbage} bytes that are no robot's",
-                "choose the robot's port, check its baud rate, or run `thigmo flash` on it",
-            )
-        return NotARobotError(
-            f"nothing answers on {self.transport.name}",
-            "check power and cable, choose the robot's port, or run `thigmo flash` on it",
-        )

@@ -1,0 +1,70 @@
+"""The client's errors in the operator's words: what happened, and what to do next."""
+
+from __future__ import annotations
+
+from thigmo.errors import (
+    BoardResetError,
+    CommandRefusedError,
+    CommandTimeoutError,
+    NotARobotError,
+    SchemaMismatchError,
+)
+from thigmo.link import protocol as wire
+from thigmo.link.transport import Transport
+
+
+def refused(command: wire.Message, reason: wire.Reason) -> CommandRefusedError:
+    """The board said no, with a reason whose sentence the schema has."""
+    what, _, step = reason.doc.rstrip(".").partition("; ")
+    return CommandRefusedError(
+        f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}", step, reason=reason.key
+    )
+
+
+def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:
+    """No answer by the deadline."""
+    return CommandTimeoutError(
+        f"{command.NAME} found no answer within {limit_s:g} s, and may or may not be done",
+        "check the cable and the board's power, and look at the robot's status",
+    )
+
+
+def restarted(cause: wire.ResetCause) -> BoardResetError:
+    """The board has another boot nonce than at the hello."""
+    return BoardResetError(
+        f"the board restarted ({cause.key.replace('_', ' ')}): outputs are safe, "
+        "the everted length is unknown",
+        "connect again, then measure and confirm the length, or home the robot",
+    )
+
+
+def other_schema(ours: int, theirs: int, transport: Transport) -> SchemaMismatchError:
+    """Board and host do not speak the same protocol."""
+    cure = "run `make install`" if transport.virtual else f"run `thigmo flash {transport.name}`"
+    return SchemaMismatchError(
+        f"the board's firmware has schema {theirs:08x}, this host has {ours:08x}", cure
+    )
+
+
+def nobody(transport: Transport, announce: wire.Announce | None, garbage: int) -> NotARobotError:
+    """No hello was answered.
+
+    Args:
+        transport: where.
+        announce: heard from a board that then did not answer.
+        garbage: bytes heard that were no frames.
+    """
+    if announce is not None:
+        return NotARobotError(
+            f"the board on {transport.name} announces itself but does not answer",
+            "check the cable's transmit line, or try another cable",
+        )
+    if garbage:
+        return NotARobotError(
+            f"{transport.name} sends {garbage} bytes that are no robot's",
+            "choose the robot's port, check its baud rate, or run `thigmo flash` on it",
+        )
+    return NotARobotError(
+        f"nothing answers on {transport.name}",
+        "check power and cable, choose the robot's port, or run `thigmo flash` on it",
+    )
