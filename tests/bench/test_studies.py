@@ -1,0 +1,94 @@
+"""The studies run, write what they promise, and their truth is independent of what they test."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thigmo.bench import STUDIES, Context, load
+from thigmo.bench.attempt import attempt
+from thigmo.bench.scenes import SCENES
+from thigmo.bench.speed_accuracy import Score, pareto
+from thigmo.bench.stability import STRESSES
+from thigmo.bench.study import Claim, Outcome, Table, write
+from thigmo.bench.truth import readings
+from thigmo.errors import RunFolderError
+from thigmo.mechanics import push
+
+
+def test_truth_agrees_with_the_plants_mechanics_without_sharing_code() -> None:
+    rng = np.random.default_rng(0)
+    where = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+    for _ in range(20):
+        arcs = np.sort(rng.uniform(10.0, 53.0, 2))
+        forces = rng.normal(0.0, 4e-4, 2)
+        free = float(rng.uniform(-0.03, 0.03))
+        ours = readings(arcs, forces, where, length=53.0, span=5.5, free_curvature=free)
+        theirs = push(forces, arcs, free_curvature=free, length=53.0, cell_cm=0.25)
+        assert ours == pytest.approx(theirs.averages(where, 5.5), abs=2e-6)
+
+
+def test_a_cantilever_under_a_dead_tip_load_turns_as_published() -> None:
+    # Mattiasson 1981: P L^2 / EI = 1 turns the tip by 0.46135 rad.
+    turn = 0.46135
+    where, span = np.array([0.5]), 1.0
+    mean = readings(
+        np.array([1.0]),
+        np.array([np.cos(turn)]),
+        where,
+        length=1.0,
+        span=span,
+        tangential=np.array([np.sin(turn)]),
+    )
+    assert mean[0] == pytest.approx(turn, abs=2e-5)
+
+
+def test_every_scene_is_found_by_the_default_method() -> None:
+    for name, draw in SCENES.items():
+        errors = [attempt(draw(np.random.default_rng([7, i])), "exact")[0] for i in range(8)]
+        assert np.median(errors) < 6.0, name
+
+
+def test_every_stress_draws_cases_at_its_corners() -> None:
+    for stress in STRESSES:
+        for row in (stress.rows[0], stress.rows[-1]):
+            case, noise = stress.draw(np.random.default_rng(1), row, stress.columns[-1])
+            assert case.curvature.shape == case.position.shape
+            assert noise >= 0
+
+
+def test_the_pareto_front_holds_what_nothing_beats() -> None:
+    def score(method: str, time: float, error: float) -> Score:
+        return Score("s", method, error, error, error, 0.0, time, 1.0)
+
+    front = pareto([score("a", 1, 5), score("b", 2, 6), score("c", 3, 2), score("d", 9, 2)])
+    assert [s.method for s in front] == ["a", "c"]
+
+
+def test_an_outcome_is_written_whole(tmp_path: Path) -> None:
+    outcome = Outcome([Table("t", ("x", "y"), [(1, 2.5), (2, 3.5)])], {}, [Claim("c", 1.0, 2.0)])
+    write(outcome, "study", tmp_path / "new")
+    assert (tmp_path / "new/study-t.csv").read_text().splitlines() == ["x,y", "1,2.5", "2,3.5"]
+    assert json.loads((tmp_path / "new/study-claims.json").read_text())[0]["holds"] is True
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(RunFolderError, match="--out"):
+        write(outcome, "study", blocked / "below")
+
+
+def test_claims_know_their_direction() -> None:
+    assert Claim("fast", 4.0, 5.0).holds
+    assert not Claim("fast", 6.0, 5.0).holds
+    assert Claim("factor", 6.0, 5.0, at_most=False).holds
+
+
+def test_work_goes_to_processes_in_order() -> None:
+    assert Context(jobs=2).map(abs, [-3, 2, -1]) == [3, 2, 1]
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_every_study_named_can_be_loaded(name: str) -> None:
+    assert callable(load(name))
