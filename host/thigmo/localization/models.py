@@ -287,8 +287,7 @@ def solve_columns(fit: Fit, readings: Readings) -> Array:
         residual -= force * unit_force(float(arc), fit.setting, readings, fit.stretch)
     weight = precision(fit, readings)
     gram = np.eye(columns.shape[1]) + columns.T @ (weight[:, None] * columns)
-    solution: Array = np.linalg.solve(gram, columns.T @ (weight * residual))
-    return solution
+    return np.asarray(np.linalg.solve(gram, columns.T @ (weight * residual)), dtype=np.float64)
 
 
 def same_side(fit: Fit, readings: Readings) -> float:
@@ -457,8 +456,9 @@ def at_corner(
     weight = precision(out, readings)
     ridge = np.eye(design.shape[1])
     ridge[0, 0] = 1e-6
-    solution: Array = np.linalg.solve(
-        ridge + design.T @ (weight[:, None] * design), design.T @ (weight * readings.y)
+    normal = ridge + design.T @ (weight[:, None] * design)
+    solution = np.asarray(
+        np.linalg.solve(normal, design.T @ (weight * readings.y)), dtype=np.float64
     )
     out.forces = solution[:1]
     out.misfit = float(np.sum(weight * (readings.y - design @ solution) ** 2))

@@ -352,7 +352,8 @@ def robust_flags(
 @compiled
 def coarse_error(y: Array, step: float) -> float:
     """Deviation that half a grid step in the arc can feign in a reading, roughly."""
-    return 0.75 * step * np.abs(y).max()
+    error: float = 0.75 * step * np.abs(y).max()
+    return error
 
 
 @compiled

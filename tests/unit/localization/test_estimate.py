@@ -1,0 +1,225 @@
+"""`localize` on known truths: places, intervals, numbers of contacts, statuses, units."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+import thigmo
+from thigmo.bench.truth import readings as true_readings
+from thigmo.localization import identifiability
+
+LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
+COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+BOTH = np.tile(COLUMN, 2)
+
+
+def felt(arcs, forces, position=BOTH, **scene):
+    return true_readings(
+        np.atleast_1d(arcs), np.atleast_1d(forces), position, length=LENGTH, span=SPAN, **scene
+    )
+
+
+def find(curvature, position=BOTH, **options):
+    options = {"length": LENGTH, "span": SPAN, "noise": SIGMA} | options
+    return thigmo.localize(curvature, position, **options)
+
+
+@pytest.mark.parametrize("arc", [20.0, 30.0, 40.0, 50.0, 53.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_one_contact_without_noise_is_found_where_it_is(arc, sign):
+    force = sign * 0.008 / arc
+    result = find(felt(arc, force))
+    (contact,) = result.contacts
+    low, high = contact.interval
+    assert low <= arc <= high
+    # The posterior of a 6e-4 noise, on clean readings: well within its own deviation.
+    assert abs(contact.arc - arc) < 2.0
+    assert contact.force * sign > 0.0
+
+
+def test_clean_and_fine_readings_fix_the_place():
+    result = find(felt(37.0, 2e-4), noise=1e-7)
+    assert result.status == "localized"
+    assert result.contacts[0].arc == pytest.approx(37.0, abs=0.1)
+    assert result.contacts[0].force == pytest.approx(2e-4, rel=0.01)
+
+
+def test_free_body_has_no_contact():
+    result = find(np.zeros(10))
+    assert result.status == "no contact"
+    assert result.contacts == ()
+
+
+def test_false_contacts_stay_below_one_in_a_hundred():
+    rng = np.random.default_rng(11)
+    for position, noise, scenes in ((BOTH, SIGMA, 1200), (COLUMN, SIGMA, 600), (BOTH, None, 200)):
+        false = sum(
+            bool(find(SIGMA * rng.standard_normal(len(position)), position, noise=noise).contacts)
+            for _ in range(scenes)
+        )
+        # Three deviations above 1 %.
+        assert false <= 0.01 * scenes + 3.0 * np.sqrt(0.01 * scenes)
+
+
+def test_false_second_contacts_stay_below_one_in_twenty():
+    rng = np.random.default_rng(12)
+    counts = Counter()
+    for _ in range(300):
+        arc = rng.uniform(15.0, LENGTH)
+        force = rng.choice([-1.0, 1.0]) * rng.uniform(0.004, 0.011) / arc
+        result = find(felt(arc, force) + SIGMA * rng.standard_normal(10))
+        counts[len(result.contacts)] += 1
+    assert (counts[2] + counts[3]) / counts.total() <= 0.05
+    assert counts[0] / counts.total() <= 0.05
+
+
+def test_intervals_cover_what_they_claim_and_the_estimate_is_efficient():
+    """Scenes of a stated prior; errors against the Cramer-Rao bound inside the body."""
+    rng = np.random.default_rng(13)
+    inside = confident = wrong = 0
+    scaled = []
+    scenes = 500
+    for _ in range(scenes):
+        arc = rng.uniform(10.0, LENGTH)
+        moment = rng.uniform(0.004, 0.011)
+        result = find(felt(arc, moment / arc) + SIGMA * rng.standard_normal(10), contacts=1)
+        (contact,) = result.contacts
+        low, high = contact.interval
+        covered = low - 1e-9 <= arc <= high + 1e-9
+        inside += covered
+        if contact.status == "localized":
+            confident += 1
+            wrong += not covered
+        bound = identifiability(
+            BOTH, length=LENGTH, span=SPAN, noise=SIGMA, arcs=[arc], moments=[moment]
+        ).bound[0, 0]
+        if bound < 2.0 and 12.25 + 3 * bound < arc < LENGTH - 2 * bound:
+            scaled.append((contact.arc - arc, bound))
+    assert 0.92 <= inside / scenes <= 0.98
+    assert wrong / confident <= 0.08
+    errors, bounds = np.array(scaled).T
+    assert np.sqrt(np.mean(errors**2) / np.mean(bounds**2)) <= 1.2
+
+
+def test_one_gross_outlier_is_named_and_costs_little():
+    rng = np.random.default_rng(14)
+    clean, dirty = [], []
+    named = 0
+    for _ in range(200):
+        arc = rng.uniform(25.0, 50.0)
+        curvature = felt(arc, 0.009 / arc) + SIGMA * rng.standard_normal(10)
+        clean.append(find(curvature, contacts=1).contacts[0].arc - arc)
+        victim = int(rng.integers(10))
+        curvature[victim] += rng.choice([-1.0, 1.0]) * SIGMA * rng.uniform(8.0, 20.0)
+        result = find(curvature, contacts=1)
+        dirty.append(result.contacts[0].arc - arc)
+        named += victim in result.outliers
+    assert np.sqrt(np.mean(np.square(dirty))) <= 1.5 * np.sqrt(np.mean(np.square(clean)))
+    assert named >= 150
+
+
+def test_two_opposed_contacts_are_told_apart_at_18_5_cm():
+    rng = np.random.default_rng(15)
+    truth = (LENGTH - 18.5, LENGTH)
+    clean = felt(truth, (-0.02 / truth[0], 0.03 / truth[1]))
+    errors, localized = [], 0
+    for _ in range(25):
+        result = find(clean + SIGMA * rng.standard_normal(10))
+        assert len(result.contacts) == 2
+        errors.append([c.arc - t for c, t in zip(result.contacts, truth, strict=True)])
+        localized += result.status == "localized"
+    assert np.sqrt(np.mean(np.square(errors))) < 2.5
+    assert localized >= 15
+
+
+def test_two_contacts_that_no_sensor_parts_are_ambiguous():
+    """13 cm apart between centres 5..45: one sensor sees the region between them."""
+    rng = np.random.default_rng(16)
+    truth = (LENGTH - 13.0, LENGTH)
+    wrong = 0
+    for moments in ((-0.016, 0.02), (-0.02, 0.03)):
+        clean = felt(truth, (moments[0] / truth[0], moments[1] / truth[1]))
+        for _ in range(15):
+            wrong += find(clean + SIGMA * rng.standard_normal(10)).status != "ambiguous"
+    assert wrong <= 1
+
+
+def test_a_contact_before_the_second_sensor_is_an_interval():
+    """Only the product of force and lever is known there."""
+    result = find(felt(10.0, 0.01 / 5.0), noise=2e-4)
+    (contact,) = result.contacts
+    assert contact.status == "ambiguous"
+    assert contact.interval[0] <= 10.0 <= contact.interval[1]
+
+
+def test_two_informative_readings_are_enough():
+    position = np.array([5.0, 15.0])
+    result = find(felt(40.0, 3e-4, position), position, noise=1e-5)
+    (contact,) = result.contacts
+    assert contact.interval[0] <= 40.0 <= contact.interval[1]
+    assert contact.arc == pytest.approx(40.0, abs=1.0)
+    missing = np.full(10, np.nan)
+    missing[[0, 6]] = felt(40.0, 3e-4)[[0, 6]]
+    again = find(missing, noise=1e-5)
+    assert again.contacts[0].arc == pytest.approx(contact.arc, abs=1e-6)
+
+
+@pytest.mark.parametrize("unit", [10.0, 0.01])
+@pytest.mark.parametrize("noise", [SIGMA, None])
+def test_units_of_length_do_not_matter(unit, noise):
+    rng = np.random.default_rng(17)
+    curvature = felt((30.0, LENGTH), (-6e-4, 5e-4)) + SIGMA * rng.standard_normal(10)
+    here = find(curvature, noise=noise, free_curvature=0.01)
+    there = thigmo.localize(
+        curvature / unit,
+        BOTH * unit,
+        length=LENGTH * unit,
+        span=SPAN * unit,
+        noise=None if noise is None else noise / unit,
+        free_curvature=0.01 / unit,
+    )
+    assert (there.status, there.model) == (here.status, here.model)
+    assert there.objective * unit == pytest.approx(here.objective, rel=1e-6)
+    for one, other in zip(here.contacts, there.contacts, strict=True):
+        assert other.arc / unit == pytest.approx(one.arc, abs=1e-4)
+        assert other.force * unit**2 == pytest.approx(one.force, rel=1e-4)
+        assert np.array(other.interval) / unit == pytest.approx(np.array(one.interval), abs=1e-4)
+
+
+def test_a_common_offset_widens_the_interval_beyond_the_last_sensor():
+    curvature = felt(50.0, 0.008 / 50.0) + 5e-4
+    plain = find(curvature, contacts=1).contacts[0].interval
+    wary = find(curvature, contacts=1, offset_sigma=5e-4).contacts[0].interval
+    assert wary[1] - wary[0] > plain[1] - plain[0] + 1.0
+    assert wary[0] <= 50.0 <= wary[1]
+
+
+def test_objective_and_set_are_the_exact_optimum():
+    curvature = felt(40.0, 2e-4)
+    result = find(curvature, contacts=1)
+    grid = np.linspace(0.0, LENGTH, 2000)
+    low, high = BOTH - SPAN / 2, BOTH + SPAN / 2
+    best = np.inf
+    for arc in grid:
+        reach = np.clip(arc - low, 0.0, None)
+        phi = np.where(arc >= high, arc - BOTH, reach**2 / (2 * SPAN))
+        if phi.any():
+            for force in curvature[phi > 0] / phi[phi > 0]:
+                best = min(best, np.abs(curvature - force * phi).sum())
+    assert result.objective <= best + 1e-12
+    ((piece, *_),) = result.optimum_set
+    assert piece[0] <= piece[1]
+
+
+@pytest.mark.parametrize("method", ["l1", "l2", "grid", "coordinate"])
+def test_other_methods_answer_points_behind_the_same_interface(method):
+    result = find(felt(40.0, 2e-4), method=method)
+    assert result.contacts[0].arc == pytest.approx(40.0, abs=10.0)
+    assert result.model == method
+    scaled = thigmo.localize(
+        felt(40.0, 2e-4) / 10, BOTH * 10, length=LENGTH * 10, span=SPAN * 10, method=method
+    )
+    assert scaled.contacts[0].arc / 10 == pytest.approx(result.contacts[0].arc, abs=1e-3)

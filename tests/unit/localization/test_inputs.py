@@ -1,0 +1,129 @@
+"""Any finite input gets an answer, anything else a typed error."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import thigmo
+from thigmo.errors import DataError
+
+STATUSES = {"localized", "ambiguous", "below detection", "no contact"}
+finite = st.floats(-1e3, 1e3, allow_nan=False)
+
+
+def check(result, length):
+    assert result.status in STATUSES
+    numbers = [result.noise, result.log_odds]
+    for contact in result.contacts:
+        assert contact.status in STATUSES
+        low, high = contact.interval
+        assert -1e-9 * length <= low <= high <= length * (1 + 1e-9)
+        assert 0.0 <= contact.arc <= length * (1 + 1e-9)
+        numbers += [contact.arc, contact.force, low, high]
+    assert all(math.isfinite(number) for number in numbers)
+    assert np.isfinite(result.density).all()
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_any_finite_input_is_answered(data):
+    n = data.draw(st.integers(1, 12))
+    length = data.draw(st.floats(0.01, 1e4))
+    scale = data.draw(st.sampled_from([1e-9, 1e-3, 1.0, 1e6]))
+    curvature = [scale * data.draw(st.one_of(finite, st.just(math.nan))) for _ in range(n)]
+    curvature[0] = scale * data.draw(finite)
+    position = [length * data.draw(st.floats(0.0, 1.0)) for _ in range(n)]
+    span = length * data.draw(st.sampled_from([0.0, 1e-7, 0.1, 2.0]))
+    free = data.draw(st.sampled_from([0.0, 0.03, -1e3]))
+    noise = data.draw(st.sampled_from([None, 0.0, 6e-4, 1e3]))
+    contacts = data.draw(st.sampled_from(["auto", "auto", 0, 1, 2]))
+    critical = data.draw(st.sampled_from([None, 0.011, 0.0]))
+    result = thigmo.localize(
+        curvature,
+        position,
+        length=length,
+        span=span,
+        free_curvature=free,
+        noise=noise,
+        contacts=contacts,
+        critical_curvature=critical,
+        offset_sigma=data.draw(st.sampled_from([0.0, 5e-4])),
+    )
+    check(result, length)
+    if contacts != "auto":
+        assert len(result.contacts) == contacts
+
+
+def test_three_contacts_on_any_readings():
+    rng = np.random.default_rng(31)
+    for scale in (0.0, 1e-3, 10.0):
+        result = thigmo.localize(
+            scale * rng.standard_normal(10),
+            np.tile(np.arange(5.0, 50.0, 10.0), 2),
+            length=53.0,
+            span=5.5,
+            noise=6e-4,
+            contacts=3,
+        )
+        check(result, 53.0)
+        assert len(result.contacts) == 3
+
+
+GOOD = {
+    "curvature": [1e-3, 2e-3, 0.0],
+    "position": [5.0, 15.0, 25.0],
+    "length": 53.0,
+    "span": 5.5,
+    "noise": 6e-4,
+}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"curvature": [1e-3, 2e-3]},
+        {"curvature": [[1e-3, 2e-3, 0.0]]},
+        {"curvature": [math.nan] * 3},
+        {"curvature": [1e-3, math.inf, 0.0]},
+        {"curvature": []},
+        {"curvature": ["a", "b", "c"]},
+        {"position": [5.0, 15.0, 60.0]},
+        {"position": [-5.0, 15.0, 25.0]},
+        {"position": [5.0, math.nan, 25.0]},
+        {"span": -1.0},
+        {"span": [5.5, 5.5]},
+        {"span": math.inf},
+        {"noise": -1.0},
+        {"noise": math.nan},
+        {"noise": []},
+        {"noise": [1e-3, 1e-3]},
+        {"free_curvature": math.inf},
+        {"free_curvature": [0.0, 0.0]},
+        {"length": 0.0},
+        {"length": math.nan},
+        {"length": "long"},
+        {"contacts": 4},
+        {"contacts": -1},
+        {"contacts": "many"},
+        {"contacts": 1.5},
+        {"contacts": True},
+        {"method": "guess"},
+        {"mechanics": "quantum"},
+        {"critical_of": "moon"},
+        {"offset_sigma": -1.0},
+        {"critical_curvature": math.nan},
+        {"tube_radius": -1.0},
+        {"width_limit": math.inf},
+    ],
+)
+def test_unusable_input_is_a_typed_error(change):
+    arguments = GOOD | change
+    curvature, position = arguments.pop("curvature"), arguments.pop("position")
+    with pytest.raises(DataError) as caught:
+        thigmo.localize(curvature, position, **arguments)
+    assert caught.value.next_step

@@ -1,0 +1,113 @@
+"""Richer mechanics, each against the large-deflection rod: used where called for, and right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import thigmo
+from thigmo.bench.truth import readings as true_readings
+
+LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
+COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+BOTH = np.tile(COLUMN, 2)
+CRITICAL = 0.01108
+
+
+def felt(arcs, forces, position, **scene):
+    return true_readings(
+        np.atleast_1d(arcs), np.atleast_1d(forces), position, length=LENGTH, span=SPAN, **scene
+    )
+
+
+def test_levers_of_the_bent_shape_remove_the_bias_of_actuated_contacts():
+    rng = np.random.default_rng(21)
+    worst = plain_worst = 0.0
+    for _ in range(25):
+        free = rng.uniform(0.02, 0.045) * rng.choice([-1.0, 1.0])
+        arc = rng.uniform(25.0, 51.0)
+        force = -np.sign(free) * rng.uniform(0.004, 0.02) / arc
+        curvature = felt(arc, force, COLUMN, free_curvature=free)
+        options = {"length": LENGTH, "span": SPAN, "free_curvature": free, "contacts": 1}
+        result = thigmo.localize(curvature, COLUMN, noise=1e-6, **options)
+        assert result.model == "bent-shape levers"
+        worst = max(worst, abs(result.contacts[0].arc - arc))
+        plain = thigmo.localize(curvature, COLUMN, noise=1e-6, mechanics="plain", **options)
+        plain_worst = max(plain_worst, abs(plain.contacts[0].arc - arc))
+    assert worst <= 0.1
+    assert plain_worst > 0.5
+
+
+def test_an_oblique_force_on_the_tips_corner_is_recognised():
+    rng = np.random.default_rng(22)
+    for _ in range(10):
+        free = rng.uniform(0.02, 0.045)
+        force = -rng.uniform(0.006, 0.015) / LENGTH
+        along = -abs(force) * rng.uniform(0.2, 1.0)
+        curvature = felt(
+            LENGTH, force, COLUMN, free_curvature=free, tangential=np.array([along]), arm=1.75
+        )
+        result = thigmo.localize(
+            curvature, COLUMN, length=LENGTH, span=SPAN, free_curvature=free, noise=1e-5
+        )
+        assert "corner" in result.model
+        assert result.contacts[0].arc == pytest.approx(LENGTH, abs=0.3)
+        assert result.parameters["tangential_force"] == pytest.approx(along, rel=0.2)
+
+
+@pytest.mark.parametrize("fold", [0.1, 0.3])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_base_fold_at_the_critical_moment_gives_place_and_angle(fold, sign):
+    rng = np.random.default_rng(23)
+    errors, angles = [], []
+    for arc in (26.5, 39.75, 53.0) * 4:
+        curvature = felt(
+            arc, sign * CRITICAL / arc, BOTH, fold_angle=sign * fold, fold_length=3.5
+        ) + SIGMA * rng.standard_normal(10)
+        result = thigmo.localize(
+            curvature, BOTH, length=LENGTH, span=SPAN, noise=SIGMA, critical_curvature=CRITICAL
+        )
+        assert "base fold" in result.model
+        (contact,) = result.contacts
+        errors.append(contact.arc - arc)
+        angles.append(result.parameters["fold_angle"])
+    # The thesis's coupled solver: 1.93 cm on average.
+    assert np.mean(np.abs(errors)) < 1.9
+    assert np.mean(angles) == pytest.approx(sign * fold, abs=0.05)
+
+
+def test_a_suspected_fold_is_not_answered_with_a_confident_wrong_place():
+    rng = np.random.default_rng(24)
+    wrong = 0
+    for arc in (26.5, 39.75, 53.0) * 8:
+        curvature = felt(
+            arc, CRITICAL / arc, BOTH, fold_angle=0.3, fold_length=3.5
+        ) + SIGMA * rng.standard_normal(10)
+        result = thigmo.localize(curvature, BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
+        wrong += result.status == "localized" and not any(
+            c.interval[0] - 1e-6 <= arc <= c.interval[1] + 1e-6 for c in result.contacts
+        )
+    assert wrong <= 4
+
+
+def test_unactuated_contacts_keep_the_plain_beam():
+    result = thigmo.localize(felt(40.0, 1.2e-4, BOTH), BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
+    assert result.model == "plain beam"
+
+
+def test_a_tip_moment_is_recognised_where_the_sensors_see_beyond_the_contact():
+    position = np.linspace(2.0, 52.0, 26)
+    curvature = felt(30.0, 3e-4, position) + 0.004
+    result = thigmo.localize(curvature, position, length=LENGTH, span=0.0, noise=1e-4, contacts=1)
+    assert "tip moment" in result.model
+    assert result.parameters["tip_moment"] == pytest.approx(0.004, rel=0.1)
+
+
+def test_a_spread_load_is_told_from_a_point_by_dense_sensors():
+    position = np.linspace(1.0, 52.0, 52)
+    arcs = np.linspace(24.0, 36.0, 41)
+    clean = np.mean([felt(a, 4e-4, position) for a in arcs], axis=0)
+    result = thigmo.localize(clean, position, length=LENGTH, span=SPAN, noise=5e-5, contacts=1)
+    assert "distributed" in result.model
+    assert result.contacts[0].arc == pytest.approx(30.0, abs=1.0)
+    assert result.parameters["half_width"] == pytest.approx(6.0, abs=1.0)
