@@ -115,36 +115,32 @@ def bodyness(
         BodyNotSeenError: base and table have the same colour.
     """
     features = _features(flat.image)
+    # Light differs along the body and across it far more than in the sample.
+    lighting = np.diag([0.002, 0.002, 0.3])
+    loosest = 0.15
+    if background is not None:
+        # What was there before cancels, and a small change of colour is enough.
+        features = features - _features(background.image)
+        lighting, loosest = np.diag([1e-5, 1e-5, 0.03]), 0.04
     seed = _patch(features, flat, (1.0, 4.0), 0.5 * radius_cm)
     table = features[::6, ::6].reshape(-1, 3)
     center, spread = np.median(seed, axis=0), np.cov(seed.T)
     middle = np.median(table, axis=0)
-    quiet = table[np.abs(table - middle).max(axis=1) < 0.5]
-    pooled = spread + np.cov(quiet.T)
-    # Light differs along the body and across it far more than in the sample.
-    pooled += np.diag([0.002, 0.002, 0.3])
+    quiet = table[np.abs(table - middle).max(axis=1) < (0.5 if background is None else 0.1)]
+    pooled = spread + np.cov(quiet.T) + lighting
     direction = np.linalg.solve(pooled, center - middle)
     distance = float(np.sqrt((center - middle) @ direction))
-    if distance < 2.0 and background is None:
+    if distance < 2.0:
         raise BodyNotSeenError(
             "the body at the base has the colour of the table",
             "lay a cloth of another colour under the robot, or give a picture of the empty table",
         )
-    score = np.zeros(features.shape[:2], np.float32)
-    if distance >= 2.0:
-        score = ((features - middle) @ direction / ((center - middle) @ direction)).astype(
-            np.float32
-        )
-        # Another colour altogether (clutter) is as little body as the table is.
-        away = features[..., :2] - center[:2]
-        reach = np.sqrt(np.maximum(np.diag(spread)[:2], 0.003)) * 4 + 0.15
-        strange = np.sqrt(((away / reach) ** 2).sum(axis=-1))
-        score = np.clip(score, 0, 1) * np.clip(2 - strange, 0, 1)
-    if background is not None:
-        change = np.abs(features - _features(background.image))[..., :2].max(axis=-1)
-        bright = np.abs(features - _features(background.image))[..., 2]
-        moved = np.clip(np.maximum(change / 0.25, (bright - 0.3) / 0.5), 0, 1).astype(np.float32)
-        score = moved if distance < 2.0 else np.minimum(score, 2 * moved)
+    score = (features - middle) @ direction / ((center - middle) @ direction)
+    # Another colour altogether (clutter) is as little body as the table is.
+    away = features[..., :2] - center[:2]
+    reach = np.sqrt(np.maximum(np.diag(spread)[:2], loosest**2 / 8)) * 4 + loosest
+    strange = np.sqrt(((away / reach) ** 2).sum(axis=-1))
+    score = (np.clip(score, 0, 1) * np.clip(2 - strange, 0, 1)).astype(np.float32)
     for cover in covers:
         polygon = np.round(flat.pixels(cover)).astype(np.int32).reshape(-1, 1, 2)
         cv2.fillPoly(score, [polygon], 1.0)
@@ -370,15 +366,42 @@ def fit_centerline(
     if points.ndim != 2 or len(points) < 6 or not np.isfinite(points).all():
         raise DataError("the axis needs six or more finite points", "click more points")
     end = points[-1] if tip_cm is None else np.asarray(tip_cm, float)
-    chain = np.vstack([points, end])
-    steps = np.linalg.norm(np.diff(chain, axis=0), axis=1)
-    # The first point's arc: its x, for the body leaves the base along +x.
-    arc = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
-    forward = float(np.sign((end - points[-1]) @ (points[-1] - points[-2])) or 1.0)
-    total = arc[-2] + forward * steps[-1]
-    at, weights = arc[:-1], np.ones(len(points))
+    weights = np.ones(len(points))
     if good is not None and good.sum() >= 6:
         weights[~good] = 0.05
+    # Arc of each point: along the chain at first (the body leaves the base along +x, so the first
+    # one's is its x), which noise lengthens; then by projection onto the fitted curve.
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
+    last = points[-1] - points[-2]
+    total = at[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
+    fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
+    for _ in range(2):
+        at = _project(points, at, fitted)
+        total = float(_project(end[None], np.array([total]), fitted)[0])
+        fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
+    return fitted
+
+
+def _project(points: Array, at: Array, line: Centerline) -> Array:
+    """Arcs of points, moved along the curve's tangent to the foot of each point."""
+    inside = np.clip(at, 0.0, line.arc_cm[-1])
+    turn = np.interp(inside, line.arc_cm, line.heading)
+    x, y = (np.interp(inside, line.arc_cm, c) for c in (line.x_cm, line.y_cm))
+    ahead = np.cos(turn) * (points[:, 0] - x) + np.sin(turn) * (points[:, 1] - y)
+    return np.asarray(inside + ahead)
+
+
+def _fit(
+    points: Array,
+    at: Array,
+    total: float,
+    weights: Array,
+    constant: bool,
+    knot_cm: float,
+    point_se_cm: float,
+) -> Centerline:
+    """One fit with the points' arcs held."""
     n = 1 if constant else max(4, int(total / knot_cm) + 3)
     fine = np.linspace(0.0, total, max(60, int(total / 0.1)))
     basis = np.ones((len(fine), 1)) if n == 1 else _spline_basis(fine, total, n)
@@ -403,7 +426,7 @@ def fit_centerline(
         normal = -np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1]
         return np.concatenate([weights * normal / point_se_cm, roughness @ p[2:]])
 
-    chord = float(np.arctan2(end[1] - points[0, 1], end[0] - points[0, 0]))
+    chord = float(np.arctan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0]))
     first = np.concatenate([[points[0, 1], 0.0], np.full(n, 2 * chord / total)])
     fit = least_squares(residuals, first, loss="huber", f_scale=2.5, x_scale="jac", max_nfev=60)
     raw = residuals(fit.x)[: len(points)]

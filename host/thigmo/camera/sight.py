@@ -199,7 +199,12 @@ def _axis(
         covers.append(camera.to_plane(middle + 1.36 * (four - middle), radius))
     score = bodyness(flat, radius, covers, empty)
     track = follow(flat, score, radius)
-    middle, good, end = track.middle, track.good, track.tip
+    middle, good = track.middle, track.good
+    # The end's upper or lower edge juts out by its height, by half if it is rounded.
+    forward = middle[-1] - middle[-min(4, len(middle))]
+    forward /= max(float(np.linalg.norm(forward)), 1e-9)
+    out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
+    end = track.tip - 0.5 * radius * out / float(camera.eye_cm[2]) * forward
     if four is not None and tip is not None and not tip.clicked:
         # The marker hides the flanks under it; its own centre, at its own height, is on the axis.
         reach = float(np.linalg.norm(covers[0] - covers[0].mean(axis=0), axis=1).max()) + 0.3

@@ -1,0 +1,192 @@
+"""From rendered pictures to numbers: the whole path from pixels, against truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from thigmo.bench.camera import axis_of, board_lens, glimpse, summarise
+from thigmo.camera import (
+    BodyNotSeenError,
+    CameraMovedError,
+    Clicks,
+    MarkerMissingError,
+    Seen,
+    Sheet,
+    SheetHiddenError,
+    check_still,
+    draw,
+    locate,
+    look,
+    open_source,
+    see_tip,
+)
+from thigmo.camera.sheet import card_decals, tip_decal
+from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
+from thigmo.errors import DataError
+
+SHEET = Sheet(camera_height_cm=105.0)
+
+
+class Room:
+    """One room whose parts can be left out."""
+
+    def __init__(self, curvature: float = 0.02) -> None:
+        self.camera = overhead_camera(None)
+        self.s, self.heading, self.x, self.y = axis_of(np.full(400, curvature), 53.0)
+        self.pegs = [PegShape(30.0, -8.0, 1.0), PegShape(20.0, 14.0, 1.4)]
+
+    def picture(self, *, cards=(0, 1, 2, 3), tip=True, body=True, camera=None, look=None):
+        patches = [d for n, d in enumerate(card_decals(SHEET)) if n in cards]
+        if tip:
+            patches.append(tip_decal(SHEET, self.x[-1], self.y[-1], self.heading[-1], 3.5))
+        shape = BodyShape(self.x, self.y) if body else None
+        return render(
+            camera or self.camera, View(shape, self.pegs, patches), look or Look(),
+            np.random.default_rng(5),
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    return Room()
+
+
+@pytest.fixture(scope="module")
+def picture(room):
+    return room.picture()
+
+
+@pytest.fixture(scope="module")
+def model(picture):
+    return locate(picture, SHEET)
+
+
+def test_random_rooms_are_seen_within_three_millimetres():
+    found = summarise([glimpse(seed) for seed in range(1000, 1008)])
+    assert found["place_worst_cm"] < 0.3
+    assert found["tip_p95_cm"] < 0.3
+    assert found["tip_missed"] == 0
+    assert found["axis_end_p95_cm"] < 0.3
+    assert found["peg_p95_cm"] < 0.3
+    assert found["peg_missed"] <= 0.13
+    assert found["free_bend_rms_per_cm"] < 2e-4
+    assert found["span_chi"] < 1.6
+
+
+def test_lens_board_gives_the_lens():
+    lens = board_lens(poses=7)
+    true = overhead_camera(None)
+    assert lens.rms_px < 0.3
+    assert lens.matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=0.005)
+    assert lens.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
+    assert glimpse(3, "cards only", lens).place_cm < 0.3
+
+
+def test_tip_axis_and_dowels_of_one_room(room, picture, model):
+    seen = look(picture, model, SHEET, Seen(constant=True))
+    assert seen.problems == ()
+    assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
+    assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
+    for peg in room.pegs:
+        nearest = min(seen.obstacles, key=lambda o: np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm))
+        assert (nearest.x_cm, nearest.y_cm) == pytest.approx((peg.x_cm, peg.y_cm), abs=0.15)
+        assert nearest.radius_cm == pytest.approx(peg.radius_cm, abs=0.15)
+
+
+def test_what_is_seen_is_drawn(picture, model):
+    wanted = Seen()
+    seen = look(picture, model, SHEET, wanted)
+    drawn = draw(picture, model, SHEET, seen, wanted)
+    changed = (np.abs(drawn.astype(int) - picture).max(axis=2) > 40).mean()
+    assert 0.005 < changed < 0.1
+    axis = model.project(np.array([[seen.axis.x_cm[200], seen.axis.y_cm[200], 1.75]]))[0]
+    column, row = np.round(axis).astype(int)
+    patch = drawn[row - 2 : row + 3, column - 2 : column + 3].reshape(-1, 3)
+    assert (np.abs(patch.astype(int) - [255, 255, 0]).max(axis=1) < 60).any()
+
+
+def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model):
+    bare = room.picture(tip=False)
+    seen = look(bare, model, SHEET)
+    assert isinstance(seen.problems[0], MarkerMissingError)
+    assert "--tip X,Y" in str(seen.problems[0])
+    with pytest.raises(MarkerMissingError):
+        see_tip(bare, model, SHEET)
+    end = room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]
+    clicked = look(bare, model, SHEET, clicks=Clicks(tip=(end[0] + 1.0, end[1] - 1.0)))
+    assert clicked.tip.clicked
+    assert (clicked.tip.x_cm, clicked.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.2)
+    # The body's own end is found without any marker.
+    assert seen.axis.tip_cm == pytest.approx((room.x[-1], room.y[-1]), abs=0.3)
+
+
+def test_clicked_axis_and_dowel_replace_detection(room, model):
+    pick = np.arange(20, 400, 30)
+    axis = room.camera.project(np.column_stack([room.x[pick], room.y[pick], np.full(13, 1.75)]))
+    around = np.linspace(0, 5, 4)
+    rim = np.column_stack([30 + np.cos(around), -8 + np.sin(around), np.full(4, 6.0)])
+    clicks = Clicks(
+        tip=tuple(room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]),
+        axis=tuple(map(tuple, axis)),
+        obstacles=(tuple(map(tuple, room.camera.project(rim))),),
+    )
+    seen = look(room.picture(body=False), model, SHEET, Seen(constant=True), clicks=clicks)
+    assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=3e-4)
+    assert min(np.hypot(o.x_cm - 30, o.y_cm + 8) for o in seen.obstacles if o.rim == 1.0) < 0.1
+
+
+def test_no_robot_is_said(room, model):
+    seen = look(room.picture(tip=False, body=False), model, SHEET)
+    assert seen.axis is None
+    assert any(isinstance(p, BodyNotSeenError) for p in seen.problems)
+
+
+def test_body_of_the_tables_colour_needs_a_background_picture(room, model):
+    dull = replace(Look(), clutter=0)
+    patches = card_decals(SHEET)
+    shape = BodyShape(room.x, room.y, color=(235.0, 240.0, 243.0))
+
+    def shot(body):
+        return render(room.camera, View(body, (), patches), dull, np.random.default_rng(6))
+
+    dark = look(shot(shape), model, SHEET, Seen(constant=True, tip=False))
+    helped = look(shot(shape), model, SHEET, Seen(constant=True, tip=False), background=shot(None))
+    assert helped.axis is not None
+    assert helped.axis.coefficients[2] == pytest.approx(0.02, abs=5e-4)
+    if dark.axis is None:
+        assert "cloth of another colour" in str(dark.problems[-1])
+
+
+def test_moved_camera_is_detected_and_hidden_cards_named(room, model):
+    shoved = replace(room.camera, translation=room.camera.translation + np.array([1.0, 0, 0]))
+    with pytest.raises(CameraMovedError, match="locate` again"):
+        look(room.picture(camera=shoved), model, SHEET)
+    assert check_still(room.picture(cards=(0, 2, 3)), model, SHEET) == ("base right",)
+    with pytest.raises(SheetHiddenError, match="tip left"):
+        locate(room.picture(cards=(0, 1)), SHEET)
+    partly = locate(room.picture(cards=(0, 1, 3)), SHEET)
+    assert partly.hidden == ("tip left",)
+
+
+def test_pictures_come_from_stills_and_videos(tmp_path, picture):
+    cv2.imwrite(str(tmp_path / "1.png"), picture)
+    assert open_source(tmp_path).read().shape == (1080, 1920, 3)
+    path = str(tmp_path / "film.avi")
+    film = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"MJPG"), 10, (1920, 1080))
+    for _ in range(3):
+        film.write(picture)
+    film.release()
+    source = open_source(path)
+    first = source.read()
+    source.close()
+    assert np.abs(first.astype(int) - picture).mean() < 12
+    assert locate(first, SHEET).accuracy_cm < 0.2
+
+
+def test_a_body_without_an_axis_cannot_be_painted():
+    with pytest.raises(DataError, match="two or more points"):
+        render(overhead_camera(None), View(BodyShape(np.zeros(1), np.zeros(1))))

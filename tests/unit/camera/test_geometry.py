@@ -1,0 +1,193 @@
+"""Pixels to centimetres without pictures: pose, axis fits, circles, clicks, files."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from thigmo.bench.camera import axis_of
+from thigmo.camera import (
+    CameraModel,
+    CameraMovedError,
+    Clicks,
+    Lens,
+    PictureError,
+    PlaneFitError,
+    Sheet,
+    SheetHiddenError,
+    fit_centerline,
+    open_source,
+)
+from thigmo.camera.clicks import ClickWindow, click, parse_pixel
+from thigmo.camera.errors import CameraError
+from thigmo.camera.model import fit_pose, judge_still
+from thigmo.camera.obstacles import circle_through
+from thigmo.emulator.render import TrueCamera, overhead_camera
+from thigmo.errors import DataError
+
+
+def corners_seen(camera: TrueCamera, sheet: Sheet, rng: np.random.Generator) -> dict:
+    """Every card's corners as that camera sees them, 0.1 px of noise."""
+    return {
+        marker: camera.project(np.column_stack([flat, np.zeros(4)])) + rng.normal(0, 0.1, (4, 2))
+        for marker, flat in sheet.all_corners().items()
+    }
+
+
+def places(camera: TrueCamera, model: CameraModel, height: float) -> float:
+    grid = np.array([[x, y, height] for x in (0, 27, 54) for y in (-40, 0, 40)], float)
+    return float(np.abs(model.to_plane(camera.project(grid), height) - grid[:, :2]).max())
+
+
+def test_model_inverts_itself_exactly():
+    camera = overhead_camera(np.random.default_rng(1))
+    model = CameraModel(
+        Lens(camera.matrix, camera.distortion, camera.size), camera.rotation, camera.translation
+    )
+    assert places(camera, model, 0.0) < 1e-6
+    assert places(camera, model, 6.0) < 1e-6
+
+
+@pytest.mark.parametrize("known_lens", [True, False])
+def test_pose_from_corners_is_right_within_its_stated_accuracy(known_lens):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        camera = overhead_camera(rng)
+        sheet = Sheet(camera_height_cm=float(camera.eye[2] + rng.normal(0, 0.7)))
+        lens = Lens(camera.matrix, camera.distortion, camera.size) if known_lens else None
+        model = fit_pose(corners_seen(camera, sheet, rng), sheet, camera.size, lens)
+        assert places(camera, model, 1.75) < max(0.03, 2.5 * model.accuracy_cm)
+        assert places(camera, model, 1.75) < 0.15
+
+
+def test_misplaced_card_is_named():
+    rng = np.random.default_rng(2)
+    camera = overhead_camera(rng)
+    seen = corners_seen(camera, Sheet(), rng)
+    told = Sheet()
+    told.cards[3].x_cm += 5.0
+    with pytest.raises(PlaneFitError, match="sheet file"):
+        fit_pose(seen, told, camera.size)
+
+
+def test_moved_camera_and_hidden_cards_are_told_apart():
+    rng = np.random.default_rng(3)
+    camera, sheet = overhead_camera(rng), Sheet()
+    seen = corners_seen(camera, sheet, rng)
+    model = fit_pose(seen, sheet, camera.size)
+    assert judge_still(seen, model, sheet) == ()
+    fewer = {k: v for k, v in seen.items() if k >= 4}
+    assert judge_still(fewer, model, sheet) == ("base left",)
+    with pytest.raises(SheetHiddenError, match="base left, base right"):
+        judge_still({}, model, sheet)
+    moved = {k: v + np.array([9.0, -4.0]) for k, v in seen.items()}
+    with pytest.raises(CameraMovedError, match=r"locate` again") as caught:
+        judge_still(moved, model, sheet)
+    assert caught.value.moved_px == pytest.approx(np.hypot(9, 4), abs=0.5)
+
+
+def test_camera_file_round_trip_and_damage(tmp_path):
+    rng = np.random.default_rng(4)
+    camera, sheet = overhead_camera(rng), Sheet()
+    model = fit_pose(corners_seen(camera, sheet, rng), sheet, camera.size)
+    model.save(tmp_path / "camera.json")
+    again = CameraModel.load(tmp_path / "camera.json")
+    assert places(camera, again, 1.0) == pytest.approx(places(camera, model, 1.0))
+    assert again.corners.keys() == model.corners.keys()
+    assert Lens.load(tmp_path / "camera.json").matrix == pytest.approx(model.lens.matrix)
+    (tmp_path / "camera.json").write_text(json.dumps({"version": 1}))
+    with pytest.raises(CameraError, match="no camera calibration"):
+        CameraModel.load(tmp_path / "camera.json")
+    with pytest.raises(CameraError, match="locate` first"):
+        CameraModel.load(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("constant", [True, False])
+def test_axis_fit_tells_curvature_within_its_errors(constant):
+    misses = []
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        k = np.full(531, rng.uniform(-0.03, 0.03))
+        if not constant:
+            k = k + 5e-4 * np.clip(rng.uniform(20, 53) - np.linspace(0, 53, 531), 0, None)
+        s, heading, x, y = axis_of(k, 53.0)
+        points = np.column_stack([x, y])[5::5] + rng.normal(0, 0.03, (106, 2))
+        axis = fit_centerline(points, np.array([x[-1], y[-1]]), constant=constant)
+        assert axis.length_cm == pytest.approx(53.0, abs=0.1)
+        for center in (15.0, 35.0):
+            turn = np.interp([center - 2.75, center + 2.75], s, heading)
+            value, se = axis.mean_curvature(center, 5.5)
+            misses.append((value - (turn[1] - turn[0]) / 5.5) / se)
+    assert 0.15 < np.mean(np.square(misses)) < 1.6
+
+
+def test_axis_fit_survives_a_hidden_stretch_and_wild_points():
+    rng = np.random.default_rng(0)
+    _, _, x, y = axis_of(np.full(531, 0.02), 53.0)
+    points = np.column_stack([x, y])[5::5] + rng.normal(0, 0.02, (106, 2))
+    points[50:54] += [0.0, 1.0]
+    axis = fit_centerline(points, constant=True)
+    assert axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
+    with pytest.raises(DataError, match="six or more"):
+        fit_centerline(points[:4])
+    with pytest.raises(DataError, match="not on the seen body"):
+        axis.mean_curvature(52.0, 5.5)
+
+
+def test_clicked_circle():
+    around = np.array([0.3, 2.0, 4.5])
+    rim = np.column_stack([12 + 1.2 * np.cos(around), -3 + 1.2 * np.sin(around)])
+    circle = circle_through(rim)
+    assert (circle.x_cm, circle.y_cm, circle.radius_cm) == pytest.approx((12, -3, 1.2))
+    with pytest.raises(DataError, match="on a line"):
+        circle_through(np.array([[0.0, 0], [1, 1], [2, 2]]))
+
+
+def test_clicks_in_a_window_add_undo_and_end():
+    from matplotlib.backend_bases import KeyEvent, MouseEvent
+
+    window = ClickWindow(np.zeros((100, 200, 3), np.uint8), "tip")
+    canvas, axes = window.figure.canvas, window._axes
+
+    def press(x: float, y: float, button: int) -> None:
+        at = axes.transData.transform((x, y))
+        canvas.callbacks.process(
+            "button_press_event", MouseEvent("button_press_event", canvas, *at, button)
+        )
+
+    press(50, 40, 1)
+    press(120, 60, 1)
+    press(0, 0, 3)
+    press(70, 20, 1)
+    assert window.points == [pytest.approx((50, 40)), pytest.approx((70, 20))]
+    canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", canvas, "enter"))
+    assert window.done
+
+
+def test_no_window_is_said_and_points_can_be_typed(tmp_path):
+    with pytest.raises(CameraError, match="--tip X,Y"):
+        click(np.zeros((10, 10, 3), np.uint8))
+    assert parse_pixel("812, 440.5") == (812.0, 440.5)
+    with pytest.raises(CameraError, match="812,440"):
+        parse_pixel("812")
+    clicks = Clicks((1.0, 2.0), ((1.0, 1.0),) * 6, (((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)),))
+    clicks.save(tmp_path / "clicks.json")
+    assert Clicks.load(tmp_path / "clicks.json") == clicks
+    (tmp_path / "clicks.json").write_text("[]")
+    with pytest.raises(CameraError, match="click again"):
+        Clicks.load(tmp_path / "clicks.json")
+
+
+def test_sources_say_what_is_wrong(tmp_path):
+    with pytest.raises(PictureError, match="does not exist"):
+        open_source(tmp_path / "none.png")
+    with pytest.raises(PictureError, match="holds no pictures"):
+        open_source(tmp_path)
+    (tmp_path / "a.png").write_bytes(b"no picture")
+    with pytest.raises(PictureError, match="not a readable picture"):
+        open_source(tmp_path).read()
+    (tmp_path / "b.avi").write_bytes(b"no video")
+    with pytest.raises(PictureError, match="cannot be opened"):
+        open_source(tmp_path / "b.avi")
