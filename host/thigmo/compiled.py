@@ -7,7 +7,7 @@ own file only, so functions that call each other closely share a file.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -16,19 +16,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def compiled(function: F) -> F:
     """Compile a function on first use (nopython, cached on disk); its type is unchanged."""
-    result: F = numba.njit(cache=True, error_model="numpy")(function)
-    return result
+    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
 
 
 def compiled_parallel(function: F) -> F:
     """As `compiled`, with `numba.prange` loops spread over the cores."""
-    result: F = numba.njit(cache=True, error_model="numpy", parallel=True)(function)
-    return result
+    return cast(F, numba.njit(cache=True, error_model="numpy", parallel=True)(function))
 
 
 def compiled_sums(function: F) -> F:
     """As `compiled`, with sums in any order (so that they vectorise) and the GIL released."""
-    result: F = numba.njit(
+    compiler = numba.njit(
         cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"}
-    )(function)
-    return result
+    )
+    return cast(F, compiler(function))
