@@ -1,0 +1,137 @@
+"""A host that dies or stalls in mid-sweep, in real time over a pseudo-terminal.
+
+The real firmware core in the emulated body, zeroed in virtual time, is then served on a port; a
+host in a process of its own starts a sweep.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import PtyServer
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+LIMIT_S = 0.5
+SLACK_S = 0.5  # of a loaded computer's real time
+
+SWEEP = """
+import ctypes, sys
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
+client = Client(open_transport(sys.argv[1]))
+client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
+print("sweeping", flush=True)
+"""
+LIVE = SWEEP + "client.wait_for(lambda: False, 60.0)"
+STALL = (
+    SWEEP
+    + """
+ctypes.PyDLL(None).usleep(5_000_000)  # keeps the interpreter's lock, as a compilation does
+report = client.request(wire.GetStatus())
+print(report.state.key, report.activity.key, report.faults)
+"""
+)
+
+
+class Served:
+    """An emulated robot, ready to sweep, on a port in real time."""
+
+    def __init__(self) -> None:
+        scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
+        transport = EmulatorTransport(scene, VirtualBoard(3), seed=3)
+        client = Client(transport)
+        client.request(wire.LoadDefaults())
+        vented = wire.Condition.VENTED.mask
+        while not client.request(wire.GetStatus()).conditions & vented:
+            client.poll(0.01)
+        client.request(wire.ConfirmLength(200_000, 1))
+        client.request(wire.SelectZone(0))
+        client.request(wire.ClearFaults(0xFFFF))
+        client.request(wire.Arm())
+        client.request(wire.ZeroSensors(0b00011_00011))
+        report = client.request(wire.GetStatus())
+        assert client.wait_for(lambda: any(done(e.message) for e in client.events), 30.0), report
+        client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
+        self.lockstep = transport.lockstep
+        self.board = transport.lockstep.board
+        # A board that keeps running while hosts come and go: opening does not reset it.
+        self._server = PtyServer(self.lockstep, reset_on_open=False)
+        self.port = self._server.path
+        self._on = True
+        self._thread = threading.Thread(target=lambda: self._server.run(lambda: self._on))
+        self._thread.start()
+
+    def close(self) -> None:
+        self._on = False
+        self._thread.join()
+        self._server.close()
+
+    @property
+    def energised(self) -> bool:
+        return any(self.board.drive_enabled)
+
+
+def done(event: wire.Event) -> bool:
+    return event.code == wire.EventCode.ACTIVITY_DONE and event.arg == wire.Activity.ZEROING
+
+
+@pytest.fixture
+def robot() -> Iterator[Served]:
+    served = Served()
+    yield served
+    served.close()
+
+
+def within(condition: Callable[[], bool], seconds: float) -> bool:
+    """Wait in real time, on a condition."""
+    never = threading.Event()
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > until:
+            return False
+        never.wait(0.01)
+    return True
+
+
+def test_a_host_killed_in_mid_sweep_leaves_a_safe_robot_and_a_named_fault(robot: Served) -> None:
+    with subprocess.Popen([sys.executable, "-c", LIVE, robot.port], stdout=subprocess.PIPE) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"sweeping\n"
+        assert within(lambda: robot.energised, 8.0), "the sweep never reached the live zero"
+        host.kill()
+    assert within(lambda: not robot.energised, LIMIT_S + SLACK_S)
+    assert robot.board.motor == 0
+    assert robot.board.braked
+    with Client(open_transport(robot.port)) as client:
+        report = client.request(wire.GetStatus())
+        assert report.state is wire.State.FAULT
+        assert wire.Fault.from_mask(report.faults) == (wire.Fault.HOST_SILENT,)
+        assert client.wait_for(
+            lambda: any(
+                (e.message.code, e.message.arg) == (wire.EventCode.FAULT, wire.Fault.HOST_SILENT)
+                for e in client.events
+            ),
+            2.0,
+        )
+        client.wait_for(lambda: False, 0.3)  # its heart beats: the cause is gone
+        assert client.request(wire.ClearFaults(0xFFFF)).detail == 0
+        client.request(wire.Arm())
+
+
+def test_five_seconds_without_the_interpreter_in_mid_sweep_are_no_fault(robot: Served) -> None:
+    command = [sys.executable, "-c", STALL, robot.port]
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=60)
+    assert done.stdout.split() == [b"sweeping", b"moving", b"sweeping", b"0"]
