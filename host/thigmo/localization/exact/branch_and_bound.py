@@ -26,44 +26,52 @@ Ints = NDArray[np.int64]
 
 
 @compiled_sums
-def heap_push(keys: Floats, items: Ints, size: int, key: float, item: int) -> int:
-    """Add to a binary heap (least key first); returns the new size."""
+def heap_push(heap: Floats, size: int, key: float, item: int) -> int:
+    """Add to a binary heap of rows (key, item), least key first; returns the new size."""
     k = size
     while k > 0:
         parent = (k - 1) >> 1
-        if keys[parent] <= key:
+        if heap[parent, 0] <= key:
             break
-        keys[k] = keys[parent]
-        items[k] = items[parent]
+        heap[k, 0] = heap[parent, 0]
+        heap[k, 1] = heap[parent, 1]
         k = parent
-    keys[k] = key
-    items[k] = item
+    heap[k, 0] = key
+    heap[k, 1] = item
     return size + 1
 
 
 @compiled_sums
-def heap_pop(keys: Floats, items: Ints, size: int) -> tuple[float, int]:
-    """Take the least from a heap of `size` entries."""
-    top = keys[0]
-    item = items[0]
-    key = keys[size - 1]
-    last = items[size - 1]
+def heap_pop(heap: Floats, size: int) -> tuple[float, int]:
+    """Take the least of `size` entries."""
+    top = heap[0, 0]
+    item = int(heap[0, 1])
+    key = heap[size - 1, 0]
+    last = heap[size - 1, 1]
     n = size - 1
     k = 0
     while True:
         child = 2 * k + 1
         if child >= n:
             break
-        if child + 1 < n and keys[child + 1] < keys[child]:
+        if child + 1 < n and heap[child + 1, 0] < heap[child, 0]:
             child += 1
-        if keys[child] >= key:
+        if heap[child, 0] >= key:
             break
-        keys[k] = keys[child]
-        items[k] = items[child]
+        heap[k, 0] = heap[child, 0]
+        heap[k, 1] = heap[child, 1]
         k = child
-    keys[k] = key
-    items[k] = last
+    heap[k, 0] = key
+    heap[k, 1] = last
     return top, item
+
+
+@compiled_sums
+def grown(array: Floats) -> Floats:
+    """A copy with twice the rows."""
+    out = np.empty((2 * array.shape[0], array.shape[1]))
+    out[: array.shape[0]] = array
+    return out
 
 
 @compiled_sums
@@ -168,6 +176,254 @@ def line_table(
 
 
 @compiled_sums
+def describe_cells(
+    low: Floats, span: Floats, edges: Floats, cells: int, before: Ints, beyond: Ints, bent: Ints
+) -> None:
+    """Per cell between edges: sensors wholly before it (a prefix), the first of those wholly
+    beyond it (a suffix), and whether it lies inside a span.
+
+    Args:
+        low: (N,).
+        span: (N,).
+        edges: (cells + 1,).
+        cells: how many.
+        before: (cells,) written.
+        beyond: (cells,) written.
+        bent: (cells,) written.
+    """
+    n = low.shape[0]
+    for k in range(cells):
+        before[k] = 0
+        while before[k] < n and low[before[k]] + span[before[k]] <= edges[k]:
+            before[k] += 1
+        beyond[k] = n
+        while beyond[k] > 0 and low[beyond[k] - 1] >= edges[k + 1]:
+            beyond[k] -= 1
+        bent[k] = 0
+        for j in range(before[k], beyond[k]):
+            if low[j] < 0.5 * (edges[k] + edges[k + 1]) < low[j] + span[j]:
+                bent[k] = 1
+
+
+@compiled_sums
+def combine_cells(
+    edges: Floats,
+    start: int,
+    cells: int,
+    before: Ints,
+    beyond: Ints,
+    table: Floats,
+    tail: Floats,
+    contacts: int,
+    sign: int,
+    limits: Floats,
+    bar: float,
+) -> tuple[Floats, Floats, int]:
+    """All ordered combinations of cells whose table bound is at most `bar`.
+
+    Returns:
+        nodes, heap and number of nodes. A node is a row: C near ends, C far ends, C signs, C cells.
+    """
+    c = contacts
+    nodes = np.empty((1024, 4 * c))
+    heap = np.empty((1024, 2))
+    size = 0
+    cell = np.zeros(3, np.int64)
+    # From the tip inwards, so that what is lost beyond the last contact cuts first. Loops of
+    # contacts that are not there run once.
+    for ka in range(cells - 1, start - 1, -1):
+        bound_a = tail[beyond[ka]]
+        if bound_a > bar:
+            continue
+        for kb in range(ka if c > 1 else start, start - 1, -1):
+            bound_b = bound_a
+            if c > 1 and before[ka] > beyond[kb]:
+                bound_b += table[beyond[kb], before[ka]]
+            if bound_b > bar:
+                continue
+            for kc in range(kb if c > 2 else start, start - 1, -1):
+                bound = bound_b
+                if c > 2 and before[kb] > beyond[kc]:
+                    bound += table[beyond[kc], before[kb]]
+                cell[c - 1] = ka
+                if c > 1:
+                    cell[c - 2] = kb
+                if c > 2:
+                    cell[0] = kc
+                bound += table[0, before[cell[0]]]
+                inside = bound <= bar
+                for j in range(c):
+                    inside = inside and edges[cell[j]] <= limits[j, 1]
+                    inside = inside and edges[cell[j] + 1] >= limits[j, 0]
+                if not inside:
+                    continue
+                if size == nodes.shape[0]:
+                    nodes = grown(nodes)
+                    heap = grown(heap)
+                for j in range(c):
+                    nodes[size, j] = max(edges[cell[j]], limits[j, 0])
+                    nodes[size, c + j] = min(edges[cell[j] + 1], limits[j, 1])
+                    nodes[size, 2 * c + j] = sign
+                    nodes[size, 3 * c + j] = cell[j]
+                size = heap_push(heap, size, bound, size)
+    return nodes, heap, size
+
+
+@compiled_sums
+def bezier_points(
+    node: Floats,
+    contacts: int,
+    bent: Ints,
+    low: Floats,
+    span: Floats,
+    inverse: Floats,
+    active: Ints,
+    count: int,
+    g: Floats,
+    kind: Ints,
+    group: Ints,
+    offset: Ints,
+) -> int:
+    """Rows of g: influences at both ends of each contact's box and, in a span, their middle point.
+
+    Args:
+        node: one row of nodes.
+        contacts: C.
+        bent: (cells,) whether a cell lies in a span.
+        low: (N,).
+        span: (N,).
+        inverse: (N,).
+        active: sensors that take part.
+        count: how many.
+        g: written.
+        kind: written: sign of each row.
+        group: written: contact of each row.
+        offset: (C + 1,) written: first row of each contact.
+
+    Returns:
+        Number of rows.
+    """
+    c = contacts
+    m = 0
+    for j in range(c):
+        offset[j] = m
+        left = node[j]
+        right = node[c + j]
+        three = bent[int(node[3 * c + j])] == 1 and right > left
+        for q in range(count):
+            i = active[q]
+            a = left - low[i]
+            b = right - low[i]
+            t = 0.5 * (a + b)
+            if t <= 0.0:
+                at_left = 0.0
+                at_right = 0.0
+                middle = 0.0
+            elif t >= span[i]:
+                at_left = a - 0.5 * span[i]
+                at_right = b - 0.5 * span[i]
+                middle = t - 0.5 * span[i]
+            else:
+                at_left = a * a * inverse[i]
+                at_right = b * b * inverse[i]
+                middle = a * b * inverse[i]
+            g[m, q] = at_left
+            g[m + 1, q] = at_right
+            if three:
+                g[m + 2, q] = middle
+        rows = 3 if three else 2
+        for r in range(m, m + rows):
+            kind[r] = int(node[2 * c + j])
+            group[r] = j
+        m += rows
+    offset[c] = m
+    return m
+
+
+@compiled_sums
+def read_contacts(
+    node: Floats,
+    contacts: int,
+    beta: Floats,
+    offset: Ints,
+    limit: float,
+    arc: Floats,
+    force: Floats,
+) -> int:
+    """Arcs and forces that a relaxed fit stands for.
+
+    Returns:
+        The contact whose signs are mixed worst (by the base moment that this is worth) or whose
+        force passes the limit, sign not yet known; -1 if there is none.
+    """
+    c = contacts
+    mixed = -1
+    mixed_by = 0.0
+    for j in range(c):
+        total = 0.0
+        plus = 0.0
+        minus = 0.0
+        moment = 0.0
+        for r in range(offset[j], offset[j + 1]):
+            total += beta[r]
+            plus += max(beta[r], 0.0)
+            minus += max(-beta[r], 0.0)
+            place = 0.0 if r == offset[j] else (1.0 if r == offset[j] + 1 else 0.5)
+            moment += beta[r] * place
+        left = node[j]
+        right = node[c + j]
+        mixture = max(min(plus, minus) * (right - left), (abs(total) - limit) * right)
+        if node[2 * c + j] == 0.0 and mixture > max(mixed_by, 1e-9 * max(plus, minus) * left):
+            mixed_by = mixture
+            mixed = j
+        share = moment / total if total != 0.0 else 0.5
+        arc[j] = left + min(max(share, 0.0), 1.0) * (right - left)
+        force[j] = total
+    return mixed
+
+
+@compiled_sums
+def loosest(
+    node: Floats,
+    contacts: int,
+    low: Floats,
+    span: Floats,
+    inverse: Floats,
+    active: Ints,
+    count: int,
+    weights: Floats,
+    arc: Floats,
+    force: Floats,
+    beta: Floats,
+    offset: Ints,
+    least: float,
+) -> int:
+    """The contact whose hull is furthest from its curve of influences; -1 if all touch."""
+    c = contacts
+    widest = 0.0
+    split = -1
+    for j in range(c):
+        left = node[j]
+        right = node[c + j]
+        if offset[j + 1] - offset[j] < 3 or right - left <= least:
+            continue
+        spread = 0.0
+        for q in range(count):
+            i = active[q]
+            a = left - low[i]
+            b = right - low[i]
+            if 0.0 < 0.5 * (a + b) < span[i]:
+                t = arc[j] - low[i]
+                hull = beta[offset[j]] * a * a + beta[offset[j] + 1] * b * b
+                hull += beta[offset[j] + 2] * a * b
+                spread += weights[q] * abs(hull - force[j] * t * t) * inverse[i]
+        if spread > widest:
+            widest = spread
+            split = j
+    return split
+
+
+@compiled_sums
 def fit_several(
     y: Floats,
     low: Floats,
@@ -198,7 +454,8 @@ def fit_several(
         sign: 0, or the sign that every force must have.
         limit: largest |force|.
         slack: absolute gap at which a box is given up.
-        ceiling: boxes that cannot get below it are given up unsolved (inf for none).
+        ceiling: boxes that cannot get below it are given up unsolved, and the search ends once it
+            is `slack` below it (inf for none).
         limits: (contacts, 2) arcs between which each contact must lie.
         max_nodes: the search is cut after as many bounds.
         arcs: (contacts,), written.
@@ -215,132 +472,61 @@ def fit_several(
         if span[j] > 0.0:
             inverse[j] = 0.5 / span[j]
     edges = np.empty(2 * n + 2)
-    n_edges = find_edges(low, span, length, edges)
-    start = first_influence(low, edges, n_edges)
-    cells = n_edges - 1
+    cells = find_edges(low, span, length, edges) - 1
+    start = first_influence(low, edges, cells + 1)
+    before = np.empty(cells, np.int64)
+    beyond = np.empty(cells, np.int64)
+    bent = np.empty(cells, np.int64)
+    describe_cells(low, span, edges, cells, before, beyond, bent)
     rows = 3 * c
     tableau = np.empty((rows + 1, n + c + rows))
     work = np.empty((6, n + c + rows))
     items = np.empty((4, n + 2 * c + rows), np.int64)
+    square = np.empty((5, rows + c + 1, rows + c + 1))
     g = np.empty((rows, n + c))
     group = np.zeros(rows, np.int64)
     kind = np.empty(rows + c, np.int64)
     beta = np.zeros(rows + c)
     inner = np.zeros(2 * c)
-    square = np.empty((5, rows + c + 1, rows + c + 1))
-
-    table = line_table(low, span, y, w, norm, tableau, work, items)
-    tail = np.zeros(n + 1)
-    for j in range(n - 1, -1, -1):
-        tail[j] = tail[j + 1] + (w[j] * abs(y[j]) if norm == 1 else (w[j] * y[j]) ** 2)
-    # Per cell: sensors wholly before it form a prefix, wholly beyond it a suffix.
-    before = np.zeros(cells, np.int64)
-    beyond = np.zeros(cells, np.int64)
-    curved = np.zeros(cells, np.bool_)
-    for k in range(cells):
-        while before[k] < n and low[before[k]] + span[before[k]] <= edges[k]:
-            before[k] += 1
-        beyond[k] = n
-        while beyond[k] > 0 and low[beyond[k] - 1] >= edges[k + 1]:
-            beyond[k] -= 1
-        for j in range(n):
-            if low[j] < 0.5 * (edges[k] + edges[k + 1]) < low[j] + span[j]:
-                curved[k] = True
-
-    best = tail[0]
-    for j in range(c):
-        arcs[j] = min(max(length, limits[j, 0]), limits[j, 1])
-        forces[j] = 0.0
-    if best > ceiling:
-        best = np.inf
-
-    capacity = 1024
-    boxes = np.empty((capacity, 2 * c))
-    signs = np.empty((capacity, c), np.int64)
-    where = np.empty((capacity, c), np.int64)
-    keys = np.empty(capacity)
-    heap = np.empty(capacity, np.int64)
-    free = np.empty(capacity, np.int64)
-    n_free = 0
-    used = 0
-    size = 0
-    cell = np.empty(3, np.int64)
-    # Combinations from the tip inwards, so that what is lost beyond the last contact cuts first.
-    for ka in range(cells - 1, start - 1, -1):
-        bound_a = tail[beyond[ka]]
-        if bound_a > min(best, ceiling) - slack:
-            continue
-        for kb in range(ka if c > 1 else 0, (start if c > 1 else 0) - 1, -1):
-            bound_b = bound_a
-            if c > 1 and before[ka] > beyond[kb]:
-                bound_b += table[beyond[kb], before[ka]]
-            if bound_b > min(best, ceiling) - slack:
-                continue
-            for kc in range(kb if c > 2 else 0, (start if c > 2 else 0) - 1, -1):
-                bound = bound_b
-                if c > 2 and before[kb] > beyond[kc]:
-                    bound += table[beyond[kc], before[kb]]
-                if c == 1:
-                    cell[0] = ka
-                elif c == 2:
-                    cell[0] = kb
-                    cell[1] = ka
-                else:
-                    cell[0] = kc
-                    cell[1] = kb
-                    cell[2] = ka
-                bound += table[0, before[cell[0]]]
-                if bound > min(best, ceiling) - slack:
-                    continue
-                outside = False
-                for j in range(c):
-                    outside = outside or edges[cell[j]] > limits[j, 1]
-                    outside = outside or edges[cell[j] + 1] < limits[j, 0]
-                if outside:
-                    continue
-                if used == capacity:
-                    boxes = grown(boxes)
-                    signs = grown_ints(signs)
-                    where = grown_ints(where)
-                    more = np.empty(2 * capacity)
-                    more[:capacity] = keys
-                    keys = more
-                    wider = np.empty(2 * capacity, np.int64)
-                    wider[:capacity] = heap
-                    heap = wider
-                    free = np.empty(2 * capacity, np.int64)
-                    capacity *= 2
-                for j in range(c):
-                    boxes[used, 2 * j] = max(edges[cell[j]], limits[j, 0])
-                    boxes[used, 2 * j + 1] = min(edges[cell[j] + 1], limits[j, 1])
-                    signs[used, j] = sign
-                    where[used, j] = cell[j]
-                size = heap_push(keys, heap, size, bound, used)
-                used += 1
-
     active = np.empty(max(n, 1), np.int64)
     data = np.empty(n + c)
     weights = np.empty(n)
     arc = np.empty(c)
     force = np.empty(c)
-    spread = np.empty(c)
     offset = np.zeros(c + 1, np.int64)
-    nodes = 0
+    # What sensors read if no contact reaches them.
+    tail = np.zeros(n + 1)
+    for j in range(n - 1, -1, -1):
+        tail[j] = tail[j + 1] + (w[j] * abs(y[j]) if norm == 1 else (w[j] * y[j]) ** 2)
+
+    best = tail[0] if tail[0] <= ceiling else np.inf
+    for j in range(c):
+        arcs[j] = min(max(length, limits[j, 0]), limits[j, 1])
+        forces[j] = 0.0
     lower = min(best, ceiling)
+    table = line_table(low, span, y, w, norm, tableau, work, items)
+    nodes, heap, used = combine_cells(
+        edges, start, cells, before, beyond, table, tail, c, sign, limits, lower - slack
+    )
+    size = used
+    freed = -1  # nodes given back form a list through their first entry
+    done = 0
     while size > 0:
-        bound, node = heap_pop(keys, heap, size)
+        bound, item = heap_pop(heap, size)
         size -= 1
-        if bound > min(best, ceiling) - slack:
+        if (
+            bound > min(best, ceiling) - slack
+            or done >= max_nodes
+            or (ceiling < np.inf and best <= ceiling - slack)
+        ):
             lower = min(lower, bound)
             break
-        if nodes >= max_nodes:
-            lower = min(lower, bound)
-            break
-        nodes += 1
+        done += 1
+        node = nodes[item]
         # Sensors up to the last contact take part, the others read what they read.
-        furthest = 0.0
-        for j in range(c):
-            furthest = max(furthest, boxes[node, 2 * j + 1])
+        furthest = node[c]
+        for j in range(1, c):
+            furthest = max(furthest, node[c + j])
         constant = 0.0
         count = 0
         for i in range(n):
@@ -350,237 +536,125 @@ def fit_several(
                 weights[count] = w[i]
                 count += 1
             else:
-                constant += w[i] * abs(y[i]) if norm == 1 else (w[i] * y[i]) ** 2
-        m = 0
-        for j in range(c):
-            offset[j] = m
-            left = boxes[node, 2 * j]
-            right = boxes[node, 2 * j + 1]
-            bent = curved[where[node, j]] and right > left
-            for q in range(count):
-                i = active[q]
-                a = left - low[i]
-                b = right - low[i]
-                t = 0.5 * (a + b)
-                if t <= 0.0:
-                    g[m, q] = 0.0
-                    g[m + 1, q] = 0.0
-                    middle = 0.0
-                elif t >= span[i]:
-                    g[m, q] = a - 0.5 * span[i]
-                    g[m + 1, q] = b - 0.5 * span[i]
-                    middle = t - 0.5 * span[i]
-                else:
-                    g[m, q] = a * a * inverse[i]
-                    g[m + 1, q] = b * b * inverse[i]
-                    middle = a * b * inverse[i]
-                if bent:
-                    g[m + 2, q] = middle
-            width = 3 if bent else 2
-            for r in range(m, m + width):
-                kind[r] = signs[node, j]
-                group[r] = j
-            m += width
-        offset[c] = m
-        extra = 0
-        for j in range(c):
-            if signs[node, j] != 0:
-                for r in range(m):
-                    g[r, count + extra] = signs[node, j] if group[r] == j else 0.0
-                data[count + extra] = limit
-                extra += 1
-        value, proven = signed_fit(
-            g,
-            data,
-            weights,
-            m,
-            count,
-            extra,
-            limit,
-            group,
-            c,
-            norm,
-            kind,
-            beta,
-            tableau,
-            work,
-            items,
-            square,
-        )
-        value += constant
-        if proven:
-            bound = max(bound, value - 1e-14 * tail[0])
-        if bound > min(best, ceiling) - slack:
-            lower = min(lower, bound)
-            free[n_free] = node
-            n_free += 1
-            continue
-        # Read contacts off the relaxed solution.
+                constant += tail[i] - tail[i + 1]
+        m = bezier_points(node, c, bent, low, span, inverse, active, count, g, kind, group, offset)
+        split = -1
         mixed = -1
-        mixed_by = 0.0
-        for j in range(c):
-            total = 0.0
-            plus = 0.0
-            minus = 0.0
-            moment = 0.0
-            left = boxes[node, 2 * j]
-            right = boxes[node, 2 * j + 1]
-            for r in range(offset[j], offset[j + 1]):
-                b = beta[r]
-                total += b
-                if b > 0.0:
-                    plus += b
-                else:
-                    minus -= b
-                place = 0.0 if r == offset[j] else (1.0 if r == offset[j] + 1 else 0.5)
-                moment += b * place
-            # How much a mixture of signs matters: the change of base moment that it stands for.
-            mixture = min(plus, minus) * (right - left)
-            mixture = max(mixture, (abs(total) - limit) * right)
-            if signs[node, j] == 0 and mixture > max(mixed_by, 1e-9 * max(plus, minus) * left):
-                mixed_by = mixture
-                mixed = j
-            share = moment / total if total != 0.0 else 0.5
-            share = min(max(share, 0.0), 1.0)
-            arc[j] = left + share * (right - left)
-            force[j] = total
-        # An upper bound: the best forces at these arcs. And how far the hull is from the curve.
-        for j in range(c):
-            kind[j] = sign
-            for q in range(count):
-                i = active[q]
-                inside = min(max(arc[j] - low[i], 0.0), span[i])
-                g[j, q] = inside * inside * inverse[i] + (max(arc[j] - low[i], span[i]) - span[i])
-            spread[j] = 0.0
-            left = boxes[node, 2 * j]
-            right = boxes[node, 2 * j + 1]
-            if offset[j + 1] - offset[j] < 3 or right - left <= 1e-12 * length:
-                continue
-            for q in range(count):
-                i = active[q]
-                a = left - low[i]
-                b = right - low[i]
-                if 0.0 < 0.5 * (a + b) < span[i]:
-                    hull = beta[offset[j]] * a * a + beta[offset[j] + 1] * b * b
-                    hull = (hull + beta[offset[j] + 2] * a * b) * inverse[i]
-                    spread[j] += weights[q] * abs(hull - force[j] * g[j, q])
-        for attempt in range(2):
-            # The best forces at these arcs; if they pass the limit, the best of these signs within.
+        # First the relaxed fit over the hulls, a lower bound; then the best forces at the arcs
+        # that it stands for, an upper bound; if those pass the limit, the best within it.
+        for stage in range(3):
             extra = 0
-            if attempt == 1:
+            if stage == 0:
                 for j in range(c):
-                    kind[j] = 1 if force[j] >= 0.0 else -1
+                    if node[2 * c + j] != 0.0:
+                        for r in range(m):
+                            g[r, count + extra] = node[2 * c + j] if group[r] == j else 0.0
+                        data[count + extra] = limit
+                        extra += 1
+            else:
+                m = c
+                for j in range(c):
+                    kind[j] = sign
                     group[j] = j
-                    for other in range(c):
-                        g[other, count + j] = kind[j] if other == j else 0.0
-                    data[count + j] = limit
-                extra = c
+                    if stage == 2:
+                        kind[j] = 1 if force[j] >= 0.0 else -1
+                        for r in range(c):
+                            g[r, count + j] = kind[j] if r == j else 0.0
+                        data[count + j] = limit
+                        extra = c
+                    for q in range(count):
+                        t = arc[j] - low[active[q]]
+                        inside = min(max(t, 0.0), span[active[q]])
+                        reach = max(t, span[active[q]]) - span[active[q]]
+                        g[j, q] = inside * inside * inverse[active[q]] + reach
             value, proven = signed_fit(
                 g,
                 data,
                 weights,
-                c,
+                m,
                 count,
                 extra,
                 limit,
                 group,
-                extra,
+                c if stage != 1 else 0,
                 norm,
                 kind,
-                inner,
+                beta,
                 tableau,
                 work,
                 items,
                 square,
             )
+            if stage == 0:
+                if proven:
+                    bound = max(bound, value + constant - 1e-14 * tail[0])
+                if bound > min(best, ceiling) - slack:
+                    break
+                mixed = read_contacts(node, c, beta, offset, limit, arc, force)
+                if mixed < 0:
+                    split = loosest(
+                        node,
+                        c,
+                        low,
+                        span,
+                        inverse,
+                        active,
+                        count,
+                        weights,
+                        arc,
+                        force,
+                        beta,
+                        offset,
+                        1e-12 * length,
+                    )
+                continue
             within = True
             for j in range(c):
-                within = within and abs(inner[j]) <= limit
-            if within:
-                break
-        for j in range(c):
-            inner[j] = min(max(inner[j], -limit), limit)
-        value = constant
-        for q in range(count):
-            r = data[q]
-            for j in range(c):
-                r -= inner[j] * g[j, q]
-            value += weights[q] * abs(r) if norm == 1 else (weights[q] * r) ** 2
-        if value < best:
-            best = value
-            for j in range(c):
-                arcs[j] = arc[j]
-                forces[j] = inner[j]
-        split = -1
-        if mixed < 0:
-            widest = 0.0
-            for j in range(c):
-                if spread[j] > widest:
-                    widest = spread[j]
-                    split = j
-        if bound > min(best, ceiling) - slack or (mixed < 0 and split < 0):
-            # Given up, or the relaxed solution is a true one and nothing here is below it.
-            lower = min(lower, bound)
-            free[n_free] = node
-            n_free += 1
-            continue
-        cut = 0.0
-        end = 0.0
-        if mixed < 0:
-            left = boxes[node, 2 * split]
-            end = boxes[node, 2 * split + 1]
-            cut = arc[split]
-            if min(cut - left, end - cut) < 0.1 * (end - left):
-                cut = 0.5 * (left + end)
-        for child in range(2):
-            if child == 0:
-                target = node
-            elif n_free > 0:
-                n_free -= 1
-                target = free[n_free]
-            else:
-                if used == capacity:
-                    boxes = grown(boxes)
-                    signs = grown_ints(signs)
-                    where = grown_ints(where)
-                    more = np.empty(2 * capacity)
-                    more[:capacity] = keys
-                    keys = more
-                    wider = np.empty(2 * capacity, np.int64)
-                    wider[:capacity] = heap
-                    heap = wider
-                    free = np.empty(2 * capacity, np.int64)
-                    capacity *= 2
-                target = used
-                used += 1
-            if child == 1:
+                within = within and abs(beta[j]) <= limit
+                inner[j] = min(max(beta[j], -limit), limit)
+            if not within and stage == 1:
+                continue
+            value = constant
+            for q in range(count):
+                r = data[q]
                 for j in range(c):
-                    boxes[target, 2 * j] = boxes[node, 2 * j]
-                    boxes[target, 2 * j + 1] = boxes[node, 2 * j + 1]
-                    signs[target, j] = signs[node, j]
-                    where[target, j] = where[node, j]
-            if mixed >= 0:
-                signs[target, mixed] = 1 if child == 0 else -1
-            else:
-                boxes[target, 2 * split] = boxes[node, 2 * split] if child == 0 else cut
-                boxes[target, 2 * split + 1] = cut if child == 0 else end
-            size = heap_push(keys, heap, size, bound, target)
-    if size == 0:
-        lower = min(lower, min(best, ceiling))
-    return best, lower, nodes
-
-
-@compiled_sums
-def grown(array: Floats) -> Floats:
-    """A copy with twice the rows."""
-    out = np.empty((2 * array.shape[0], array.shape[1]))
-    out[: array.shape[0]] = array
-    return out
-
-
-@compiled_sums
-def grown_ints(array: Ints) -> Ints:
-    """A copy with twice the rows."""
-    out = np.empty((2 * array.shape[0], array.shape[1]), np.int64)
-    out[: array.shape[0]] = array
-    return out
+                    r -= inner[j] * g[j, q]
+                value += weights[q] * abs(r) if norm == 1 else (weights[q] * r) ** 2
+            if value < best:
+                best = value
+                for j in range(c):
+                    arcs[j] = arc[j]
+                    forces[j] = inner[j]
+            break
+        if bound > min(best, ceiling) - slack or (mixed < 0 and split < 0):
+            # Given up; or the relaxed solution is a true one and nothing here is below it.
+            lower = min(lower, bound)
+            node[0] = freed
+            freed = item
+            continue
+        if freed >= 0:
+            other = freed
+            freed = int(nodes[other, 0])
+        else:
+            if used == nodes.shape[0]:
+                nodes = grown(nodes)
+            other = used
+            used += 1
+        if size + 2 > heap.shape[0]:
+            heap = grown(heap)
+        for k in range(4 * c):
+            nodes[other, k] = nodes[item, k]
+        if mixed >= 0:
+            nodes[item, 2 * c + mixed] = 1.0
+            nodes[other, 2 * c + mixed] = -1.0
+        else:
+            left = nodes[item, split]
+            right = nodes[item, c + split]
+            cut = arc[split]
+            if min(cut - left, right - cut) < 0.1 * (right - left):
+                cut = 0.5 * (left + right)
+            nodes[item, c + split] = cut
+            nodes[other, split] = cut
+        size = heap_push(heap, size, bound, item)
+        size = heap_push(heap, size, bound, other)
+    return best, min(lower, min(best, ceiling)), done

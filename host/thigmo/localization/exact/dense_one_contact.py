@@ -175,19 +175,18 @@ def fit_dense_l1(
         best_force = force
 
     capacity = 4 * cells + 64
-    keys = np.empty(capacity)
-    heap = np.empty(capacity, np.int64)
+    heap = np.empty((capacity, 2))
     first = np.empty(capacity, np.int64)
     last = np.empty(capacity, np.int64)
     first[0] = start
     last[0] = cells
-    size = heap_push(keys, heap, 0, 0.0, 0)
+    size = heap_push(heap, 0, 0.0, 0)
     used = 1
     fits = 0
     boxes = np.empty((128, 2))
     signs = np.empty(128, np.int64)
     while size > 0:
-        bound, item = heap_pop(keys, heap, size)
+        bound, item = heap_pop(heap, size)
         size -= 1
         if bound > best - slack:
             break
@@ -216,7 +215,7 @@ def fit_dense_l1(
                     continue
                 first[used] = k0
                 last[used] = k1
-                size = heap_push(keys, heap, size, max(child, bound), used)
+                size = heap_push(heap, size, max(child, bound), used)
                 used += 1
             continue
         # One cell.
