@@ -16,6 +16,7 @@
 #include "restart.h"
 #include "sampler.h"
 #include "serial.h"
+#include "wake.h"
 
 namespace thigmo {
 namespace mega {
@@ -43,16 +44,17 @@ class MegaBoard {
     }
   }
 
-  // Sleep until a frame of readings or of the host is there.
+  // Sleep until a frame of readings is there, or a frame of the host.
   static void idle() {
     for (;;) {
       cli();
-      if (Sampler::waiting() || Serial0::worth_reading()) break;
+      if (wake::asked()) break;
       sleep_enable();
       sei();
       sleep_cpu();  // the instruction after sei is executed before any interrupt
       sleep_disable();
     }
+    wake::clear();
     sei();
   }
 
@@ -93,7 +95,7 @@ class MegaBoard {
   }
 
   // A mark for the simulator's stop-watch (tools/budgets.py); one cycle.
-  static void task(uint8_t id) { GPIOR0 = id; }
+  static void task(uint8_t id) { GPIOR1 = id; }
 
  private:
   static constexpr uint32_t kBandgapMv = 1100;

@@ -24,6 +24,7 @@
 #include "../core/board.h"
 #include "program_memory.h"
 #include "restart.h"
+#include "wake.h"
 
 namespace thigmo {
 namespace mega {
@@ -71,12 +72,12 @@ class Sampler {
     return tick * 1000 + count / 16;
   }
 
-  static bool waiting() { return frame_in_ != frame_out_; }
-
   static bool take(AdcFrame* frame) {
-    if (!waiting()) return false;
-    *frame = frames_[frame_out_ % kRoom];
-    frame_out_ = frame_out_ + 1;
+    const uint8_t out = frame_out_;
+    if (frame_in_ == out) return false;
+    *frame = frames_[out % kRoom];
+    frame_out_ = out + 1;
+    if (frame_in_ != frame_out_) wake::ask();  // one a pass
     return true;
   }
 
@@ -142,6 +143,7 @@ class Sampler {
       if (whole_ && static_cast<uint8_t>(in - frame_out_) < kAdcFrames) {
         frames_[in % kRoom].tick = tick_;
         frame_in_ = in + 1;
+        wake::ask();
       }
     } else {  // in the bandgap's conversion: slot 0 follows it at once
       ADMUX = kReference | (kPressureChannel & 7);

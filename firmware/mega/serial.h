@@ -8,6 +8,7 @@
 
 #include "../core/board.h"
 #include "program_memory.h"
+#include "wake.h"
 
 // 250 000 and 500 000 baud divide the clock exactly; 115 200 would be 2.1 % off.
 #ifndef THIGMO_BAUD
@@ -28,19 +29,13 @@ class Serial0 {
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
   }
 
-  // Something arrived that may be a whole frame (its delimiter), or the ring fills up.
-  static bool worth_reading() {
-    return delimiters_in_ != delimiters_out_ || static_cast<uint8_t>(rx_in_ - rx_out_) > 128;
-  }
-
   static bool read(uint8_t* byte) {
     const uint8_t out = rx_out_;
-    if (rx_in_ == out) {
-      delimiters_out_ = delimiters_in_;
-      return false;
-    }
+    if (rx_in_ == out) return false;
     *byte = rx_[out];
     rx_out_ = out + 1;
+    // A pass ends with a frame; there may be another.
+    if (*byte == 0) wake::ask();
     return true;
   }
 
@@ -73,7 +68,8 @@ class Serial0 {
     }
     rx_[in] = byte;
     rx_in_ = next;
-    if (byte == 0) delimiters_in_ = delimiters_in_ + 1;
+    // A frame is whole. Noise without delimiters waits for the next tick, 25 bytes at most.
+    if (byte == 0) wake::ask();
   }
 
   static inline void on_empty() {
@@ -90,16 +86,12 @@ class Serial0 {
   static uint8_t rx_[kRxRing];
   static uint8_t tx_[kTxRing];
   static volatile uint8_t rx_in_, rx_out_, tx_in_, tx_out_;
-  static volatile uint8_t delimiters_in_;
-  static uint8_t delimiters_out_;
   static uint16_t overruns_;
 };
 
 uint8_t Serial0::rx_[kRxRing];
 uint8_t Serial0::tx_[kTxRing];
 volatile uint8_t Serial0::rx_in_, Serial0::rx_out_, Serial0::tx_in_, Serial0::tx_out_;
-volatile uint8_t Serial0::delimiters_in_;
-uint8_t Serial0::delimiters_out_;
 uint16_t Serial0::overruns_;
 
 }  // namespace mega

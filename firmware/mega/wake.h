@@ -1,0 +1,20 @@
+// Why the main loop should run: one bit in a register that interrupt routines set in two cycles.
+#ifndef THIGMO_MEGA_WAKE_H_
+#define THIGMO_MEGA_WAKE_H_
+
+#include <avr/io.h>
+
+namespace thigmo {
+namespace mega {
+namespace wake {
+
+// GPIOR0 lies where sbi and cbi reach; bit 0 is the only one in use.
+inline void ask() { GPIOR0 |= 1; }
+inline void clear() { GPIOR0 &= static_cast<uint8_t>(~1); }
+inline bool asked() { return (GPIOR0 & 1) != 0; }
+
+}  // namespace wake
+}  // namespace mega
+}  // namespace thigmo
+
+#endif  // THIGMO_MEGA_WAKE_H_
