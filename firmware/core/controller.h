@@ -208,6 +208,7 @@ class Controller {
   uint8_t over_steps_[kSides] = {};
   uint8_t sweep_options_ = 0;
   uint8_t zeroing_next_ = 0;
+  uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
   uint8_t peak_side_ = 0;
   bool greeted_ = false;
   bool beaten_ = false;
@@ -216,7 +217,6 @@ class Controller {
   bool estop_ = false;
   bool slipping_ = false;
   bool averaging_ = false;
-  bool base_valid_ = false;
   bool telemetry_due_ = false;
 };
 

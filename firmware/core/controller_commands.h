@@ -186,6 +186,8 @@ inline Outcome Controller::zero_sensors(uint16_t wanted) {
   zeros_.begin(wanted);
   averaging_ = false;
   zeroing_next_ = 0;
+  drift_.begin_window(tick_);
+  zeroing_window_ = drift_.closed();
   start(Activity::kZeroing);
   return kAccepted;
 }

@@ -218,7 +218,8 @@ inline void Controller::zeroing_step() {
       finish_activity(protocol::EventCode::kActivityDone, length_um_);
       return;
     }
-    if (!drift_.known()) return;
+    // A drift that begins now shows in the window that began with the command.
+    if (!drift_.known() || drift_.closed() == zeroing_window_) return;
     const int32_t limit = config_.get(Param::kDriftLimitE5);
     for (uint8_t i = 0; i < kSensors; ++i) {
       if ((mask >> i & 1) != 0 && magnitude(drift_.drift_e5_s(i)) > limit) {
@@ -255,18 +256,21 @@ inline void Controller::trigger_step() {
   const uint8_t active = active_side();
   int32_t sum = 0;
   uint8_t count = 0;
+  bool wrinkled = false;
   for (uint8_t side = 0; side < kSides; ++side) {
     // The pressurised side wrinkles: its readings are worth nothing.
     if (!vented && side == active) continue;
     const uint8_t sensor = static_cast<uint8_t>(side * kSensorsPerSide);
-    if ((usable >> sensor & 1) == 0 || !base_sum_[side].full()) continue;
+    const uint16_t bit = static_cast<uint16_t>(side == 0 ? 1u : 1u << kSensorsPerSide);
+    if ((usable & bit) == 0 || !base_sum_[side].full()) continue;
     const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
     sum += curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
     ++count;
+    // Nor is the other side's, while its muscle still empties after its own half.
+    wrinkled = wrinkled || pressure_[side].cpsi() >= config_.get(Param::kVentCpsi);
   }
-  base_valid_ = count > 0;
   base_e5_ = static_cast<int16_t>(count == 2 ? sum / 2 : sum);
-  if (!base_valid_ || zone_ >= kZones || !may_energise(state_)) {
+  if (count == 0 || wrinkled || zone_ >= kZones || !may_energise(state_)) {
     trigger_.interrupt();
     return;
   }
@@ -292,7 +296,7 @@ inline void Controller::trigger_step() {
 
 inline void Controller::hold_contact(uint8_t side) {
   activity_ = Activity::kHolding;
-  loop_[side].set_target(loop_[side].set_cpsi(), derived_.slew_q8);
+  loop_[side].set_target(pressure_[side].cpsi(), derived_.slew_q8);
   loop_[side ^ 1].cut();
   peak_side_ = side;
   // The ten readings are taken here instead, once the body has come to rest.
@@ -315,27 +319,25 @@ inline Reading Controller::reading() const {
 }
 
 inline void Controller::assemble_conditions() {
-  const uint16_t kept = static_cast<uint16_t>(conditions_ & mask(Condition::kTelemetryDropped));
-  uint16_t c = kept;
-  const auto put = [&c](Condition condition, bool holds) {
-    if (holds) c = static_cast<uint16_t>(c | mask(condition));
-  };
   const uint16_t in_use = static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask());
   const bool energised = outputs_.drive[0] >= 0 || outputs_.drive[1] >= 0 || outputs_.motor != 0;
   if (energised && (conditions_ & mask(Condition::kEnergised)) == 0) energised_tick_ = tick_;
   const uint32_t patience = static_cast<uint32_t>(config_.get(Param::kHeartbeatMs));
-  put(Condition::kLengthKnown, length_known_);
-  put(Condition::kZoneKnown, zone_ < kZones);
-  put(Condition::kVented, vented_steps_ == kVentedSteps);
-  put(Condition::kSettled, length_known_ && (in_use & ~eversion_.settled_mask()) == 0);
-  put(Condition::kZeroed, length_known_ && (in_use & ~zeros_.valid_mask()) == 0);
-  put(Condition::kHalfEverted, length_known_ && eversion_.half_mask() != 0);
-  put(Condition::kHostAlive, beaten_ && tick_ - beat_tick_ <= patience);
-  put(Condition::kEnergised, energised);
-  put(Condition::kEstop, estop_);
-  put(Condition::kConfigValid, config_valid_);
-  put(Condition::kSupplyGood, supply_mv_ >= config_.get(Param::kSupplyMinMv));
-  put(Condition::kContact, trigger_.latched());
+  uint16_t c = 0;
+  if (length_known_) {
+    c = mask(Condition::kLengthKnown);
+    if ((in_use & ~eversion_.settled_mask()) == 0) c |= mask(Condition::kSettled);
+    if ((in_use & ~zeros_.valid_mask()) == 0) c |= mask(Condition::kZeroed);
+    if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
+  }
+  if (zone_ < kZones) c |= mask(Condition::kZoneKnown);
+  if (vented_steps_ == kVentedSteps) c |= mask(Condition::kVented);
+  if (beaten_ && tick_ - beat_tick_ <= patience) c |= mask(Condition::kHostAlive);
+  if (energised) c |= mask(Condition::kEnergised);
+  if (estop_) c |= mask(Condition::kEstop);
+  if (config_valid_) c |= mask(Condition::kConfigValid);
+  if (supply_mv_ >= config_.get(Param::kSupplyMinMv)) c |= mask(Condition::kSupplyGood);
+  if (trigger_.latched()) c |= mask(Condition::kContact);
   conditions_ = c;
 }
 
@@ -356,7 +358,7 @@ inline uint16_t Controller::causes() const {
   }
   bool open = false;
   bool shorted = false;
-  for (uint8_t i = 0; i < kSensors; ++i) {
+  for (uint8_t i = 0; flex_.any_bad() && i < kSensors; ++i) {
     open = open || (enabled(i) && flex_.open(i));
     shorted = shorted || (enabled(i) && flex_.shorted(i));
   }
@@ -390,7 +392,7 @@ inline void Controller::watch_faults() {
     if (pressure_[side].wire_broken()) raise(Fault::kPressureWire, side);
     if (loop_[side].stuck()) raise(Fault::kPressureStuck, side);
   }
-  for (uint8_t i = 0; i < kSensors; ++i) {
+  for (uint8_t i = 0; flex_.any_bad() && i < kSensors; ++i) {
     if (!enabled(i)) continue;
     if (flex_.open(i)) raise(Fault::kFlexOpen, i);
     if (flex_.shorted(i)) raise(Fault::kFlexShort, i);

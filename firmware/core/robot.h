@@ -53,6 +53,8 @@ class Robot {
   const Controller& controller() const { return controller_; }
 
  private:
+  static constexpr int16_t kNever = INT16_MIN;  // no output has this value
+
   // Less than this left on the line counts as idle: at 250 kbaud it lasts 320 us.
   static constexpr uint16_t kLineIdle = 8;
 
@@ -87,15 +89,20 @@ class Robot {
     }
   }
 
+  // Hands changed outputs to the board.
   void write_outputs() {
     const Outputs& out = controller_.outputs();
     for (uint8_t side = 0; side < kSides; ++side) {
+      if (out.drive[side] == written_.drive[side]) continue;
+      written_.drive[side] = out.drive[side];
       if (out.drive[side] < 0) {
         board_.drive_off(side);
       } else {
         board_.drive(side, out.drive[side]);
       }
     }
+    if (out.motor == written_.motor) return;
+    written_.motor = out.motor;
     if (out.motor == 0) {
       board_.brake();
     } else {
@@ -134,6 +141,7 @@ class Robot {
   Session session_;
   ConfigStore store_;
   Commands commands_;
+  Outputs written_ = {{kNever, kNever}, kNever};
   bool named_ = false;
 };
 

@@ -18,7 +18,7 @@ struct Derived {
   int32_t flex_gain_q16[kSensors];        // 1e-5/cm per 1/16 ohm
   int32_t pressure_gain_q24[kSides];      // 0.01 psi per 1/64 count of a sum of five
   uint32_t reversal_inverse_q24[kSides];  // rounded up, so that the whole width gives 256 / 256
-  int32_t lag_alpha_q16[kSides];          // share of the way to the input in one control step
+  uint16_t lag_alpha_q16[kSides];         // share of the way to the input in one control step
   int32_t drive_slope_q16;                // duty per 0.01 psi
   uint32_t um_per_count_q16;              // tip movement per encoder count
   int32_t slip_counts;
@@ -48,7 +48,7 @@ struct Derived {
       // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
       const int32_t lag = c.get(Param::kLagMs, side);
       const int32_t alpha = 2 * kControlMs * 65536 / (2 * lag + kControlMs);
-      lag_alpha_q16[side] = lesser<int32_t>(alpha, 65536);
+      lag_alpha_q16[side] = static_cast<uint16_t>(lesser<int32_t>(alpha, 65535));
     }
     // 16 mA of 20 mA is 4/5 of the full duty.
     drive_slope_q16 = static_cast<int32_t>(kDriveFull) * 65536 / 5 * 4 /

@@ -37,7 +37,14 @@ inline int32_t multiply_q16(int32_t a, int32_t b) {
   return static_cast<int32_t>((static_cast<int64_t>(a) * b + 0x8000) >> 16);
 }
 
-// a * b / 2^24, likewise, for factors that need more digits.
+// a * b / 65536, rounded down, for a share b below 1: two products of 16 bits.
+inline int32_t share_q16(int32_t a, uint16_t b) {
+  const int32_t high = static_cast<int16_t>(a >> 16) * static_cast<int32_t>(b);
+  const uint32_t low = static_cast<uint32_t>(static_cast<uint16_t>(a)) * b;
+  return high + static_cast<int32_t>(low >> 16);
+}
+
+// a * b / 2^24, rounded to nearest, for factors that need more digits.
 inline int32_t multiply_q24(int32_t a, int32_t b) {
   return static_cast<int32_t>((static_cast<int64_t>(a) * b + 0x800000) >> 24);
 }

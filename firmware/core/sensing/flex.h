@@ -76,7 +76,7 @@ class FlexReadings {
     full_ = static_cast<uint8_t>(1u << log2);
     for (uint8_t i = 0; i < kSensors; ++i) {
       restart(i);
-      latest_[i] = 0;
+      channels_[i].latest = 0;
     }
     ready_ = 0;
     ready_count_ = 0;
@@ -84,40 +84,54 @@ class FlexReadings {
 
   // Drops a half-done sum, so that the next reading begins now.
   void restart(uint8_t sensor) {
-    sum_[sensor] = 0;
-    taken_[sensor] = 0;
+    channels_[sensor].sum = 0;
+    channels_[sensor].taken = 0;
   }
 
   // Takes a conversion; true when it completed a reading.
   bool add(uint8_t sensor, uint16_t count) {
+    Channel& channel = channels_[sensor];
     if (count < kOpenBelow || count > kShortAbove) {
-      watch(sensor, count < kOpenBelow);
-    } else {
-      bad_run_[sensor] = 0;
+      watch(&channel, count < kOpenBelow);
+    } else if (channel.bad_run != 0) {
+      recover(&channel);
     }
-    sum_[sensor] = static_cast<uint16_t>(sum_[sensor] + count);
-    if (++taken_[sensor] < full_) return false;
-    latest_[sensor] = sum_[sensor];
+    channel.sum = static_cast<uint16_t>(channel.sum + count);
+    if (++channel.taken < full_) return false;
+    channel.latest = channel.sum;
+    channel.sum = 0;
+    channel.taken = 0;
     if (ready_count_ < kSensors) mark_ready(sensor);
-    restart(sensor);
     return true;
   }
 
-  uint16_t latest(uint8_t sensor) const { return latest_[sensor]; }  // sum of 2^log2
+  uint16_t latest(uint8_t sensor) const { return channels_[sensor].latest; }  // sum of 2^log2
   bool all_ready() const { return ready_count_ == kSensors; }
   uint8_t log2() const { return log2_; }
-  bool open(uint8_t sensor) const { return bad_run_[sensor] <= -kBadRun; }
-  bool shorted(uint8_t sensor) const { return bad_run_[sensor] >= kBadRun; }
+  bool open(uint8_t sensor) const { return channels_[sensor].bad_run <= -kBadRun; }
+  bool shorted(uint8_t sensor) const { return channels_[sensor].bad_run >= kBadRun; }
+  bool any_bad() const { return bad_count_ != 0; }  // some sensor is open or shorted
 
  private:
+  struct Channel {
+    uint16_t sum;
+    uint16_t latest;
+    uint8_t taken;
+    int8_t bad_run;  // conversions: negative below, positive above the plausible band
+  };
+
   // Extends a run of implausible conversions: downwards for an open circuit, upwards for a short.
-  void watch(uint8_t sensor, bool open) {
-    int8_t& run = bad_run_[sensor];
-    if (open) {
-      run = run > 0 ? int8_t{-1} : (run > -kBadRun ? static_cast<int8_t>(run - 1) : run);
-    } else {
-      run = run < 0 ? int8_t{1} : (run < kBadRun ? static_cast<int8_t>(run + 1) : run);
-    }
+  void watch(Channel* channel, bool open) {
+    const int8_t way = open ? -1 : 1;
+    if (channel->bad_run * way < 0) recover(channel);
+    if (channel->bad_run == kBadRun * way) return;
+    channel->bad_run = static_cast<int8_t>(channel->bad_run + way);
+    if (channel->bad_run == kBadRun * way) ++bad_count_;
+  }
+
+  void recover(Channel* channel) {
+    if (channel->bad_run == kBadRun || channel->bad_run == -kBadRun) --bad_count_;
+    channel->bad_run = 0;
   }
 
   void mark_ready(uint8_t sensor) {
@@ -127,12 +141,10 @@ class FlexReadings {
     ++ready_count_;
   }
 
-  uint16_t sum_[kSensors] = {};
-  uint16_t latest_[kSensors] = {};
-  uint8_t taken_[kSensors] = {};
-  int8_t bad_run_[kSensors] = {};
+  Channel channels_[kSensors] = {};
   uint16_t ready_ = 0;
   uint8_t ready_count_ = 0;
+  uint8_t bad_count_ = 0;
   uint8_t full_ = 0;  // conversions in a reading
   uint8_t log2_ = 0;
 };

@@ -47,17 +47,15 @@ inline int16_t map_at(const int16_t* map, const MapPlace& place) {
 // One muscle's lag filter and play operator; update() once each control step.
 class MuscleState {
  public:
-  void update(int16_t measured_cpsi, int32_t lag_alpha_q16, int16_t reversal_cpsi,
+  void update(int16_t measured_cpsi, uint16_t lag_alpha_q16, int16_t reversal_cpsi,
               uint32_t reversal_inverse_q24) {
-    const int32_t input = static_cast<int32_t>(measured_cpsi) * 65536;
+    const int32_t input = static_cast<int32_t>(measured_cpsi) * 4096;
     if (!started_) {
       started_ = true;
-      lagged_q16_ = input;
+      lagged_q12_ = input;
       floor_ = measured_cpsi;
     }
-    // Both are within +-2^31 apart only if halved: pressures of 15 bits in 1/65536 fill an i32.
-    const int64_t step = static_cast<int64_t>(input) - lagged_q16_;
-    lagged_q16_ += static_cast<int32_t>((step * lag_alpha_q16) >> 16);
+    lagged_q12_ += share_q16(input - lagged_q12_, lag_alpha_q16);
     const int16_t lagged = lagged_cpsi();
     // Play: the floor trails a rising pressure by the width and is pushed down by a falling one.
     if (lagged < floor_) floor_ = lagged;
@@ -68,7 +66,7 @@ class MuscleState {
         (static_cast<uint16_t>(lagged - floor_) * reversal_inverse_q24) >> 16);
   }
 
-  int16_t lagged_cpsi() const { return static_cast<int16_t>((lagged_q16_ + 0x8000) >> 16); }
+  int16_t lagged_cpsi() const { return static_cast<int16_t>((lagged_q12_ + 0x800) >> 12); }
   uint16_t inflating_q8() const { return inflating_q8_; }  // 256 = the inflate map alone
   protocol::Branch branch() const {
     return inflating_q8_ >= 128 ? protocol::Branch::kInflate : protocol::Branch::kDeflate;
@@ -83,7 +81,7 @@ class MuscleState {
   }
 
  private:
-  int32_t lagged_q16_ = 0;
+  int32_t lagged_q12_ = 0;
   int16_t floor_ = 0;
   uint16_t inflating_q8_ = 0;
   bool started_ = false;

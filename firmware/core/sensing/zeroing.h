@@ -23,7 +23,17 @@ class DriftWatch {
     if (quiet == quiet_) return;
     quiet_ = quiet;
     windows_ = 0;
+    pending_ = kSensors;
     begin_window(tick);
+  }
+
+  // Drops the running window and begins one now; the one before it still counts.
+  void begin_window(uint32_t tick) {
+    begun_ = tick;
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      sum_[i] = 0;
+      taken_[i] = 0;
+    }
   }
 
   // Takes a completed reading (sum of 2^log2).
@@ -38,7 +48,10 @@ class DriftWatch {
     if (pending_ < kSensors) {
       settle_account(pending_, log2, gain_q16[pending_]);
       ++pending_;
-      if (pending_ == kSensors && windows_ < 2) ++windows_;
+      if (pending_ == kSensors) {
+        ++closed_count_;
+        if (windows_ < 2) ++windows_;
+      }
       return;
     }
     if (!quiet_ || tick - begun_ < kWindowMs) return;
@@ -46,23 +59,17 @@ class DriftWatch {
       closed_[i] = sum_[i];
       closed_taken_[i] = taken_[i];
     }
+    apart_ms_ = begun_ - closed_begun_;
+    closed_begun_ = begun_;
     begin_window(tick);
     pending_ = 0;
   }
 
-  bool known() const { return windows_ >= 2; }  // two windows since the last disturbance
+  bool known() const { return windows_ >= 2; }      // two windows since the last disturbance
+  uint8_t closed() const { return closed_count_; }  // windows so far; wraps
   int16_t drift_e5_s(uint8_t sensor) const { return drift_e5_s_[sensor]; }
 
  private:
-  void begin_window(uint32_t tick) {
-    begun_ = tick;
-    pending_ = kSensors;
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      sum_[i] = 0;
-      taken_[i] = 0;
-    }
-  }
-
   void settle_account(uint8_t i, uint8_t log2, int32_t gain_q16) {
     if (closed_taken_[i] == 0) return;
     // Mean count in 1/64 with half a count added; the sum of one window fits 32 bits shifted by 6
@@ -71,8 +78,9 @@ class DriftWatch {
     const uint16_t count = static_cast<uint16_t>((closed_[i] << 6) / conversions + 32);
     const int32_t total = total_ohm_q4(count);
     if (windows_ > 0) {
-      drift_e5_s_[i] = saturated16(
-          static_cast<int32_t>(curvature_e5(total, last_total_[i], gain_q16)) * 1000 / kWindowMs);
+      drift_e5_s_[i] =
+          saturated16(static_cast<int32_t>(curvature_e5(total, last_total_[i], gain_q16)) * 1000 /
+                      static_cast<int32_t>(apart_ms_));
     }
     last_total_[i] = total;
   }
@@ -84,8 +92,11 @@ class DriftWatch {
   uint16_t closed_taken_[kSensors] = {};
   int16_t drift_e5_s_[kSensors] = {};
   uint32_t begun_ = 0;
+  uint32_t closed_begun_ = 0;
+  uint32_t apart_ms_ = kWindowMs;  // from window to window
   uint8_t pending_ = kSensors;
   uint8_t windows_ = 0;
+  uint8_t closed_count_ = 0;
   bool quiet_ = false;
 };
 

@@ -50,6 +50,15 @@ TEST(products_round_to_nearest) {
   }
 }
 
+TEST(shares_are_the_products_rounded_down) {
+  std::mt19937 random(10);
+  for (int i = 0; i < 100000; ++i) {
+    const int32_t a = static_cast<int32_t>(random()) >> (i % 20);
+    const uint16_t b = static_cast<uint16_t>(random());
+    CHECK_EQUAL(share_q16(a, b), static_cast<int32_t>((static_cast<int64_t>(a) * b) >> 16));
+  }
+}
+
 TEST(duty_follows_the_transducers_map) {
   Settings s;
   // 2 psi at 4 mA, 60 psi at 20 mA; 1599 = 20 mA.

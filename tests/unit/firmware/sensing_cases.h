@@ -174,7 +174,7 @@ TEST(measured_pressure_is_filtered_by_the_calibrated_lag) {
 
 TEST(the_branch_turns_over_the_reversal_width) {
   MuscleState muscle;
-  const int32_t all = 65536;  // no lag
+  const uint16_t all = 65535;  // no lag
   const int16_t maps[kBranches][protocol::kMapPoints] = {
       {1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000}, {}};
   muscle.update(0, all, 100, kInverse);

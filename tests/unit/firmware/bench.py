@@ -1,0 +1,253 @@
+"""A virtual board on the bench: hand-made analog inputs, and the protocol spoken by hand.
+
+`Bench` is what the firmware's tests drive. It wires a `VirtualBoard` to inputs that a test sets, steps
+both in 5 ms, beats the heart unless told not to, and sends one command at a time. `FlowingAir` and
+`TurningSpool` close the two loops that the firmware expects closed, as simply as they can be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.link import protocol as wire
+from thigmo.link.framing import Decoder, encode
+
+STEP_MS = 5
+DIVIDER = 22_000.0
+FLAT = 12_000.0
+SCALE = 3.5e-5  # 1/cm per ohm, the default parameter
+M = TypeVar("M", bound=wire.Message)
+
+
+def flex_count(curvature: float) -> float:
+    """Ideal count of a sensor of 12 kOhm flat at a curvature in 1/cm."""
+    return 1024 * DIVIDER / (DIVIDER + FLAT + curvature / SCALE)
+
+
+def pressure_count(psi: float) -> float:
+    """Ideal count of the 60 psi sensor."""
+    return 1024 * (0.1 + 0.8 * psi / 60)
+
+
+class FlowingAir:
+    """Transducers and muscles: each a lag from the current to the pressure."""
+
+    def __init__(self, lag_s: float = 0.25) -> None:
+        self.lag_s = lag_s
+        self.psi = [0.0, 0.0]
+        self.stuck = [False, False]
+
+    def step(self, board: VirtualBoard, dt: float) -> None:
+        for side in range(2):
+            milliampere = 20 * board.drive[side] / 1599 if board.drive_enabled[side] else 0.0
+            wanted = 2 + 58 * (milliampere - 4) / 16 if milliampere >= 4 else 0.0
+            if not self.stuck[side]:
+                self.psi[side] += (wanted - self.psi[side]) * dt / self.lag_s
+
+
+class TurningSpool:
+    """A geared motor with a dead zone; it can jam, and the body's air can pull."""
+
+    def __init__(self) -> None:
+        self.counts = 0.0
+        self.speed = 0.0
+        self.jammed = False
+        self.pull = 0.0  # counts/s while braked
+        self.wall = -math.inf
+
+    def step(self, board: VirtualBoard, dt: float) -> None:
+        duty = board.motor
+        wanted = math.copysign(1790 * max(0, abs(duty) - 60) / 740, duty)
+        self.speed += (wanted - self.speed) * dt / 0.07
+        if self.jammed:
+            self.speed = 0.0
+        elif duty == 0:
+            self.speed = self.pull
+        self.counts = max(self.wall, self.counts + self.speed * dt)
+
+
+@dataclass
+class Heard:
+    """A message from the board."""
+
+    seq: int
+    session: int
+    message: wire.Message
+
+
+@dataclass
+class Bench:
+    """One board, its inputs, and a host."""
+
+    seed: int = 1
+    eeprom: bytes = b""
+    noise: float = 0.8
+    beating: bool = True
+    # Curvature that each sensor feels, as a function of both pressures; a test may replace it.
+    body: Callable[[float, float], float] = lambda left, right: 0.0
+    curvature: np.ndarray = field(default_factory=lambda: np.zeros(10))
+    override: dict[int, float] = field(default_factory=dict)  # channel -> ideal count
+
+    def __post_init__(self) -> None:
+        self.board = VirtualBoard(self.seed, self.eeprom)
+        self.board.set_adc_noise(np.full(16, self.noise))
+        self.air = FlowingAir()
+        self.spool = TurningSpool()
+        self.heard: list[Heard] = []
+        self.events: dict[int, wire.Event] = {}
+        self.raw = bytearray()
+        self.decoder = Decoder()
+        self.session = 0
+        self.seq = 0
+        self.beats = 0
+        self.nonce = 0
+        self.counts = self._inputs()
+
+    # --- time ------------------------------------------------------------------------------------
+
+    def _inputs(self) -> np.ndarray:
+        counts = np.zeros(16)
+        bend = self.curvature + self.body(*self.air.psi)
+        counts[:10] = [flex_count(k) for k in bend]
+        counts[10:12] = [pressure_count(p) for p in self.air.psi]
+        for channel, value in self.override.items():
+            counts[channel] = value
+        return counts
+
+    def step(self, ms: int = STEP_MS) -> list[Heard]:
+        """Let time pass, a multiple of 5 ms; returns what the board said."""
+        fresh: list[Heard] = []
+        for _ in range(ms // STEP_MS):
+            if self.beating and self.session and self.board.now_us // 1000 % 100 == 0:
+                self.beat()
+            before = self.spool.counts
+            self.air.step(self.board, STEP_MS * 1e-3)
+            self.spool.step(self.board, STEP_MS * 1e-3)
+            now = self._inputs()
+            self.board.set_analog(np.ascontiguousarray(np.stack([self.counts, now], axis=1)))
+            self.board.set_encoder(before, self.spool.counts)
+            self.counts = now
+            self.board.step(STEP_MS)
+            fresh += self.listen()
+        return fresh
+
+    def listen(self) -> list[Heard]:
+        data = self.board.read()
+        self.raw += data
+        fresh = [Heard(f.seq, f.session, f.message()) for f in self.decoder.feed(data)]
+        for one in fresh:
+            if isinstance(one.message, wire.Event):
+                self.events[one.message.number] = one.message
+        self.heard += fresh
+        return fresh
+
+    def until(self, condition: Callable[[], bool], ms: int = 20_000) -> None:
+        """Let time pass until something holds."""
+        for _ in range(ms // STEP_MS):
+            if condition():
+                return
+            self.step()
+        raise AssertionError(f"not within {ms} ms")
+
+    # --- talk ------------------------------------------------------------------------------------
+
+    def send(self, message: wire.Message, seq: int, session: int) -> None:
+        self.board.write(encode(message, seq, session))
+
+    def beat(self) -> None:
+        self.beats += 1
+        self.send(wire.Heartbeat(self.beats), 0, self.session)
+
+    def ask(self, message: wire.Message, ms: int = 6000) -> wire.Message:
+        """Send a command and wait for its reply."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        self.send(message, self.seq, self.session)
+        for _ in range(ms // STEP_MS):
+            for one in self.step():
+                mine = one.seq == self.seq and one.session == self.session
+                if mine and type(one.message).KIND == "reply":
+                    return one.message
+        raise AssertionError(f"no reply to {message}")
+
+    def get(self, message: wire.Message, kind: type[M]) -> M:
+        reply = self.ask(message)
+        assert isinstance(reply, kind), reply
+        return reply
+
+    def do(self, message: wire.Message, ms: int = 6000) -> int:
+        """A command that must be accepted; returns the ack's detail."""
+        reply = self.ask(message, ms)
+        assert isinstance(reply, wire.Ack | wire.ParameterValue), reply
+        assert reply.status == wire.Status.OK, reply
+        return reply.detail if isinstance(reply, wire.Ack) else reply.value
+
+    def refused(self, message: wire.Message) -> wire.Reason:
+        reply = self.ask(message)
+        assert isinstance(reply, wire.Ack), reply
+        assert reply.status == wire.Status.REFUSED, reply
+        return reply.reason
+
+    def hello(self) -> wire.HelloReply:
+        """Wait for the board, open a session, start the heart."""
+        self.until(lambda: any(isinstance(h.message, wire.Announce) for h in self.heard), 2000)
+        self.nonce += 1
+        self.seq = self.beats = self.session = 0
+        reply = self.get(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, self.nonce), wire.HelloReply)
+        self.session = reply.session
+        self.seq = 1
+        self.beat()
+        self.step(200)  # until the muscles have been seen empty
+        return reply
+
+    def status(self) -> wire.StatusReport:
+        return self.get(wire.GetStatus(), wire.StatusReport)
+
+    def set(self, name: str, value: int, element: int = 0) -> None:
+        self.do(wire.SetParameter(wire.PARAMETERS[name].index + element, value))
+
+    def event(self, code: wire.EventCode, arg: int | None = None) -> list[wire.Event]:
+        """Events of a kind, in order, each once."""
+        return [
+            e
+            for _, e in sorted(self.events.items())
+            if e.code == code and (arg is None or e.arg == arg)
+        ]
+
+    def faults(self) -> tuple[wire.Fault, ...]:
+        return wire.Fault.from_mask(self.status().faults)
+
+    # --- to a useful place -----------------------------------------------------------------------
+
+    def prepare(self, **parameters: int) -> None:
+        """Hello, defaults and these parameters in memory, faults cleared, armed."""
+        self.hello()
+        self.do(wire.LoadDefaults())
+        for name, value in {"settle_ms": 1000, "zero_ms": 200, **parameters}.items():
+            self.set(name, value)
+        for side in range(2):
+            self.set("lag_ms", 0, side)  # this body bends at once
+        assert self.do(wire.ClearFaults(0xFFFF)) == 0
+        self.do(wire.Arm())
+
+    def grown(self, length_um: int = 100_000, **parameters: int) -> None:
+        """Prepared, of confirmed length, in zone 0, settled."""
+        self.prepare(**parameters)
+        self.do(wire.ConfirmLength(length_um, 1))
+        self.do(wire.SelectZone(0))
+
+    def zeroed(self, length_um: int = 100_000, **parameters: int) -> None:
+        """Grown, with zeros for all that has everted."""
+        self.grown(length_um, **parameters)
+        mask = self.status().everted_mask
+        self.do(wire.ZeroSensors(mask))
+        self.until(lambda: bool(self.event(wire.EventCode.ZEROED)))
+
+    def safe(self) -> bool:
+        """Whether valves carry true zero and the motor is braked."""
+        return self.board.drive_enabled == (False, False) and self.board.braked

@@ -1,0 +1,431 @@
+"""The whole controller on the virtual board: what it does when all is well."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from bench import Bench, flex_count, pressure_count
+
+from thigmo.emulator._board import SCHEMA_HASH, VirtualBoard
+from thigmo.link import protocol as wire
+from thigmo.link.framing import encode
+
+
+def free(psi: float) -> float:
+    """The guessed map, 1/cm."""
+    return 0.04 * math.tanh(psi / 10)
+
+
+def bend(left: float, right: float) -> float:
+    return free(left) - free(right)
+
+
+def test_a_blank_board_announces_itself_and_names_its_fault() -> None:
+    bench = Bench()
+    reply = bench.hello()
+    assert SCHEMA_HASH == wire.SCHEMA_HASH == reply.schema_hash
+    assert (reply.board, reply.reset_cause) == (wire.Board.VIRTUAL, wire.ResetCause.POWER_ON)
+    status = bench.status()
+    assert status.state == wire.State.FAULT
+    assert bench.faults() == (wire.Fault.BAD_CONFIG,)
+    assert bench.refused(wire.Arm()) == wire.Reason.FAULT_LATCHED
+    assert bench.do(wire.ClearFaults(0xFFFF)) == wire.Fault.BAD_CONFIG.mask
+    bench.do(wire.LoadDefaults())
+    assert bench.do(wire.ClearFaults(0xFFFF)) == 0
+    assert bench.status().state == wire.State.SAFE
+    bench.do(wire.Arm())
+    assert bench.status().state == wire.State.READY
+
+
+def test_same_seed_same_bytes_and_another_seed_others() -> None:
+    def run(seed: int) -> bytes:
+        bench = Bench(seed=seed, body=bend)
+        bench.zeroed()
+        bench.do(wire.Sweep(1500, 1200, 4000, 1, 0))
+        bench.step(5000)
+        return bytes(bench.raw)
+
+    first = run(3)
+    assert len(first) > 50_000
+    assert run(3) == first
+    assert run(4) != first
+
+
+def test_block_length_changes_nothing() -> None:
+    def run(block: int) -> bytes:
+        board = VirtualBoard(5)
+        board.set_adc_noise(np.full(16, 1.0))
+        board.set_analog(np.full((16, 2), 500.0))
+        out = b""
+        for ms in range(0, 3000, block):
+            if ms == 1000:
+                board.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1), 0, 0))
+            board.step(block)
+            out += board.read()
+        return out
+
+    assert len(run(1)) > 10_000
+    assert run(1) == run(10) == run(100)
+
+
+def test_ten_minutes_step_in_well_under_their_wall_time() -> None:
+    board = VirtualBoard(5)
+    board.set_adc_noise(np.full(16, 1.0))
+    board.set_analog(np.full((16, 2), 500.0))
+    board.step(1000)
+    board.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1), 0, 0))
+    start = time.process_time()
+    for _ in range(60_000):
+        board.step(10)
+        board.read()
+    assert time.process_time() - start < 3.0  # 0.4 s on a quiet core
+
+
+def test_a_recorded_trace_gives_the_same_telemetry() -> None:
+    def run(trace: np.ndarray | None) -> tuple[bytes, np.ndarray]:
+        board = VirtualBoard(7 if trace is None else 8)
+        if trace is None:
+            board.set_adc_noise(np.full(16, 1.5))
+            board.set_analog(np.full((16, 2), 400.0))
+        else:
+            board.feed_trace(trace)
+        board.record_trace(True)
+        board.step(1000)
+        board.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1), 0, 0))
+        board.step(2000)
+        return board.read(), board.recorded_trace()
+
+    first, trace = run(None)
+    assert trace.shape == ((3000 - 840) * 8, 3)
+    second, again = run(trace)
+    assert second == first
+    assert (again == trace).all()
+
+
+def test_telemetry_comes_every_5_ms_without_loss() -> None:
+    bench = Bench()
+    bench.prepare()
+    before = len(bench.heard)
+    bench.step(2000)
+    frames = [h for h in bench.heard[before:] if isinstance(h.message, wire.Telemetry)]
+    assert len(frames) == pytest.approx(400, abs=2)
+    seqs = [f.seq for f in frames]
+    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+    times = [f.message.t_us for f in frames]
+    assert {b - a for a, b in zip(times, times[1:], strict=False)} == {5000}
+    sums = np.array([f.message.flex_sum for f in frames])
+    # 16 conversions, each floored: half a count below the ideal.
+    assert sums.mean(axis=0) == pytest.approx(16 * (flex_count(0.0) - 0.5), abs=2.0)
+
+
+def test_telemetry_faster_than_the_line_is_dropped_and_counted() -> None:
+    bench = Bench()
+    bench.prepare(telemetry_ms=1)
+    bench.step(1000)
+    frames = [h.seq for h in bench.heard if isinstance(h.message, wire.Telemetry)][-200:]
+    assert len(set(frames)) == len(frames)
+    assert frames[-1] - frames[0] > len(frames)  # gaps
+    stats = bench.get(wire.GetLinkStats(), wire.LinkStats)
+    assert stats.tx_dropped > 400
+    dropped = wire.Condition.TELEMETRY_DROPPED.mask
+    assert bench.status().conditions & dropped
+    bench.set("telemetry_ms", 20)
+    bench.status()
+    assert not bench.status().conditions & dropped
+
+
+def test_growth_follows_the_profile_and_ends_at_the_target() -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.do(wire.ConfirmLength(0, 1))
+    bench.do(wire.GrowTo(100_000, 0))
+    start = bench.board.now_us
+    speeds = []
+    while not bench.event(wire.EventCode.ACTIVITY_DONE):
+        bench.step()
+        speeds.append(bench.spool.speed)
+        assert bench.board.motor >= 0
+        assert bench.board.now_us - start < 10_000_000
+    counts_per_um = 2 * 7600 / 1e6
+    assert bench.spool.counts == pytest.approx(100_000 * counts_per_um, abs=20)
+    assert max(speeds) == pytest.approx(20_000 * counts_per_um, rel=0.15)
+    assert (bench.board.now_us - start) / 1e6 == pytest.approx(5.5, abs=0.6)
+    assert bench.board.braked
+    done = bench.event(wire.EventCode.ACTIVITY_DONE)[0]
+    assert done.arg == wire.Activity.GROWING
+    assert done.value == pytest.approx(100_000, abs=1000)
+    # Both base sensors everted on the way, and nothing else.
+    everted = bench.event(wire.EventCode.EVERTED)
+    assert sorted(e.arg for e in everted) == [0, 5]
+    assert all(e.value == pytest.approx(82_500, abs=700) for e in everted)
+
+
+def test_homing_ends_at_the_stall_and_length_is_zero() -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.spool.wall = -300.0
+    bench.do(wire.Home())
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE)))
+    status = bench.status()
+    assert abs(status.length_um) < 100
+    assert status.conditions & wire.Condition.LENGTH_KNOWN.mask
+    assert status.faults == 0
+
+
+def test_homing_without_a_base_leaves_the_length_unknown() -> None:
+    bench = Bench()
+    bench.prepare(full_length_um=20_000)
+    bench.do(wire.Home())
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_ABORTED)))
+    aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)[0]
+    assert (aborted.arg, aborted.value) == (wire.Activity.HOMING, wire.Reason.LENGTH_UNKNOWN)
+    assert not bench.status().conditions & wire.Condition.LENGTH_KNOWN.mask
+
+
+def test_retraction_winds_in_only() -> None:
+    bench = Bench()
+    bench.grown(100_000)
+    bench.do(wire.RetractTo(90_000, 10_000))
+    while not bench.event(wire.EventCode.ACTIVITY_DONE):
+        bench.step()
+        assert bench.board.motor <= 0
+    assert bench.event(wire.EventCode.ACTIVITY_DONE)[0].value == pytest.approx(90_000, abs=1000)
+
+
+def test_a_sweep_is_followed_and_its_peak_captured() -> None:
+    bench = Bench(body=bend)
+    bench.zeroed()
+    bench.do(wire.Sweep(1500, 1000, 8000, 1, 0))
+    trace = []
+    while not bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING):
+        for one in bench.step():
+            if isinstance(one.message, wire.Telemetry):
+                trace.append(one.message)
+    sets = np.array([(t.left_set_cpsi, t.right_set_cpsi) for t in trace])
+    psi = np.array([(t.left_cpsi, t.right_cpsi) for t in trace])
+    assert sets.max(axis=0) == pytest.approx([1500, 1000], abs=2)
+    assert ((sets > 0).sum(axis=1) <= 1).all()
+    assert psi.max(axis=0) == pytest.approx([1500, 1000], abs=60)
+    # Below the live zero the output is a true zero; above it, it carries at least 4 mA.
+    drives = np.array([(t.left_drive, t.right_drive) for t in trace])
+    assert (drives[sets < 220] == 0).all()
+    assert (drives[sets >= 221] >= 319).all()
+    peaks = bench.event(wire.EventCode.PEAK)
+    assert [p.arg for p in peaks] == [wire.Side.LEFT, wire.Side.RIGHT]
+    snaps = [bench.get(wire.GetSnapshot(i), wire.Snapshot) for i in range(10)]
+    assert [s.side for s in snaps] == [wire.Side.RIGHT] * 10
+    times = np.array([s.t_us for s in snaps])
+    assert (np.diff(times) == 50_000).all()
+    started = bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)[0].t_us - 8_000_000
+    assert times.mean() - started == pytest.approx(6_000_000, abs=8000)
+    assert all(s.right_cpsi == pytest.approx(940, abs=80) for s in snaps)
+    assert all(s.base_e5 == pytest.approx(1e5 * -free(9.4), abs=250) for s in snaps)
+    assert not bench.event(wire.EventCode.CONTACT)
+
+
+def test_free_curvature_is_the_maps_of_zone_side_and_branch() -> None:
+    bench = Bench(body=bend)
+    bench.zeroed()
+    points = range(0, 2001, 200)
+    for zone in range(3):
+        for side in wire.Side:
+            for branch in wire.Branch:
+                sign = 1 if side == wire.Side.LEFT else -1
+                slope = 2 + zone + (0.2 if branch == wire.Branch.DEFLATE else 0.0)
+                values = tuple(int(sign * slope * p) for p in points)
+                bench.do(wire.SetMap(zone, side, branch, values))
+                reply = bench.get(wire.GetMap(zone, side, branch), wire.MapValues)
+                assert reply.curvature_e5 == values
+    bench.set("trigger_e5", 10_000)
+    bench.do(wire.SelectZone(2))
+    for side in wire.Side:
+        sign = 1 if side == wire.Side.LEFT else -1
+        for target, slope in ((1000, 4.0), (700, 4.2)):
+            left, right = (target, 0) if side == wire.Side.LEFT else (0, target)
+            bench.do(wire.SetPressure(left, right, 0))
+            bench.step(4000)
+            last = [h.message for h in bench.heard if isinstance(h.message, wire.Telemetry)][-1]
+            assert last.free_e5 == pytest.approx(sign * slope * target, rel=0.02)
+        bench.do(wire.Vent())
+        bench.until(lambda: bool(bench.status().conditions & wire.Condition.VENTED.mask))
+
+
+def test_a_zero_is_taken_after_stillness_and_drift_forbids_it() -> None:
+    bench = Bench()
+    bench.grown()
+    bench.do(wire.ZeroSensors(0b0000100001))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
+    report = bench.get(wire.GetSensor(0), wire.SensorReport)
+    assert report.flags & 0b111 == 0b111
+    assert report.zero_sum_q8 / 256 == pytest.approx(16 * (flex_count(0) - 0.5), abs=5)
+    assert abs(report.drift_e5) < 40
+    assert bench.status().zeroed_mask == 0b0000100001
+
+    # Everted anew: its zero is void. Drifting: no new one.
+    bench.do(wire.ConfirmLength(100_000, 0))
+    assert bench.status().zeroed_mask == 0
+    assert bench.refused(wire.ZeroSensors(0b1)) == wire.Reason.NOT_SETTLED
+    bench.step(1000)
+    bench.do(wire.ZeroSensors(0b1))
+    start = bench.board.now_us
+    while not bench.event(wire.EventCode.ACTIVITY_ABORTED):
+        # The drift begins with the command: the first window sees half of it.
+        bench.curvature[:] = (bench.board.now_us - start) * 1e-6 * 0.002
+        bench.step()
+    aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)[-1]
+    assert (aborted.arg, aborted.value) == (wire.Activity.ZEROING, wire.Reason.DRIFTING)
+    assert bench.status().zeroed_mask == 0
+    assert bench.get(wire.GetSensor(0), wire.SensorReport).drift_e5 == pytest.approx(100, abs=40)
+
+
+def _latency_ticks(**parameters: int) -> float:
+    """Ticks from a step of base curvature to the contact event, noise-free."""
+    bench = Bench(noise=0.0)
+    bench.zeroed(**parameters)
+    assert not bench.event(wire.EventCode.CONTACT)
+    tick = bench.board.now_us // 1000
+    bench.curvature[:] = 0.02
+    bench.counts = bench._inputs()  # a step, not a ramp
+    bench.until(lambda: bool(bench.event(wire.EventCode.CONTACT)), 2000)
+    contact = bench.event(wire.EventCode.CONTACT)[0]
+    boot = 840  # the firmware's tick 0
+    return contact.t_us // 1000 + boot - tick + 1
+
+
+@pytest.mark.parametrize(("filter_log2", "debounce"), [(0, 1), (0, 5), (3, 1), (4, 3), (6, 3)])
+def test_the_trigger_fires_after_filter_and_debounce_ticks(filter_log2: int, debounce: int) -> None:
+    """A step of 0.02 against a threshold of 0.005: a quarter of the window, then the debounce."""
+    got = _latency_ticks(trigger_filter_log2=filter_log2, trigger_debounce_ms=debounce)
+    # Resistance is nonlinear in the count, hence a little more or less than a quarter.
+    assert got == pytest.approx(0.25 * 2**filter_log2 + debounce, abs=1 + 0.05 * 2**filter_log2)
+
+
+def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None:
+    bench = Bench(body=bend)
+    bench.zeroed()
+    assert bench.refused(wire.GetSnapshot(255)) == wire.Reason.NO_SNAPSHOT
+    bench.do(wire.Sweep(1500, 0, 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
+    # The free body reaches 8 psi, then an obstacle takes 0.001 1/cm for each further psi.
+    bench.body = lambda left, right: bend(min(left, 8.0), right) - 0.003 * max(0.0, left - 8.0)
+    bench.until(lambda: bool(bench.event(wire.EventCode.CONTACT)), 6000)
+    contact = bench.event(wire.EventCode.CONTACT)[0]
+    assert contact.arg == wire.Side.LEFT
+    assert contact.value < -500
+    status = bench.status()
+    assert (status.state, status.activity) == (wire.State.MOVING, wire.Activity.HOLDING)
+    assert status.conditions & wire.Condition.CONTACT.mask
+    snap = bench.get(wire.GetSnapshot(255), wire.Snapshot)
+    assert snap.t_us == contact.t_us
+    assert snap.base_e5 - snap.free_e5 == contact.value
+    assert (snap.side, snap.branch) == (wire.Side.LEFT, wire.Branch.INFLATE)
+    held = bench.air.psi[0]
+    bench.step(3000)
+    assert bench.air.psi[0] == pytest.approx(held, abs=1.0)
+    assert [p.arg for p in bench.event(wire.EventCode.PEAK)] == [wire.Side.LEFT]
+    assert len(bench.event(wire.EventCode.CONTACT)) == 1
+    bench.do(wire.Vent())
+    assert bench.safe()
+    bench.step(2000)
+    status = bench.status()
+    assert (status.state, status.activity) == (wire.State.READY, wire.Activity.IDLE)
+    assert bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.HOLDING)
+
+
+def test_without_hold_the_sweep_goes_on_after_a_contact() -> None:
+    bench = Bench(body=lambda left, right: bend(left, right) - 0.002 * max(0.0, left - 8.0))
+    bench.zeroed()
+    bench.do(wire.Sweep(1500, 1500, 8000, 1, 0))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
+    assert [e.arg for e in bench.event(wire.EventCode.CONTACT)] == [wire.Side.LEFT]
+
+
+def test_the_pressurised_sides_readings_do_not_count() -> None:
+    bench = Bench(body=bend)
+    bench.zeroed()
+    bench.do(wire.Sweep(1500, 1500, 8000, 1, 0))
+    while not bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING):
+        # Wrinkles on the active side, of twice the threshold.
+        left, right = bench.air.psi
+        bench.curvature[0:5] = -0.01 if left > 1 else 0.0
+        bench.curvature[5:10] = 0.01 if right > 1 else 0.0
+        bench.step()
+    assert not bench.event(wire.EventCode.CONTACT)
+
+
+def test_configuration_is_saved_after_the_commit_and_loaded_at_the_next_start() -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.set("flex_scale", 41_234, element=7)
+    curve = (0, 100, 200, 300, 400, 500, 600, 700, 800, 900, -1000)
+    bench.do(wire.SetMap(2, wire.Side.RIGHT, wire.Branch.DEFLATE, curve))
+    seq = bench.seq + 1
+    bench.send(wire.SaveConfig(), seq, bench.session)
+    bench.step(100)
+    bench.send(wire.SaveConfig(), seq, bench.session)  # a repeat, while it works
+    bench.step(50)
+    answers = [h.message for h in bench.heard if h.seq == seq and isinstance(h.message, wire.Ack)]
+    assert answers == [wire.Ack(wire.Status.IN_PROGRESS, wire.Reason.NONE, 0)]
+    image = bench.board.eeprom
+    bench.until(lambda: bool(bench.event(wire.EventCode.SAVED)))
+    assert bench.board.eeprom != image  # it was still writing
+    bench.seq = seq
+    status = bench.status()
+    assert (status.config_generation, status.activity) == (1, wire.Activity.IDLE)
+
+    again = Bench(eeprom=bench.board.eeprom)
+    again.hello()
+    status = again.status()
+    assert (status.state, status.faults) == (wire.State.SAFE, 0)
+    assert status.config_generation == 1
+    index = wire.PARAMETERS["flex_scale"].index + 7
+    value = again.get(wire.GetParameter(index), wire.ParameterValue)
+    assert value.value == 41_234
+    reply = again.get(wire.GetMap(2, wire.Side.RIGHT, wire.Branch.DEFLATE), wire.MapValues)
+    assert reply.curvature_e5 == curve
+
+
+def test_every_parameter_is_range_checked_and_reads_back() -> None:
+    bench = Bench()
+    bench.prepare()
+    for parameter in wire.PARAMETERS.values():
+        index = parameter.index + parameter.count - 1
+        got = bench.get(wire.GetParameter(index), wire.ParameterValue)
+        if parameter.name not in ("settle_ms", "zero_ms", "lag_ms"):
+            assert got.value == parameter.defaults[-1]
+        assert bench.refused(wire.SetParameter(index, parameter.high + 1)) == wire.Reason.BAD_VALUE
+        assert bench.refused(wire.SetParameter(index, parameter.low - 1)) == wire.Reason.BAD_VALUE
+    bad = wire.PARAMETER_COUNT
+    assert bench.refused(wire.SetParameter(bad, 0)) == wire.Reason.BAD_VALUE
+    assert bench.refused(wire.GetParameter(bad)) == wire.Reason.BAD_VALUE
+
+
+def test_boot_nonces_and_sessions_differ() -> None:
+    eeprom = b""
+    nonces, sessions = set(), set()
+    for _ in range(5):
+        bench = Bench(eeprom=eeprom)
+        for _ in range(2):
+            reply = bench.hello()
+            nonces.add(reply.boot_nonce)
+            sessions.add(reply.session)
+        eeprom = bench.board.eeprom
+    assert len(nonces) == 5
+    assert len(sessions) == 10
+
+
+def test_a_vent_counts_both_muscles_pressures() -> None:
+    bench = Bench()
+    bench.grown()
+    vented = wire.Condition.VENTED.mask
+    assert bench.status().conditions & vented
+    bench.override[11] = pressure_count(0.8)
+    bench.step(50)
+    assert not bench.status().conditions & vented
+    del bench.override[11]
+    bench.step(50)
+    assert not bench.status().conditions & vented  # not yet: 0.1 s of quiet
+    bench.step(150)
+    assert bench.status().conditions & vented
