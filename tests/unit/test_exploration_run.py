@@ -77,12 +77,16 @@ class Script:
     def sweep(self, *, left_psi: float, right_psi: float, period_s: float) -> SweepResult:
         self._call(f"sweep {left_psi:g} {right_psi:g}")
         if self.touches_at is None or abs(self.length - self.touches_at) > 0.1:
-            return SweepResult(frames=[SweepFrame("left", 0.0, 10.0, 0.02, touched=False)])
+            return SweepResult()
         arc, force, centers = self.length - 2.0, -3e-4, np.array([5.0, 15, 25, 35, 45])
         column = 0.03 + force * np.maximum(arc - centers, 0)
         curvature = np.concatenate((np.full(5, np.nan), column))
         peak = Peak("left", 0.0, self.length, curvature, 0.03, 18.0, 0x3FF, 10)
-        return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak])
+        frames = [
+            SweepFrame("left", n / 20, psi, psi / 600, -0.008 if psi > 9 else 0.0, psi > 9)
+            for n, psi in enumerate(np.linspace(0.0, left_psi, 100))
+        ]
+        return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames)
 
     def vent(self) -> None:
         self._call("vent")
@@ -136,7 +140,8 @@ def test_every_sweep_is_zeroed_before_and_after_and_pressures_change_on_the_way(
 
 
 def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Path) -> None:
-    run = _explore(tmp_path, Script(touches_at=50))
+    robot = Script(touches_at=50)
+    run = _explore(tmp_path, robot)
     assert run.document.outcome == "full length"
     (contact,) = run.document.contacts
     assert contact.everted_length_cm == pytest.approx(50.02)
@@ -144,6 +149,12 @@ def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Pa
     assert contact.readings == 5
     assert contact.y_cm > 20  # bent to the left
     assert [bool(s.triggers) for s in run.document.stages] == [False] * 4 + [True, False]
+    sweeps = [call for call in robot.calls if call.startswith("sweep")]
+    assert len(sweeps) == 7
+    measuring = sweeps[5].split()  # only the side that touched, and only as far as needed
+    assert 9 <= float(measuring[1]) < 12
+    assert measuring[2] == "0"
+    assert robot.calls[robot.calls.index(sweeps[5]) - 1] == "vent"
 
 
 def test_a_drifting_zero_is_tried_again_and_then_given_up(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ class DictionaryBoard:
         self.events: deque[Any] = deque()
         self.time = 0.0
         self.stubborn = -1
+        self.latch_at_poll = 0
         self.closed = False
 
     def now(self) -> float:
@@ -59,6 +60,7 @@ class DictionaryBoard:
 
     def poll(self, timeout_s: float) -> None:
         self.time += timeout_s
+        self.faults |= self.latch_at_poll
         if self.coming:
             event = self.coming.pop(0)
             self.events.append(SimpleNamespace(message=event, t_s=self.time, device_us=0))
@@ -154,12 +156,22 @@ def test_a_missing_configuration_is_stored_and_its_fault_cleared_and_no_other() 
 
 def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
     robot, board = _robot()
+    board.latch_at_poll = wire.Fault.SPOOL_STALL.mask
     board.coming = [
         _event(wire.EventCode.EVERTED, 0),
         _event(wire.EventCode.FAULT, wire.Fault.SPOOL_STALL),
     ]
     with pytest.raises(RobotFaultError, match="encoder stands still; free the spool"):
         robot.grow_to(10.0)
+
+
+def test_the_event_of_a_fault_that_was_cleared_since_stops_nothing() -> None:
+    robot, board = _robot()
+    board.coming = [
+        _event(wire.EventCode.FAULT, wire.Fault.BAD_CONFIG),
+        _event(wire.EventCode.ACTIVITY_DONE, wire.Activity.GROWING, 100_000),
+    ]
+    assert robot.grow_to(10.0) == pytest.approx(10.0)
 
 
 def test_a_refusal_because_of_a_fault_names_the_fault() -> None:

@@ -46,5 +46,5 @@ def check(
         return
     typer.echo(
         f"{file}: good. {len(scene.pegs)} pegs; a robot of {scene.robot.body.length_cm:g} cm, "
-        f"{scene.start_length_cm:g} cm of it out at the start; {len(scene.faults)} faults to inject."
+        f"{scene.start_length_cm:g} cm of it out at the start; {len(scene.faults)} faults."
     )

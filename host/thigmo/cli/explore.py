@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -34,6 +34,13 @@ def explore(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Let the emulator run at the clock's pace.")
     ] = False,
+    protocol: Annotated[
+        Literal["measure", "thesis"],
+        typer.Option(
+            help="How a contact is measured: by a second sweep to the pressure at which it is felt "
+            "best, or at the full sweep's peak, as in the thesis."
+        ),
+    ] = "measure",
     as_json: JsonOption = False,
 ) -> None:
     """Grow, sweep, feel, localize and map, stage by stage to the full length."""
@@ -53,6 +60,7 @@ def explore(
             out=out,
             name=name,
             realtime=realtime,
+            protocol=protocol,
             operator=TerminalOperator(console),
             progress=show,
         )

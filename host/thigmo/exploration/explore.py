@@ -18,7 +18,7 @@ from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
 from thigmo.exploration.feel import warm_up
-from thigmo.exploration.run import Exploration, Progress
+from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
@@ -66,6 +66,7 @@ def explore(
     out: str | os.PathLike[str] = "runs",
     name: str | None = None,
     realtime: bool = False,
+    protocol: Protocol = "measure",
     operator: Operator | None = None,
     progress: Progress | None = None,
 ) -> ExplorationResult:
@@ -78,6 +79,8 @@ def explore(
         out: folder in which the run folder is made.
         name: of the run.
         realtime: pace the emulator by the clock.
+        protocol: "measure" sweeps a side with a contact again, to the pressure at which the contact
+            is felt best; "thesis" takes the readings at the full sweep's peak.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: told what the robot is doing.
 
@@ -98,14 +101,16 @@ def explore(
         started=started.isoformat(timespec="seconds"),
         seed=seed,
     )
-    with _sigterm_raises():
-        with connect(url, seed=seed, operator=operator, realtime=realtime) as robot:
-            used = config or robot.known_config or RobotConfig()
-            tell("compiling the localizer", 0.0)
-            warm_up(used)
-            folder = RunFolder.create(out, label, started.astimezone())
-            used.save(folder.path / "robot.toml")
-            run = _recorded_run(robot, used, folder, document, tell)
+    with (
+        _sigterm_raises(),
+        connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
+    ):
+        used = config or robot.known_config or RobotConfig()
+        tell("compiling the localizer", 0.0)
+        warm_up(used)
+        folder = RunFolder.create(out, label, started.astimezone())
+        used.save(folder.path / "robot.toml")
+        run = _recorded_run(robot, used, folder, document, tell, protocol)
     tell("drawing the map", 1.0)
     draw_map(run.document, folder.map_path, radius_cm=used.body.radius_cm)
     return ExplorationResult(run.document, folder.path, run.length_cm)
@@ -117,12 +122,13 @@ def _recorded_run(
     folder: RunFolder,
     document: RunDocument,
     tell: Progress,
+    protocol: Protocol,
 ) -> Exploration:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
     with folder.open_log(_metadata(robot, document)) as log:
         robot.record_frames(log.frame)
-        run = Exploration(robot, config, folder, log, document, tell)
+        run = Exploration(robot, config, folder, log, document, tell, protocol)
         try:
             run.run()
         except BaseException as error:

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
+from thigmo.exploration.known import beyond
+from thigmo.exploration.measuring import fold_moment
+from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.workspace import Bend, centreline, place_contact
 from thigmo.localization import LocalizeResult, localize
 from thigmo.record import MapContact, Shape
@@ -35,13 +38,17 @@ class Feeling:
     shape: Shape
 
 
-def feel(peak: Peak, config: RobotConfig, zone: int) -> Feeling:
+def feel(
+    peak: Peak, config: RobotConfig, zone: int, response: FreeResponse, nearest_arc: float = 0.0
+) -> Feeling:
     """Localize the contacts behind a peak's readings and place them.
 
     Args:
         peak: the averaged readings.
         config: robot.toml as used.
         zone: index of the body-pressure zone that held.
+        response: what each sensor reads of an untouched robot.
+        nearest_arc: no contact lies nearer to the base than this (`SweptSpace`), cm.
 
     Raises:
         DataError: no usable sensor.
@@ -49,15 +56,23 @@ def feel(peak: Peak, config: RobotConfig, zone: int) -> Feeling:
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
     muscle = config.actuators.side(peak.side)
+    expected, error = response.expected(peak.side, peak.free_curvature)
     result = localize(
         peak.curvature[use],
         table.center_cm[use],
         length=peak.length_cm,
         span=table.span_cm[use],
-        free_curvature=peak.free_curvature,
-        noise=table.noise[use],
+        free_curvature=expected[use],
+        noise=np.hypot(table.noise, error)[use],
+        offset_sigma=muscle.offset_se,
+        critical_curvature=fold_moment(config, zone),
+        tube_radius=config.body.radius_cm,
     )
+    if nearest_arc > 0:
+        result = beyond(result, nearest_arc, peak.length_cm)
     found = [c for c in result.contacts if c.status in _PLACED]
+    if len(found) == 1 and found[0].force * peak.free_curvature > 0:
+        found = []  # what pulls the body further into its bend is no peg
     bend = Bend(
         peak.length_cm,
         peak.free_curvature,
@@ -100,5 +115,8 @@ def warm_up(config: RobotConfig) -> None:
     for side in SIDES:
         reading = np.full(size, 0.01 if side == "left" else -0.01)
         feel(
-            Peak(side, 0.0, config.body.length_cm, reading, 0.0, 0.0, (1 << size) - 1, 1), config, 0
+            Peak(side, 0.0, config.body.length_cm, reading, 0.0, 0.0, (1 << size) - 1, 1),
+            config,
+            0,
+            FreeResponse(config),
         )

@@ -8,16 +8,17 @@ can be tried on an old run, and a doubtful result can be checked.
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
 from thigmo import __version__
-from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.map import errors, merge
-from thigmo.exploration.stage import feel_sweep, stage_entry
+from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
@@ -25,14 +26,13 @@ from thigmo.record import Entry, Log, MapContact, RunDocument, RunFolder, Stage
 from thigmo.report import draw_map
 from thigmo.robot import (
     SENSORS,
-    Peak,
     SensorTable,
     SnapshotReading,
     SweepResult,
     SweepWatcher,
-    average_peak,
     snapshot_reading,
 )
+from thigmo.robot.readings import Floats
 
 _OVERSAMPLE = wire.PARAMETERS["oversample_log2"].index
 _ZEROED = 1 << 2  # of sensor_report.flags
@@ -76,17 +76,23 @@ class _Sweep:
     sensors: int
     t_s: float
     watcher: SweepWatcher
-    peaks: list[Peak] = field(default_factory=list)
+    zero_sum: Floats
+    oversample: int
 
-    def result(self) -> SweepResult:
-        return SweepResult(self.watcher.triggers, self.peaks, self.watcher.frames)
+    def result(self, table: SensorTable) -> SweepResult:
+        return self.watcher.result(
+            table,
+            self.zero_sum,
+            oversample=self.oversample,
+            sensors=self.sensors,
+            length_cm=self.length_cm,
+        )
 
 
 class _Reader:
     """Reads the board's state off its frames, as the robot object does live."""
 
-    def __init__(self, config: RobotConfig) -> None:
-        self._table = SensorTable.of(config)
+    def __init__(self) -> None:
         self._clock = DeviceClock()
         self._zero_sum = np.full(SENSORS, np.nan)
         self._oversample = 16
@@ -140,7 +146,8 @@ class _Reader:
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
         watcher = SweepWatcher(self._device_s, list)
-        self.sweeps.append(_Sweep(length, self._zone, mask, t_s, watcher))
+        zeros = self._zero_sum.copy()
+        self.sweeps.append(_Sweep(length, self._zone, mask, t_s, watcher, zeros, self._oversample))
 
     def _snapshot(self, message: wire.Snapshot) -> None:
         if message.index == 0:
@@ -149,17 +156,7 @@ class _Reader:
             return  # the reply to a repeated request
         self._snapshots.append(snapshot_reading(message, self._device_s(message.t_us)))
         if len(self._snapshots) == message.count:
-            sweep = self.sweeps[-1]
-            sweep.peaks.append(
-                average_peak(
-                    self._snapshots,
-                    self._zero_sum,
-                    self._table,
-                    oversample=self._oversample,
-                    sensors=sweep.sensors,
-                    length_cm=sweep.length_cm,
-                )
-            )
+            self.sweeps[-1].watcher.peaks.append(self._snapshots)
 
 
 def replay(run: str | os.PathLike[str]) -> ReplayResult:
@@ -182,14 +179,15 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
             f"{wire.SCHEMA_HASH:08x}",
             f"replay it with thigmo {log.metadata.get('thigmo', 'of its time')}",
         )
-    reader = _Reader(config)
+    reader = _Reader()
     for entry in log.entries:
         reader.take(entry)
     contacts: list[MapContact] = []
     stages = []
-    for sweep in reader.sweeps:
-        result = sweep.result()
-        felt = feel_sweep(result, config, sweep.zone)
+    interpreter, table = Interpreter(config), SensorTable.of(config)
+    for sweep, measuring in _stages(reader.sweeps):
+        result = sweep.result(table)
+        felt = interpreter.feel(result, measuring.result(table) if measuring else None, sweep.zone)
         for feeling in felt:
             for contact in feeling.contacts:
                 contacts = merge(contacts, contact)
@@ -199,6 +197,13 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     folder.write_document(document, "replay.json")
     draw_map(document, folder.path / "replay.png", radius_cm=config.body.radius_cm)
     return ReplayResult(document, len(reader.sweeps), reader.bad, log.truncated)
+
+
+def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[_Sweep, _Sweep | None]]:
+    """Each stage's sweep with its measuring sweep, which follows it at the same length."""
+    for _, group in groupby(sweeps, key=lambda sweep: round(sweep.length_cm, 1)):
+        first, *again = group
+        yield first, again[0] if again else None
 
 
 def _document(

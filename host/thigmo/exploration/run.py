@@ -9,19 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
-from thigmo.config import RobotConfig
+from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.map import errors, merge, peg_ahead
+from thigmo.exploration.measuring import measuring_pressure, opposed_sides
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
-from thigmo.exploration.stage import feel_sweep, stage_entry
+from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.exploration.states import State, next_state
 from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
 from thigmo.robot import Robot, SweepResult, sweep_period_s
 
 _MOST_ZERO_TRIES = 5
 
+# "measure" sweeps a side with a contact again, to the pressure at which it is felt best; "thesis"
+# takes the readings at the full sweep's peak.
+Protocol = Literal["measure", "thesis"]
 # Told what the robot does, in words, and the share of the run that is done.
 Progress = Callable[[str, float], None]
 
@@ -36,6 +41,7 @@ class Exploration:
         log: its record, open.
         document: what is known at the start; kept up to date, and written after each stage.
         progress: called at each state and while waiting.
+        protocol: how a contact is measured.
     """
 
     def __init__(
@@ -46,6 +52,7 @@ class Exploration:
         log: LogWriter,
         document: RunDocument,
         progress: Progress,
+        protocol: Protocol = "measure",
     ) -> None:
         self.robot = robot
         self.config = config
@@ -58,7 +65,10 @@ class Exploration:
         self.stage_cm = 0.0
         self.zone = 0
         self.swept = False
+        self.protocol = protocol
+        self.interpreter = Interpreter(config)
         self.sweep: SweepResult | None = None
+        self.measuring: SweepResult | None = None
         self.feelings: list[Feeling] = []
         self._zero_tries = 0
         self._lengths = stage_lengths(config)
@@ -72,6 +82,7 @@ class Exploration:
             State.SETTLE: self._settle,
             State.ZERO: self._zero,
             State.SWEEP: self._sweep,
+            State.MEASURE: self._measure,
             State.LOCALIZE: self._localize,
             State.MAP: self._map,
             State.VENT: self._vent,
@@ -168,13 +179,30 @@ class Exploration:
             period_s=sweep_period_s(self.config, self.zone),
         )
         self.swept = True
-        self.feelings = []
-        return "contact" if self.sweep.triggers else "no contact"
+        self.measuring = None
+        if not opposed_sides(self.sweep):
+            return "no contact"
+        return "contact" if self.protocol == "measure" else "contact, thesis protocol"
+
+    def _measure(self) -> str:
+        assert self.sweep is not None
+        fired = opposed_sides(self.sweep)
+        left, right = (
+            measuring_pressure(self.sweep.frames, side, self.config, self.zone)
+            if side in fired
+            else 0.0
+            for side in SIDES
+        )
+        self.robot.vent()
+        self.measuring = self.robot.sweep(
+            left_psi=left, right_psi=right, period_s=sweep_period_s(self.config, self.zone)
+        )
+        return "measured"
 
     def _localize(self) -> str:
         assert self.sweep is not None
-        self.feelings = feel_sweep(self.sweep, self.config, self.zone)
-        return "answered"
+        self.feelings = self.interpreter.feel(self.sweep, self.measuring, self.zone)
+        return "contact" if any(f.contacts for f in self.feelings) else "none"
 
     def _map(self) -> str:
         contacts = self.document.contacts
@@ -195,9 +223,10 @@ class Exploration:
         pressure = self.config.body.zones[self.zone].pressure_psi
         stage = stage_entry(self.length_cm, pressure, self.robot.now(), self.sweep, self.feelings)
         truth = self.document.truth
-        if self.sweep.truth is not None:
+        seen = self.measuring or self.sweep
+        if seen.truth is not None:
             known = truth.contacts if truth else []
-            truth = Truth(self.sweep.truth.pegs, [*known, *self.sweep.truth.contacts])
+            truth = Truth(seen.truth.pegs, [*known, *seen.truth.contacts])
         error_x, error = errors(self.document.contacts, truth.contacts if truth else [])
         self.document = replace(
             self.document,

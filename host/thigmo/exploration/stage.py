@@ -9,17 +9,58 @@ from collections.abc import Sequence
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Feeling, feel
+from thigmo.exploration.measuring import opposed_sides, touch_curvature
+from thigmo.exploration.reference import FreeResponse
+from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import Bend, centreline
 from thigmo.record import Shape, Stage, Trigger
-from thigmo.robot import SweepFrame, SweepResult
+from thigmo.robot import Peak, SweepFrame, SweepResult
 
 _SHAPES_A_SIDE = 12
+_BENT_FURTHER = "the base bent further than the map says: an error of the map, and no peg"
 
 
-def feel_sweep(sweep: SweepResult, config: RobotConfig, zone: int) -> list[Feeling]:
-    """Localize at the peak of each side on which the board's trigger fired."""
-    fired = {trigger.side for trigger in sweep.triggers}
-    return [feel(peak, config, zone) for peak in sweep.peaks if peak.side in fired]
+class Interpreter:
+    """Reads a run's sweeps in their order, and learns the free response from those without contact.
+
+    Args:
+        config: robot.toml as used.
+    """
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self._response = FreeResponse(config)
+        self._swept = SweptSpace()
+
+    def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
+        """Contacts of a stage: on each side on which the board's trigger fired.
+
+        Args:
+            sweep: the sweep that looked for contacts.
+            measuring: the one that measured, whose peaks count before the first one's.
+            zone: index of the body-pressure zone.
+        """
+        fired = opposed_sides(sweep)
+        measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
+        feelings = []
+        for peak in sweep.peaks:
+            nearest = self._nearest(sweep, peak) if peak.side in fired else 0.0
+            feeling = feel(
+                measured.get(peak.side, peak), self._config, zone, self._response, nearest
+            )
+            if peak.side in fired:
+                feelings.append(feeling)
+            if peak.side not in fired:
+                self._response.learn(sweep, peak.side)
+            if peak.side not in fired or feeling.result.status == "no contact":
+                self._swept.remember(peak.side, peak.length_cm, peak.free_curvature)
+        return feelings
+
+    def _nearest(self, sweep: SweepResult, peak: Peak) -> float:
+        touch = touch_curvature(sweep.frames, peak.side)
+        if touch is None:
+            return 0.0
+        return self._swept.nearest_arc(peak.side, peak.length_cm, touch)
 
 
 def stage_entry(
@@ -41,8 +82,8 @@ def stage_entry(
                 t.side,
                 t.t_s,
                 t.excess_per_cm,
-                by_side[t.side].status if t.side in by_side else "no peak",
-                by_side[t.side].message if t.side in by_side else "",
+                by_side[t.side].status if t.side in by_side else "no contact",
+                by_side[t.side].message if t.side in by_side else _BENT_FURTHER,
             )
             for t in sweep.triggers
         ],

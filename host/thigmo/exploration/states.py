@@ -23,7 +23,8 @@ class State(StrEnum):
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping left and right"
-    LOCALIZE = "localizing a contact"
+    MEASURE = "sweeping again to measure a contact"
+    LOCALIZE = "localizing"
     MAP = "mapping"
     VENT = "venting"
     FINISH = "venting, keeping the length"
@@ -54,9 +55,12 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.ZERO, "drifting", State.SETTLE),
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),
     Transition(State.ZERO, "zeroed after sweep", State.PLAN),
-    Transition(State.SWEEP, "contact", State.LOCALIZE),
-    Transition(State.SWEEP, "no contact", State.VENT),
-    Transition(State.LOCALIZE, "answered", State.MAP),
+    Transition(State.SWEEP, "contact", State.MEASURE),
+    Transition(State.SWEEP, "contact, thesis protocol", State.LOCALIZE),
+    Transition(State.SWEEP, "no contact", State.LOCALIZE),
+    Transition(State.MEASURE, "measured", State.LOCALIZE),
+    Transition(State.LOCALIZE, "contact", State.MAP),
+    Transition(State.LOCALIZE, "none", State.VENT),
     Transition(State.MAP, "mapped", State.VENT),
     Transition(State.VENT, "vented", State.SETTLE),
     Transition(State.FINISH, "safe", State.DONE),

@@ -16,11 +16,12 @@ from thigmo.robot.state import (
     SweepFrame,
     SweepResult,
 )
-from thigmo.robot.sweep import sweep_period_s
+from thigmo.robot.sweep import TRIGGER_PER_CM, sweep_period_s
 from thigmo.robot.sweeping import SweepWatcher
 
 __all__ = [
     "SENSORS",
+    "TRIGGER_PER_CM",
     "ContactTrigger",
     "Operator",
     "Peak",

@@ -23,7 +23,7 @@ from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.operator import NobodyThere, Operator
-from thigmo.robot.peaks import average_peak, snapshot_reading
+from thigmo.robot.peaks import snapshot_reading
 from thigmo.robot.readings import Floats, SensorTable
 from thigmo.robot.state import Reading, Recording, SnapshotReading, Status, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
@@ -556,19 +556,14 @@ class Robot:
                 wire.Activity.SWEEPING, period_s * cycles + _SWEEP_EXTRA_S
             ):
                 watcher.event(event)
-        peaks = [
-            average_peak(
-                snapshots,
-                self._zero_sum,
-                self._table,
-                oversample=self._oversample,
-                sensors=before.everted & before.settled & before.zeroed,
-                length_cm=before.length_cm or 0.0,
-            )
-            for snapshots in watcher.peaks
-            if snapshots
-        ]
-        return SweepResult(watcher.triggers, peaks, watcher.frames, _joined(truths))
+        return watcher.result(
+            self._table,
+            self._zero_sum,
+            oversample=self._oversample,
+            sensors=before.everted & before.settled & before.zeroed,
+            length_cm=before.length_cm or 0.0,
+            truth=_joined(truths),
+        )
 
     @contextmanager
     def _telemetry_to(self, watcher: SweepWatcher) -> Iterator[None]:

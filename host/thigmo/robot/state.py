@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from thigmo.config import Side
 from thigmo.record import Truth
 from thigmo.robot.readings import Floats
@@ -137,14 +139,18 @@ class SweepFrame:
         t_s: device time.
         pressure_psi: its measured pressure.
         free_curvature: by the map, signed, 1/cm.
+        excess: base curvature of the inactive side minus free curvature, 1/cm.
         touched: the trigger had fired before in this half.
+        flex_sum: raw readings, left base first.
     """
 
     side: Side
     t_s: float
     pressure_psi: float
     free_curvature: float
+    excess: float
     touched: bool
+    flex_sum: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +161,14 @@ class SweepResult:
         triggers: the board's contact triggers.
         peaks: one average for each side that was swept.
         frames: thinned telemetry of the sweep.
+        curvature: what each sensor read in them, shape (frames, 10), 1/cm.
+        sensors: mask of sensors everted, settled and zeroed.
         truth: what the emulator knew at the peaks, None on hardware.
     """
 
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[Peak] = field(default_factory=list)
     frames: list[SweepFrame] = field(default_factory=list)
+    curvature: Floats = field(default_factory=lambda: np.zeros((0, 10)))
+    sensors: int = 0
     truth: Truth | None = None

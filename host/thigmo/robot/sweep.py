@@ -13,6 +13,7 @@ from math import pi
 
 from thigmo.config import SIDES, RobotConfig
 
+TRIGGER_PER_CM = 0.005  # the contact threshold of the thesis, and the board's default
 # Half of the lag stays unknown after calibration: one constant stands for muscles that inflate with
 # 0.16 s and deflate with 0.22 s and for a body that swings at 1..2 Hz behind them.
 RESIDUAL_LAG = 0.5
@@ -26,7 +27,7 @@ def sweep_period_s(
     config: RobotConfig,
     zone: int,
     *,
-    trigger_per_cm: float = 0.005,
+    trigger_per_cm: float = TRIGGER_PER_CM,
     residual_lag: float = RESIDUAL_LAG,
     allowed_fraction: float = ALLOWED_FRACTION,
 ) -> float:

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from thigmo.config import SIDES, Side
 from thigmo.link import protocol as wire
-from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame
+from thigmo.record import Truth
+from thigmo.robot.peaks import average_peak
+from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame, SweepResult
 
 _FRAME_SPACING_S = 0.05
 _IDLE_CPSI = 10
@@ -39,6 +44,42 @@ class SweepWatcher:
         elif event.code == wire.EventCode.PEAK:
             self.peaks.append(self.fetch())
 
+    def result(
+        self,
+        table: SensorTable,
+        zero_sum: Floats,
+        *,
+        oversample: int,
+        sensors: int,
+        length_cm: float,
+        truth: Truth | None = None,
+    ) -> SweepResult:
+        """What was collected, in curvature.
+
+        Args:
+            table: the sensors' constants.
+            zero_sum: their zeros, in sums of counts.
+            oversample: conversions a sum holds.
+            sensors: mask of sensors everted, settled and zeroed.
+            length_cm: everted length.
+            truth: what the emulator knew at the peaks.
+        """
+        peaks = [
+            average_peak(
+                snapshots,
+                zero_sum,
+                table,
+                oversample=oversample,
+                sensors=sensors,
+                length_cm=length_cm,
+            )
+            for snapshots in self.peaks
+            if snapshots
+        ]
+        sums: Floats = np.array([f.flex_sum for f in self.frames], dtype=np.float64)
+        curvature = table.curvature(sums.reshape(-1, len(zero_sum)), zero_sum, oversample)
+        return SweepResult(self.triggers, peaks, self.frames, curvature, sensors, truth)
+
     def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
         """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
         if t_s < self._next_s:
@@ -50,4 +91,15 @@ class SweepWatcher:
         if pressure < _IDLE_CPSI:
             return
         touched = any(trigger.side == side for trigger in self.triggers)
-        self.frames.append(SweepFrame(side, t_s, pressure / 100, frame.free_e5 / 1e5, touched))
+        excess = (frame.base_e5 - frame.free_e5) / 1e5
+        self.frames.append(
+            SweepFrame(
+                side,
+                t_s,
+                pressure / 100,
+                frame.free_e5 / 1e5,
+                excess,
+                touched,
+                tuple(frame.flex_sum),
+            )
+        )

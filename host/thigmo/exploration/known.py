@@ -1,0 +1,55 @@
+"""A localizer's answer, given that the contact lies beyond a certain arc."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from thigmo.localization import LocalizeResult
+from thigmo.localization.result import Status
+from thigmo.robot.readings import Floats
+
+_NODES = 201
+_LEVEL = 0.95
+_WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own limit
+# With less of the posterior than this beyond the arc, its slope there says nothing: the readings
+# and the model disagree about what is known, and the place is open within it.
+_LEAST_MASS = 1e-3
+
+
+def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> LocalizeResult:
+    """Condition a single contact's posterior on its arc being at least `nearest_arc`.
+
+    Args:
+        result: of `localize`, with one contact; others are returned as they are.
+        nearest_arc: in cm; at most the length.
+        length_cm: everted length.
+    """
+    if len(result.contacts) != 1 or result.contacts[0].interval[0] >= nearest_arc:
+        return result
+    contact = result.contacts[0]
+    arcs = np.linspace(nearest_arc, length_cm, _NODES)
+    density = np.interp(arcs, result.arcs, result.density)
+    step = (length_cm - nearest_arc) / (_NODES - 1)
+    if density.sum() * step < _LEAST_MASS:
+        density = np.ones(_NODES)
+    density /= density.sum()
+    arc = float(density @ arcs)
+    low, high = _shortest(arcs, density)
+    # Few sensors see the difference, so what stays is the moment at the body's base.
+    force = contact.force * contact.arc / arc
+    status: Status = "localized" if high - low <= _WIDEST_CM else "ambiguous"
+    placed = replace(
+        contact, arc=arc, force=force, interval=(low, high), intervals=((low, high),), status=status
+    )
+    message = f"{result.message}; beyond {nearest_arc:.1f} cm, for sweeps felt nothing before"
+    return replace(result, status=status, contacts=(placed,), message=message)
+
+
+def _shortest(arcs: Floats, mass: Floats) -> tuple[float, float]:
+    """Hull of the highest-density set that holds 95 % of the mass; all of it where it is flat."""
+    falling = np.sort(mass)[::-1]
+    least = falling[min(int(np.searchsorted(np.cumsum(falling), _LEVEL)), len(mass) - 1)]
+    inside = arcs[mass >= least * (1 - 1e-9)]
+    return float(inside[0]), float(inside[-1])

@@ -1,0 +1,90 @@
+"""How hard to press for a measurement.
+
+The sweep that finds a contact goes to the muscle's highest pressure, and there the body may have
+folded at its base or slipped off the peg: its peak is where the thesis measured, and not where a
+contact is felt best. So a side on which the trigger fired is swept once more, to the pressure at
+which the contact's moment came near the fold, and measured at that sweep's peak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from thigmo.config import RobotConfig, Side
+from thigmo.mechanics.buckling import critical_moment
+from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
+from thigmo.robot.readings import Floats
+
+# Of the moment that folds the base: close to it for the signal, below it for the errors of both.
+_SHARE = 0.65
+_SMOOTH = 5  # frames, a quarter of a second
+_LOWEST_PSI = 4.0  # the muscle's live zero and dead band end well below
+
+
+def fold_moment(config: RobotConfig, zone: int) -> float:
+    """Contact moment over EI (1/cm) at which the base folds, at a zone's body pressure."""
+    body = config.body
+    return critical_moment(
+        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
+    )
+
+
+def opposed_sides(sweep: SweepResult) -> set[Side]:
+    """Sides on which the board's trigger fired for something that held the bend back.
+
+    A peg in the way of a bend can only hold it back. A base that bends further than the map says
+    is the map's error, or the sensor's.
+    """
+    fired = {trigger.side for trigger in sweep.triggers}
+    return {side for side in fired if _held_back(sweep.frames, side).max(initial=0.0) > 0}
+
+
+def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
+    """Free curvature (1/cm) at which a side's bend was first held back; None if it was not."""
+    mine = [frame for frame in frames if frame.side == side]
+    first = np.flatnonzero(_held_back(frames, side) > 0)
+    return mine[first[0]].free_curvature if first.size else None
+
+
+def _held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
+    """By how much each frame of a side passes the trigger's threshold in the bend's way, 1/cm."""
+    against = -1.0 if side == "left" else 1.0
+    return against * _smooth([f.excess for f in frames if f.side == side]) - TRIGGER_PER_CM
+
+
+def _smooth(values: Sequence[float]) -> Floats:
+    """Running median, which keeps edges and drops single frames."""
+    if not values:
+        return np.zeros(0)
+    padded = np.pad(np.asarray(values), _SMOOTH // 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, _SMOOTH)
+    median: Floats = np.median(windows, axis=1)
+    return median
+
+
+def measuring_pressure(
+    frames: Sequence[SweepFrame], side: Side, config: RobotConfig, zone: int
+) -> float:
+    """Pressure (psi) to which to sweep a side again for the measurement.
+
+    The lowest pressure on the way up at which the base's excess curvature reaches its share of the
+    fold's moment, or else the pressure of its largest excess; never more than the muscle holds.
+
+    Args:
+        frames: of the sweep that found the contact.
+        side: whose trigger fired.
+        config: robot.toml.
+        zone: index of the body-pressure zone.
+    """
+    highest = config.actuators.side(side).max_pressure_psi
+    mine = [frame for frame in frames if frame.side == side]
+    if len(mine) < _SMOOTH:
+        return highest
+    pressure = np.array([frame.pressure_psi for frame in mine])
+    rising = slice(0, int(pressure.argmax()) + 1)
+    smooth = np.abs(_smooth([frame.excess for frame in mine]))
+    reached = np.flatnonzero(smooth[rising] >= _SHARE * fold_moment(config, zone))
+    at = reached[0] if reached.size else int(smooth[rising].argmax())
+    return float(min(max(pressure[at], _LOWEST_PSI), highest))
