@@ -13,6 +13,7 @@ from thigmo.bench.study import Context, Outcome, Study
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures as conditions get harder",
+    "calibration": "coverage, false contacts, efficiency and separation",
     "scaling": "time over sensors, contacts and batch size",
     "camera": "errors of the overhead camera over painted rooms",
     "plant-models": "time against error of the plant's mechanics",

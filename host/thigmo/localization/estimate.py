@@ -186,7 +186,6 @@ def _best_model(
     called = look is not None and look.score > one.score + prior.HINT_OF_MORE
     ones = [one]
     if rich:
-        called = called or bool(one.flagged.any())
         called = called or one.misfit > prior.misfit_limit(len(readings.y))
         fold = _fold_setting(readings, one, options, called)
         ones += _tip_models(readings, one, options, called)
@@ -295,7 +294,8 @@ def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) 
     arc, force = float(fit.arcs[0]), float(fit.forces[0])
     limit = prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
     near = (abs(force) + 2.0 * fit.deviation) * arc > limit
-    if not near and not called:
+    odd = bool((fit.flagged & (readings.low < 2.0 * options.radius)).any())
+    if not (near or called or odd):
         return None
     column = fold_column(readings, options.radius)
     # A fold needs base sensors to show it, and others to be told from a contact.
@@ -328,7 +328,7 @@ def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Opti
 def _tip_models(readings: Readings, fit: Fit, options: Options, called: bool) -> list[Fit]:
     """Tip moment and oblique force at the tip, where the place or the misfit suggests them."""
     out: list[Fit] = []
-    near_tip = float(fit.intervals[0, 1]) > NEAR_TIP and _turning(fit, readings) > prior.BEND
+    near_tip = float(fit.intervals[0, 1]) > NEAR_TIP and _turning(fit, readings) > prior.CORNER_BEND
     if not called and not near_tip:
         return out
     settings = [(fit.setting, 0.0)]

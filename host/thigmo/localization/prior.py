@@ -47,9 +47,9 @@ def contact_threshold(readings: int, known: bool) -> float:
 
 
 # What a richer model must add in log evidence before it replaces the plain one: its prior odds.
-FOLD_PENALTY = 2.0
-CORNER_PENALTY = 1.5
-PULL_PENALTY = 3.0  # on top of it, if the force pulls the tip
+FOLD_PENALTY = 3.0
+CORNER_PENALTY = 2.5
+PULL_PENALTY = 2.0  # on top of it, if the force pulls the tip
 TIP_MOMENT_PENALTY = 4.0
 DISTRIBUTED_PENALTY = 3.0
 THIRD_PENALTY = 1.5
@@ -75,6 +75,8 @@ TUBE_RADIUS = 1.75 / 53.0
 CORNER_WIDTH = 0.01
 # Turning (rad) between base and contact from which levers are taken from the bent shape.
 BEND = 0.25
+# Turning from which the tangential force of a contact on the tip's corner shows.
+CORNER_BEND = 0.5
 
 # Log evidence that a second contact must add to call for any richer model at all.
 HINT_OF_MORE = 1.0
@@ -89,4 +91,4 @@ def misfit_limit(readings: int) -> float:
 
 def second_threshold(readings: int, known: bool) -> float:
     """Log evidence ratio that each further contact must add (<= 5 % false second contacts)."""
-    return 2.0 if known else 2.0 + 10.0 / readings
+    return 2.0 if known else 2.0 + 15.0 / readings
