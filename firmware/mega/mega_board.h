@@ -44,11 +44,11 @@ class MegaBoard {
     }
   }
 
-  // Sleep until a frame of readings is there, or a frame of the host.
+  // Sleep until a frame of readings or of the host is there, or the line wants more.
   static void idle() {
     for (;;) {
       cli();
-      if (wake::asked()) break;
+      if (wake::asked() || Serial0::nearly_empty()) break;
       sleep_enable();
       sei();
       sleep_cpu();  // the instruction after sei is executed before any interrupt

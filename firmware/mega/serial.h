@@ -52,7 +52,16 @@ class Serial0 {
     uint8_t in = tx_in_;
     while (count-- != 0) tx_[in++] = *bytes++;
     tx_in_ = in;
+    draining_ = true;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { UCSR0B |= _BV(UDRIE0); }
+  }
+
+  // Once after each write: what is left lasts 280 us at 250 kbaud, time to hand over the next
+  // frame.
+  static bool nearly_empty() {
+    if (!draining_ || pending() > kNearlyEmpty) return false;
+    draining_ = false;
+    return true;
   }
 
   // --- interrupt routines
@@ -83,15 +92,19 @@ class Serial0 {
   }
 
  private:
+  static constexpr uint8_t kNearlyEmpty = 7;
+
   static uint8_t rx_[kRxRing];
   static uint8_t tx_[kTxRing];
   static volatile uint8_t rx_in_, rx_out_, tx_in_, tx_out_;
+  static bool draining_;
   static uint16_t overruns_;
 };
 
 uint8_t Serial0::rx_[kRxRing];
 uint8_t Serial0::tx_[kTxRing];
 volatile uint8_t Serial0::rx_in_, Serial0::rx_out_, Serial0::tx_in_, Serial0::tx_out_;
+bool Serial0::draining_;
 uint16_t Serial0::overruns_;
 
 }  // namespace mega
