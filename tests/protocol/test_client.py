@@ -368,7 +368,20 @@ def test_an_announce_of_an_earlier_boot_is_no_reset(
     assert client.request(wire.SetParameter(SETTLE, 4)).value == 4
 
 
-# Events, telemetry, heart, clock.
+# Waiting, events, telemetry, heart, clock.
+
+
+def test_a_rest_of_a_wait_that_is_only_rounding_ends(device: ReferenceDevice) -> None:
+    class Coarse(LoopTransport):
+        """Takes a nanosecond for none, as a virtual clock with a tolerance does."""
+
+        def read(self, timeout_s: float) -> bytes:
+            return super().read(timeout_s - 1e-9)
+
+    client = Client(Coarse(device))
+    began = client.now()
+    assert not client.wait_for(lambda: False, 1e-10)
+    assert client.now() - began <= 0.002
 
 
 def test_events_are_taken_once_and_acknowledged(client: Client, device: ReferenceDevice) -> None:

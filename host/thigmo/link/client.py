@@ -40,6 +40,7 @@ _IN_PROGRESS_S = 0.1
 # A main thread that comes so late to its reading may have starved the thread that collects for it:
 # it gets as long again before silence counts.
 _LATE_S = 0.05
+_SHORTEST_S = 1e-6
 _NONCES = 32
 
 
@@ -336,7 +337,8 @@ class Client(Inbox):
         wake_s = until_s
         if self._outstanding is not None:
             wake_s = min(wake_s, self._outstanding.next_s, self._outstanding.deadline_s)
-        data = self.transport.read(max(wake_s - now, 0.0))
+        # What rounding leaves of a wait must not be too short for a virtual clock to step.
+        data = self.transport.read(max(wake_s - now, _SHORTEST_S) if wake_s > now else 0.0)
         if not data and now > wake_s + _LATE_S:
             data = self.transport.read(_LATE_S)
         self._note_beats()
