@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_sums
+from thigmo.localization.exact.response import plain
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -191,7 +192,7 @@ def absolute_fit(
         if row < 0:
             proven = True
             break
-        count = 0
+        count = plain(0)
         for j in range(n):
             push = direction * side[j] * tableau[row, j]
             if push > 1e-13:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.absolute_fit import absolute_fit
-from thigmo.localization.exact.response import find_edges, first_influence
+from thigmo.localization.exact.response import find_edges, first_influence, plain
 from thigmo.localization.exact.square_fit import square_fit, triangle
 
 Floats = NDArray[np.float64]
@@ -69,8 +69,11 @@ def heap_pop(heap: Floats, size: int) -> tuple[float, int]:
 @compiled_sums
 def grown(array: Floats) -> Floats:
     """A copy with twice the rows."""
-    out = np.empty((2 * array.shape[0], array.shape[1]))
-    out[: array.shape[0]] = array
+    rows, columns = array.shape
+    out = np.empty((2 * rows, columns))
+    for r in range(rows):
+        for k in range(columns):
+            out[r, k] = array[r, k]
     return out
 
 
@@ -144,7 +147,7 @@ def line_table(
                 for k in range(i, j):
                     g[1, k - i] = low[k] + 0.5 * span[k] - low[i]
                 value, proven = absolute_fit(
-                    g, y[i:], w[i:], 2, j - i, 0, kind, beta, tableau, work, items
+                    g, y[i:], w[i:], plain(2), j - i, plain(0), kind, beta, tableau, work, items
                 )
                 table[i, j] = max(value if proven else 0.0, table[i, j - 1])
         return table
@@ -227,7 +230,7 @@ def combine_cells(
     c = contacts
     nodes = np.empty((1024, 4 * c))
     heap = np.empty((1024, 2))
-    size = 0
+    size = plain(0)
     cell = np.zeros(3, np.int64)
     # From the tip inwards, so that what is lost beyond the last contact cuts first. Loops of
     # contacts that are not there run once.
@@ -528,7 +531,7 @@ def fit_several(
         for j in range(1, c):
             furthest = max(furthest, node[c + j])
         constant = 0.0
-        count = 0
+        count = plain(0)
         for i in range(n):
             if low[i] < furthest:
                 active[count] = i
@@ -543,7 +546,7 @@ def fit_several(
         # First the relaxed fit over the hulls, a lower bound; then the best forces at the arcs
         # that it stands for, an upper bound; if those pass the limit, the best within it.
         for stage in range(3):
-            extra = 0
+            extra = plain(0)
             if stage == 0:
                 for j in range(c):
                     if node[2 * c + j] != 0.0:
@@ -576,7 +579,7 @@ def fit_several(
                 extra,
                 limit,
                 group,
-                c if stage != 1 else 0,
+                c if stage != 1 else plain(0),
                 norm,
                 kind,
                 beta,

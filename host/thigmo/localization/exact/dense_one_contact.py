@@ -21,6 +21,7 @@ from thigmo.localization.exact.response import (
     find_edges,
     first_influence,
     objective_l1,
+    plain,
 )
 
 Floats = NDArray[np.float64]
@@ -56,7 +57,7 @@ def dense_profile(
         amount: (N,) work.
         order: (N,) work.
     """
-    count = 0
+    count = plain(0)
     half = 0.0
     for j in range(y.shape[0]):
         inside = min(max(arc - low[j], 0.0), span[j])
@@ -180,7 +181,7 @@ def fit_dense_l1(
     last = np.empty(capacity, np.int64)
     first[0] = start
     last[0] = cells
-    size = heap_push(heap, 0, 0.0, 0)
+    size = heap_push(heap, plain(0), 0.0, plain(0))
     used = 1
     fits = 0
     boxes = np.empty((128, 2))
@@ -207,7 +208,9 @@ def fit_dense_l1(
                         g[1, k] = low[k] + 0.5 * span[k] - low[0]
                     kind[0] = 0
                     kind[1] = 0
-                    value, proven = absolute_fit(g, y, w, 2, m, 0, kind, beta, tableau, work, items)
+                    value, proven = absolute_fit(
+                        g, y, w, plain(2), m, plain(0), kind, beta, tableau, work, items
+                    )
                     fits += 1
                     line[m] = value * (1.0 - 1e-13) if proven else 0.0
                 child = rest + (line[m] if m >= 3 else 0.0)
@@ -233,7 +236,7 @@ def fit_dense_l1(
             left = boxes[waiting, 0]
             right = boxes[waiting, 1]
             sign = signs[waiting]
-            m = 3 if curved else 2
+            m = plain(3) if curved else plain(2)
             for j in range(count):
                 t0 = left - low[j]
                 t1 = right - low[j]
@@ -252,7 +255,9 @@ def fit_dense_l1(
                     g[2, j] = t0 * t1 * inverse[j]
             for r in range(m):
                 kind[r] = sign
-            value, proven = absolute_fit(g, y, w, m, count, 0, kind, beta, tableau, work, items)
+            value, proven = absolute_fit(
+                g, y, w, m, count, plain(0), kind, beta, tableau, work, items
+            )
             fits += 1
             value += tail[count]
             if proven and value > best - slack:

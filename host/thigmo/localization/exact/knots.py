@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.absolute_fit import absolute_fit
+from thigmo.localization.exact.response import plain
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -225,7 +226,7 @@ def free_fit(
     """Least objective over free coefficients of the first m rows of g; `beta` (m,) written."""
     n = y.shape[0]
     if norm == 1:
-        value, proven = absolute_fit(g, y, w, m, n, 0, kind, beta, tableau, work, items)
+        value, proven = absolute_fit(g, y, w, m, n, plain(0), kind, beta, tableau, work, items)
         return value if proven else np.inf
     # Orthogonal columns one after another; what is left of y is the residual.
     total = 0.0
