@@ -354,7 +354,7 @@ inline uint16_t Controller::causes() const {
   for (uint8_t side = 0; side < kSides; ++side) {
     over = over || over_steps_[side] >= kOverPressureSteps;
     wire = wire || pressure_[side].wire_broken();
-    stuck = stuck || loop_[side].stuck();
+    stuck = stuck || loop_[side].astray();
   }
   bool open = false;
   bool shorted = false;

@@ -71,6 +71,7 @@ NB_MODULE(_board, m) {
           },
           nb::arg("cause"))
       .def("hang", &VirtualBoard::hang)
+      .def("stall", &VirtualBoard::stall, nb::arg("ticks"))
       .def("cut_power_after", &VirtualBoard::cut_power_after, nb::arg("bytes_written"))
       .def(
           "feed_trace",

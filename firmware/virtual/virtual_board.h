@@ -98,6 +98,7 @@ class VirtualBoard {
     running_ = false;
     powered_ = true;
     hung_ = false;
+    stalled_until_us_ = now_us_;
     start_us_ = now_us_ + kBootLoaderUs;
     kicked_us_ = now_us_;
     rx_.clear();
@@ -110,6 +111,9 @@ class VirtualBoard {
 
   // The main loop stops: nothing runs until the watchdog has its say.
   void hang() { hung_ = true; }
+
+  // The main loop stands still for a time and then goes on, as under a storm of interrupts.
+  void stall(uint32_t ticks) { stalled_until_us_ = now_us_ + ticks * 1000ull; }
 
   // Power fails in the middle of the EEPROM byte after the next `bytes` ones; reset() restores it.
   void cut_power_after(uint32_t bytes) {
@@ -250,7 +254,7 @@ class VirtualBoard {
       robot_ = std::make_unique<Robot<VirtualBoard>>(*this);
       robot_->begin();
     }
-    if (!hung_) robot_->loop();
+    if (!hung_ && now_us_ >= stalled_until_us_) robot_->loop();
   }
 
   // Bytes that have arrived or left by now.
@@ -289,6 +293,7 @@ class VirtualBoard {
   uint64_t now_us_ = 0;
   uint64_t start_us_ = 0;  // when the firmware began: its tick 0
   uint64_t kicked_us_ = 0;
+  uint64_t stalled_until_us_ = 0;
   uint64_t eeprom_ready_us_ = 0;
   uint64_t arrival_us_ = 0;    // when the first byte on the way to the board is whole
   uint64_t departure_us_ = 0;  // when the first byte on the way to the host is whole

@@ -121,7 +121,7 @@ class PressureLoop {
   int16_t target_cpsi() const { return target_; }
   int16_t output() const { return output_; }
   bool stuck() const { return stuck_; }
-  void forgive() { stuck_steps_ = 0; }
+  bool astray() const { return stuck_steps_ > 0; }  // off its follower, for however short a time
 
  private:
   void watch_following(int16_t due, int16_t measured, int32_t most, uint16_t steps) {

@@ -115,6 +115,8 @@ struct Interlock {
 
 constexpr uint16_t kWholeBody = static_cast<uint16_t>(
     mask(Condition::kLengthKnown) | mask(Condition::kZoneKnown) | mask(Condition::kZeroed));
+// While something moves, the activity is what stands in the way: busy.
+constexpr uint8_t kArmed = static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving));
 constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBoot));
 
 // In the order of Permit.
@@ -122,19 +124,18 @@ constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
     {static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
      static_cast<uint16_t>(mask(Condition::kConfigValid) | mask(Condition::kSupplyGood)),
      mask(Condition::kEstop)},
-    {bit(State::kReady), bit(Activity::kIdle),
-     static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)), mask(Condition::kHalfEverted)},
-    {static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving)),
-     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)), kWholeBody,
+    {kArmed, bit(Activity::kIdle), static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)),
      mask(Condition::kHalfEverted)},
-    {bit(State::kReady), bit(Activity::kIdle),
+    {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)), kWholeBody,
+     mask(Condition::kHalfEverted)},
+    {kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {bit(State::kReady), bit(Activity::kIdle),
+    {kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {bit(State::kReady), bit(Activity::kIdle), mask(Condition::kVented), 0},
+    {kArmed, bit(Activity::kIdle), mask(Condition::kVented), 0},
     {kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0},
     {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {bit(State::kReady), bit(Activity::kIdle),
+    {kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
     {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
     {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},

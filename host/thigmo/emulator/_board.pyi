@@ -65,6 +65,9 @@ class VirtualBoard:
     def hang(self) -> None:
         """Stop the main loop, until the watchdog resets the board after 0.25 s."""
 
+    def stall(self, ticks: int) -> None:
+        """Let the main loop stand still for so many ms, and then go on."""
+
     def cut_power_after(self, bytes_written: int) -> None:
         """Cut the power in the middle of the EEPROM write after the next `bytes_written` ones."""
 

@@ -75,9 +75,8 @@ TEST(every_refusal_has_its_reason) {
           const bool confirm = permit == Permit::kConfirm;
           const bool setup =
               permit == Permit::kZone || permit == Permit::kConfigure || permit == Permit::kSave;
-          bool state_good = state == State::kReady;
-          if (arm) state_good = state_good || state == State::kSafe || state == State::kMoving;
-          if (permit == Permit::kPress) state_good = state_good || state == State::kMoving;
+          bool state_good = state == State::kReady || state == State::kMoving;
+          if (arm) state_good = state_good || state == State::kSafe;
           if (confirm || setup) state_good = state != State::kBoot;
           Reason want = Reason::kNone;
           if (!state_good) {

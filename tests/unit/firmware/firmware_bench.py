@@ -1,8 +1,9 @@
 """A virtual board on the bench: hand-made analog inputs, and the protocol spoken by hand.
 
-`Bench` is what the firmware's tests drive. It wires a `VirtualBoard` to inputs that a test sets, steps
-both in 5 ms, beats the heart unless told not to, and sends one command at a time. `FlowingAir` and
-`TurningSpool` close the two loops that the firmware expects closed, as simply as they can be.
+`Bench` is what the firmware's tests drive. It wires a `VirtualBoard` to inputs that a test sets,
+steps both in 5 ms, beats the heart unless told not to, and sends one command at a time.
+`FlowingAir` and `TurningSpool` close the two loops that the firmware expects closed, as simply as
+they can be.
 """
 
 from __future__ import annotations

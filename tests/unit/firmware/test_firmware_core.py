@@ -1,5 +1,5 @@
-"""The firmware core's C++ tests, built with the address and undefined-behaviour sanitizers: one case
-a test. The golden vectors of the protocol are handed to them as a generated header."""
+"""The firmware core's C++ tests, built with address and undefined-behaviour sanitizers: one case a
+test. The golden vectors of the protocol are handed to them as a generated header."""
 
 from __future__ import annotations
 

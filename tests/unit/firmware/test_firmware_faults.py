@@ -1,0 +1,564 @@
+"""Every fault and every interlock, provoked through hand-made inputs: named, safe at once, latched,
+and cleared only when its cause is gone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from bench import Bench, pressure_count
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.link import protocol as wire
+from thigmo.link.framing import encode
+
+F = wire.Fault
+R = wire.Reason
+
+
+def bending() -> Bench:
+    """A robot in the middle of a sweep, 10 psi in the left muscle."""
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000)
+    bench.do(wire.Sweep(1500, 1500, 20_000, 1, 0))
+    bench.until(lambda: bench.air.psi[0] > 10)
+    assert bench.board.drive_enabled == (True, False)
+    return bench
+
+
+def growing() -> Bench:
+    """A robot in the middle of growth."""
+    bench = Bench()
+    bench.zeroed()
+    bench.do(wire.GrowTo(200_000, 0))
+    bench.until(lambda: bench.board.motor > 200)
+    return bench
+
+
+def expect(bench: Bench, fault: wire.Fault, ms: int, value: int | None = None) -> None:
+    """The fault latches within a time, everything is safe, its event says so, and it stays."""
+    bench.until(lambda: bool(bench.event(wire.EventCode.FAULT, fault)), ms)
+    assert bench.safe()
+    if value is not None:
+        assert bench.event(wire.EventCode.FAULT, fault)[0].value == value
+    length = bench.spool.counts
+    bench.step(500)
+    assert bench.safe()
+    assert bench.spool.counts >= length - 1  # never a retraction
+    status = bench.status()
+    assert status.state == wire.State.FAULT
+    assert status.faults & fault.mask
+    assert status.activity == wire.Activity.IDLE
+    assert len(bench.event(wire.EventCode.FAULT, fault)) == 1
+    if not bench.board.boots > 1:
+        aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)
+        assert [e.value for e in aborted] == [R.FAULT_LATCHED]
+    for command in (
+        wire.Arm(),
+        wire.Home(),
+        wire.GrowTo(200_000, 0),
+        wire.Sweep(500, 0, 9000, 1, 0),
+    ):
+        assert bench.refused(command) == R.FAULT_LATCHED
+    assert bench.safe()
+
+
+def recover(bench: Bench, fault: wire.Fault) -> None:
+    """Cleared, the robot is safe; armed, ready."""
+    assert bench.do(wire.ClearFaults(fault.mask)) == 0
+    assert bench.status().state == wire.State.SAFE
+    assert bench.safe()
+    bench.do(wire.Arm())
+    assert bench.status().state == wire.State.READY
+
+
+def persists(bench: Bench, fault: wire.Fault) -> None:
+    """Clearing is in vain while the cause lasts."""
+    assert bench.do(wire.ClearFaults(0xFFFF)) & fault.mask
+    assert bench.status().state == wire.State.FAULT
+
+
+# --- faults --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("busy", [bending, growing])
+def test_host_silent(busy: Callable[[], Bench]) -> None:
+    bench = busy()
+    bench.beating = False
+    start = bench.board.now_us
+    bench.until(bench.safe, 1000)
+    assert 380_000 < bench.board.now_us - start < 520_000  # 0.5 s after the last heartbeat
+    expect(bench, F.HOST_SILENT, 100)
+    persists(bench, F.HOST_SILENT)
+    bench.beating = True
+    bench.step(200)
+    recover(bench, F.HOST_SILENT)
+
+
+def test_a_silent_host_is_no_fault_while_nothing_is_energised() -> None:
+    bench = Bench()
+    bench.zeroed()
+    bench.beating = False
+    bench.step(5000)
+    assert bench.faults() == ()
+    assert bench.status().state == wire.State.READY
+
+
+def test_a_replayed_heartbeat_keeps_nobody_alive() -> None:
+    bench = bending()
+    bench.beating = False
+    old = encode(wire.Heartbeat(bench.beats), 0, bench.session)
+    for _ in range(20):
+        bench.board.write(old)
+        bench.step(50)
+    assert F.HOST_SILENT in bench.faults()
+    assert bench.safe()
+
+
+def test_over_pressure() -> None:
+    bench = bending()
+    bench.override[10] = pressure_count(25.0)
+    expect(bench, F.OVER_PRESSURE, 60, value=0)
+    persists(bench, F.OVER_PRESSURE)
+    del bench.override[10]
+    bench.step(1500)
+    recover(bench, F.OVER_PRESSURE)
+
+
+@pytest.mark.parametrize(("channel", "count"), [(10, 0.0), (11, 0.0), (10, 1023.0)])
+def test_pressure_wire(channel: int, count: float) -> None:
+    bench = bending()
+    bench.override[channel] = count
+    start = bench.board.now_us
+    bench.until(bench.safe, 100)
+    assert bench.board.now_us - start <= 25_000
+    expect(bench, F.PRESSURE_WIRE, 100, value=channel - 10)
+    assert F.OVER_PRESSURE not in bench.faults()
+    persists(bench, F.PRESSURE_WIRE)
+    del bench.override[channel]
+    bench.step(2000)
+    recover(bench, F.PRESSURE_WIRE)
+
+
+def test_pressure_stuck() -> None:
+    bench = bending()
+    bench.air.stuck[0] = True
+    expect(bench, F.PRESSURE_STUCK, 6000, value=0)
+    persists(bench, F.PRESSURE_STUCK)
+    bench.air.stuck[0] = False
+    bench.step(3000)
+    recover(bench, F.PRESSURE_STUCK)
+
+
+@pytest.mark.parametrize("sensor", [0, 3, 5, 9])
+@pytest.mark.parametrize(("fault", "count"), [(F.FLEX_OPEN, 0.0), (F.FLEX_SHORT, 1023.0)])
+def test_flex_wire(sensor: int, fault: wire.Fault, count: float) -> None:
+    bench = bending()
+    bench.override[sensor] = count
+    expect(bench, fault, 100, value=sensor)
+    flags = bench.get(wire.GetSensor(sensor), wire.SensorReport).flags
+    assert flags & 0b11000 == (8 if fault == F.FLEX_OPEN else 16)
+    persists(bench, fault)
+    del bench.override[sensor]
+    bench.step(2000)
+    recover(bench, fault)
+
+
+def test_a_dead_sensor_is_ignored() -> None:
+    bench = Bench()
+    bench.override[3] = 0.0
+    bench.hello()
+    bench.do(wire.LoadDefaults())
+    assert F.FLEX_OPEN in bench.faults()
+    assert bench.do(wire.ClearFaults(0xFFFF)) == F.FLEX_OPEN.mask
+    bench.set("flex_enabled", 0, element=3)
+    assert bench.do(wire.ClearFaults(0xFFFF)) == 0
+
+
+def test_spool_stall() -> None:
+    bench = growing()
+    bench.spool.jammed = True
+    start = bench.board.now_us
+    bench.until(bench.safe, 2000)
+    assert 350_000 < bench.board.now_us - start < 700_000
+    expect(bench, F.SPOOL_STALL, 100)
+    assert not bench.status().conditions & wire.Condition.LENGTH_KNOWN.mask
+    bench.spool.jammed = False
+    recover(bench, F.SPOOL_STALL)
+    assert bench.refused(wire.GrowTo(200_000, 0)) == R.LENGTH_UNKNOWN
+    bench.do(wire.ConfirmLength(110_000, 1))
+    bench.do(wire.GrowTo(200_000, 0))
+
+
+def test_spool_slip_ends_the_bend() -> None:
+    bench = bending()
+    bench.spool.pull = 400.0
+    expect(bench, F.SPOOL_SLIP, 1500)
+    assert F.INTERLOCK in bench.faults()  # the length became unknown during a bend
+    assert not bench.status().conditions & wire.Condition.LENGTH_KNOWN.mask
+    bench.spool.pull = 0.0
+    bench.step(2000)
+    assert bench.do(wire.ClearFaults(0xFFFF)) == 0
+    assert bench.status().state == wire.State.SAFE
+
+
+def test_brown_out() -> None:
+    bench = bending()
+    bench.board.set_supply_mv(4400)
+    expect(bench, F.BROWN_OUT, 50, value=4400)
+    persists(bench, F.BROWN_OUT)
+    bench.board.set_supply_mv(5000)
+    bench.step(50)
+    recover(bench, F.BROWN_OUT)
+
+
+def test_watchdog() -> None:
+    bench = bending()
+    bench.board.hang()
+    start = bench.board.now_us
+    bench.until(bench.safe, 1000)
+    assert bench.board.now_us - start < 300_000
+    bench.until(lambda: bench.board.boots == 2, 2000)
+    bench.heard.clear()
+    bench.events.clear()
+    reply = bench.hello()
+    assert reply.reset_cause == wire.ResetCause.WATCHDOG
+    expect(bench, F.WATCHDOG, 1000)
+    assert not bench.status().conditions & wire.Condition.LENGTH_KNOWN.mask
+
+
+@pytest.mark.parametrize("cause", [wire.ResetCause.BROWN_OUT, wire.ResetCause.EXTERNAL])
+def test_reset_in_a_sweep(cause: wire.ResetCause) -> None:
+    bench = bending()
+    bench.board.reset(cause)
+    assert bench.safe()
+    bench.heard.clear()
+    bench.events.clear()
+    assert bench.hello().reset_cause == cause
+    assert bench.safe()
+    assert (F.BROWN_OUT in bench.faults()) == (cause == wire.ResetCause.BROWN_OUT)
+
+
+@pytest.mark.parametrize("busy", [bending, growing])
+def test_emergency_stop(busy: Callable[[], Bench]) -> None:
+    bench = busy()
+    bench.board.set_estop(True)
+    start = bench.board.now_us
+    bench.until(bench.safe, 50)
+    assert bench.board.now_us - start <= 5000
+    expect(bench, F.ESTOP, 100)
+    persists(bench, F.ESTOP)
+    bench.board.set_estop(False)
+    bench.step(2000)
+    recover(bench, F.ESTOP)
+
+
+def test_half_everted_in_a_bend() -> None:
+    bench = Bench()
+    # 1.2 cm short of the next sensor's keep-out; slip counts as such only beyond 3 cm.
+    bench.zeroed(108_000, slip_um=30_000, trigger_e5=10_000)
+    bench.do(wire.Sweep(1500, 0, 20_000, 1, 0))
+    bench.until(lambda: bench.air.psi[0] > 10)
+    bench.spool.pull = 200.0
+    expect(bench, F.INTERLOCK, 3000, value=0b0001000010)
+    bench.spool.pull = 0.0
+    bench.step(2000)
+    recover(bench, F.INTERLOCK)
+    assert bench.refused(wire.Sweep(1500, 0, 20_000, 1, 0)) == R.HALF_EVERTED
+
+
+def test_link_overrun() -> None:
+    bench = bending()
+    bench.board.stall(30)  # while 400 bytes come
+    bench.board.write(bytes(400))
+    bench.step(40)
+    expect(bench, F.LINK_OVERRUN, 100)
+    lost = bench.get(wire.GetLinkStats(), wire.LinkStats).rx_overruns
+    assert 100 < lost < 500
+    bench.step(2000)
+    recover(bench, F.LINK_OVERRUN)
+
+
+def test_a_short_stall_costs_no_control_step_and_a_longer_one_is_noted() -> None:
+    bench = bending()
+    bench.get(wire.GetLinkStats(), wire.LinkStats)
+    frames = len([h for h in bench.heard if isinstance(h.message, wire.Telemetry)])
+    bench.board.stall(3)
+    bench.step(1000)
+    after = len([h for h in bench.heard if isinstance(h.message, wire.Telemetry)])
+    assert after - frames >= 195
+    assert bench.status().state == wire.State.MOVING
+
+
+def test_bad_configuration_after_a_cut_save() -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.board.cut_power_after(200)
+    bench.seq += 1
+    bench.send(wire.SaveConfig(), bench.seq, bench.session)
+    bench.until(lambda: not bench.board.powered, 3000)
+    assert bench.safe()
+    bench.board.reset(wire.ResetCause.POWER_ON)
+    bench.heard.clear()
+    bench.events.clear()
+    bench.hello()
+    assert bench.faults() == (F.BAD_CONFIG,)
+    assert bench.event(wire.EventCode.FAULT, F.BAD_CONFIG)[0].value == 2  # damaged
+    assert bench.refused(wire.Arm()) == R.FAULT_LATCHED
+    bench.do(wire.SaveConfig(), 10_000)
+    assert bench.do(wire.ClearFaults(0xFFFF)) == 0
+
+
+def _saved(eeprom: bytes, scale: int, cut: int | None) -> tuple[bytes, bool]:
+    """Save a configuration with one flex scale; returns the EEPROM and whether power failed."""
+    bench = Bench(eeprom=eeprom)
+    bench.hello()
+    bench.do(wire.LoadDefaults())
+    for sensor in range(10):
+        bench.set("flex_scale", scale + 257 * sensor, element=sensor)
+    if cut is not None:
+        bench.board.cut_power_after(cut)
+    bench.seq += 1
+    bench.send(wire.SaveConfig(), bench.seq, bench.session)
+    bench.until(lambda: not bench.board.powered or bool(bench.event(wire.EventCode.SAVED)), 10_000)
+    return bench.board.eeprom, not bench.board.powered
+
+
+def test_power_cut_at_every_byte_of_a_save_keeps_a_whole_configuration() -> None:
+    """Third save, over an older slot: only the bytes that differ are written."""
+    first, _ = _saved(b"", 11_111, None)
+    second, _ = _saved(first, 22_222, None)
+    scale = wire.PARAMETERS["flex_scale"].index
+    for cut in range(200):
+        image, failed = _saved(second, 33_333, cut)
+        board = Bench(eeprom=image)
+        board.hello()
+        assert board.faults() == ()
+        values = [
+            board.get(wire.GetParameter(scale + sensor), wire.ParameterValue).value
+            for sensor in range(10)
+        ]
+        generation = board.status().config_generation
+        old = [22_222 + 257 * sensor for sensor in range(10)]
+        new = [33_333 + 257 * sensor for sensor in range(10)]
+        assert (values, generation) in [(old, 2), (new, 3)]
+        assert failed or values == new
+        if not failed:
+            assert cut > 20
+            return
+    raise AssertionError("the save never ended")
+
+
+# --- interlocks ----------------------------------------------------------------------------------
+
+SWEEP = wire.Sweep(1000, 1000, 10_000, 1, 0)
+PRESS = wire.SetPressure(500, 0, 0)
+
+
+def test_nothing_is_accepted_before_arming() -> None:
+    bench = Bench()
+    bench.hello()
+    bench.do(wire.LoadDefaults())
+    bench.do(wire.ClearFaults(0xFFFF))
+    for command in (SWEEP, PRESS, wire.GrowTo(1000, 0), wire.RetractTo(0, 0), wire.Home()):
+        assert bench.refused(command) == R.WRONG_STATE
+    assert bench.safe()
+
+
+def test_length_unknown() -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.do(wire.SelectZone(0))
+    for command in (SWEEP, PRESS, wire.GrowTo(1000, 0), wire.RetractTo(0, 0), wire.ZeroSensors(1)):
+        assert bench.refused(command) == R.LENGTH_UNKNOWN
+
+
+def test_zone_unknown() -> None:
+    bench = Bench()
+    bench.zeroed()
+    bench.do(wire.SelectZone(255))
+    assert bench.refused(SWEEP) == R.ZONE_UNKNOWN
+    assert bench.refused(PRESS) == R.ZONE_UNKNOWN
+    assert bench.refused(wire.SelectZone(3)) == R.BAD_VALUE
+
+
+@pytest.mark.parametrize(
+    ("length_um", "half"),
+    [(17_500, False), (18_000, True), (50_000, True), (82_000, True), (82_800, False)],
+)
+def test_half_everted(length_um: int, half: bool) -> None:
+    """Centre 5 cm, span 5.5 cm, margin 0.5 cm: from 1.75 to 8.25 cm the fold lies in the sensor."""
+    bench = Bench()
+    bench.grown(length_um)
+    if half:
+        assert bench.refused(SWEEP) == R.HALF_EVERTED
+        assert bench.refused(PRESS) == R.HALF_EVERTED
+    else:
+        assert bench.status().conditions & wire.Condition.HALF_EVERTED.mask == 0
+
+
+def test_not_zeroed() -> None:
+    bench = Bench()
+    bench.grown()
+    assert bench.refused(SWEEP) == R.NOT_ZEROED
+    bench.do(wire.ZeroSensors(0b1))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
+    assert bench.refused(SWEEP) == R.NOT_ZEROED  # the right base sensor is still without
+    bench.set("flex_enabled", 0, element=5)
+    bench.do(SWEEP)
+
+
+def test_not_vented() -> None:
+    bench = Bench()
+    bench.zeroed()
+    bench.do(wire.SetPressure(800, 0, 0))
+    bench.step(2000)
+    assert bench.refused(SWEEP) == R.BUSY
+    bench.do(wire.Vent())
+    for command in (SWEEP, wire.GrowTo(200_000, 0), wire.RetractTo(0, 0), wire.Home()):
+        assert bench.refused(command) == R.NOT_VENTED
+    assert bench.refused(wire.ZeroSensors(1)) == R.NOT_VENTED
+    assert bench.refused(wire.ConfirmLength(0, 1)) == R.NOT_VENTED
+    bench.step(3000)
+    bench.do(SWEEP)
+
+
+def test_not_settled_after_growth() -> None:
+    bench = Bench()
+    bench.zeroed(settle_ms=5000)
+    bench.do(wire.GrowTo(200_000, 50_000))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.GROWING)))
+    assert bench.refused(wire.ZeroSensors(0b0001000010)) == R.NOT_SETTLED
+    assert bench.refused(SWEEP) == R.NOT_ZEROED
+    left = bench.get(wire.GetSensor(1), wire.SensorReport).settle_left_ms
+    assert 3000 < left < 5000
+    bench.step(5000)
+    bench.do(wire.ZeroSensors(0b0001100011))
+    bench.until(lambda: len(bench.event(wire.EventCode.ZEROED)) == 2)
+    bench.do(SWEEP)
+
+
+def test_limits_of_values() -> None:
+    bench = Bench()
+    bench.zeroed()
+    for command, reason in (
+        (wire.Sweep(1900, 0, 10_000, 1, 0), R.OVER_LIMIT),
+        (wire.Sweep(-1, 0, 10_000, 1, 0), R.BAD_VALUE),
+        (wire.Sweep(0, 0, 10_000, 1, 0), R.BAD_VALUE),
+        (wire.Sweep(1000, 0, 10_000, 0, 0), R.BAD_VALUE),
+        (wire.Sweep(1000, 0, 500, 1, 0), R.BAD_VALUE),
+        (wire.SetPressure(500, 500, 0), R.BAD_VALUE),
+        (wire.SetPressure(-1, 0, 0), R.BAD_VALUE),
+        (wire.SetPressure(0, 1900, 0), R.OVER_LIMIT),
+        (wire.GrowTo(540_000, 0), R.OVER_LIMIT),
+        (wire.GrowTo(50_000, 0), R.BAD_VALUE),
+        (wire.RetractTo(150_000, 0), R.BAD_VALUE),
+        (wire.RetractTo(-1, 0), R.BAD_VALUE),
+        (wire.ConfirmLength(-1, 0), R.BAD_VALUE),
+        (wire.ConfirmLength(540_000, 0), R.OVER_LIMIT),
+        (wire.ZeroSensors(0), R.BAD_VALUE),
+        (wire.ZeroSensors(0x400), R.BAD_VALUE),
+        (wire.GetSensor(10), R.BAD_VALUE),
+        (wire.GetSnapshot(10), R.NO_SNAPSHOT),
+    ):
+        assert bench.refused(command) == reason, command
+    assert bench.safe()
+    assert bench.status().state == wire.State.READY
+
+
+def test_configuration_is_closed_while_something_runs() -> None:
+    bench = bending()
+    index = wire.PARAMETERS["trigger_e5"].index
+    curve = (0,) * 11
+    for command in (
+        wire.SetParameter(index, 600),
+        wire.SetMap(0, wire.Side.LEFT, wire.Branch.INFLATE, curve),
+        wire.LoadDefaults(),
+        wire.SaveConfig(),
+        wire.SelectZone(1),
+        wire.GrowTo(200_000, 0),
+        wire.ZeroSensors(1),
+    ):
+        assert bench.refused(command) == R.BUSY, command
+
+
+def test_a_configuration_that_contradicts_itself_is_not_armed() -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.do(wire.Stop())
+    bench.set("over_pressure_cpsi", 1800)
+    reply = bench.ask(wire.Arm())
+    assert isinstance(reply, wire.Ack)
+    assert (reply.reason, reply.detail) == (
+        R.BAD_CONFIG,
+        wire.PARAMETERS["over_pressure_cpsi"].index,
+    )
+    assert bench.refused(wire.SaveConfig()) == R.BAD_CONFIG
+
+
+# --- stop and vent -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("busy", [bending, growing])
+def test_stop_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Bench]) -> None:
+    bench = busy()
+    bench.seq += 1
+    data = encode(wire.Stop(), bench.seq, bench.session)
+    bench.board.write(data)
+    bench.board.step(len(data) * 40 // 1000 + 2)
+    assert bench.safe()
+    bench.step(20)
+    assert bench.status().state == wire.State.SAFE
+    assert [e.value for e in bench.event(wire.EventCode.ACTIVITY_ABORTED)] == [R.NONE]
+
+
+def test_stop_is_accepted_in_every_state() -> None:
+    bench = Bench()
+    bench.hello()
+    bench.do(wire.Stop())
+    assert bench.status().state == wire.State.FAULT  # bad configuration stays latched
+    bench.do(wire.LoadDefaults())
+    bench.do(wire.ClearFaults(0xFFFF))
+    bench.do(wire.Stop())
+    assert bench.status().state == wire.State.SAFE
+    bench.do(wire.Arm())
+    bench.do(wire.Stop())
+    assert bench.status().state == wire.State.SAFE
+
+
+def test_vent_ends_a_sweep_and_stays_ready() -> None:
+    bench = bending()
+    bench.do(wire.Vent())
+    assert bench.safe()
+    bench.step(3000)
+    status = bench.status()
+    assert (status.state, status.activity) == (wire.State.READY, wire.Activity.IDLE)
+    assert max(bench.air.psi) < 0.1
+    aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)
+    assert [(e.arg, e.value) for e in aborted] == [(wire.Activity.SWEEPING, R.NONE)]
+
+
+def test_a_released_press_ramps_down_and_ends() -> None:
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000)
+    bench.do(wire.SetPressure(0, 1000, 500))
+    bench.step(4000)
+    assert bench.air.psi[1] == pytest.approx(10, abs=0.15)
+    bench.do(wire.SetPressure(0, 600, 0))
+    bench.step(3000)
+    assert bench.air.psi[1] == pytest.approx(6, abs=0.15)
+    bench.do(wire.SetPressure(0, 0, 500))
+    bench.step(500)
+    assert bench.air.psi[1] > 2
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.PRESSING)))
+    assert bench.safe()
+
+
+def test_outputs_are_off_from_power_on_until_armed() -> None:
+    board = VirtualBoard(1)
+    for _ in range(200):
+        board.step(10)
+        assert board.drive_enabled == (False, False)
+        assert board.drive == (0, 0)
+        assert board.braked
+    assert board.running
