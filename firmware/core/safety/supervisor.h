@@ -164,9 +164,7 @@ constexpr uint8_t kComplaintCount = sizeof(kComplaints) / sizeof(kComplaints[0])
 inline Reason refusal(Permit permit, State state, Activity activity, uint16_t conditions) {
   const Interlock* row = kInterlocks + static_cast<uint8_t>(permit);
   if ((THIGMO_FLASH_U8(&row->states) & bit(state)) == 0) {
-    if (state == State::kFault) return Reason::kFaultLatched;
-    // An armed robot that moves needs no arming, but the end of what it does.
-    return state == State::kMoving ? Reason::kBusy : Reason::kWrongState;
+    return state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
   }
   if ((THIGMO_FLASH_U16(&row->activities) & bit(activity)) == 0) return Reason::kBusy;
   const uint16_t wrong = static_cast<uint16_t>((THIGMO_FLASH_U16(&row->required) & ~conditions) |

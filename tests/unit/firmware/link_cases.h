@@ -1,7 +1,7 @@
 // Link: golden vectors, stuffing, the decoder among garbage, sessions on a bad line, events.
 //
-// golden_vectors.h is written by test_core.py from protocol/golden.json: for each vector the typed
-// message built from the vector's fields, its frame and its bytes on the wire.
+// golden_vectors.h is written by test_firmware_core.py from protocol/golden.json: for each vector
+// the typed message built from the vector's fields, its frame and its bytes on the wire.
 #ifndef THIGMO_TESTS_FIRMWARE_LINK_CASES_H_
 #define THIGMO_TESTS_FIRMWARE_LINK_CASES_H_
 

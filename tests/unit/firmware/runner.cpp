@@ -1,5 +1,5 @@
 // All C++ tests of the firmware core in one program: `runner` lists the cases, `runner NAME` runs
-// one. test_core.py builds it (with sanitizers) and runs each case as a test of its own.
+// one. test_firmware_core.py builds it (with sanitizers) and runs each case as a test of its own.
 #include <cstring>
 
 #include "check.h"

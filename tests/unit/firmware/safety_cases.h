@@ -80,9 +80,7 @@ TEST(every_refusal_has_its_reason) {
           if (confirm || setup) state_good = state != State::kBoot;
           Reason want = Reason::kNone;
           if (!state_good) {
-            want = state == State::kFault    ? Reason::kFaultLatched
-                   : state == State::kMoving ? Reason::kBusy
-                                             : Reason::kWrongState;
+            want = state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
           } else if (!arm && activity != Activity::kIdle &&
                      !(permit == Permit::kPress && activity == Activity::kPressing)) {
             want = Reason::kBusy;

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from bench import Bench, pressure_count
+from firmware_bench import Bench, pressure_count
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.link import protocol as wire
@@ -14,6 +14,8 @@ from thigmo.link.framing import encode
 
 F = wire.Fault
 R = wire.Reason
+SWEEP = wire.Sweep(1000, 1000, 10_000, 1, 0)
+PRESS = wire.SetPressure(500, 0, 0)
 
 
 def bending() -> Bench:
@@ -53,12 +55,7 @@ def expect(bench: Bench, fault: wire.Fault, ms: int, value: int | None = None) -
     if not bench.board.boots > 1:
         aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)
         assert [e.value for e in aborted] == [R.FAULT_LATCHED]
-    for command in (
-        wire.Arm(),
-        wire.Home(),
-        wire.GrowTo(200_000, 0),
-        wire.Sweep(500, 0, 9000, 1, 0),
-    ):
+    for command in (wire.Arm(), wire.Home(), wire.GrowTo(200_000, 0), SWEEP):
         assert bench.refused(command) == R.FAULT_LATCHED
     assert bench.safe()
 
@@ -350,9 +347,6 @@ def test_power_cut_at_every_byte_of_a_save_keeps_a_whole_configuration() -> None
 
 
 # --- interlocks ----------------------------------------------------------------------------------
-
-SWEEP = wire.Sweep(1000, 1000, 10_000, 1, 0)
-PRESS = wire.SetPressure(500, 0, 0)
 
 
 def test_nothing_is_accepted_before_arming() -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from bench import Bench, flex_count, pressure_count
+from firmware_bench import Bench, flex_count, pressure_count
 
 from thigmo.emulator._board import SCHEMA_HASH, VirtualBoard
 from thigmo.link import protocol as wire
@@ -115,7 +116,7 @@ def test_telemetry_comes_every_5_ms_without_loss() -> None:
     seqs = [f.seq for f in frames]
     assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
     times = [f.message.t_us for f in frames]
-    assert {b - a for a, b in zip(times, times[1:], strict=False)} == {5000}
+    assert {b - a for a, b in pairwise(times)} == {5000}
     sums = np.array([f.message.flex_sum for f in frames])
     # 16 conversions, each floored: half a count below the ideal.
     assert sums.mean(axis=0) == pytest.approx(16 * (flex_count(0.0) - 0.5), abs=2.0)
@@ -199,11 +200,9 @@ def test_a_sweep_is_followed_and_its_peak_captured() -> None:
     bench = Bench(body=bend)
     bench.zeroed()
     bench.do(wire.Sweep(1500, 1000, 8000, 1, 0))
-    trace = []
-    while not bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING):
-        for one in bench.step():
-            if isinstance(one.message, wire.Telemetry):
-                trace.append(one.message)
+    before = len(bench.heard)
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
+    trace = [h.message for h in bench.heard[before:] if isinstance(h.message, wire.Telemetry)]
     sets = np.array([(t.left_set_cpsi, t.right_set_cpsi) for t in trace])
     psi = np.array([(t.left_cpsi, t.right_cpsi) for t in trace])
     assert sets.max(axis=0) == pytest.approx([1500, 1000], abs=2)
