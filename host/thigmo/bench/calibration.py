@@ -20,7 +20,7 @@ from thigmo.localization import identifiability, localize, prior
 
 Floats = NDArray[np.float64]
 
-NOISES = ("gaussian", "laplace", "outliers")
+NOISES = ("gaussian", "laplace", "wide laplace", "outliers")
 PLACES = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0, 53.0)
 MOMENTS = (0.003, 0.005, 0.008, 0.011)
 LAYOUTS = (1.0, 2.75, 5.0, 7.25)
@@ -29,9 +29,14 @@ PAIRS = ((-0.016, 0.02), (-0.02, 0.03), (-0.03, 0.04))
 
 
 def draw_noise(rng: np.random.Generator, kind: str, size: int) -> Floats:
-    """Noise of one frame: Gaussian; Laplace of the same scale parameter; or 5 % gross outliers."""
-    if kind == "laplace":
-        return SIGMA * rng.laplace(size=size)
+    """Noise of one frame: Gaussian; Laplace; or Gaussian with 5 % gross outliers.
+
+    "laplace" has the standard deviation that `localize` is told, "wide laplace" 1.41 times it
+    (its scale parameter is the deviation).
+    """
+    if kind in ("laplace", "wide laplace"):
+        wide = 1.0 if kind == "wide laplace" else np.sqrt(0.5)
+        return np.asarray(wide * SIGMA * rng.laplace(size=size))
     out = SIGMA * rng.standard_normal(size)
     if kind == "outliers":
         bad = rng.random(size) < 0.05
@@ -254,6 +259,11 @@ def efficiency(context: Context) -> Outcome:
             Claim("RMSE over bound, pooled", total["gaussian"] / clean_bound, 1.2),
             Claim("RMSE over bound, worst interior cell", worst_inside, 1.35),
             Claim("Laplace over clean", total["laplace"] / total["gaussian"], 1.5),
+            Claim(
+                "Laplace of 1.41 deviations over clean",
+                total["wide laplace"] / total["gaussian"],
+                1.6,
+            ),
             Claim("outliers over clean", total["outliers"] / total["gaussian"], 1.5),
             Claim("least coverage of an identifiable cell", least_cover, 0.9, at_most=False),
         ],
