@@ -1,0 +1,191 @@
+"""Runs the commands behind README's numbers, keeps what they print, and writes README's table.
+
+    python tools/figures.py                 run every command (about half an hour), then render
+    python tools/figures.py explore budgets run some of them, then render
+    python tools/figures.py --render        render from the kept results only
+    python tools/figures.py --check         fail if README's table is not what the results say
+
+Results are kept as JSON in docs/results/, pictures in docs/. No number in README's table is typed
+by hand. Called by developers before a release; `make lint` calls it with --check.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "docs" / "results"
+BEGIN, END = "<!-- figures: made by tools/figures.py -->", "<!-- end of figures -->"
+Row = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A command, the pictures that it leaves and README shows, and the rows made of its JSON."""
+
+    command: tuple[str, ...]
+    rows: Callable[[Any], list[Row]]
+    pictures: dict[str, str]
+
+    @property
+    def shown(self) -> str:
+        """The command as a reader types it."""
+        return " ".join(self.command)
+
+
+def _explore(found: dict[str, Any]) -> list[Row]:
+    return [
+        (
+            "default exploration: \\|x error\\| (thesis: 6.82 cm)",
+            f"{found['error_x_cm']:.2f} cm",
+            "one run; many seeds in the rows below",
+        ),
+        (
+            "default exploration: robot time over wall time",
+            f"{found['robot_per_wall_time']:.0f}",
+            f"{found['robot_time_s']:.0f} s of robot time in {found['wall_time_s']:.1f} s",
+        ),
+    ]
+
+
+def _experiments(found: list[dict[str, Any]]) -> list[Row]:
+    return [
+        (
+            f"{row['experiment']}, {row['condition']}",
+            f"{row['ours_mean']:.2f} cm",
+            f"thesis {row['thesis_mean']:.2f}, its method here {row['here_mean']:.2f}, "
+            f"bound {_number(row['bound_mean'])}; in the workspace "
+            f"{row['ours_workspace_mean']:.2f} of {row['here_workspace_mean']:.2f}"
+            f"{'' if row['beaten'] else '; **above what is allowed**'}",
+        )
+        for experiment in found
+        for row in experiment["rows"]
+    ]
+
+
+def _claims(found: list[dict[str, Any]]) -> list[Row]:
+    rows = []
+    for study in found:
+        for claim in study["claims"]:
+            sign = "<=" if claim.get("at_most", True) else ">="
+            verdict = "" if claim["holds"] else "; **missed**"
+            rows.append(
+                (
+                    claim["claim"],
+                    f"{_number(claim['value'])} {claim['unit']}".strip(),
+                    f"promised {sign} {_number(claim['limit'])}{verdict}",
+                )
+            )
+    return rows
+
+
+def _budgets(found: dict[str, Any]) -> list[Row]:
+    return [
+        (
+            row["name"],
+            f"{_number(row['value'])} {row['unit']}".strip(),
+            f"at most {_number(row['limit'])}" if row.get("limit") is not None else "",
+        )
+        for row in found["rows"]
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "unbounded" if value is None else f"{value:.3g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+THIGMO = ".venv/bin/thigmo"
+SOURCES: dict[str, Source] = {
+    "explore": Source(
+        (THIGMO, "explore", "--seed", "1", "--name", "readme", "--json"),
+        _explore,
+        {"map.png": "map.png"},
+    ),
+    "experiments": Source(
+        (THIGMO, "experiment", "all", "--json"),
+        _experiments,
+        {
+            "two-contacts-errors.png": "two-contacts.png",
+            "sensitivity-sensitivity.png": "sensitivity.png",
+        },
+    ),
+    "bench": Source(
+        (THIGMO, "bench", "--json"),
+        _claims,
+        {
+            "speed-accuracy-chart.png": "speed-accuracy.png",
+            "stability-force-place.png": "stability.png",
+        },
+    ),
+    "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
+}
+
+
+def run(name: str) -> None:
+    """Run one source's command; keep its JSON and its pictures."""
+    source = SOURCES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        command = list(source.command)
+        if command[0] == THIGMO:
+            command += ["--out", folder]
+        print(f"{name}: {source.shown}", flush=True)
+        done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+        if done.returncode != 0:
+            sys.exit(f"{name}: exit {done.returncode}: {done.stderr.strip().splitlines()[-1:]}")
+        RESULTS.mkdir(parents=True, exist_ok=True)
+        found = json.loads(done.stdout)
+        if name == "explore":
+            found.pop("run")
+        (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n")
+        for made, kept in source.pictures.items():
+            shutil.copy(next(Path(folder).rglob(made)), ROOT / "docs" / kept)
+
+
+def table() -> str:
+    """README's table from the kept results."""
+    lines = [BEGIN]
+    for name, source in SOURCES.items():
+        path = RESULTS / f"{name}.json"
+        if not path.is_file():
+            continue
+        lines += ["", f"`{source.shown}`", "", "| what | value | |", "| --- | --- | --- |"]
+        lines += [f"| {a} | {b} | {c} |" for a, b, c in source.rows(json.loads(path.read_text()))]
+    return "\n".join([*lines, "", END])
+
+
+def main() -> None:
+    """Parse the command line and do what it says."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sources", nargs="*", choices=[*SOURCES, []], help="all when left out")
+    parser.add_argument("--render", action="store_true", help="run nothing")
+    parser.add_argument("--check", action="store_true", help="compare, write nothing")
+    options = parser.parse_args()
+    if not (options.render or options.check):
+        for name in options.sources or SOURCES:
+            run(name)
+    readme = ROOT / "README.md"
+    text = readme.read_text()
+    if BEGIN not in text or END not in text:
+        sys.exit(f"README.md lacks the lines {BEGIN!r} and {END!r}; put them back")
+    head, _, rest = text.partition(BEGIN)
+    made = head + table() + rest.partition(END)[2]
+    if options.check:
+        if made != text:
+            sys.exit(
+                "README.md's figures are not what docs/results say; run tools/figures.py --render"
+            )
+    else:
+        readme.write_text(made)
+
+
+if __name__ == "__main__":
+    main()
