@@ -262,7 +262,7 @@ def efficiency(context: Context) -> Outcome:
             Claim(
                 "Laplace of 1.41 deviations over clean",
                 total["wide laplace"] / total["gaussian"],
-                1.6,
+                1.5,
             ),
             Claim("outliers over clean", total["outliers"] / total["gaussian"], 1.5),
             Claim("least coverage of an identifiable cell", least_cover, 0.9, at_most=False),
