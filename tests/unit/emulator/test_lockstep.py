@@ -183,6 +183,16 @@ def test_operator_measures_and_sets_the_regulator(board: SilentBoard) -> None:
     assert link.now() == pytest.approx(5.0)
 
 
+def test_operators_ruler_errs_as_the_scene_says(board: SilentBoard) -> None:
+    scene = Scene(start_length_cm=20.0)
+    scene.operator.length_error_cm = 0.3
+    operator = transport(board, scene).operator
+    assert operator is not None
+    measured = [operator.everted_length_cm() for _ in range(400)]
+    assert np.mean(measured) == pytest.approx(20.0, abs=0.06)
+    assert np.std(measured) == pytest.approx(0.3, rel=0.15)
+
+
 def test_closed_transport_says_so(board: SilentBoard) -> None:
     link = transport(board)
     link.close()
