@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thigmo.bench.study import Claim, Outcome, Table, write
-from thigmo.experiments import conditions, figures, sensitivity, thesis
+from thigmo.experiments import conditions, explored, figures, sensitivity, thesis
 from thigmo.experiments.compare import Row, baseline, row
 from thigmo.experiments.fit import frozen
 from thigmo.experiments.specimen import Constants, Specimen, Trial
@@ -107,10 +107,26 @@ def sensitivity_study(constants: Constants, robots: int, trials: int, seed: int)
     )
 
 
+def exploration(constants: Constants, robots: int, trials: int, seed: int) -> Results:
+    """Section 3.5 on the emulator, one run of each protocol a robot; `trials` is not used.
+
+    The emulator's own scene says how imperfect its robot is, so `constants` are not used either.
+    """
+    runs = [explored.run_seed(seed + robot) for robot in range(robots)]
+    return Results(
+        [],
+        [],
+        {"exploration": explored.figure(runs)},
+        explored.claims(runs),
+        [explored.table(runs)],
+    )
+
+
 EXPERIMENTS: dict[str, Callable[[Constants, int, int, int], Results]] = {
     "single-contact": single_contact,
     "two-contacts": two_contacts,
     "actuated": actuated,
+    "exploration": exploration,
     "sensitivity": sensitivity_study,
 }
 

@@ -137,7 +137,7 @@ class _Reader:
                 self._snapshot(message)
 
     def _device_s(self, t_us: int) -> float:
-        return self._clock.unwrap(t_us) / 1e6
+        return self._clock.unwrap(t_us) * 1e-6
 
     def _begin(self, t_s: float) -> None:
         status = self._status
@@ -172,16 +172,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     folder = RunFolder(run)
     config = folder.read_config()
     log = folder.read_log()
-    schema = log.metadata.get("schema_hash", "")
-    if schema != f"{wire.SCHEMA_HASH:08x}":
-        raise RunFolderError(
-            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
-            f"{wire.SCHEMA_HASH:08x}",
-            f"replay it with thigmo {log.metadata.get('thigmo', 'of its time')}",
-        )
-    reader = _Reader()
-    for entry in log.entries:
-        reader.take(entry)
+    reader = _read(folder, log)
     contacts: list[MapContact] = []
     stages = []
     interpreter, table = Interpreter(config), SensorTable.of(config)
@@ -197,6 +188,32 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     folder.write_document(document, "replay.json")
     draw_map(document, folder.path / "replay.png", radius_cm=config.body.radius_cm)
     return ReplayResult(document, len(reader.sweeps), reader.bad, log.truncated)
+
+
+def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
+    """The sweeps in a run's raw record, in their order, for who wants to localize otherwise.
+
+    Raises:
+        RunFolderError: no record, or one of another protocol schema.
+        ConfigError: its robot.toml cannot be read.
+    """
+    folder = RunFolder(run)
+    table = SensorTable.of(folder.read_config())
+    return [sweep.result(table) for sweep in _read(folder, folder.read_log()).sweeps]
+
+
+def _read(folder: RunFolder, log: Log) -> _Reader:
+    schema = log.metadata.get("schema_hash", "")
+    if schema != f"{wire.SCHEMA_HASH:08x}":
+        raise RunFolderError(
+            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
+            f"{wire.SCHEMA_HASH:08x}",
+            f"replay it with thigmo {log.metadata.get('thigmo', 'of its time')}",
+        )
+    reader = _Reader()
+    for entry in log.entries:
+        reader.take(entry)
+    return reader
 
 
 def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[_Sweep, _Sweep | None]]:

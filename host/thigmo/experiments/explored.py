@@ -1,0 +1,150 @@
+"""Section 3.5: whole explorations on the emulator, by the thesis's protocol and by ours.
+
+The thesis's column here is its solver on the full sweep's peak readings of its own protocol, at the
+first stage with a contact; ours is the exploration's answer. Robot time is device time.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thigmo.bench.study import Claim, Table
+from thigmo.config import RobotConfig
+from thigmo.experiments import thesis
+from thigmo.exploration import ExplorationResult, explore
+from thigmo.exploration.replay import recorded_sweeps
+from thigmo.localization.baselines import BASELINES, Problem
+from thigmo.record import RunFolder
+from thigmo.robot import SensorTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_URL = "emulator://default"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One seed: both protocols (cm, s); infinite errors where no contact was mapped."""
+
+    seed: int
+    thesis_solver_cm: float
+    thesis_protocol_x_cm: float
+    thesis_protocol_cm: float
+    thesis_protocol_s: float
+    ours_x_cm: float
+    ours_cm: float
+    ours_s: float
+
+
+def _errors(result: ExplorationResult) -> tuple[float, float]:
+    found = result.document
+    if found.error_x_cm is None or found.error_cm is None:
+        return float("inf"), float("inf")
+    return found.error_x_cm, found.error_cm
+
+
+def _thesis_solver(result: ExplorationResult) -> float:
+    """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm."""
+    truth = result.document.truth
+    config: RobotConfig = RunFolder(result.folder).read_config()
+    table = SensorTable.of(config)
+    for sweep in recorded_sweeps(result.folder):
+        for trigger in sweep.triggers:
+            peak = next((p for p in sweep.peaks if p.side == trigger.side), None)
+            if peak is None or truth is None or not truth.pegs:
+                continue
+            use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+            arcs, _ = BASELINES["alternating"](
+                Problem(
+                    peak.curvature[use] - peak.free_curvature,
+                    table.center_cm[use],
+                    table.span_cm[use],
+                    peak.length_cm,
+                )
+            )
+            return abs(float(arcs[0]) - truth.pegs[0].x_cm)
+    return float("inf")
+
+
+def run_seed(seed: int) -> Run:
+    """Explore the default room by both protocols."""
+    with tempfile.TemporaryDirectory() as folder:
+        theirs = explore(_URL, seed=seed, out=folder, name="thesis", protocol="thesis")
+        solver = _thesis_solver(theirs)
+        mine = explore(_URL, seed=seed, out=folder, name="measure", protocol="measure")
+    return Run(
+        seed,
+        solver,
+        *_errors(theirs),
+        theirs.document.robot_time_s,
+        *_errors(mine),
+        mine.document.robot_time_s,
+    )
+
+
+def claims(runs: list[Run]) -> list[Claim]:
+    """What the exploration promises over all seeds."""
+    ours = [run.ours_x_cm for run in runs]
+    return [
+        Claim("exploration: mean |x error| over the seeds", float(np.mean(ours)), 1.5, unit="cm"),
+        Claim(
+            "exploration: robot time over the thesis's protocol's",
+            float(np.mean([run.ours_s for run in runs]) / _mean_time(runs)),
+            0.5,
+        ),
+        Claim("exploration: worst |x error| over the seeds", float(np.max(ours)), 3.0, unit="cm"),
+    ]
+
+
+def _mean_time(runs: list[Run]) -> float:
+    return float(np.mean([run.thesis_protocol_s for run in runs]))
+
+
+def table(runs: list[Run]) -> Table:
+    """One line a seed."""
+    return Table("runs", tuple(vars(runs[0])), [tuple(vars(run).values()) for run in runs])
+
+
+def figure(runs: list[Run]) -> Figure:
+    """Error on the map against robot time, both protocols."""
+    from matplotlib.figure import Figure
+
+    picture = Figure(figsize=(7, 4.4), layout="constrained")
+    axis = picture.subplots()
+    for label, color, times, errors in (
+        (
+            "thesis's protocol and solver",
+            "tab:red",
+            [r.thesis_protocol_s for r in runs],
+            [r.thesis_solver_cm for r in runs],
+        ),
+        (
+            "thesis's protocol, our localizer",
+            "tab:orange",
+            [r.thesis_protocol_s for r in runs],
+            [r.thesis_protocol_x_cm for r in runs],
+        ),
+        ("ours", "tab:blue", [r.ours_s for r in runs], [r.ours_x_cm for r in runs]),
+    ):
+        answered = np.isfinite(errors)
+        count = f"{int(answered.sum())} of {len(runs)} mapped"
+        axis.plot(
+            np.array(times)[answered],
+            np.array(errors)[answered],
+            "o",
+            color=color,
+            alpha=0.7,
+            label=f"{label} ({count})",
+        )
+    told = thesis.published("exploration", "obstacle at the farthest place").mean_cm
+    axis.axhline(told, color="gray", linestyle="--", label=f"thesis, one run: {told} cm")
+    axis.set(xlabel="robot time (s)", ylabel="|x error| (cm)", xlim=(0, None), ylim=(0, None))
+    axis.grid(alpha=0.2)
+    axis.legend(fontsize=8)
+    axis.set_title(f"Exploration of the default room, {len(runs)} seeds")
+    return picture
