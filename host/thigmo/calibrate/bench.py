@@ -61,6 +61,8 @@ class Bench:
         session: the folder.
         plan: how much of everything.
         say: told what happens.
+        rest: resistances of the straight robot, taken last (an eversion shifts them, so rows keep
+            the one of their own session).
     """
 
     robot: Machine
@@ -69,6 +71,7 @@ class Bench:
     session: Session
     plan: Plan = field(default_factory=Plan)
     say: Callable[[str], None] = lambda text: None
+    rest: list[float] = field(default_factory=list)
 
     @property
     def config(self) -> RobotConfig:
@@ -137,6 +140,7 @@ class Bench:
                     raise
                 self.say("readings still drift; waiting")
             else:
+                self.rest = self.robot.read(2.0).resistance.tolist()
                 return
 
     def rows(self, procedure: str, keys: Iterable[str], take: Callable[[str], Row]) -> list[Row]:

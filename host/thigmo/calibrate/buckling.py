@@ -119,6 +119,7 @@ def fit_buckling(
     noise = np.array([s.noise for s in sensors])
     gain = np.array([s.scale_se for s in sensors])
     healthy = np.array([s.healthy for s in sensors])
+    way = np.array([s.valid_direction for s in sensors])
     length = readings.length_cm
     # The fold spreads over a diameter from the base.
     near = center - span / 2 < config.body.diameter_cm
@@ -135,9 +136,14 @@ def fit_buckling(
         if pick.sum() < 2:
             unread.append(trial)
             continue
+        pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
+        if pick.sum() < 2:
+            unread.append(trial)
+            continue
         estimate, error = _moment(row[pick], center[pick], span[pick], noise[pick], length, method)
         base = healthy & near & np.isfinite(row)
         sign = np.sign(estimate) or 1.0
+        base &= (way == 0) | (way == sign)
         over = np.nan
         if base.any():
             # A beam without a fold would show this at the base sensors.

@@ -14,7 +14,7 @@ neither. Each is named in the verdict and left out.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,8 +37,10 @@ KINDS = ("straight", "tip", "bend")
 _TIP_SE_CM = 0.08  # one sigma of a camera place across the robot
 _CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
 _OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
-_ONE_WAY = 0.6  # a slope below this share of the other direction's does not count as working
+_ONE_WAY = 0.85  # a slope below this share of the other direction's does not count
 _WRONG_SIDE = -0.3
+_LOOP = 5e-4  # 1/cm, one sigma over sensors of the loop's half width and of a session's zero
+_LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class FlexReadings:
         ohm: (n, m) resistances, left base first.
         length_cm: everted length.
         intended_y_cm: (n,) where the operator was asked to put the tip (sign used); nan = free.
+        block: (n,) session of each row: after an eversion the sensors' zeros are others.
     """
 
     kind: tuple[str, ...]
@@ -66,9 +69,12 @@ class FlexReadings:
     ohm: Array
     length_cm: float
     intended_y_cm: Array
+    block: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __post_init__(self) -> None:
         n = len(self.kind)
+        if not len(self.block):
+            object.__setattr__(self, "block", np.zeros(n, np.int64))
         shapes = {
             "t_s": self.t_s.shape == (n,),
             "tip_cm": self.tip_cm.shape == (n, 2),
@@ -77,6 +83,7 @@ class FlexReadings:
             "active": len(self.active) == n,
             "ohm": self.ohm.ndim == 2 and len(self.ohm) == n,
             "intended_y_cm": self.intended_y_cm.shape == (n,),
+            "block": self.block.shape == (n,),
         }
         for name, good in shapes.items():
             if not good:
@@ -89,7 +96,7 @@ class FlexReadings:
     def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> FlexReadings:
         """From a CSV: kind, tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_N.
 
-        Optional: t_s, curvature_se, active, length_cm, intended_y_cm.
+        Optional: t_s, curvature_se, active, length_cm, intended_y_cm, block.
 
         Raises:
             DataError: missing or malformed columns.
@@ -113,6 +120,7 @@ class FlexReadings:
             ohm,
             float(length[0]),
             table.numbers("intended_y_cm", none),
+            np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
         )  # fmt: skip
 
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
@@ -127,6 +135,7 @@ class FlexReadings:
             "active": self.active,
             "length_cm": [self.length_cm] * len(self.kind),
             "intended_y_cm": self.intended_y_cm.tolist(),
+            "block": self.block.tolist(),
         }
         column = 0
         for side in SIDES:
@@ -301,16 +310,22 @@ def fit_flex(
             f"{int(good.sum())} of {len(good)} rows can be used",
             "repeat the step; " + notes[0] if notes else "take at least ten places",
         )
-    first = _each(ohm, model, model_se, usable & good[:, None], on_body)
+    block = readings.block
+    width = _loop_width(ohm, model, model_se, block, usable & good[:, None], on_body)
+    turn = _turns(model, block, width)
+    first = _each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
+    directions = _directions(ohm, model, model_se, turn, block, usable & good[:, None], first)
+    usable &= (directions == 0) | (directions * model >= -1e-12)
+    first = _each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     good = _judge_rows(readings, ohm, model, first, usable, good, on_body, notes)
-    final = _each(ohm, model, model_se, usable & good[:, None], on_body)
+    final = _each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     swapped = _swapped(readings, sensors, ohm, model, good, on_body)
     fits = []
     for column, (side, k) in enumerate(sensors):
         rows = usable[:, column] & good
         fits.append(
             _sensor(side, k, ohm[:, column], model[:, column], model_se[:, column], rows,
-                    final[column], bool(on_body[column]), readings,
+                    final[column], bool(on_body[column]), _way(directions[column]),
                     1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5))
         )  # fmt: skip
     verdict = _verdict(fits, notes, swapped)
@@ -383,32 +398,98 @@ def _usable(readings: FlexReadings, sensors: list[tuple[Side, int]]) -> NDArray[
     return np.array([[side != active for side, _ in sensors] for active in readings.active])
 
 
+def _turns(model: Array, block: NDArray[np.int64], width: float) -> Array:
+    """(n, m) where each sensor is in its loop: 1 after long bending to the left, -1 to the right.
+
+    It turns over within `width` of curvature (Dahl's model of friction), and starts between the
+    two in every session.
+    """
+    turn = np.zeros(model.shape)
+    state, before = np.zeros(model.shape[1]), np.zeros(model.shape[1])
+    for row, k in enumerate(model):
+        if row and block[row] != block[row - 1]:
+            state[:], before[:] = 0.0, 0.0
+        if np.isfinite(k).all():
+            way = np.sign(k - before)
+            state = np.where(
+                way == 0, state, way + (state - way) * np.exp(-abs(k - before) / width)
+            )
+            before = k
+        turn[row] = state
+    return turn
+
+
 def _each(
-    ohm: Array, model: Array, error: Array, rows: NDArray[np.bool_], on_body: NDArray[np.bool_]
+    ohm: Array,
+    model: Array,
+    error: Array,
+    turn: Array,
+    block: NDArray[np.int64],
+    rows: NDArray[np.bool_],
+    on_body: NDArray[np.bool_],
 ) -> list[LinearFit | None]:
-    """A robust line R = R0 + b k for each sensor; None where it cannot be had."""
+    """A robust line for each sensor; None where it cannot be had."""
     fits: list[LinearFit | None] = []
     for column in range(ohm.shape[1]):
         pick = rows[:, column] & np.isfinite(ohm[:, column])
         if not on_body[column] or pick.sum() < 6:
             fits.append(None)
             continue
-        fits.append(
-            _line(np.where(pick, ohm[:, column], np.nan), model[:, column], error[:, column])
-        )
+        part = np.where(pick, ohm[:, column], np.nan)
+        fits.append(_line(part, model[:, column], error[:, column], turn[:, column], block))
     return fits
 
 
-def _line(ohm: Array, model: Array, error: Array) -> LinearFit | None:
-    design = np.column_stack([np.ones(len(ohm)), model])
+def _line(
+    ohm: Array, model: Array, error: Array, turn: Array, block: NDArray[np.int64]
+) -> LinearFit | None:
+    """R = R0 + b (k + h turn + z of the session): zero, slope, b h of the loop, and the rest.
+
+    The loop's half width h and the sessions' zeros z are small beforehand (`_LOOP`): one row more
+    for each says so, which matters where a sensor was only ever read while bending grew.
+    """
+    return _with_loop(ohm, model[:, None], model, error, turn, block)
+
+
+def _with_loop(
+    ohm: Array, slopes: Array, model: Array, error: Array, turn: Array, block: NDArray[np.int64]
+) -> LinearFit | None:
+    """Fit of a zero, the columns of `slopes` (n, q), the loop and the sessions' zeros."""
+    n, q = slopes.shape
+    later = [(block == session).astype(float) for session in sorted(set(block.tolist()))[1:]]
+    design = np.column_stack([np.ones(n), slopes, turn, *later])
+    extra = design.shape[1] - 1 - q
+    prior = np.hstack([np.zeros((extra, 1 + q)), np.eye(extra)])
     try:
-        fit = fit_linear(design, ohm)
-        if error.any():
-            # Errors of the abscissa, carried over by the slope.
-            fit = fit_linear(design, ohm, np.abs(fit.coefficients[1]) * error)
+        plain = fit_linear(np.column_stack([np.ones(n), model]), ohm)
+        slope = abs(float(plain.coefficients[1]))
+        # Errors of the abscissa are carried over by the slope.
+        fit = fit_linear(
+            np.vstack([design, prior]),
+            np.append(ohm, np.zeros(extra)),
+            np.append(slope * error, np.full(extra, slope * _LOOP)),
+        )
     except DataError:
         return None
-    return fit
+    return replace(fit, used=fit.used[:n], residuals=fit.residuals[:n])
+
+
+def _loop_width(
+    ohm: Array,
+    model: Array,
+    error: Array,
+    block: NDArray[np.int64],
+    rows: NDArray[np.bool_],
+    on_body: NDArray[np.bool_],
+) -> float:
+    """The curvature over which the sensors' loops turn over, of a few, by the least scatter."""
+    scores = []
+    for width in _LOOP_WIDTHS:
+        fits = _each(ohm, model, error, _turns(model, block, width), block, rows, on_body)
+        scores.append(
+            sum(np.log(max(f.sigma, 1e-9)) for f in fits if _working(f) and f is not None)
+        )
+    return _LOOP_WIDTHS[int(np.argmin(scores))]
 
 
 def _working(fit: LinearFit | None) -> bool:
@@ -565,10 +646,10 @@ def _swapped(
             for column, (of, _) in enumerate(sensors):
                 if of != which or not on_body[column] or rows.sum() < 6:
                     continue
-                fit = _line(
-                    np.where(rows, ohm[:, column], np.nan), model[:, column], np.zeros(len(good))
-                )
-                if fit is None:
+                design = np.column_stack([np.ones(len(good)), model[:, column]])
+                try:
+                    fit = fit_linear(design, np.where(rows, ohm[:, column], np.nan))
+                except DataError:
                     continue
                 reach = np.ptp(model[rows, column])
                 steep = abs(float(fit.coefficients[1])) * reach
@@ -590,10 +671,10 @@ def _sensor(
     rows: NDArray[np.bool_],
     fit: LinearFit | None,
     on_body: bool,
-    readings: FlexReadings,
+    direction: Literal[-1, 0, 1],
     nominal: float,
 ) -> FlexFit:
-    """Direction, nonlinearity, hysteresis, noise and verdict of one sensor.
+    """Nonlinearity, hysteresis, noise and verdict of one sensor.
 
     `nominal` is the slope (ohm cm) that a sensor of this kind has.
     """
@@ -613,14 +694,13 @@ def _sensor(
         if fit.se(1) > 0.1 * nominal:
             return dead("bends too little to tell its scale: take more places and bends")
         return dead("does not answer to bending", int(fit.used.sum()))
-    direction, fit = _direction(np.where(rows, ohm, np.nan), model, error, fit)
     slope, zero = float(fit.coefficients[1]), float(fit.coefficients[0])
     scale = 1.0 / slope
     se = float(np.hypot(fit.se(1) / abs(slope), _CAMERA_SCALE_SE))
     inside = fit.used
     noise = fit.sigma * abs(scale)
     bend, bend_se = _curving(ohm, model, error, inside, fit)
-    half_gap, half_gap_se = _loading(model, fit, inside, readings)
+    loop, loop_se = abs(float(fit.coefficients[2] * scale)), fit.se(2) * abs(scale)
     rejected = int((rows & np.isfinite(ohm) & ~inside).sum())
     reason = f"scale known to {100 * se:.1f} %"
     healthy = True
@@ -630,37 +710,57 @@ def _sensor(
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
         side, index, scale, se, zero, fit.se(0), direction, noise, bend,
-        half_gap * abs(scale), half_gap_se * abs(scale), int(inside.sum()), rejected, healthy,
-        reason,
+        loop, loop_se, int(inside.sum()), rejected, healthy, reason,
     )  # fmt: skip
 
 
-def _direction(
-    ohm: Array, model: Array, error: Array, both: LinearFit
-) -> tuple[Literal[-1, 0, 1], LinearFit]:
-    """Which bending direction a sensor answers to, and the line of that direction."""
-    design = np.column_stack([np.ones(len(ohm)), np.clip(model, 0, None), np.clip(model, None, 0)])
-    known = np.abs(both.coefficients[1]) * error
-    enough = [int((np.isfinite(ohm) & (sign * model > 1e-4)).sum()) >= 4 for sign in (1, -1)]
-    if not all(enough):
-        return 0, both
-    try:
-        split = fit_linear(design, ohm, known)
-    except DataError:
-        return 0, both
-    slopes = split.coefficients[1:]
-    strong = int(np.argmax(np.abs(slopes)))
-    weak = 1 - strong
-    ratio = slopes[weak] / slopes[strong]
-    ratio_se = float(
-        np.hypot(split.se(1 + weak), ratio * split.se(1 + strong)) / abs(slopes[strong])
-    )
-    if ratio + 3 * ratio_se > _ONE_WAY:
-        return 0, both
-    sign = 1 if strong == 0 else -1
-    half = np.where(sign * model >= -1e-12, ohm, np.nan)
-    one = _line(half, model, error)
-    return (1 if sign > 0 else -1), one or both
+def _directions(
+    ohm: Array,
+    model: Array,
+    error: Array,
+    turn: Array,
+    block: NDArray[np.int64],
+    rows: NDArray[np.bool_],
+    fits: list[LinearFit | None],
+) -> NDArray[np.int64]:
+    """(m,) bending direction that each sensor answers to; 0 = both alike.
+
+    One line with a kink at zero: where the weaker side's slope is surely below `_ONE_WAY` of the
+    stronger's, only the stronger side counts.
+    """
+    found, told = np.zeros(len(fits), np.int64), np.zeros(len(fits), np.bool_)
+    for column, both in enumerate(fits):
+        pick = rows[:, column] & np.isfinite(ohm[:, column])
+        k = model[:, column]
+        enough = [int((pick & (sign * k > 1e-4)).sum()) >= 4 for sign in (1, -1)]
+        if both is None or not all(enough):
+            continue
+        sides = np.column_stack([np.clip(k, 0, None), np.clip(k, None, 0)])
+        part = np.where(pick, ohm[:, column], np.nan)
+        split = _with_loop(part, sides, k, error[:, column], turn[:, column], block)
+        if split is None:
+            continue
+        slopes = split.coefficients[1:3]
+        strong = int(np.argmax(np.abs(slopes)))
+        if abs(slopes[strong]) < 5 * split.se(1 + strong):
+            continue
+        ratio = slopes[1 - strong] / slopes[strong]
+        ratio_se = np.hypot(split.se(2 - strong), ratio * split.se(1 + strong))
+        spread = 4 * float(ratio_se) / abs(slopes[strong])
+        if ratio + spread < _ONE_WAY:
+            found[column] = 1 if strong == 0 else -1
+        told[column] = ratio + spread < _ONE_WAY or ratio - spread > _ONE_WAY - 0.35
+    # Where a sensor is bent too little to tell, it is like the others of its column.
+    half = len(fits) // 2
+    for part in (slice(0, half), slice(half, None)):
+        known = found[part][told[part]]
+        if len(known) > 0.5 * len(found[part]) and (known == known[0]).all():
+            found[part] = known[0]
+    return found
+
+
+def _way(direction: np.int64) -> Literal[-1, 0, 1]:
+    return 0 if direction == 0 else (1 if direction > 0 else -1)
 
 
 def _curving(
@@ -677,24 +777,6 @@ def _curving(
         return 0.0, 0.0
     total = float(curved.coefficients[1] + curved.coefficients[2])
     return float(curved.coefficients[2]) / total, curved.se(2) / abs(total)
-
-
-def _loading(
-    model: Array, fit: LinearFit, inside: NDArray[np.bool_], readings: FlexReadings
-) -> tuple[float, float]:
-    """Half the gap (ohm) between residuals while bending grew and while it fell."""
-    order = np.argsort(readings.t_s, kind="stable")
-    size = np.abs(model[order])
-    change = np.zeros(len(size))
-    change[1:] = np.diff(size)
-    keep = inside[order] & (np.abs(change) > 1e-5) & (size > 1e-5)
-    up, down = keep & (change > 0), keep & (change < 0)
-    if up.sum() < 4 or down.sum() < 4:
-        return 0.0, 0.0
-    rest = fit.residuals[order] * np.sign(model[order])
-    gap = float(rest[down].mean() - rest[up].mean()) / 2
-    se = float(np.sqrt(rest[down].var() / down.sum() + rest[up].var() / up.sum())) / 2
-    return gap, se
 
 
 def _verdict(fits: list[FlexFit], notes: list[str], swapped: bool) -> Verdict:
@@ -742,4 +824,5 @@ def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
         active=first.active + second.active,
         ohm=np.vstack([first.ohm, second.ohm]),
         intended_y_cm=np.concatenate([first.intended_y_cm, second.intended_y_cm]),
+        block=np.concatenate([first.block, second.block + first.block.max(initial=0) + 1]),
     )

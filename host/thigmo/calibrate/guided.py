@@ -43,6 +43,8 @@ from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
+_VENTED_PSI = 0.5
+
 
 def pressure(bench: Bench) -> PressureResult:
     """Zeros of both pressure sensors at vent, into the board."""
@@ -184,8 +186,7 @@ def flex(bench: Bench) -> FlexResult:
     bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
     if len(bends) < 2 * len(bend_set_points(bench, "left")):
         bends = bend_rows(bench, [last])
-    tips_first = sorted([*tips, *bends], key=lambda r: float(r["t_s"]))
-    readings = flex_readings(tips_first, bench.config.body.length_cm)
+    readings = flex_readings([*tips, *bends], bench.config.body.length_cm)
     result = fit_flex(readings, bench.config)
     readings.write(bench.session.folder / "flex.csv", bench.config)
     bench.finish("flex", result)
@@ -193,19 +194,27 @@ def flex(bench: Bench) -> FlexResult:
 
 
 def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
-    """Rows of tips and bends as flex readings. A bend of less than 3 psi is at rest: left out."""
-    kept = [r for r in rows if "kind" in r or float(r["psi"]) > 3.0]
+    """Rows of tips and bends as flex readings.
+
+    Zeros change with every eversion, so readings count from the rest of their own session.
+    """
+    kept = rows
     none = float("nan")
+    block = np.cumsum([n > 0 and r["rest"] != kept[n - 1]["rest"] for n, r in enumerate(kept)])
+    rest = np.array([[_number(v) for v in r["rest"]] for r in kept])
+    ohm = np.array([[_number(v) for v in r["ohm"]] for r in kept])
     return FlexReadings(
         tuple(r.get("kind", "bend") for r in kept),
-        np.array([r["t_s"] for r in kept], float),
+        np.arange(len(kept), dtype=float),
         np.array([[_number(v) for v in r.get("tip", (None, None))] for r in kept]),
         np.array([_number(r.get("k")) for r in kept]),
         np.nan_to_num(np.array([_number(r.get("k_se")) for r in kept])),
-        tuple(r.get("side", "") for r in kept),
-        np.array([[_number(v) for v in r["ohm"]] for r in kept]),
+        # A vented muscle wrinkles nothing: such a row is good for both sides.
+        tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in kept),
+        ohm - rest + np.nanmedian(rest, axis=0),
         length_cm,
         np.array([none if r.get("asked") is None else float(r["asked"]) for r in kept]),
+        block.astype(np.int64),
     )
 
 

@@ -67,7 +67,9 @@ class NoiseResult:
         for s in self.sensors:
             sensor = made.sensors.column(s.side)[s.index]
             if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
-                sensor.noise = float(np.hypot(s.white, s.slow))
+                # What no average takes away belongs to a reading as well.
+                loop = s.hysteresis if np.isfinite(s.hysteresis) else 0.0
+                sensor.noise = float(np.sqrt(s.white**2 + s.slow**2 + loop**2))
         return made
 
     def figure(self, path: Path) -> None:

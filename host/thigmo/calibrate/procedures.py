@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 _STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing, and a good margin
 _READ_S = 1.0
+_PEAK_S = 0.05
 # Slow, because an overshoot would turn the muscle over to its other branch.
 _RAMP_PSI_S = 1.0
 
@@ -99,7 +100,8 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
                 "zone": zone, "body_psi": body, "trial": int(trial), "side": side,
                 "branch": branch,
                 "psi": reading.left_psi if side == "left" else reading.right_psi,
-                "ohm": reading.resistance.tolist(), "t_s": reading.t_s, **seen,
+                "ohm": reading.resistance.tolist(), "rest": bench.rest, "t_s": reading.t_s,
+                **seen,
             }  # fmt: skip
 
         rows.extend(bench.rows("bends", keys, take))
@@ -120,7 +122,7 @@ def tip_rows(bench: Bench) -> list[Row]:
     asked = [*far[::2], *reversed(far[1::2]), *(-y for y in far[::2]),
              *(-y for y in reversed(far[1::2]))]  # fmt: skip
     keys = [f"straight {n}" for n in range(plan.straight)]
-    keys += [f"tip {n} {y:+.2f}" for n, y in enumerate(asked)]
+    keys += [f"tip {n}" for n in range(len(asked))]
     prepared = False
 
     def take(key: str) -> Row:
@@ -128,8 +130,8 @@ def tip_rows(bench: Bench) -> list[Row]:
         if not prepared:
             bench.ready_to_bend()
             prepared = True
-        kind, *rest = key.split()
-        wanted = float(rest[1]) if kind == "tip" else None
+        kind, number = key.split()
+        wanted = asked[int(number)] if kind == "tip" else None
         bench.hand.push_tip(wanted)
         bench.robot.wait(_STEADY_S)
         reading = bench.robot.read(2 * _READ_S)
@@ -142,7 +144,7 @@ def tip_rows(bench: Bench) -> list[Row]:
         seen = bench.seen(shot, {"tip": [None, None], "points": None})
         return {
             "kind": kind, "asked": wanted, "ohm": reading.resistance.tolist(),
-            "t_s": reading.t_s, **seen,
+            "rest": bench.rest, "t_s": reading.t_s, **seen,
         }  # fmt: skip
 
     rows = bench.rows("tips", keys, take)
@@ -183,7 +185,9 @@ def rest_rows(bench: Bench) -> list[Row]:
         if not prepared:
             bench.ready_to_bend()
             prepared = True
-        reading = bench.robot.read(0.5)
+        # As long as a sweep's peak is averaged.
+        reading = bench.robot.read(_PEAK_S)
+        bench.robot.wait(0.5)
         return {"t_s": reading.t_s, "ohm": reading.resistance.tolist()}
 
     return bench.rows("rest", [f"rest {n}" for n in range(bench.plan.rest_readings)], take)

@@ -84,7 +84,7 @@ def fit_linear(
                 starts.append(near)
         found = [_rejecting(a, b, e, start) for start in starts]
         inside, coefficients, covariance, sigma = max(
-            found, key=lambda f: (int(f[0].sum()) if f[3] < 2 * found[-1][3] else 0, -f[3])
+            found, key=lambda f: (int(f[0].sum()) if f[3] < 3 * found[-1][3] else 0, -f[3])
         )
     used = np.zeros(len(y), bool)
     used[rows[inside]] = True
@@ -144,27 +144,25 @@ def _trimmed_fit(a: Array, b: Array) -> tuple[Array, float]:
 def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
     """Least squares with known errors `e` and an unknown common scatter, found by iteration."""
     n, p = a.shape
-    sigma2 = 0.0
     coefficients: Array = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], float)
-    for _ in range(30):
-        if not e.any():
+    rest = b - a @ coefficients
+    sigma2 = float(rest @ rest) / max(1, n - p)
+    if e.any():
+        tiny = 1e-12 * max(sigma2, float(np.max(e**2)))
+        for _ in range(40):
+            weights = 1.0 / (max(sigma2, tiny) + e**2)
+            scaled = a * np.sqrt(weights)[:, None]
+            coefficients = np.asarray(
+                np.linalg.lstsq(scaled, b * np.sqrt(weights), rcond=None)[0], float
+            )
             rest = b - a @ coefficients
-            sigma2 = float(rest @ rest) / max(1, n - p)
-            break
-        weights = 1.0 / (sigma2 + e**2) if sigma2 > 0 else 1.0 / (np.median(e) ** 2 + e**2)
-        scaled = a * np.sqrt(weights)[:, None]
-        coefficients = np.asarray(
-            np.linalg.lstsq(scaled, b * np.sqrt(weights), rcond=None)[0], float
-        )
-        rest = b - a @ coefficients
-        # Moment estimate: E(w r^2) summed = (n - p) when sigma2 is right.
-        excess = float(weights @ (rest**2 - e**2)) * n / max(1, n - p)
-        new = max(0.0, excess / float(weights.sum()))
-        if abs(new - sigma2) <= 1e-6 * max(new, 1e-300):
+            # Moment estimate: the weighted squares add up to n - p when sigma2 is right.
+            excess = float(weights @ (rest**2 * n / max(1, n - p) - e**2))
+            new = max(0.0, excess / float(weights.sum()))
+            done = abs(new - sigma2) <= 1e-6 * max(new, tiny)
             sigma2 = new
-            break
-        sigma2 = new
-    variance = sigma2 + e**2
-    variance = np.maximum(variance, 1e-300)
+            if done:
+                break
+    variance = np.maximum(sigma2 + e**2, 1e-300)
     normal = (a / variance[:, None]).T @ a
     return coefficients, np.asarray(np.linalg.pinv(normal), float), float(np.sqrt(sigma2))

@@ -9,8 +9,9 @@ here from the seed. Driven by `transport.py`, `serve.py` and the tests.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, exp, isnan, nan, pi, sin, sqrt
+from math import cos, exp, hypot, isnan, nan, pi, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +19,10 @@ import numpy.typing as npt
 from thigmo.config import SIDES, RobotConfig, TanhMap
 from thigmo.emulator import plant_kernel as k
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
+from thigmo.emulator.hand import hold_tip
 from thigmo.emulator.scene import Scene
-from thigmo.mechanics import Body, Peg, PegContact, Tube, critical_moment
+from thigmo.errors import DataError
+from thigmo.mechanics import Body, Peg, PegContact, Solution, Tube, critical_moment
 
 Floats = npt.NDArray[np.float64]
 
@@ -109,6 +112,7 @@ class Plant:
         slip_cm_s: line speed with which the body pulls the braked spool.
         cut, shorted: flex sensors with a broken or shorted circuit (left base first).
         pressure_cut: pressure sensors with a broken wire.
+        hand_y_cm: where a hand holds the tip (set through `hold_tip`); None = nobody does.
     """
 
     def __init__(self, scene: Scene, seed: int | None = None) -> None:
@@ -127,6 +131,8 @@ class Plant:
         self.cut: set[int] = set()
         self.shorted: set[int] = set()
         self.pressure_cut: set[int] = set()
+        self.hand_y_cm: float | None = None
+        self._held: Solution | None = None
 
         self._muscles = np.zeros((2, k.MUSCLE_STATE))
         self._drive_ring = np.zeros((2, k.RING))
@@ -231,6 +237,26 @@ class Plant:
                     values = [getattr(curve, key) for curve in curves]
                     self._maps[s, b, c] = np.interp(pressure_psi, at, values)
 
+    def hold_tip(self, y_cm: float | None) -> None:
+        """A hand holds the tip aside at y (pegs are out of reach meanwhile); None lets go."""
+        self.hand_y_cm = y_cm
+        self._held = None
+        self._solved_g = nan
+
+    def place_pegs(self, pegs: Sequence[Peg]) -> None:
+        """Clear the room and put these pegs into it.
+
+        Raises:
+            DataError: a peg that overlaps the robot's base, or is no peg.
+        """
+        radius = self._robot.body.radius_cm
+        for index, peg in enumerate(pegs):
+            if hypot(peg.x, max(abs(peg.y) - radius, 0.0)) < peg.radius:
+                raise DataError(f"peg {index} overlaps the robot's base at (0, 0)", "move it away")
+        self.body.place(pegs)
+        self.pegs = tuple(pegs)
+        self._solve(self.length_cm)
+
     # What is known.
 
     @property
@@ -261,6 +287,20 @@ class Plant:
         )  # fmt: skip
 
     def _moment(self) -> Moment:
+        if (held := self._held) is not None:
+            line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
+            return Moment(
+                t_s=self.t_s,
+                length_cm=self.length_cm,
+                free_curvature=self.free_curvature,
+                body_psi=self.body_psi,
+                muscle_psi=self.muscle_psi,
+                contacts=(),
+                fold_angle=held.fold_angle,
+                centreline=line,
+                model="elastica",
+                error_bound_cm=1e-5,
+            )
         solved = self.length_cm >= _SMALLEST_CM
         return Moment(
             t_s=self.t_s,
@@ -320,6 +360,8 @@ class Plant:
     def _solve(self, length: float) -> None:
         """Find the body's shape; a tip that is pushed back too hard does not grow."""
         g = float(self._swing[0])
+        if self.hand_y_cm is not None:
+            self._held = hold_tip(self.hand_y_cm, g, length, self.body.tube)
         grown = length > self.length_cm
         if length >= _SMALLEST_CM:
             if grown and self.pegs:
@@ -343,6 +385,9 @@ class Plant:
         """Mean curvature over the everted part of each sensor."""
         if self.length_cm < _SMALLEST_CM:
             self._curvature[:] = 0.0
+            return
+        if self._held is not None:
+            self._curvature[:] = self._held.averages(self._centers, self._spans)
             return
         self.body.averages_into(self._centers, self._spans, self._curvature)
 

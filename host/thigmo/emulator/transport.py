@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs
 
@@ -21,9 +22,10 @@ from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ConfigError, LinkError
 from thigmo.link.heart import Beat, Heart
+from thigmo.mechanics import Peg
 
 if TYPE_CHECKING:
-    from thigmo.link.transport import Operator, Transport
+    from thigmo.link.transport import Dowel, Operator, Transport
 
 _KEPT_BEATS = 64
 
@@ -44,6 +46,20 @@ class EmulatedOperator:
         """Set the body's regulator; takes the scene's `operator.takes_s` of virtual time."""
         self._transport.pass_time(self._transport.scene.operator.takes_s)
         self._transport.lockstep.plant.set_body_pressure(pressure_psi)
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Clear the room and put these pegs into it; takes as long as setting the regulator.
+
+        Raises:
+            DataError: a peg that overlaps the robot's base.
+        """
+        self._transport.pass_time(self._transport.scene.operator.takes_s)
+        room = [Peg(peg.x, peg.y, peg.radius) for peg in pegs]
+        self._transport.lockstep.plant.place_pegs(room)
+
+    def push_tip(self, y_cm: float | None) -> None:
+        """Push the tip aside to y and hold it there; None lets go."""
+        self._transport.lockstep.plant.hold_tip(y_cm)
 
 
 class EmulatorTransport:

@@ -41,11 +41,16 @@ class Settling:
         by_tau = self.amplitude * decay * t / self.tau_s**2 * self.tau_se_s
         return self.amplitude * decay, np.hypot(self.amplitude_sd * decay, by_tau)
 
-    def usable_after_s(self, noise: float) -> float:
-        """Time from which the uncorrected rest adds less than `noise` (1/cm), at most 60 s."""
-        for t in np.arange(0.0, 60.0, 0.25):
-            if float(self.left(t)[1]) < noise:
-                return float(t)
+    def usable_after_s(self, noise: float, period_s: float = 0.25) -> float:
+        """Time since eversion from which a watched reading is known to `noise` (1/cm).
+
+        Watched means: readings of that noise every `period_s` from 1 s on, given to `observe`.
+        At most 60 s.
+        """
+        for end in np.arange(2.0, 60.0, 0.5):
+            t = np.arange(1.0, end, period_s)
+            if np.sqrt(self._covariance(t, noise)[0, 0]) < noise:
+                return float(end)
         return 60.0
 
     def observe(
@@ -64,15 +69,9 @@ class Settling:
         t, y = np.asarray(t_s, dtype=np.float64), np.asarray(reading, dtype=np.float64)
         if t.ndim != 1 or t.shape != y.shape or len(t) < 3:
             raise DataError("settling needs three or more readings", "watch the sensor for longer")
-        decay = np.exp(-t / self.tau_s)
-        slope = self.amplitude * decay * t / self.tau_s**2
-        # Unknowns: rest, amplitude, tau's error; the last two with priors from calibration.
-        design = np.column_stack([np.ones_like(t), decay, slope]) / noise
-        prior = np.diag([0.0, 1 / max(self.amplitude_sd, 1e-9), 1 / max(self.tau_se_s, 1e-9)])
+        full, prior = self._design(t, noise)
         target = np.concatenate([y / noise, prior @ np.array([0.0, self.amplitude, 0.0])])
-        full = np.vstack([design, prior])
-        normal = full.T @ full
-        covariance = np.linalg.inv(normal)
+        covariance = self._covariance(t, noise)
         best = covariance @ (full.T @ target)
         tau = float(np.clip(self.tau_s + best[2], 0.3 * self.tau_s, 3 * self.tau_s))
         own = Settling(
@@ -82,6 +81,19 @@ class Settling:
             float(np.sqrt(covariance[1, 1])),
         )
         return Settled(float(best[0]), float(np.sqrt(covariance[0, 0]))), own
+
+    def _design(self, t: Floats, noise: float) -> tuple[Floats, Floats]:
+        """Rows for the unknowns rest, amplitude, tau's error; the last two with priors."""
+        decay = np.exp(-t / self.tau_s)
+        slope = self.amplitude * decay * t / self.tau_s**2
+        rows = np.column_stack([np.ones_like(t), decay, slope]) / noise
+        prior = np.diag([0.0, 1 / max(self.amplitude_sd, 1e-9), 1 / max(self.tau_se_s, 1e-9)])
+        return np.vstack([rows, prior]), prior
+
+    def _covariance(self, t: Floats, noise: float) -> Floats:
+        """Covariance (3, 3) of rest, amplitude and tau's error after watching at times t."""
+        full, _ = self._design(t, noise)
+        return np.asarray(np.linalg.inv(full.T @ full))
 
 
 @dataclass(frozen=True, slots=True)
