@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -73,14 +74,22 @@ def retract(
         float | None,
         typer.Option(help="Everted length now, cm, as measured; asked for when unknown."),
     ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
     from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.config import RobotConfig
     from thigmo.robot import connect
 
     console = Console(quiet=as_json)
     with connect(robot, operator=TerminalOperator(console)) as machine:
+        if config is not None:
+            machine.configure(RobotConfig.load(config))
+        elif machine.known_config is not None:
+            machine.configure(machine.known_config)
         if length is not None:
             machine.confirm_length(length)
         elif machine.status().length_cm is None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
+
+import typer
 
 from thigmo.errors import DataError
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from thigmo.exploration import ExplorationResult
+    from thigmo.link.transport import Dowel
 
 Show = Callable[[str, float], None]
 
@@ -54,6 +57,23 @@ class Console:
                 yield lambda doing, done: bar.update(task, description=doing, completed=done)
             finally:
                 self._bar = None
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Say in one line how Ctrl-C or a termination left the robot, and end with its status."""
+        try:
+            yield
+        except (KeyboardInterrupt, SystemExit) as stopped:
+            told = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
+            status = 130 if isinstance(stopped, KeyboardInterrupt) else stopped.code
+            self.err.print(
+                "thigmo: interrupted; the robot is vented and braked and keeps its length, "
+                f"`thigmo retract` winds it in{told}",
+                highlight=False,
+                soft_wrap=True,
+                markup=False,
+            )
+            raise typer.Exit(int(status or 0)) from None
 
     def _line(self) -> Show:
         last = ""
@@ -148,4 +168,13 @@ class TerminalOperator:
         self._console.ask(
             f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa), "
             "then press Enter."
+        )
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Ask for the dowels to be placed."""
+        places = "; ".join(
+            f"{2 * peg.radius:.1f} cm thick at x = {peg.x:.1f}, y = {peg.y:.1f} cm" for peg in pegs
+        )
+        self._console.ask(
+            f"Take all dowels away, then place: {places or 'none'}. Then press Enter."
         )

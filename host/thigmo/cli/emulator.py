@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -24,12 +25,15 @@ def register(app: typer.Typer) -> None:
 
 def emulate(
     scene: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
-    seed: Annotated[int, typer.Option(help="Of the noise.", min=0)] = 0,
+    seed: Annotated[int | None, typer.Option(help="Of the noise.", min=0)] = None,
+    link: Annotated[
+        Path | None, typer.Option(help="Make this symbolic link to the port, for a stable name.")
+    ] = None,
 ) -> None:
     """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C."""
     serve: Any = import_module(_SERVE)
     try:
-        serve.serve(scene, seed=seed, announce=typer.echo)
+        serve.serve(scene, seed=seed, link=link, announce=typer.echo)
     except KeyboardInterrupt:
         raise typer.Exit from None
 

@@ -52,7 +52,7 @@ def explore(
     if robot is not None and scene is not None:
         raise ConfigError("--robot and --scene are both given", "give one of them")
     console = Console(quiet=as_json)
-    with console.progress() as show:
+    with console.progress() as show, console.interruptible():
         result = run(
             robot or f"emulator://{scene or 'default'}",
             config=RobotConfig.load(config) if config else None,

@@ -11,7 +11,17 @@ from typing import Annotated
 
 import typer
 
-from thigmo.cli import board, emulator, explore, flash, localize, runs
+from thigmo.cli import (
+    bench,
+    board,
+    camera,
+    emulator,
+    experiment,
+    explore,
+    flash,
+    localize,
+    runs,
+)
 from thigmo.errors import ThigmoError
 
 app = typer.Typer(
@@ -22,7 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for module in (explore, localize, runs, board, flash, emulator):
+for module in (explore, localize, runs, board, flash, emulator, camera, experiment, bench):
     module.register(app)
 
 
@@ -53,5 +63,6 @@ def main() -> None:
     try:
         app()
     except ThigmoError as error:
-        typer.echo(f"thigmo: {error}", err=True)
+        notes = getattr(error, "__notes__", [])
+        typer.echo(f"thigmo: {error}" + "".join(f" ({note})" for note in notes), err=True)
         sys.exit(1)

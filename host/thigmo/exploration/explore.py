@@ -126,6 +126,7 @@ def _recorded_run(
 ) -> Exploration:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
+    folder.write_document(document)
     with folder.open_log(_metadata(robot, document)) as log:
         robot.record_frames(log.frame)
         run = Exploration(robot, config, folder, log, document, tell, protocol)
@@ -133,6 +134,7 @@ def _recorded_run(
             run.run()
         except BaseException as error:
             run.document = replace(run.document, outcome=f"aborted: {_why(error)}")
+            error.add_note(f"run folder: {folder.path}")
             raise
         finally:
             # Safe outputs first, while the record still listens.
@@ -180,7 +182,10 @@ def _sigterm_raises() -> Iterator[None]:
     before = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
-    except _TerminatedError:
-        raise SystemExit(128 + signal.SIGTERM) from None
+    except _TerminatedError as error:
+        ended = SystemExit(128 + signal.SIGTERM)
+        for note in getattr(error, "__notes__", []):
+            ended.add_note(note)
+        raise ended from None
     finally:
         signal.signal(signal.SIGTERM, before)

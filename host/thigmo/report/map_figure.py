@@ -92,12 +92,18 @@ def _between(shapes: list[Shape]) -> list[list[Pose]]:
 def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
     """Swept space as one pale area; over it the widest bends of each stage, darker with length."""
     from matplotlib import colormaps
+    from matplotlib.collections import PolyCollection
 
+    swept = [
+        _outline(poses, radius_cm)
+        for stage in stages
+        for side in ("left", "right")
+        for poses in _between([shape for shape in stage.shapes if shape.side == side])
+    ]
+    # One collection: a thousand single patches would take seconds.
+    axes.add_collection(PolyCollection(swept, facecolor=_SWEPT, edgecolor=_SWEPT, lw=0.6, zorder=1))
+    axes.autoscale_view()
     longest = max((stage.everted_length_cm for stage in stages), default=1.0)
-    for stage in stages:
-        for side in ("left", "right"):
-            for poses in _between([s for s in stage.shapes if s.side == side]):
-                axes.fill(*_outline(poses, radius_cm).T, color=_SWEPT, lw=0.6, zorder=1)
     for stage in stages:
         shade = colormaps["Blues"](0.35 + 0.6 * stage.everted_length_cm / longest)
         for side in ("left", "right"):
@@ -182,6 +188,9 @@ def _frame(axes: Axes, document: RunDocument) -> None:
     """Axes, title and legend."""
     axes.set_aspect("equal", adjustable="box")
     axes.margins(0.06)
+    if not document.stages:  # cut short before the first sweep: an empty room of the robot's size
+        axes.set_xlim(-10, 60)
+        axes.set_ylim(-35, 35)
     axes.set_xlabel("x, along the straight robot (cm)")
     axes.set_ylabel("y, to its left (cm)")
     axes.grid(color="#d9dfe5", lw=0.5)

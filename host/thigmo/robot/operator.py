@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from thigmo.errors import DataError
-from thigmo.link.transport import Operator
+from thigmo.link.transport import Dowel, Operator
 
 __all__ = ["NobodyThere", "Operator"]
 
@@ -29,3 +31,11 @@ class NobodyThere:
             f"the body pressure must be set to {pressure_psi:g} psi by hand",
             "set the regulator, and call select_zone",
         )
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Refuse.
+
+        Raises:
+            DataError: always.
+        """
+        raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")

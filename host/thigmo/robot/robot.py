@@ -320,6 +320,9 @@ class Robot:
             CommandTimeoutError: they stay under pressure.
         """
         self._request(wire.Vent())
+        self._wait_vented()
+
+    def _wait_vented(self) -> None:
         end = self.now() + _VENT_S
         while "vented" not in self.status().conditions:
             if self.now() > end:
@@ -337,7 +340,11 @@ class Robot:
         Args:
             length_cm: measured.
             settled: the everted sensors have rested long enough already.
+
+        Raises:
+            CommandTimeoutError: a muscle stays under pressure.
         """
+        self._wait_vented()
         self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
     def select_zone(self, zone: int) -> None:
@@ -568,7 +575,7 @@ class Robot:
     @contextmanager
     def _telemetry_to(self, watcher: SweepWatcher) -> Iterator[None]:
         def take(frame: TelemetryFrame) -> None:
-            watcher.telemetry(frame.device_us / 1e6, lambda: frame.message)
+            watcher.telemetry(frame.device_us * 1e-6, lambda: frame.message)
 
         self._client.on_telemetry.append(take)
         try:

@@ -1,0 +1,217 @@
+"""The whole path on the emulator: grow, sweep, feel, localize, map; what a run leaves behind."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+from thigmo.cli.main import main
+from thigmo.emulator.reach import random_peg
+from thigmo.emulator.scene import FaultTable, PegTable, Scene
+from thigmo.errors import LinkError, RobotFaultError
+from thigmo.exploration import ExplorationResult, explore, replay
+from thigmo.link import protocol as wire
+from thigmo.link.framing import decode
+from thigmo.record import RunFolder
+
+FOUND = ("localized", "ambiguous")
+
+
+def _write(scene: Scene, path: Path) -> Path:
+    path.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def default(tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
+    """Section 3.5 of the thesis, explored once."""
+    return explore("emulator://default", seed=1, out=tmp_path_factory.mktemp("runs"))
+
+
+def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
+    default: ExplorationResult,
+) -> None:
+    document = default.document
+    assert document.outcome == "full length"
+    (contact,) = document.contacts
+    assert contact.status in FOUND
+    assert contact.everted_length_cm == pytest.approx(53, abs=0.1)
+    assert document.error_x_cm is not None
+    assert document.error_x_cm < 3.0  # the thesis: 6.82
+    assert document.truth is not None
+    (true,) = document.truth.contacts
+    assert contact.interval_cm[0] <= true.arc_cm <= contact.interval_cm[1] + 0.1
+    assert [round(s.everted_length_cm) for s in document.stages] == [10, 20, 30, 40, 50, 53]
+
+
+def test_minutes_of_robot_time_take_at_most_10_s(default: ExplorationResult) -> None:
+    document = default.document
+    print(f"{document.robot_time_s:.0f} s of robot time in {document.wall_time_s:.1f} s")
+    assert document.robot_time_s > 300
+    assert document.wall_time_s <= 10
+
+
+def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
+    folder = RunFolder(default.folder)
+    assert folder.read_document() == default.document
+    assert folder.read_config().name == "vine-53"
+    assert folder.map_path.read_bytes().startswith(b"\x89PNG")
+    log = folder.read_log()
+    assert not log.truncated
+    assert int(log.metadata["schema_hash"], 16) == wire.SCHEMA_HASH
+    kinds = {type(decode(entry.frame).message()) for entry in log.entries}
+    assert {wire.Sweep, wire.Telemetry, wire.Snapshot, wire.Event, wire.GrowTo} <= kinds
+    states = [note["state"] for _, note in log.notes if note["topic"] == "state"]
+    assert states[:3] == ["CONFIGURE", "CONFIRM", "ARM"]
+    assert states[-1] == "FINISH"
+
+
+def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> None:
+    frames = [decode(e.frame) for e in RunFolder(default.folder).read_log().entries]
+    last = [f.message() for f in frames if f.id == wire.Telemetry.ID][-1]
+    assert isinstance(last, wire.Telemetry)
+    assert (last.left_drive, last.right_drive, last.motor) == (0, 0, 0)
+    assert max(last.left_cpsi, last.right_cpsi) < 50
+    stops = [f for f in frames if f.id == wire.Stop.ID]
+    assert stops
+
+
+def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -> None:
+    again = replay(default.folder)
+    assert again.sweeps == 7  # six stages, and one measurement
+    assert again.bad_frames == 0
+    (live,), (replayed,) = default.document.contacts, again.document.contacts
+    assert replayed == live
+    assert again.document.error_x_cm == default.document.error_x_cm
+    for mine, theirs in zip(again.document.stages, default.document.stages, strict=True):
+        assert mine.triggers == theirs.triggers
+        assert mine.shapes == theirs.shapes
+    assert (default.folder / "replay.png").exists()
+
+
+def test_the_same_seed_gives_the_same_run(default: ExplorationResult, tmp_path: Path) -> None:
+    again = explore("emulator://default", seed=1, out=tmp_path)
+    assert again.document.contacts == default.document.contacts
+    assert again.document.stages == default.document.stages
+    assert again.document.robot_time_s == default.document.robot_time_s
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_empty_room_gives_no_contact(tmp_path: Path, seed: int) -> None:
+    document = explore("emulator://empty", seed=seed, out=tmp_path).document
+    assert document.outcome == "full length"
+    assert document.contacts == []
+    assert document.error_x_cm is None
+    assert len(document.stages) == 6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_random_peg_is_found_at_the_first_stage_that_can_feel_it(
+    tmp_path: Path, seed: int
+) -> None:
+    scene = Scene.load("default")
+    peg, felt = random_peg(scene.robot, np.random.default_rng(seed))
+    scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
+    file = _write(scene, tmp_path / "room.toml")
+    document = explore(f"emulator://{file}", seed=seed, out=tmp_path).document
+    first = next(s for s in document.stages if any(t.status in FOUND for t in s.triggers))
+    assert round(first.everted_length_cm) == felt.length_cm
+    assert felt.side in {t.side for t in first.triggers if t.status in FOUND}
+    (contact,) = document.contacts
+    assert document.truth is not None
+    true = min(
+        document.truth.contacts, key=lambda t: abs(t.everted_length_cm - contact.everted_length_cm)
+    )
+    low, high = contact.interval_cm
+    print(f"seed {seed}: {peg}, error {document.error_cm:.2f} cm, interval {low:.1f}..{high:.1f}")
+    assert low - 1.0 <= true.arc_cm <= high + 1.0
+
+
+def test_the_thesis_protocol_measures_at_the_full_sweeps_peak(tmp_path: Path) -> None:
+    scene = Scene.load("mid_body")
+    scene.start_length_cm = 38.0  # one stage less to explore
+    file = _write(scene, tmp_path / "room.toml")
+    times = {}
+    for protocol in ("thesis", "measure"):
+        result = explore(f"emulator://{file}", seed=2, out=tmp_path, protocol=protocol)  # type: ignore[arg-type]
+        times[protocol] = result.document.robot_time_s
+        pressures = [
+            max(s.pressure_psi for s in stage.shapes if s.side == "right")
+            for stage in result.document.stages
+        ]
+        assert result.document.contacts
+        assert (min(pressures) > 17) == (protocol == "thesis")
+    assert times["thesis"] < times["measure"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "named"),
+    [
+        (FaultTable(kind="flex_wire_cut", above_length_cm=15.0), RobotFaultError, "flex_"),
+        (FaultTable(kind="spool_stall", above_length_cm=12.0), RobotFaultError, "spool_stall"),
+        (FaultTable(kind="pressure_wire_cut", above_pressure_psi=9.0), RobotFaultError, "wire"),
+        (FaultTable(kind="host_silent", above_pressure_psi=9.0), LinkError, "answer"),
+    ],
+    ids=lambda value: getattr(value, "kind", None),
+)  # fmt: skip
+def test_a_fault_ends_the_run_safely_and_the_folder_says_so(
+    tmp_path: Path, fault: FaultTable, error: type[Exception], named: str
+) -> None:
+    scene = Scene.load("empty")
+    scene.faults = [fault]
+    file = _write(scene, tmp_path / "room.toml")
+    with pytest.raises(error, match=named):
+        explore(f"emulator://{file}", seed=1, out=tmp_path)
+    (path,) = tmp_path.glob("*-room")
+    folder = RunFolder(path)
+    document = folder.read_document()
+    assert document.outcome.startswith("aborted: ")
+    assert named in document.outcome
+    assert len(document.stages) <= 2
+    assert not folder.read_log().truncated
+    assert replay(path).document.contacts == []
+
+
+def test_the_command_prints_one_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = Scene.load("default")
+    scene.start_length_cm = 51.0
+    file = _write(scene, tmp_path / "room.toml")
+    arguments = ["explore", "--scene", str(file), "--seed", "1", "--out", str(tmp_path), "--json"]
+    monkeypatch.setattr(sys, "argv", ["thigmo", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    result = json.loads(capsys.readouterr().out)
+    contact_keys = {
+        "arc_cm", "x_cm", "y_cm", "force_per_cm2", "interval_cm", "status", "everted_length_cm",
+    }  # fmt: skip
+    assert contact_keys <= result["contacts"][0].keys()
+    assert result["truth"]["pegs"]
+    assert result["error_x_cm"] <= result["error_cm"]
+    assert result["robot_time_s"] > result["wall_time_s"] > 0
+    for command, keys in (
+        (["info", result["run"], "--json"], {"frames", "truncated", "outcome"}),
+        (["replay", result["run"], "--json"], {"contacts", "sweeps"}),
+        (["info", "emulator://default", "--json"], {"state", "faults", "firmware"}),
+        (["params", "emulator://default", "settle_ms", "--json"], {"settle_ms"}),
+        (["scene", "check", str(file), "--json"], {"pegs", "robot"}),
+        (["retract", "--robot", f"emulator://{file}", "--json"], {"length_cm"}),
+    ):
+        monkeypatch.setattr(sys, "argv", ["thigmo", *command])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code, command
+        assert keys <= json.loads(capsys.readouterr().out).keys(), command
+
+
+def test_an_unwritable_folder_is_said_before_anything_moves(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("a file")
+    with pytest.raises(Exception, match="choose another with --out"):
+        explore("emulator://empty", out=tmp_path / "runs")
