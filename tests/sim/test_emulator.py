@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import pytest
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.plant import Plant
-from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import serve
 from thigmo.emulator.transport import EmulatorTransport, open_emulator
-from thigmo.errors import BoardResetError, ConfigError, LinkError, PortError, RobotFaultError
+from thigmo.errors import ConfigError, PortError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.robot import Robot, connect
@@ -116,71 +115,6 @@ def test_known_config_is_what_the_scenes_lab_believes() -> None:
     robot, _ = emulated(scene, seed=3)
     assert robot.known_config == scene.believed(3)
     assert robot.known_config != scene.robot
-
-
-PRESS = {"left_psi": 12.0, "right_psi": 0.0, "period_s": 20.0}
-
-
-@pytest.mark.parametrize(
-    ("fault", "key", "moving"),
-    [
-        ({"kind": "flex_wire_cut", "side": "right", "sensor": 1}, "flex_open", "sweep"),
-        ({"kind": "flex_short", "side": "left", "sensor": 3}, "flex_short", "sweep"),
-        ({"kind": "pressure_wire_cut", "side": "left"}, "pressure_wire", "sweep"),
-        ({"kind": "pressure_stuck", "side": "left", "value": 0.0}, "pressure_stuck", "sweep"),
-        ({"kind": "over_pressure", "side": "left"}, "over_pressure", "sweep"),
-        ({"kind": "spool_stall"}, "spool_stall", "retract"),
-        ({"kind": "spool_slip"}, "spool_slip", "sweep"),
-        ({"kind": "host_silent", "duration_s": 2.0}, "host_silent", "sweep"),
-        ({"kind": "brown_out"}, "brown_out", "sweep"),
-        ({"kind": "estop"}, "estop", "sweep"),
-    ],
-)
-def test_injected_fault_is_named_safe_and_latched(
-    room: Scene, fault: dict[str, Any], key: str, moving: str
-) -> None:
-    robot, transport = ready(room)
-    if moving == "sweep":
-        robot.zero()
-    transport.lockstep.faults.inject(FaultTable(at_s=robot.now() + 2.0, **fault))
-    move = partial(robot.sweep, **PRESS) if moving == "sweep" else partial(robot.retract_to, 30.0)
-    with pytest.raises((RobotFaultError, LinkError)) as caught:
-        move()
-    if isinstance(caught.value, RobotFaultError):
-        assert key in caught.value.faults
-    board = transport.lockstep.board
-    assert board.drive_enabled == (False, False)
-    assert board.motor == 0
-    assert board.braked
-    transport.read(3.0)
-    assert key in robot.status().faults  # latched, whatever became of its cause
-
-
-def test_hang_bites_the_watchdog_and_the_length_is_forgotten(room: Scene) -> None:
-    robot, transport = ready(room)
-    robot.zero()
-    transport.lockstep.faults.inject(FaultTable(kind="hang", at_s=robot.now() + 2.0))
-    with pytest.raises((BoardResetError, LinkError, RobotFaultError)):
-        robot.sweep(**PRESS)
-    transport.pass_time(2.0)
-    again = Robot(Client(transport))
-    status = again.status()
-    assert "watchdog" in status.faults
-    assert status.length_cm is None
-    assert transport.lockstep.plant.muscle_psi[0] < 2.5
-
-
-def test_power_cut_vents_the_muscles(room: Scene) -> None:
-    robot, transport = ready(room)
-    robot.zero()
-    transport.lockstep.faults.inject(
-        FaultTable(kind="power_cut", at_s=robot.now() + 4.0, duration_s=1.5)
-    )
-    with pytest.raises((BoardResetError, LinkError, RobotFaultError)):
-        robot.sweep(**PRESS)
-    transport.pass_time(4.0)
-    assert transport.lockstep.plant.muscle_psi == pytest.approx((0.0, 0.0), abs=1e-3)
-    assert Robot(Client(transport)).status().config_generation == 1
 
 
 def test_trigger_threshold_is_passed_where_the_noise_free_plant_says(room: Scene) -> None:

@@ -111,8 +111,9 @@ enum class Reason : uint8_t {
   kNotVented = 13,    // A muscle still holds pressure; vent and wait.
   kNotSettled = 14,   // A sensor everted too recently; wait for its settling time.
   kDrifting = 15,     // Readings still drift; wait, and look for a touch or a loose wire.
-  kOverLimit = 16,    // The set point exceeds the configured maximum pressure or length.
-  kNoSnapshot = 17,   // No such reading was captured.
+  kOverLimit = 16,    // The set point exceeds the configured maximum pressure or length; ask for
+                      // less, or raise the limit in robot.toml.
+  kNoSnapshot = 17,   // No such reading was captured; sweep first, past the peak.
   kEstop = 18,        // The emergency stop is pressed; release it first.
   kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.

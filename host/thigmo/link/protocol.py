@@ -155,8 +155,14 @@ class Reason(Documented):
     NOT_VENTED = 13, "A muscle still holds pressure; vent and wait."
     NOT_SETTLED = 14, "A sensor everted too recently; wait for its settling time."
     DRIFTING = 15, "Readings still drift; wait, and look for a touch or a loose wire."
-    OVER_LIMIT = 16, "The set point exceeds the configured maximum pressure or length."
-    NO_SNAPSHOT = 17, "No such reading was captured."
+    OVER_LIMIT = (
+        16,
+        (
+            "The set point exceeds the configured maximum pressure or length; ask for less, "
+            "or raise the limit in robot.toml."
+        ),
+    )
+    NO_SNAPSHOT = 17, "No such reading was captured; sweep first, past the peak."
     ESTOP = 18, "The emergency stop is pressed; release it first."
     BAD_CONFIG = 19, "The stored configuration is damaged; load defaults, configure and save again."
     NOT_ZEROED = 20, "Sensors have no valid zero; vent, wait for settling, and zero."
