@@ -6,11 +6,28 @@ is the monotonic clock, in the emulator reading is what advances virtual time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, Protocol
 
 from thigmo.errors import PortError
 from thigmo.link.heart import Beat
+
+
+class Dowel(Protocol):
+    """A round obstacle in the room, cm: x along the straight robot from its base, y to its left."""
+
+    @property
+    def x(self) -> float:
+        """Centre."""
+
+    @property
+    def y(self) -> float:
+        """Centre."""
+
+    @property
+    def radius(self) -> float:
+        """Radius."""
 
 
 class Operator(Protocol):
@@ -21,6 +38,9 @@ class Operator(Protocol):
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's pressure regulator; return when it is set."""
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Clear the room and put these dowels into it; return when they stand."""
 
 
 class Transport(Protocol):

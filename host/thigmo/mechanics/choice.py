@@ -78,6 +78,31 @@ class Body:
     def critical_moment(self, value: float | None) -> None:
         self._rod.critical_moment = value
 
+    def place(self, pegs: Sequence[Peg]) -> None:
+        """Put other pegs into the room, beside the body as it lies.
+
+        A body that is clear of them stays where it is. One that is not, or was held by the old
+        ones, bends up anew from straight, and pegs in its way push it aside.
+        """
+        g, length = self.free_curvature, self.length
+        self.pegs = tuple(pegs)
+        self._pegs = np.array([(p.x, p.y, p.radius) for p in pegs], dtype=np.float64).reshape(-1, 3)
+        self._rod = Rod(self._rod.tube, pegs, cell_cm=self._cell_cm)
+        self._rod_current = False
+        self._touching = 0
+        self.length = 0.0
+        if length == 0.0:
+            return
+        cells = max(8, ceil(length / self._cell_cm - 1e-9))
+        n = arc.fill(g, length, cells, self._own)
+        if arc.clearance(g, length, self.tube.radius_cm, self._pegs, self._own, n) > 0:
+            self._own_count = n
+            self._set_free()
+            self.length, self.free_curvature = length, g
+        else:
+            self.step(0.0, length)
+            self.step(g, length)
+
     def step(self, free_curvature: float, length: float) -> None:
         """Move to a new free curvature (1/cm) and everted length (cm)."""
         cells = max(8, ceil(length / self._cell_cm - 1e-9))

@@ -12,8 +12,9 @@ from thigmo.emulator.faults import FaultInjector
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport, parse_url
-from thigmo.errors import ConfigError, LinkError
+from thigmo.errors import ConfigError, DataError, LinkError
 from thigmo.link.protocol import ResetCause
+from thigmo.mechanics import Peg
 
 
 def faulty(**entries: Any) -> Scene:
@@ -181,6 +182,26 @@ def test_operator_measures_and_sets_the_regulator(board: SilentBoard) -> None:
     link.operator.set_body_pressure(0.77)
     assert link.lockstep.plant.body_psi == 0.77
     assert link.now() == pytest.approx(5.0)
+
+
+def test_operator_moves_the_dowels(board: SilentBoard) -> None:
+    scene = Scene.load("default")
+    scene.start_length_cm = 53.0
+    link = transport(board, scene)
+    assert link.operator is not None
+    link.operator.place_pegs([Peg(35.0, 6.0, 0.6), Peg(20.0, -8.0, 0.5)])
+    assert link.now() == pytest.approx(scene.operator.takes_s)
+    assert [peg.x for peg in link.truth().pegs] == [35.0, 20.0]
+    board.drive, board.drive_enabled = (430, 0), (True, False)
+    link.pass_time(6.0)
+    assert [contact.peg for contact in link.truth().now.contacts] == [0]
+    link.operator.place_pegs([])
+    assert link.truth().now.contacts == ()
+    assert link.lockstep.plant.sensor_curvature == pytest.approx(
+        np.full(10, link.lockstep.plant.free_curvature), abs=1e-6
+    )
+    with pytest.raises(DataError, match="overlaps"):
+        link.operator.place_pegs([Peg(1.0, 0.0, 2.0)])
 
 
 def test_operators_ruler_errs_as_the_scene_says(board: SilentBoard) -> None:
