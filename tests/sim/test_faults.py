@@ -1,5 +1,8 @@
-"""Every fault of the supervisor, provoked in the emulated body and seen through `Robot`: named, with
-the next step; safe in time, never a retraction; latched; and cleared only with its cause gone."""
+"""Every fault of the supervisor, provoked in the emulated body and seen through `Robot`.
+
+Each is named with its next step, safe in time (never a retraction), latched, and cleared only with
+its cause gone.
+"""
 
 from __future__ import annotations
 
