@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from thigmo.exploration.map import best_contact, errors, merge, peg_ahead
-from thigmo.exploration.workspace import Bend, centreline, place_contact, skin_point
+from thigmo.exploration.workspace import (
+    Bend,
+    centreline,
+    excess_knots,
+    place_contact,
+    ramp_knots,
+    skin_point,
+)
 from thigmo.record import MapContact, TrueContact
 
 
@@ -23,12 +30,26 @@ def test_a_free_body_is_a_circular_arc(length: float, curvature: float) -> None:
         assert y == pytest.approx((1 - cos(heading)) / curvature, abs=2e-3)
 
 
-def test_a_contact_adds_its_ramp_and_a_fold_turns_the_whole_body() -> None:
-    # Heading at and beyond the contact: g a + f a^2 / 2, the integral of f (a - s).
-    curve = centreline(Bend(50.0, 0.01, ((40.0, -2e-4),), fold_rad=0.1))
+def test_excess_curvature_turns_the_body_and_a_fold_turns_all_of_it() -> None:
+    # Heading beyond the contact: g s + the integral of a ramp that falls to zero at 40 cm.
+    ramp = ramp_knots([(40.0, -2e-4)])
+    assert ramp == pytest.approx(np.array([(0.0, -2e-4 * 40), (40.0, 0.0)]))
+    curve = centreline(Bend(50.0, 0.01, ramp, fold_rad=0.1))
     assert curve.pose(0.0)[2] == pytest.approx(0.1)
     assert curve.pose(40.0)[2] == pytest.approx(0.1 + 0.4 - 2e-4 * 800)
     assert curve.pose(50.0)[2] == pytest.approx(0.1 + 0.5 - 2e-4 * 800)
+
+
+def test_readings_are_extended_to_the_base_and_end_at_the_contact() -> None:
+    centers = np.array([5.0, 15.0, 25.0, 35.0])
+    ramp = -2e-4 * np.maximum(27.0 - centers, 0)
+    knots = excess_knots(centers, ramp + np.array([0, 0, 0, 5e-4]), 27.0)
+    assert knots == pytest.approx(
+        np.array([(0.0, -2e-4 * 27), (5.0, -2e-4 * 22), (15.0, -2e-4 * 12), (25.0, -4e-4), (27, 0)])
+    )
+    (base, _), (only, _), end = excess_knots(centers[:1], ramp[:1], 27.0)
+    assert (base, only, end) == (0.0, 5.0, (27.0, 0.0))
+    assert excess_knots(centers, ramp, 4.0) == ()
 
 
 def test_the_point_is_on_the_side_that_the_force_comes_from() -> None:
@@ -40,7 +61,7 @@ def test_the_point_is_on_the_side_that_the_force_comes_from() -> None:
 
 def test_the_covariance_is_the_interval_along_and_the_shapes_error_across() -> None:
     placed = place_contact(
-        Bend(53.0, 0.0, ((40.0, -1e-9),)), 0, (36.0, 44.0), radius_cm=1.75, curvature_se=5e-4
+        Bend(53.0, 0.0), 40.0, -1e-4, (36.0, 44.0), radius_cm=1.75, curvature_se=5e-4
     )
     (xx, xy), (_, yy) = placed.covariance_cm2
     assert xx**0.5 == pytest.approx(8 / 3.92, rel=0.02)

@@ -36,7 +36,7 @@ def replay(
     for contact in result.document.contacts:
         low, high = contact.interval_cm
         console.print(
-            f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:g} cm "
+            f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
             f"({low:.1f} to {high:.1f}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm",
             highlight=False,
         )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thigmo.experiments import thesis
 from thigmo.experiments.specimen import Trial
-from thigmo.exploration.workspace import Bend, centreline, skin_point
+from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
 from thigmo.localization import localize
 from thigmo.localization.baselines import BASELINES, Problem
 from thigmo.mechanics import phi
@@ -107,7 +107,7 @@ def workspace_errors(trial: Trial, answer: Answer) -> Floats:
         Bend(
             thesis.LENGTH_CM,
             trial.free,
-            tuple(zip(answer.arcs_cm, answer.forces, strict=True)),
+            ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True)),
             answer.fold_rad,
         )
     )

@@ -15,8 +15,9 @@ from thigmo.config import SIDES, RobotConfig
 from thigmo.exploration.known import beyond
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.workspace import Bend, centreline, place_contact
+from thigmo.exploration.workspace import Bend, centreline, excess_knots, place_contact
 from thigmo.localization import LocalizeResult, localize
+from thigmo.mechanics.buckling import fold_share
 from thigmo.record import MapContact, Shape
 from thigmo.robot import Peak, SensorTable
 
@@ -73,17 +74,19 @@ def feel(
     found = [c for c in result.contacts if c.status in _PLACED]
     if len(found) == 1 and found[0].force * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
-    bend = Bend(
-        peak.length_cm,
-        peak.free_curvature,
-        tuple((c.arc, c.force) for c in found),
-        result.parameters.get("fold_angle", 0.0),
+    fold = result.parameters.get("fold_angle", 0.0)
+    centers, spans = table.center_cm[use], table.span_cm[use]
+    unfolded = (peak.curvature - expected)[use] - fold * fold_share(
+        centers, spans, config.body.diameter_cm
     )
+    last = max((contact.arc for contact in found), default=0.0)
+    bend = Bend(peak.length_cm, peak.free_curvature, excess_knots(centers, unfolded, last), fold)
     contacts = []
-    for index, contact in enumerate(found):
+    for contact in found:
         placed = place_contact(
             bend,
-            index,
+            contact.arc,
+            contact.force,
             contact.interval,
             radius_cm=config.body.radius_cm,
             curvature_se=muscle.offset_se,

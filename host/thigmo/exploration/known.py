@@ -15,7 +15,7 @@ _LEVEL = 0.95
 _WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own limit
 # With less of the posterior than this beyond the arc, its slope there says nothing: the readings
 # and the model disagree about what is known, and the place is open within it.
-_LEAST_MASS = 1e-3
+_LEAST_MASS = 0.05
 
 
 def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> LocalizeResult:

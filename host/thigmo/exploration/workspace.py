@@ -1,15 +1,16 @@
 """From arc length to the room: the robot's bent shape, and where on its skin a contact is.
 
-The curvature along the body is the free curvature plus one ramp for each contact (METHODS: a
-contact moment falls linearly to the contact), plus the fold at the base where there is one. Its
-integral is the heading, the integral of the heading is the shape. A contact's uncertainty is its
-interval along the body and the shape's own: a common error of the free curvature bends it all.
+The curvature along the body is the free curvature plus what the sensors read above it, which falls
+to nothing at the last contact, plus the fold at the base where there is one. Its integral is the
+heading, the integral of the heading is the shape. So the shape follows the readings, whatever the
+contact's mechanics. A contact's uncertainty is its interval along the body and the shape's own: a
+common error of the free curvature bends it all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,14 @@ class Bend:
     Attributes:
         length_cm: everted length.
         free_curvature: of the inflated muscle, 1/cm, signed.
-        contacts: (arc in cm, force over EI in 1/cm^2) of each contact.
+        excess: (arc in cm, curvature above the free one in 1/cm), base first, linear in between and
+            zero beyond the last.
         fold_rad: angle of a fold at the base, signed; 0 without one.
     """
 
     length_cm: float
     free_curvature: float
-    contacts: tuple[tuple[float, float], ...] = ()
+    excess: tuple[tuple[float, float], ...] = ()
     fold_rad: float = 0.0
 
 
@@ -66,15 +68,50 @@ def centreline(bend: Bend) -> Curve:
     count = max(2, int(np.ceil(bend.length_cm / _STEP_CM)) + 1)
     arc = np.linspace(0.0, bend.length_cm, count)
     heading = bend.fold_rad + bend.free_curvature * arc
-    for place, force in bend.contacts:
-        beyond = np.maximum(place - arc, 0.0)
-        heading = heading + force * (place**2 - beyond**2) / 2
     step = np.diff(arc)
+    if bend.excess:
+        knots = np.array(bend.excess)
+        above = np.interp(arc, knots[:, 0], knots[:, 1], right=0.0)
+        turned = np.cumsum(step * (above[1:] + above[:-1]) / 2)
+        heading = heading + np.concatenate(([0.0], turned))
     # Mid-point headings: second order, and exact enough at a quarter of a centimetre.
     middle = (heading[1:] + heading[:-1]) / 2
     x = np.concatenate(([0.0], np.cumsum(step * np.cos(middle))))
     y = np.concatenate(([0.0], np.cumsum(step * np.sin(middle))))
     return Curve(arc, x, y, heading)
+
+
+def excess_knots(
+    centers: Floats, excess: Floats, last_contact_cm: float
+) -> tuple[tuple[float, float], ...]:
+    """The excess curvature along the body from readings: extended to the base, zero at the contact.
+
+    Args:
+        centers: of the sensors, cm, ascending.
+        excess: their readings above the free curvature, 1/cm.
+        last_contact_cm: arc of the most distal contact; beyond it the body is free.
+    """
+    before = centers < last_contact_cm - 1.0
+    x, y = centers[before], excess[before]
+    if not x.size:
+        return ()
+    after_x, after_y = (x[1], y[1]) if x.size > 1 else (last_contact_cm, 0.0)
+    at_base = y[0] + (y[0] - after_y) * x[0] / (after_x - x[0])
+    inner = [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
+    return ((0.0, float(at_base)), *inner, (last_contact_cm, 0.0))
+
+
+def ramp_knots(contacts: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """The excess curvature that contacts cause on a straight beam: a ramp to each of them.
+
+    Args:
+        contacts: (arc in cm, force over EI in 1/cm^2) of each.
+    """
+    known = sorted(contacts)
+    places = [0.0, *(arc for arc, _ in known)]
+    return tuple(
+        (place, sum(force * max(arc - place, 0.0) for arc, force in known)) for place in places
+    )
 
 
 def skin_point(curve: Curve, arc_cm: float, force: float, radius_cm: float) -> Pose:
@@ -104,7 +141,8 @@ class PlacedContact:
 
 def place_contact(
     bend: Bend,
-    index: int,
+    arc: float,
+    force: float,
     interval_cm: Sequence[float],
     *,
     radius_cm: float,
@@ -114,12 +152,12 @@ def place_contact(
 
     Args:
         bend: the body's shape at the moment of measurement.
-        index: which of its contacts.
-        interval_cm: 95 % interval of that contact's arc.
+        arc: of the contact, cm.
+        force: over EI, 1/cm^2: its sign says from which side.
+        interval_cm: 95 % interval of the arc.
         radius_cm: of the tube.
         curvature_se: standard error of the common curvature, 1/cm.
     """
-    arc, force = bend.contacts[index]
     curve = centreline(bend)
     x, y, normal = skin_point(curve, arc, force, radius_cm)
     low, high = (float(np.clip(end, 0.0, bend.length_cm)) for end in interval_cm)
@@ -127,7 +165,7 @@ def place_contact(
     # Along the body: 95 % of a normal error spans 3.92 standard deviations.
     heading = curve.pose(arc)[2]
     along = (high - low) / 3.92 * np.array([np.cos(heading), np.sin(heading)])
-    bent = Bend(bend.length_cm, bend.free_curvature + curvature_se, bend.contacts, bend.fold_rad)
+    bent = replace(bend, free_curvature=bend.free_curvature + curvature_se)
     moved = skin_point(centreline(bent), arc, force, radius_cm)
     across = np.array([moved[0] - x, moved[1] - y])
     covariance = np.outer(along, along) + np.outer(across, across)

@@ -154,7 +154,7 @@ def _contact(axes: Axes, contact: MapContact) -> None:
     away = 1.0 if np.sin(contact.normal_rad) >= 0 else -1.0
     low, high = contact.interval_cm
     axes.annotate(
-        f"{contact.arc_cm:.1f} cm along a body of {contact.everted_length_cm:g} cm\n"
+        f"{contact.arc_cm:.1f} cm along a body of {contact.everted_length_cm:.1f} cm\n"
         f"95 %: {low:.1f} to {high:.1f} cm, {contact.readings} sensors",
         (contact.x_cm, contact.y_cm), xytext=(14, 26 * away), textcoords="offset points",
         fontsize=8, color=color, va="center", zorder=8,
