@@ -112,6 +112,7 @@ class Controller {
   int32_t length_um() const { return length_um_; }
 
  private:
+  static constexpr uint8_t kTelemetryPhase = 3;
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint16_t kRearmMs = 200;
@@ -130,7 +131,6 @@ class Controller {
     return {refusal(kind, state_, activity_, conditions_), 0};
   }
 
-  void add_flex(uint8_t sensor, uint16_t count);
   void run_phase(uint8_t phase);
   void advance_sweep();
   void begin_half();
@@ -186,7 +186,7 @@ class Controller {
   uint32_t elapsed_ = 0;  // ticks since the one before
   uint32_t beat_tick_ = 0;
   uint32_t energised_tick_ = 0;  // when an output was first energised, this time
-  uint32_t telemetry_tick_ = 0;
+  uint16_t telemetry_tick_ = 0;  // its low half
   uint32_t zeroing_tick_ = 0;
   int32_t encoder_ = 0;
   int32_t zero_count_ = 0;  // encoder at everted length 0

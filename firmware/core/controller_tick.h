@@ -29,8 +29,12 @@ inline void Controller::sense(const Inputs& in) {
     pressure_[side].add(count[side]);
     base_sum_[side].add(count[kSides + side]);
   }
-  for (uint8_t slot = kSides; slot < kAdcSlots; ++slot)
-    add_flex(adc_channel(odd, slot), count[slot]);
+  uint16_t done = flex_.add_tick(odd, count + kSides);
+  for (uint8_t i = 0; done != 0; ++i, done = static_cast<uint16_t>(done >> 1)) {
+    if ((done & 1) == 0) continue;
+    drift_.add(i, flex_.latest(i));
+    if (averaging_) zeros_.add(i, flex_.latest(i));
+  }
   drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
 }
 
@@ -51,16 +55,12 @@ inline void Controller::decide() {
   }
   if (estop_) raise(Fault::kEstop, 0);
   supervise(0);
-  const uint32_t period = static_cast<uint32_t>(config_.get(Param::kTelemetryMs));
-  telemetry_due_ = period != 0 && tick_ - telemetry_tick_ >= period && flex_.all_ready();
-  if (telemetry_due_) telemetry_tick_ = tick_;
-}
-
-inline void Controller::add_flex(uint8_t sensor, uint16_t count) {
-  if (!flex_.add(sensor, count)) return;
-  const uint16_t sum = flex_.latest(sensor);
-  drift_.add(sensor, sum);
-  if (averaging_) zeros_.add(sensor, sum);
+  const uint16_t period = static_cast<uint16_t>(config_.get(Param::kTelemetryMs));
+  const uint16_t waited = static_cast<uint16_t>(tick_ - telemetry_tick_);
+  // A period of whole control steps falls on their lightest tick.
+  telemetry_due_ = period != 0 && waited >= period && flex_.all_ready() &&
+                   (!derived_.telemetry_aligned || phase_ == kTelemetryPhase);
+  if (telemetry_due_) telemetry_tick_ = static_cast<uint16_t>(tick_);
 }
 
 inline void Controller::run_phase(uint8_t phase) {

@@ -61,7 +61,7 @@ class Robot {
   void receive() {
     uint8_t byte;
     while (board_.rx_read(&byte)) {
-      if (session_.receive(byte, board_.micros(), commands_)) {
+      if (session_.receive(byte, byte == 0 ? board_.micros() : 0, commands_)) {
         write_outputs();  // a stop takes effect now, not at the next tick
         return;
       }
@@ -127,12 +127,12 @@ class Robot {
   }
 
   void transmit() {
-    Frame frame;
     uint8_t wire[protocol::kMaxWire];
-    while (board_.tx_free() >= protocol::kMaxWire &&
-           session_.next(controller_.now(), board_.tx_pending() <= kLineIdle, controller_.events(),
-                         &frame)) {
-      board_.tx_write(wire, cobs_encode(frame.bytes, frame.size, wire));
+    while (board_.tx_free() >= protocol::kMaxWire) {
+      const Frame* frame =
+          session_.next(controller_.now(), board_.tx_pending() <= kLineIdle, controller_.events());
+      if (frame == nullptr) return;
+      board_.tx_write(wire, cobs_encode(frame->bytes, frame->size, wire));
     }
   }
 

@@ -27,6 +27,7 @@ struct Derived {
   uint16_t stuck_steps;
   uint16_t stall_steps;
   uint16_t enabled_mask;
+  bool telemetry_aligned;
   uint8_t oversample_log2;
   uint8_t trigger_log2;
 
@@ -61,6 +62,7 @@ struct Derived {
     slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
     stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
     stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
+    telemetry_aligned = c.get(Param::kTelemetryMs) % kControlMs == 0;
     oversample_log2 = static_cast<uint8_t>(c.get(Param::kOversampleLog2));
     trigger_log2 = static_cast<uint8_t>(c.get(Param::kTriggerFilterLog2));
   }

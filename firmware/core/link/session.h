@@ -44,7 +44,7 @@ class Session {
     open_ = true;
   }
 
-  // Takes one received byte. `handler` has
+  // Takes one received byte; the time matters only for a frame's last one, the zero. `handler` has
   //   Handled execute(const Frame& command, Frame* reply);
   //   void heartbeat();
   //   void hello();
@@ -93,53 +93,50 @@ class Session {
       ++counters_.tx_dropped;
       dropped_ = true;
     }
-    ++telemetry_seq_;
-    telemetry_ = telemetry;
+    telemetry_.set(telemetry, ++telemetry_seq_, session_);
     telemetry_waits_ = true;
   }
 
-  // Fills `out` with the next frame to send, or returns false. `idle` says that the line has
-  // (almost) nothing left to send: only events are queued before that, so that nothing long ever
-  // lies ahead of an event.
-  bool next(uint32_t tick, bool idle, EventQueue& events, Frame* out) {
-    if (!open_) return false;
+  // The next frame to send, or null; it holds until the session is next called. `idle` says that
+  // the line has (almost) nothing left to send: only events are queued before that, so that nothing
+  // long ever lies ahead of an event.
+  const Frame* next(uint32_t tick, bool idle, EventQueue& events) {
+    if (!open_) return nullptr;
     // Events of a session that its host does not know yet would be lost on it.
     if (session_ != 0 && notice_.kind != Notice::kHello) {
       const protocol::Event* event = events.due(tick);
       if (event != nullptr) {
-        out->set(*event, 0, session_);
+        scratch_.set(*event, 0, session_);
         events.sent(event, tick);
-        return true;
+        return &scratch_;
       }
     }
-    if (!idle) return false;
+    if (!idle) return nullptr;
     if (pulse_waits_) {
       pulse_waits_ = false;
-      out->set(pulse_, 0, session_);
-      return true;
+      scratch_.set(pulse_, 0, session_);
+      return &scratch_;
     }
     if (notice_.kind != Notice::kNone) {
-      send_notice(out);
-      return true;
+      send_notice();
+      return &scratch_;
     }
     if (reply_waits_) {
       reply_waits_ = false;
-      *out = reply_;
-      return true;
+      return &reply_;
     }
     if (session_ == 0) {
-      if (tick - announced_tick_ < kAnnounceMs && announced_) return false;
+      if (announced_ && tick - announced_tick_ < kAnnounceMs) return nullptr;
       announced_ = true;
       announced_tick_ = tick;
-      announce(out);
-      return true;
+      announce();
+      return &scratch_;
     }
     if (telemetry_waits_) {
       telemetry_waits_ = false;
-      out->set(telemetry_, telemetry_seq_, session_);
-      return true;
+      return &telemetry_;
     }
-    return false;
+    return nullptr;
   }
 
   uint16_t session() const { return session_; }  // 0 before the first hello
@@ -279,9 +276,9 @@ class Session {
     }
   }
 
-  void send_notice(Frame* out) {
+  void send_notice() {
     if (notice_.kind == Notice::kAck) {
-      out->set(protocol::Ack{notice_.status, notice_.reason, 0}, notice_.seq, notice_.session);
+      scratch_.set(protocol::Ack{notice_.status, notice_.reason, 0}, notice_.seq, notice_.session);
     } else {
       protocol::HelloReply reply;
       reply.status = notice_.status;
@@ -295,12 +292,12 @@ class Session {
       reply.reset_cause = identity_.reset_cause;
       reply.receive_window = kRxRing - 1;
       reply.host_nonce = notice_.host_nonce;
-      out->set(reply, notice_.seq, 0);
+      scratch_.set(reply, notice_.seq, 0);
     }
     notice_.kind = Notice::kNone;
   }
 
-  void announce(Frame* out) const {
+  void announce() {
     protocol::Announce message;
     message.protocol = protocol::kProtocol;
     message.schema_hash = protocol::kSchemaHash;
@@ -308,12 +305,13 @@ class Session {
     message.board = identity_.board;
     message.boot_nonce = identity_.boot_nonce;
     message.reset_cause = identity_.reset_cause;
-    out->set(message, 0, 0);
+    scratch_.set(message, 0, 0);
   }
 
   FrameDecoder decoder_;
   Frame reply_{};  // of the last command
-  protocol::Telemetry telemetry_{};
+  Frame telemetry_{};
+  Frame scratch_{};  // what is made when it is sent
   protocol::Pulse pulse_{};
   Notice notice_{};
   Identity identity_{};

@@ -79,7 +79,6 @@ class FlexReadings {
       channels_[i].latest = 0;
     }
     ready_ = 0;
-    ready_count_ = 0;
   }
 
   // Drops a half-done sum, so that the next reading begins now.
@@ -88,25 +87,24 @@ class FlexReadings {
     channels_[sensor].taken = 0;
   }
 
-  // Takes a conversion; true when it completed a reading.
-  bool add(uint8_t sensor, uint16_t count) {
-    Channel& channel = channels_[sensor];
-    if (count < kOpenBelow || count > kShortAbove) {
-      watch(&channel, count < kOpenBelow);
-    } else if (channel.bad_run != 0) {
-      recover(&channel);
+  // Takes a tick's six flex conversions, in the order of adc_channel()'s slots 2 to 7. Returns the
+  // sensors whose readings they completed, as bits.
+  uint16_t add_tick(bool odd, const uint16_t* count) {
+    static_assert(kSensorsPerSide == 5, "the schedule of adc_channel()");
+    uint16_t done = 0;
+    if (add(channels_, count[0])) done = 1u << 0;
+    if (add(channels_ + 5, count[1])) done |= 1u << 5;
+    Channel* channel = channels_ + (odd ? 6 : 1);
+    uint16_t bit = odd ? 1u << 6 : 1u << 1;
+    for (uint8_t i = 2; i < 6; ++i, ++channel, bit = static_cast<uint16_t>(bit << 1)) {
+      if (add(channel, count[i])) done |= bit;
     }
-    channel.sum = static_cast<uint16_t>(channel.sum + count);
-    if (++channel.taken < full_) return false;
-    channel.latest = channel.sum;
-    channel.sum = 0;
-    channel.taken = 0;
-    if (ready_count_ < kSensors) mark_ready(sensor);
-    return true;
+    if (done != 0) ready_ |= done;
+    return done;
   }
 
   uint16_t latest(uint8_t sensor) const { return channels_[sensor].latest; }  // sum of 2^log2
-  bool all_ready() const { return ready_count_ == kSensors; }
+  bool all_ready() const { return ready_ == (1u << kSensors) - 1; }
   uint8_t log2() const { return log2_; }
   bool open(uint8_t sensor) const { return channels_[sensor].bad_run <= -kBadRun; }
   bool shorted(uint8_t sensor) const { return channels_[sensor].bad_run >= kBadRun; }
@@ -119,6 +117,21 @@ class FlexReadings {
     uint8_t taken;
     int8_t bad_run;  // conversions: negative below, positive above the plausible band
   };
+
+  bool add(Channel* channel, uint16_t count) {
+    // One comparison for both ends of the band.
+    if (static_cast<uint16_t>(count - kOpenBelow) > kShortAbove - kOpenBelow) {
+      watch(channel, count < kOpenBelow);
+    } else if (channel->bad_run != 0) {
+      recover(channel);
+    }
+    channel->sum = static_cast<uint16_t>(channel->sum + count);
+    if (++channel->taken < full_) return false;
+    channel->latest = channel->sum;
+    channel->sum = 0;
+    channel->taken = 0;
+    return true;
+  }
 
   // Extends a run of implausible conversions: downwards for an open circuit, upwards for a short.
   void watch(Channel* channel, bool open) {
@@ -134,16 +147,8 @@ class FlexReadings {
     channel->bad_run = 0;
   }
 
-  void mark_ready(uint8_t sensor) {
-    const uint16_t bit = static_cast<uint16_t>(1u << sensor);
-    if ((ready_ & bit) != 0) return;
-    ready_ = static_cast<uint16_t>(ready_ | bit);
-    ++ready_count_;
-  }
-
   Channel channels_[kSensors] = {};
   uint16_t ready_ = 0;
-  uint8_t ready_count_ = 0;
   uint8_t bad_count_ = 0;
   uint8_t full_ = 0;  // conversions in a reading
   uint8_t log2_ = 0;

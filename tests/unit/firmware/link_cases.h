@@ -164,8 +164,7 @@ struct Device {
   // All that waits, as if the line were infinitely fast.
   std::vector<Frame> give() {
     std::vector<Frame> out;
-    Frame frame;
-    while (session.next(tick, true, events, &frame)) out.push_back(frame);
+    while (const Frame* frame = session.next(tick, true, events)) out.push_back(*frame);
     return out;
   }
   uint16_t greet(uint32_t nonce, uint16_t seq = 0) {
@@ -423,11 +422,10 @@ TEST(telemetry_that_finds_no_room_is_dropped_and_leaves_a_gap) {
   device.session.offer(protocol::Telemetry{});
   CHECK(device.give().size() == 1);  // the announce: no telemetry before a hello
   device.greet(1);
-  Frame frame;
   for (int i = 0; i < 3; ++i) device.session.offer(protocol::Telemetry{});
-  CHECK(!device.session.next(0, false, device.events, &frame));
-  CHECK(device.session.next(0, true, device.events, &frame));
-  CHECK_EQUAL(frame.seq(), 3);
+  CHECK(device.session.next(0, false, device.events) == nullptr);
+  const Frame* frame = device.session.next(0, true, device.events);
+  CHECK(frame != nullptr && frame->seq() == 3);
   CHECK_EQUAL(device.session.counters().tx_dropped, 2);
   CHECK(device.session.dropped());
 }

@@ -17,6 +17,15 @@ namespace sensing_cases {
 
 using namespace thigmo;
 
+// One conversion of one sensor, the others at a plausible count; whether it completed a reading.
+inline bool convert(FlexReadings& readings, uint8_t sensor, uint16_t count) {
+  uint16_t counts[6] = {500, 500, 500, 500, 500, 500};
+  const uint8_t place = sensor % 5;
+  const uint8_t slot = place == 0 ? sensor / 5 : static_cast<uint8_t>(place + 1);
+  counts[slot] = count;
+  return (readings.add_tick(sensor >= 5, counts) >> sensor & 1) != 0;
+}
+
 TEST(resistance_is_exact_for_every_count) {
   for (uint32_t count = 32; count <= 65504; ++count) {
     const uint64_t want = (static_cast<uint64_t>(22000) << 20) / count;
@@ -61,7 +70,7 @@ TEST(an_oversampled_reading_is_the_sum_of_its_conversions) {
     for (int i = 1; i <= 640; ++i) {
       const uint16_t count = static_cast<uint16_t>(random() % 1024);
       sum += count;
-      const bool full = readings.add(7, count);
+      const bool full = convert(readings, 7, count);
       CHECK_EQUAL(full, i % (1 << log2) == 0);
       if (full) {
         CHECK_EQUAL(readings.latest(7), sum);
@@ -72,15 +81,20 @@ TEST(an_oversampled_reading_is_the_sum_of_its_conversions) {
 }
 
 TEST(readings_are_ready_when_every_sensor_has_one) {
+  const uint16_t counts[6] = {500, 501, 502, 503, 504, 505};
   FlexReadings readings;
   readings.set_oversampling(1);
-  for (int round = 0; round < 2; ++round) {
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      CHECK(!readings.all_ready());
-      readings.add(i, 500);
-    }
-  }
+  // Base sensors are converted every tick, the others every second one.
+  CHECK_EQUAL(readings.add_tick(false, counts), 0);
+  CHECK_EQUAL(readings.add_tick(true, counts), 0x021);
+  CHECK_EQUAL(readings.add_tick(false, counts), 0x01E);
+  CHECK(!readings.all_ready());
+  CHECK_EQUAL(readings.add_tick(true, counts), 0x3E1);
   CHECK(readings.all_ready());
+  CHECK_EQUAL(readings.latest(0), 1000);
+  CHECK_EQUAL(readings.latest(5), 1002);
+  CHECK_EQUAL(readings.latest(4), 1010);
+  CHECK_EQUAL(readings.latest(9), 1010);
   readings.set_oversampling(2);
   CHECK(!readings.all_ready());
 }
@@ -88,20 +102,20 @@ TEST(readings_are_ready_when_every_sensor_has_one) {
 TEST(open_and_short_circuits_need_a_run_of_conversions) {
   FlexReadings readings;
   readings.set_oversampling(4);
-  for (int i = 0; i < FlexReadings::kBadRun - 1; ++i) readings.add(3, 0);
+  for (int i = 0; i < FlexReadings::kBadRun - 1; ++i) convert(readings, 3, 0);
   CHECK(!readings.open(3));
-  readings.add(3, 500);  // a dropout ends
+  convert(readings, 3, 500);  // a dropout ends
   for (int i = 0; i < FlexReadings::kBadRun; ++i) {
     CHECK(!readings.open(3));
-    readings.add(3, 2);
+    convert(readings, 3, 2);
   }
   CHECK(readings.open(3) && !readings.shorted(3) && !readings.open(4));
   for (int i = 0; i < FlexReadings::kBadRun; ++i) {
     CHECK(!readings.shorted(3));
-    readings.add(3, 1023);
+    convert(readings, 3, 1023);
   }
   CHECK(readings.shorted(3) && !readings.open(3));
-  readings.add(3, 500);
+  convert(readings, 3, 500);
   CHECK(!readings.shorted(3));
 }
 
@@ -321,7 +335,7 @@ inline int drift_of(double counts_per_s, double noise) {
   for (uint32_t tick = 0; tick < 4200; ++tick) {
     watch.set_quiet(true, tick);
     const double ideal = 650.5 + counts_per_s * tick * 1e-3 + noise * normal(random);
-    if (readings.add(0, static_cast<uint16_t>(ideal))) watch.add(0, readings.latest(0));
+    if (convert(readings, 0, static_cast<uint16_t>(ideal))) watch.add(0, readings.latest(0));
     watch.update(tick, 4, d.flex_gain_q16);
   }
   CHECK(watch.known());
