@@ -14,7 +14,9 @@ import typer
 from thigmo.cli import (
     bench,
     board,
+    calibrate,
     camera,
+    design,
     emulator,
     experiment,
     explore,
@@ -32,7 +34,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for module in (explore, localize, runs, board, flash, emulator, camera, experiment, bench):
+for module in (
+    explore,
+    localize,
+    runs,
+    board,
+    flash,
+    emulator,
+    camera,
+    calibrate,
+    experiment,
+    bench,
+    design,
+):
     module.register(app)
 
 

@@ -1,0 +1,85 @@
+"""`thigmo design`: what a sensor layout can know, before it is built."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from thigmo.localization import Identifiability
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(design)
+
+
+def design(
+    centers: Annotated[
+        str, typer.Option(help="Sensor centres along the body, cm, separated by commas.")
+    ] = "5,15,25,35,45",
+    columns: Annotated[int, typer.Option(help="Columns of such sensors (2: both sides).")] = 2,
+    length: Annotated[float, typer.Option(help="Length of the body, cm.")] = 53.0,
+    span: Annotated[float, typer.Option(help="Active length of a sensor, cm.")] = 5.5,
+    noise: Annotated[float, typer.Option(help="One sigma of a reading, 1/cm.")] = 6e-4,
+    offset: Annotated[
+        float, typer.Option(help="One sigma of an error that all readings share, 1/cm.")
+    ] = 0.0,
+    out: Annotated[Path, typer.Option(help="Folder for the table and the figure.")] = Path(
+        "design-out"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Chart where, and from which force, a layout feels contacts and tells two apart."""
+    from thigmo.errors import DataError
+
+    try:
+        places = [float(part) for part in centers.split(",")]
+    except ValueError as error:
+        raise DataError(f"--centers is {centers!r}", "give numbers, e.g. 5,15,25") from error
+    if columns < 1:
+        raise DataError(f"--columns is {columns}", "give 1 or more")
+    from thigmo.bench.study import Outcome, Table, write
+    from thigmo.localization import identifiability
+    from thigmo.report.design_figure import draw_design
+
+    position = places * columns
+    found = identifiability(
+        position,
+        length=length,
+        noise=noise,
+        span=span,
+        offset_sigma=offset,
+        separations=[gap / 2 for gap in range(10, int(1.7 * length))],
+    )
+    one, two = found.table(), found.pair_table()
+    tables = [
+        Table("one-contact", tuple(one[0]), [tuple(row.values()) for row in one]),
+        Table("two-contacts", tuple(two[0]), [tuple(row.values()) for row in two]),
+    ]
+    paths = write(Outcome(tables, {"bounds": draw_design(found, position, span)}), "design", out)
+    if as_json:
+        print_json({"one_contact": one, "two_contacts": two, "files": [str(p) for p in paths]})
+        return
+    _show(found, out)
+
+
+def _show(found: Identifiability, out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    arcs = [round(len(found.arc) * share) - 1 for share in (0.25, 0.5, 0.75, 0.9, 1.0)]
+    table = RichTable(
+        "base moment (1/cm)",
+        *(f"at {found.arc[a]:.1f} cm" for a in arcs),
+        title="bound of one contact's arc (cm); - where it is too weak to be reported",
+    )
+    for m, moment in enumerate(found.moment):
+        cells = [f"{found.bound[m, a]:.2f}" if found.detected[m, a] else "-" for a in arcs]
+        table.add_row(f"{moment:.4f}", *cells)
+    Console().print(table)
+    typer.echo(f"tables and figure are in {out}/")
