@@ -10,7 +10,7 @@ check (the keys of `STEPS`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -129,6 +129,24 @@ class ActuatorResults:
             result.figure(path.with_name(f"{path.stem}-{result.readings.side}-{body:g}psi.png"))
 
 
+def summary(found: Sequence[ActuatorResult]) -> Verdict:
+    """One verdict over several maps."""
+    bad = [r for r in found if not r.verdict.good]
+    notes = tuple(
+        f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {text}"
+        for r in found
+        for text in ((r.verdict.reason,) if r not in bad else ()) + r.verdict.notes
+    )
+    if bad:
+        r = bad[0]
+        return Verdict(
+            False, f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {r.verdict.reason}",
+            notes,
+        )  # fmt: skip
+    worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
+    return Verdict(True, f"{len(found)} maps, g to {100 * worst:.2f} % or better", notes)
+
+
 def actuator(bench: Bench) -> ActuatorResults:
     """Maps of both muscles for the planned body pressures, and the lag."""
     zones = bench.plan.zones or tuple(range(len(bench.config.body.zones)))
@@ -153,22 +171,7 @@ def actuator(bench: Bench) -> ActuatorResults:
                 lag = fit_lag(t, p, k, result.zone, side)
                 result = _with_lag(result, lag.lag_s, lag.lag_se_s)
             found.append(result)
-    bad = [r for r in found if not r.verdict.good]
-    notes = tuple(
-        f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {text}"
-        for r in found
-        for text in ((r.verdict.reason,) if r not in bad else ()) + r.verdict.notes
-    )
-    if bad:
-        r = bad[0]
-        verdict = Verdict(
-            False, f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {r.verdict.reason}",
-            notes,
-        )  # fmt: skip
-    else:
-        worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
-        verdict = Verdict(True, f"{len(found)} maps, g to {100 * worst:.2f} % or better", notes)
-    results = ActuatorResults(tuple(found), verdict)
+    results = ActuatorResults(tuple(found), summary(found))
     bench.finish("actuator", results)
     return results
 

@@ -5,7 +5,7 @@ Narrow protocols, so that a stand-in will do in tests and so that the fits know 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,7 @@ class Machine(Protocol):
         """Store the board's configuration."""
 
 
+@runtime_checkable
 class Hand(Protocol):
     """Whoever stands beside the robot."""
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.calibrate.verdict import StepResult
-from thigmo.config import RobotConfig
+from thigmo.config import SIDES, RobotConfig, ZoneMap
 from thigmo.errors import DataError
 
 
@@ -123,6 +123,25 @@ class Session:
             return None
         self.config = made
         return made.save(self.robot_file)
+
+
+def blank(config: RobotConfig) -> RobotConfig:
+    """A robot of that geometry whose constants nobody has measured: where calibration begins."""
+    made, fresh = config.model_copy(deep=True), RobotConfig()
+    start = fresh.sensors.left[0]
+    for side in SIDES:
+        for sensor in made.sensors.column(side):
+            for key in type(sensor).model_fields:
+                if key not in ("center_cm", "span_cm"):
+                    setattr(sensor, key, getattr(start, key))
+        actuator = made.actuators.side(side)
+        actuator.lag_s = fresh.actuators.left.lag_s
+        actuator.offset_se = fresh.actuators.left.offset_se
+        actuator.maps = [ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in made.body.zones]
+    made.body.critical_curvature = fresh.body.critical_curvature
+    made.body.critical_curvature_se = 0.0
+    made.spool.counts_per_cm = fresh.spool.counts_per_cm
+    return made
 
 
 def _plain(value: object) -> object:

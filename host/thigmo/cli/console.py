@@ -178,3 +178,13 @@ class TerminalOperator:
         self._console.ask(
             f"Take all dowels away, then place: {places or 'none'}. Then press Enter."
         )
+
+    def push_tip(self, y_cm: float | None) -> None:
+        """Ask for the tip to be pushed aside and held, or let go."""
+        if y_cm is None:
+            self._console.ask("Let go of the tip and lay the robot straight, then press Enter.")
+            return
+        side = "left" if y_cm > 0 else "right"
+        self._console.ask(
+            f"Push the tip {abs(y_cm):.1f} cm to the {side} and hold it there, then press Enter."
+        )

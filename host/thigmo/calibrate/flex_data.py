@@ -1,0 +1,138 @@
+"""Readings of the flex step: what was done with the robot, what camera and sensors said."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.calibrate.table import Table, write_table
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+KINDS = ("straight", "tip", "bend")
+
+
+@dataclass(frozen=True)
+class FlexReadings:
+    """What was done and what was read.
+
+    Attributes:
+        kind: (n,) of "straight", "tip", "bend".
+        t_s: (n,) time, in order.
+        tip_cm: (n, 2) tip by camera; nan where the marker was not seen or there is none.
+        curvature: (n,) of free bends, by camera, 1/cm; nan elsewhere.
+        curvature_se: (n,) its one sigma.
+        active: (n,) muscle in use: "left", "right" or "".
+        ohm: (n, m) resistances, left base first.
+        length_cm: everted length.
+        intended_y_cm: (n,) where the operator was asked to put the tip (sign used); nan = free.
+        block: (n,) session of each row: after an eversion the sensors' zeros are others.
+    """
+
+    kind: tuple[str, ...]
+    t_s: Array
+    tip_cm: Array
+    curvature: Array
+    curvature_se: Array
+    active: tuple[str, ...]
+    ohm: Array
+    length_cm: float
+    intended_y_cm: Array
+    block: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        n = len(self.kind)
+        if not len(self.block):
+            object.__setattr__(self, "block", np.zeros(n, np.int64))
+        shapes = {
+            "t_s": self.t_s.shape == (n,),
+            "tip_cm": self.tip_cm.shape == (n, 2),
+            "curvature": self.curvature.shape == (n,),
+            "curvature_se": self.curvature_se.shape == (n,),
+            "active": len(self.active) == n,
+            "ohm": self.ohm.ndim == 2 and len(self.ohm) == n,
+            "intended_y_cm": self.intended_y_cm.shape == (n,),
+            "block": self.block.shape == (n,),
+        }
+        for name, good in shapes.items():
+            if not good:
+                raise DataError(f"flex readings: {name} does not have {n} rows", "check the arrays")
+        unknown = set(self.kind) - set(KINDS)
+        if unknown:
+            raise DataError(f"unknown kind '{unknown.pop()}'", f"use one of {', '.join(KINDS)}")
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> FlexReadings:
+        """From a CSV: kind, tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_N.
+
+        Optional: t_s, curvature_se, active, length_cm, intended_y_cm, block.
+
+        Raises:
+            DataError: missing or malformed columns.
+        """
+        table = Table.read(path)
+        ohm = np.hstack(
+            [table.block(f"ohm_{side}_", len(config.sensors.column(side))) for side in SIDES]
+        )
+        length = table.numbers("length_cm", config.body.length_cm)
+        if not np.isfinite(length).all() or np.ptp(length) > 1e-9:
+            raise DataError(f"{path}: length_cm varies", "calibrate at one length")
+        none = float("nan")
+        return cls(
+            tuple(table.words("kind")),
+            np.nan_to_num(table.numbers("t_s")) if "t_s" in table
+            else np.arange(table.rows, dtype=float),
+            np.column_stack([table.numbers("tip_x_cm", none), table.numbers("tip_y_cm", none)]),
+            table.numbers("curvature", none),
+            table.numbers("curvature_se", 0.0),
+            tuple(table.words("active", "")),
+            ohm,
+            float(length[0]),
+            table.numbers("intended_y_cm", none),
+            np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
+        )  # fmt: skip
+
+    def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
+        """To a CSV that `read` takes."""
+        columns: dict[str, Any] = {
+            "kind": self.kind,
+            "t_s": self.t_s.tolist(),
+            "tip_x_cm": self.tip_cm[:, 0].tolist(),
+            "tip_y_cm": self.tip_cm[:, 1].tolist(),
+            "curvature": self.curvature.tolist(),
+            "curvature_se": self.curvature_se.tolist(),
+            "active": self.active,
+            "length_cm": [self.length_cm] * len(self.kind),
+            "intended_y_cm": self.intended_y_cm.tolist(),
+            "block": self.block.tolist(),
+        }
+        column = 0
+        for side in SIDES:
+            for k in range(len(config.sensors.column(side))):
+                columns[f"ohm_{side}_{k}"] = self.ohm[:, column].tolist()
+                column += 1
+        write_table(path, columns)
+
+
+def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
+    """Rows of two recordings at the same length, the second after the first."""
+    if abs(first.length_cm - second.length_cm) > 0.1:
+        raise DataError("the recordings are of different lengths", "calibrate at one length")
+    later = float(first.t_s.max(initial=0.0)) + 1.0 - float(second.t_s.min(initial=0.0))
+    return replace(
+        first,
+        kind=first.kind + second.kind,
+        t_s=np.concatenate([first.t_s, second.t_s + later]),
+        tip_cm=np.vstack([first.tip_cm, second.tip_cm]),
+        curvature=np.concatenate([first.curvature, second.curvature]),
+        curvature_se=np.concatenate([first.curvature_se, second.curvature_se]),
+        active=first.active + second.active,
+        ohm=np.vstack([first.ohm, second.ohm]),
+        intended_y_cm=np.concatenate([first.intended_y_cm, second.intended_y_cm]),
+        block=np.concatenate([first.block, second.block + first.block.max(initial=0) + 1]),
+    )

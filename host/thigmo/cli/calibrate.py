@@ -1,0 +1,181 @@
+"""`thigmo calibrate STEP`: guided, resumable calibration; also on a CSV that a lab already has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from thigmo.calibrate.eyes import Eyes
+    from thigmo.calibrate.machine import Hand
+    from thigmo.calibrate.session import Session
+    from thigmo.calibrate.verdict import StepResult
+    from thigmo.robot import Robot
+
+_STEPS = "pressure, encoder, actuator, flex, hysteresis, buckling, stiffness, noise, check"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(calibrate)
+
+
+def calibrate(
+    step: Annotated[str, typer.Argument(help=f"all, status, or one of: {_STEPS}.")],
+    robot: Annotated[
+        str | None,
+        typer.Option(help="Where the robot is: /dev/ttyACM0, COM3, socket://, emulator://SCENE."),
+    ] = None,
+    folder: Annotated[Path, typer.Option(help="Calibration folder.")] = Path("calibration"),
+    csv: Annotated[
+        Path | None, typer.Option(help="Fit this file of readings instead; no robot is used.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="robot.toml to start from: geometry and zones.")
+    ] = None,
+    camera: Annotated[
+        str,
+        typer.Option(help="camera:0, a video or a folder of pictures; not on the emulator."),
+    ] = "camera:0",
+    sheet_file: Annotated[Path, typer.Option("--sheet", help="Sheet file.")] = Path("sheet.toml"),
+    camera_file: Annotated[
+        Path, typer.Option("--camera-file", help="Camera file of `thigmo camera locate`.")
+    ] = Path("camera.json"),
+    trials: Annotated[int, typer.Option(help="Trials of the free bends.", min=1)] = 3,
+    step_psi: Annotated[float, typer.Option(help="Pressure step of free bends.", min=0.5)] = 2.0,
+    places: Annotated[int, typer.Option(help="Tip places of the flex step.", min=4)] = 10,
+    zone: Annotated[
+        list[int] | None, typer.Option(help="Only these body-pressure zones (0 = first); repeat.")
+    ] = None,
+    again: Annotated[bool, typer.Option("--again", help="Take the readings anew.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the emulator.", min=0)] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the robot's constants; good results go into FOLDER/robot.toml, with a backup.
+
+    A stopped step goes on after its last reading. Order on a new robot: as listed; `all` runs it.
+    """
+    from thigmo.calibrate.session import Session, blank
+    from thigmo.config import RobotConfig
+    from thigmo.errors import DataError
+
+    start = RobotConfig.load(config) if config else None
+    if csv is not None:
+        _fit_file(step, csv, Session(folder, start), as_json)
+        return
+    if step == "status":
+        _status(Session(folder, start), as_json)
+        return
+    if robot is None:
+        raise DataError("no robot is named", "give --robot URL, or --csv FILE")
+    from thigmo.calibrate import guided
+    from thigmo.calibrate.bench import Bench, Plan
+    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.robot import connect
+
+    steps = list(guided.STEPS) if step == "all" else [step]
+    if steps[0] not in guided.STEPS:
+        raise DataError(f"there is no step '{step}'", f"use all, status, {', '.join(guided.STEPS)}")
+    console = Console(quiet=as_json)
+    person = TerminalOperator(console)
+    with console.interruptible(), connect(robot, seed=seed, operator=person) as machine:
+        known = machine.known_config
+        session = Session(folder, start or (blank(known) if known else None))
+        plan = Plan(trials=trials, step_psi=step_psi, places=places,
+                    zones=tuple(zone) if zone else None)  # fmt: skip
+        hand = _hand(machine)
+        machine.configure(session.config)
+        eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
+        say = (lambda text: None) if as_json else _say
+        bench = Bench(machine, hand, eyes, session, plan, say)
+        bench.start()
+        found: dict[str, StepResult] = {}
+        for name in steps:
+            if step == "all" and not again and session.done(name):
+                say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
+                continue
+            found[name] = guided.run(bench, name, again=again)
+            if not found[name].verdict.good:
+                break
+    if as_json:
+        print_json({name: result.as_data() for name, result in found.items()})
+    bad = [name for name, result in found.items() if not result.verdict.good]
+    if bad:
+        raise typer.Exit(2)
+    say(f"constants so far: {session.robot_file}")
+
+
+def _say(text: str) -> None:
+    typer.echo(text)
+
+
+def _fit_file(step: str, csv: Path, session: Session, as_json: bool) -> None:
+    from thigmo.calibrate.from_csv import fit_csv
+
+    result = fit_csv(step, csv, session.config)
+    backup = session.keep(step, result)
+    if as_json:
+        print_json(result.as_data())
+    else:
+        verdict = result.verdict
+        typer.echo(f"{step}: {'good' if verdict.good else 'BAD'}: {verdict.reason}")
+        for note in verdict.notes:
+            typer.echo(f"  {note}")
+        if backup is not None:
+            typer.echo(f"  {session.robot_file} updated; the one before is {backup.name}")
+    if not result.verdict.good:
+        raise typer.Exit(2)
+
+
+def _status(session: Session, as_json: bool) -> None:
+    from thigmo.calibrate.guided import ROWS_OF, STEPS
+
+    told = {}
+    for name in STEPS:
+        rows = sum(len(session.rows(p)) for p in ROWS_OF.get(name, ()))
+        done = session.done(name)
+        told[name] = {"done": done is not None, "readings": rows,
+                      "reason": done["verdict"]["reason"] if done else ""}  # fmt: skip
+    if as_json:
+        print_json(told)
+        return
+    for name, entry in told.items():
+        state = "done" if entry["done"] else f"{entry['readings']} readings"
+        typer.echo(f"{name:12s} {state:14s} {entry['reason']}")
+
+
+def _hand(machine: Robot) -> Hand:
+    from thigmo.calibrate.machine import Hand
+    from thigmo.errors import DataError
+
+    operator = machine.operator
+    if not isinstance(operator, Hand):
+        raise DataError("nobody can push the tip of this robot", "name another operator")
+    return operator
+
+
+def _eyes(
+    machine: Robot,
+    session: Session,
+    camera: str,
+    sheet_file: Path,
+    camera_file: Path,
+    seed: int,
+) -> Eyes:
+    """The camera: painted over an emulated robot, opened and located on a real one."""
+    from thigmo.calibrate.eyes import Eyes, emulated_source
+    from thigmo.camera import CameraModel, Sheet, locate, open_source
+
+    diameter = session.config.body.diameter_cm
+    sheet = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
+    if machine.scenery() is not None:
+        source, height = emulated_source(machine, sheet, seed=seed, diameter_cm=diameter)
+        measured = sheet.model_copy(update={"camera_height_cm": height})
+        model = locate(source.read(), measured)
+        model.save(session.folder / "camera.json")
+        return Eyes(source, model, measured, diameter)
+    return Eyes(open_source(camera), CameraModel.load(camera_file), sheet, diameter)
