@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from thigmo.link.transport import Dowel
 
 Show = Callable[[str, float], None]
+# What a log on a pipe is told; a terminal sees every state.
+_LOGGED = ("growing", "sweeping", "mapping", "drawing")
 
 
 def _nothing(doing: str, fraction: float) -> None:
@@ -81,7 +83,7 @@ class Console:
         def show(doing: str, fraction: float) -> None:
             nonlocal last
             doing = doing.partition(": ")[0]
-            if doing != last:
+            if doing != last and doing.startswith(_LOGGED):
                 self.err.print(f"{fraction:4.0%} {doing}", highlight=False)
                 last = doing
 
