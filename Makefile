@@ -19,7 +19,7 @@ $(BIN)/python:
 .stamps/install: $(BIN)/python $(CORE)
 	@mkdir -p .stamps
 	$(BIN)/pip install --quiet --upgrade pip
-	$(BIN)/pip install --quiet scikit-build-core nanobind cmake ninja
+	$(BIN)/pip install --quiet setuptools wheel scikit-build-core nanobind cmake ninja
 	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench]'
 	@touch $@
 
