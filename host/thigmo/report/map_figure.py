@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from itertools import pairwise
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -188,9 +189,9 @@ def _frame(axes: Axes, document: RunDocument) -> None:
     """Axes, title and legend."""
     axes.set_aspect("equal", adjustable="box")
     axes.margins(0.06)
-    if not document.stages:  # cut short before the first sweep: an empty room of the robot's size
-        axes.set_xlim(-10, 60)
-        axes.set_ylim(-35, 35)
+    # A run cut short still gets a picture of a readable size.
+    axes.update_datalim([(-4.0, -18.0), (30.0, 18.0)])
+    axes.autoscale_view()
     axes.set_xlabel("x, along the straight robot (cm)")
     axes.set_ylabel("y, to its left (cm)")
     axes.grid(color="#d9dfe5", lw=0.5)
@@ -200,7 +201,7 @@ def _frame(axes: Axes, document: RunDocument) -> None:
     count = len(document.contacts)
     found = "no contact" if count == 0 else f"{count} contact{'s' if count > 1 else ''}"
     axes.set_title(f"{document.name}: {found}", loc="left", fontsize=13, color=_INK, pad=22)
-    facts = [document.outcome]
+    facts = [shorten(document.outcome, 70, placeholder=" ...")]
     if document.error_x_cm is not None:
         facts.append(
             f"x error {document.error_x_cm:.2f} cm, in the plane {document.error_cm:.2f} cm"
