@@ -118,10 +118,16 @@ def fit_l1(
     """
     n = y.shape[0]
     length = edges[n_edges - 1]
-    rest = 0.0
+    # A force leaves at least the readings of the other sign.
+    plus = 0.0
+    minus = 0.0
+    spanned = False
     for j in range(n):
-        rest += w[j] * abs(y[j])
+        spanned = spanned or span[j] > 0.0
+        plus += w[j] * max(y[j], 0.0)
+        minus += w[j] * max(-y[j], 0.0)
         n_roots[j] = 0
+    rest = plus + minus
     f_zero = min(max(0.0, f_low), f_high)
     start = first_influence(low, edges, n_edges)
 
@@ -146,10 +152,37 @@ def fit_l1(
 
     slack = tolerance * max(rest, best)
 
+    # Arcs where the objective has a kink whatever the signs: 0, L and point sensors. (The end of a
+    # span is none: phi is smooth there.) What sensors beyond the contact read is lost for every f.
+    for e in range(n_edges - 1, start - 1, -1):
+        arc = edges[e]
+        kink = e == start or e == n_edges - 1
+        if e == start and idle:
+            arc += INNER_END * (edges[e + 1] - arc)
+        lost = 0.0
+        for j in range(n):
+            if low[j] >= arc:
+                lost += w[j] * abs(y[j])
+                kink = kink or (span[j] == 0.0 and low[j] == arc)
+        if lost > best + slack:
+            break
+        if not kink:
+            continue
+        value, force = profile_l1(arc, y, low, span, inverse, w, f_low, f_high)
+        if value <= best + slack:
+            if value < best:
+                best = value
+                best_arc = arc
+                best_force = force
+            if n_near < CANDIDATES:
+                near[0, n_near] = arc
+                near[1, n_near] = value
+                n_near += 1
+
     # Pair roots, remembered by curve. Form 0: the contact is beyond both spans; 1: beyond the first
     # and inside the second; 2: inside both (q is the span that ends last).
     for i in range(n):
-        if y[i] == 0.0 or w[i] == 0.0:
+        if y[i] == 0.0 or w[i] == 0.0 or (minus if y[i] > 0.0 else plus) > best + slack:
             continue
         for j in range(i + 1, n):
             if y[i] * y[j] <= 0.0 or w[j] == 0.0:
@@ -199,12 +232,17 @@ def fit_l1(
                     first = second
                     if not begin <= arc <= end:
                         continue
-                    roots[i, n_roots[i]] = arc
-                    others[i, n_roots[i]] = j
-                    n_roots[i] += 1
-                    roots[j, n_roots[j]] = arc
-                    others[j, n_roots[j]] = i
-                    n_roots[j] += 1
+                    if spanned:
+                        for side in range(2):
+                            own = i if side == 0 else j
+                            k = n_roots[own]
+                            while k > 0 and roots[own, k - 1] > arc:
+                                roots[own, k] = roots[own, k - 1]
+                                others[own, k] = others[own, k - 1]
+                                k -= 1
+                            roots[own, k] = arc
+                            others[own, k] = j if side == 0 else i
+                            n_roots[own] += 1
                     inside = min(max(arc - low[i], 0.0), span[i])
                     phi = inside * inside * inverse[i]
                     phi += max(arc - low[i], span[i]) - span[i]
@@ -220,33 +258,6 @@ def fit_l1(
                                 near[0, n_near] = arc
                                 near[1, n_near] = value
                                 n_near += 1
-
-    # Arcs where the objective has a kink whatever the signs: 0, L and point sensors. (The end of a
-    # span is none: phi is smooth there.) What sensors beyond the contact read is lost for every f.
-    for e in range(n_edges - 1, start - 1, -1):
-        arc = edges[e]
-        kink = e == start or e == n_edges - 1
-        if e == start and idle:
-            arc += INNER_END * (edges[e + 1] - arc)
-        lost = 0.0
-        for j in range(n):
-            if low[j] >= arc:
-                lost += w[j] * abs(y[j])
-                kink = kink or (span[j] == 0.0 and low[j] == arc)
-        if lost > best + slack:
-            break
-        if not kink:
-            continue
-        value, force = profile_l1(arc, y, low, span, inverse, w, f_low, f_high)
-        if value <= best + slack:
-            if value < best:
-                best = value
-                best_arc = arc
-                best_force = force
-            if n_near < CANDIDATES:
-                near[0, n_near] = arc
-                near[1, n_near] = value
-                n_near += 1
 
     # Stationary points along the curves, in the cells that lie inside some span. Within a cell
     # phi_j = c0 + c1 t + c2 t^2, t from the cell's near end (`forms`).
@@ -283,21 +294,24 @@ def fit_l1(
         for i in range(n):
             if y[i] == 0.0 or w[i] == 0.0 or low[i] >= middle:
                 continue
+            if (minus if y[i] > 0.0 else plus) > best + slack:
+                continue
             i_inside = low[i] + span[i] > middle
-            # Cuts of this curve within the cell, sorted, each with the sensor that changes sign.
+            # Cuts of this curve within the cell, each with the sensor that changes sign there;
+            # its roots are sorted and those beyond the cell are done with.
+            top = n_roots[i]
+            while top > 0 and roots[i, top - 1] >= end:
+                top -= 1
+            n_roots[i] = top
+            bottom = top
+            while bottom > 0 and roots[i, bottom - 1] > begin:
+                bottom -= 1
             cuts[0] = 0.0
             n_cuts = 1
-            for k in range(n_roots[i]):
-                root = roots[i, k] - begin
-                if 0.0 < root < width:
-                    c = n_cuts
-                    while cuts[c - 1] > root:
-                        cuts[c] = cuts[c - 1]
-                        turns[c] = turns[c - 1]
-                        c -= 1
-                    cuts[c] = root
-                    turns[c] = place[others[i, k]]
-                    n_cuts += 1
+            for k in range(bottom, top):
+                cuts[n_cuts] = roots[i, k] - begin
+                turns[n_cuts] = place[others[i, k]]
+                n_cuts += 1
             cuts[n_cuts] = width
             origin = (low[i] if i_inside else low[i] + 0.5 * span[i]) - begin
             known = False

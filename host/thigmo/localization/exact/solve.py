@@ -97,21 +97,59 @@ def one_contact(
     Raises:
         DataError: shapes that do not match, or values that are not finite where they must be.
     """
-    solved = one_contact_batch(
-        np.asarray(curvature, dtype=np.float64)[None],
-        position,
-        length,
-        span=span,
-        weight=weight,
-        norm=norm,
-        force_bounds=force_bounds,
-        tolerance=tolerance,
-    )
+    y = np.asarray(curvature, dtype=np.float64)
+    n = len(y) if y.ndim == 1 else -1
+    if n < 0 or n > ENUMERATED:
+        solved = one_contact_batch(
+            y[None],
+            position,
+            length,
+            span=span,
+            weight=weight,
+            norm=norm,
+            force_bounds=force_bounds,
+            tolerance=tolerance,
+        )
+        out, count, ranges = (
+            np.array([solved.objective[0], solved.arc[0], solved.force[0]]),
+            int(solved.pieces[0]),
+            solved.ranges[0],
+        )
+    else:
+        # The same by the shortest way: this path is called once a frame.
+        layout = np.empty((3, 1, n))
+        try:
+            layout[0], layout[1], layout[2] = position, span, weight
+            end = float(length)
+        except (TypeError, ValueError):
+            _layout(position, span, weight, length, 1, n)
+            raise
+        low, high = _bounds(force_bounds)
+        if not (np.isfinite(layout).all() and layout[1:].min(initial=0.0) >= 0.0 < end < np.inf):
+            _layout(position, span, weight, length, 1, n)
+        if np.isinf(y).any():
+            raise DataError("curvature is infinite", "use NaN for a missing sensor")
+        layout[0] -= 0.5 * layout[1]
+        result, pieces, sets = np.empty((1, 3)), np.empty(1, np.int64), np.empty((1, PIECES, 2))
+        (fit_l1_rows if norm == 1 else fit_l2_rows)(
+            np.ascontiguousarray(y[None]),
+            layout[0],
+            layout[1],
+            layout[2],
+            np.array([end]),
+            low,
+            high,
+            tolerance,
+            result,
+            pieces,
+            sets,
+        )
+        out, count, ranges = result[0], int(pieces[0]), sets[0]
     return Solution(
-        objective=float(solved.objective[0]),
-        arc=solved.arc,
-        force=solved.force,
-        ranges=(tuple((low, high) for low, high in solved.ranges[0, : solved.pieces[0]].tolist()),),
+        objective=float(out[0]),
+        arc=out[1:2],
+        force=out[2:3],
+        ranges=(tuple((a, b) for a, b in ranges[:count].tolist()),),
         gap=0.0,
     )
 
