@@ -5,13 +5,15 @@ BIN    := $(VENV)/bin
 # Rebuild the extension when the firmware core, its schema or the packaging changes.
 CORE   := $(shell find firmware/core firmware/virtual -name '*.h' -o -name '*.cpp' -o -name CMakeLists.txt) pyproject.toml
 
-.PHONY: help install explore test lint bench clean
+.PHONY: help install explore test lint bench figures firmware clean
 help:
 	@echo "make explore  set up everything, then explore the default room on the emulator"
 	@echo "make test     set up everything, then lint and run every test"
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
+	@echo "make figures  run everything behind README's numbers, and write them there"
+	@echo "make firmware the Mega's image, with its size (needs avr-gcc)"
 
 install: .stamps/install
 $(BIN)/python:
@@ -39,6 +41,12 @@ test: lint
 
 bench: install
 	$(BIN)/thigmo bench
+
+figures: install
+	$(BIN)/python tools/figures.py
+
+firmware:
+	$(MAKE) -C firmware/mega
 
 clean:
 	rm -rf $(VENV) build .stamps
