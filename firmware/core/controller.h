@@ -152,7 +152,7 @@ class Controller {
   void finish_spool(bool arrived);
   void start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s);
   Outcome wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s);
-  void apply();
+  void take_over(const Derived& before);
   uint8_t active_side() const;
   bool bending() const {
     return activity_ == Activity::kSweeping || activity_ == Activity::kPressing ||

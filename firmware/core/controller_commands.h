@@ -196,27 +196,25 @@ inline Outcome Controller::set_parameter(uint16_t index, int32_t value) {
   const Outcome allowed = permit(Permit::kConfigure);
   if (allowed.reason != Reason::kNone) return allowed;
   if (!config_.set(index, value)) return {Reason::kBadValue, index};
-  apply();
+  const Derived before = derived_;
+  derived_.update(config_, index);
+  take_over(before);
   return kAccepted;
 }
 
-// After a change of the configuration: scaled constants, and what they void.
-inline void Controller::apply() {
-  const uint8_t oversample = derived_.oversample_log2;
-  const uint8_t filter = derived_.trigger_log2;
-  const uint32_t scale = derived_.um_per_count_q16;
-  derived_.update(config_);
+// After a change of the scaled constants: what it voids.
+inline void Controller::take_over(const Derived& before) {
   eversion_.reconsider();
-  if (derived_.oversample_log2 != oversample) {
+  if (derived_.oversample_log2 != before.oversample_log2) {
     flex_.set_oversampling(derived_.oversample_log2);
     zeros_.invalidate(0xFFFF);
     drift_.set_quiet(false, tick_);
   }
-  if (derived_.trigger_log2 != filter) {
+  if (derived_.trigger_log2 != before.trigger_log2) {
     for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
   }
   // Another scale of length is another length.
-  if (derived_.um_per_count_q16 != scale) length_known_ = false;
+  if (derived_.um_per_count_q16 != before.um_per_count_q16) length_known_ = false;
   assemble_conditions();
 }
 
@@ -239,7 +237,9 @@ inline Outcome Controller::load_defaults() {
   if (allowed.reason != Reason::kNone) return allowed;
   config_.load_defaults();
   config_valid_ = true;
-  apply();
+  const Derived before = derived_;
+  derived_.update(config_);
+  take_over(before);
   return kAccepted;
 }
 

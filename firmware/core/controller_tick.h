@@ -108,7 +108,7 @@ inline void Controller::begin_half() {
 
 inline void Controller::pressure_step(uint8_t side) {
   PressureReading& sensor = pressure_[side];
-  sensor.update(config_.get(Param::kPressureZero, side), derived_.pressure_gain_q24[side]);
+  sensor.update(config_.get(Param::kPressureZero, side), derived_.pressure_gain[side]);
   const int16_t measured = sensor.cpsi();
   muscle_[side].update(measured, derived_.lag_alpha_q16[side],
                        static_cast<int16_t>(config_.get(Param::kReversalCpsi, side)),

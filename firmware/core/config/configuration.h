@@ -68,8 +68,8 @@ struct Configuration {
       const protocol::ParamRow limits = row(i);
       if (value[i] < limits.low || value[i] > limits.high) return static_cast<int16_t>(i);
     }
-    // The transducer's span divides the feed-forward.
-    if (get(Param::kDrive20maCpsi) < get(Param::kDrive4maCpsi) + 200) {
+    // The transducer's span divides the feed-forward; from 13 psi on its slope fits 16 bits.
+    if (get(Param::kDrive20maCpsi) < get(Param::kDrive4maCpsi) + 1300) {
       return static_cast<int16_t>(Param::kDrive20maCpsi);
     }
     // Set points must stay clear of the fault, or overshoot would be one.

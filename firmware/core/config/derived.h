@@ -14,57 +14,73 @@ constexpr uint8_t kControlMs = 5;  // one control step of each loop
 constexpr int32_t kControlHz = 200;
 constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 
+// A gain below 1 as 16 bits and a shift: gain = mantissa / 2^(16 + shift). Products then take two
+// multiplications of 16 bits and lose nothing.
+struct Gain16 {
+  uint16_t mantissa;
+  uint8_t shift;
+
+  void set(uint32_t numerator, uint32_t denominator) {
+    shift = 0;
+    while (numerator * 2 < denominator && shift < 14) {
+      numerator *= 2;
+      ++shift;
+    }
+    // numerator / denominator is now at least a half, if the gain is not absurdly small.
+    const uint64_t scaled = (static_cast<uint64_t>(numerator) << 16) / denominator;
+    mantissa = static_cast<uint16_t>(lesser<uint64_t>(scaled, 65535));
+  }
+
+  // Rounded to nearest.
+  int32_t apply(int32_t value) const {
+    const int32_t product = share_q16(value, mantissa);
+    return shift == 0 ? product : (product + (int32_t{1} << (shift - 1))) >> shift;
+  }
+};
+
 struct Derived {
   int32_t flex_gain_q16[kSensors];        // 1e-5/cm per 1/16 ohm
-  int32_t pressure_gain_q24[kSides];      // 0.01 psi per 1/64 count of a sum of five
+  Gain16 pressure_gain[kSides];           // 0.01 psi per 1/64 count of a sum of five
   uint32_t reversal_inverse_q24[kSides];  // rounded up, so that the whole width gives 256 / 256
   uint16_t lag_alpha_q16[kSides];         // share of the way to the input in one control step
-  int32_t drive_slope_q16;                // duty per 0.01 psi
+  uint16_t drive_slope_q16;               // duty per 0.01 psi
   uint32_t um_per_count_q16;              // tip movement per encoder count
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
   uint16_t stuck_steps;
   uint16_t stall_steps;
-  uint16_t enabled_mask;
+  uint16_t enabled_mask = 0;
   bool telemetry_aligned;
   uint8_t oversample_log2;
   uint8_t trigger_log2;
 
   void update(const Configuration& c) {
-    enabled_mask = 0;
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      // 1e-9/cm per ohm -> 1e-5/cm per 1/16 ohm: / 160000; times 65536 is 256 / 625.
-      flex_gain_q16[i] = c.get(Param::kFlexScale, i) * 256 / 625;
-      if (c.get(Param::kFlexEnabled, i) != 0) {
-        enabled_mask = static_cast<uint16_t>(enabled_mask | (1u << i));
-      }
+    for (uint8_t i = 0; i < kSensors; ++i) update_flex(c, i);
+    for (uint8_t side = 0; side < kSides; ++side) update_muscle(c, side);
+    update_spool(c);
+    update_rest(c);
+  }
+
+  // After a change of one parameter: only what follows from it, to keep the pass short.
+  void update(const Configuration& c, uint16_t index) {
+    const auto within = [index](Param first, uint8_t count) {
+      return index >= static_cast<uint16_t>(first) && index < static_cast<uint16_t>(first) + count;
+    };
+    if (within(Param::kFlexScale, kSensors)) {
+      update_flex(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kFlexScale)));
+    } else if (within(Param::kFlexEnabled, kSensors)) {
+      update_flex(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kFlexEnabled)));
+    } else if (within(Param::kCountsPerM, 1) || within(Param::kPayoutQ8, 1)) {
+      update_spool(c);
+    } else if (within(Param::kSlipUm, 1) || within(Param::kSpoolToleranceUm, 1)) {
+      update_distances(c);
+    } else if (within(Param::kPressureSpan, kSides) || within(Param::kPressureFullCpsi, 1) ||
+               within(Param::kReversalCpsi, kSides) || within(Param::kLagMs, kSides)) {
+      for (uint8_t side = 0; side < kSides; ++side) update_muscle(c, side);
+    } else {
+      update_rest(c);
     }
-    for (uint8_t side = 0; side < kSides; ++side) {
-      pressure_gain_q24[side] =
-          static_cast<int32_t>((static_cast<uint64_t>(c.get(Param::kPressureFullCpsi)) << 24) /
-                               (static_cast<uint32_t>(c.get(Param::kPressureSpan, side)) * 5u));
-      reversal_inverse_q24[side] =
-          0x1000000u / static_cast<uint32_t>(c.get(Param::kReversalCpsi, side)) + 1;
-      // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
-      const int32_t lag = c.get(Param::kLagMs, side);
-      const int32_t alpha = 2 * kControlMs * 65536 / (2 * lag + kControlMs);
-      lag_alpha_q16[side] = static_cast<uint16_t>(lesser<int32_t>(alpha, 65535));
-    }
-    // 16 mA of 20 mA is 4/5 of the full duty.
-    drive_slope_q16 = static_cast<int32_t>(kDriveFull) * 65536 / 5 * 4 /
-                      (c.get(Param::kDrive20maCpsi) - c.get(Param::kDrive4maCpsi));
-    um_per_count_q16 = static_cast<uint32_t>((static_cast<uint64_t>(1000000) * 256 << 16) /
-                                             (static_cast<uint32_t>(c.get(Param::kCountsPerM)) *
-                                              static_cast<uint64_t>(c.get(Param::kPayoutQ8))));
-    slip_counts = greater<int32_t>(counts(c.get(Param::kSlipUm)), 2);
-    tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
-    slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
-    stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
-    stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
-    telemetry_aligned = c.get(Param::kTelemetryMs) % kControlMs == 0;
-    oversample_log2 = static_cast<uint8_t>(c.get(Param::kOversampleLog2));
-    trigger_log2 = static_cast<uint8_t>(c.get(Param::kTriggerFilterLog2));
   }
 
   // A slew rate as the most change in a control step, 1/256 of 0.01 psi.
@@ -98,6 +114,52 @@ struct Derived {
         greater<int64_t>((static_cast<int64_t>(um_s2) * 65536 * 65536 / (kControlHz * kControlHz)) /
                              um_per_count_q16,
                          1));
+  }
+
+ private:
+  void update_flex(const Configuration& c, uint8_t i) {
+    // 1e-9/cm per ohm -> 1e-5/cm per 1/16 ohm: / 160000; times 65536 is 256 / 625.
+    flex_gain_q16[i] = c.get(Param::kFlexScale, i) * 256 / 625;
+    const uint16_t bit = static_cast<uint16_t>(1u << i);
+    enabled_mask = static_cast<uint16_t>(c.get(Param::kFlexEnabled, i) != 0 ? enabled_mask | bit
+                                                                            : enabled_mask & ~bit);
+  }
+
+  void update_muscle(const Configuration& c, uint8_t side) {
+    pressure_gain[side].set(static_cast<uint32_t>(c.get(Param::kPressureFullCpsi)),
+                            static_cast<uint32_t>(c.get(Param::kPressureSpan, side)) * 5u);
+    reversal_inverse_q24[side] =
+        0x1000000u / static_cast<uint32_t>(c.get(Param::kReversalCpsi, side)) + 1;
+    // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
+    const int32_t lag = c.get(Param::kLagMs, side);
+    const int32_t alpha = 2 * kControlMs * 65536 / (2 * lag + kControlMs);
+    lag_alpha_q16[side] = static_cast<uint16_t>(lesser<int32_t>(alpha, 65535));
+  }
+
+  void update_spool(const Configuration& c) {
+    um_per_count_q16 = static_cast<uint32_t>((static_cast<uint64_t>(1000000) * 256 << 16) /
+                                             (static_cast<uint32_t>(c.get(Param::kCountsPerM)) *
+                                              static_cast<uint64_t>(c.get(Param::kPayoutQ8))));
+    update_distances(c);
+  }
+
+  void update_distances(const Configuration& c) {
+    slip_counts = greater<int32_t>(counts(c.get(Param::kSlipUm)), 2);
+    tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
+  }
+
+  void update_rest(const Configuration& c) {
+    // 16 mA of 20 mA is 4/5 of the full duty. A span too small for 16 bits is never armed.
+    const int32_t span =
+        greater<int32_t>(c.get(Param::kDrive20maCpsi) - c.get(Param::kDrive4maCpsi), 1300);
+    drive_slope_q16 =
+        static_cast<uint16_t>(static_cast<int32_t>(kDriveFull) * 65536 / 5 * 4 / span);
+    slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
+    stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
+    stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
+    telemetry_aligned = c.get(Param::kTelemetryMs) % kControlMs == 0;
+    oversample_log2 = static_cast<uint8_t>(c.get(Param::kOversampleLog2));
+    trigger_log2 = static_cast<uint8_t>(c.get(Param::kTriggerFilterLog2));
   }
 };
 

@@ -44,11 +44,6 @@ inline int32_t share_q16(int32_t a, uint16_t b) {
   return high + static_cast<int32_t>(low >> 16);
 }
 
-// a * b / 2^24, rounded to nearest, for factors that need more digits.
-inline int32_t multiply_q24(int32_t a, int32_t b) {
-  return static_cast<int32_t>((static_cast<int64_t>(a) * b + 0x800000) >> 24);
-}
-
 // sin(phase) for phase = 0 .. 2^31 standing for 0 .. pi, in 1/32768. Linear between 64 points a
 // quarter: off by at most 1.1e-4, 0.002 psi of an 18 psi sweep.
 constexpr uint16_t kQuarterSine[65] THIGMO_PROGMEM = {

@@ -113,8 +113,9 @@ class PressureLoop {
     const int32_t above = cpsi - c.get(Param::kDrive4maCpsi);
     // 4 mA of 20 mA is a fifth of the full duty: 319.8.
     constexpr int32_t kFourMaQ16 = static_cast<int32_t>(kDriveFull) * 65536 / 5;
-    const int64_t q16 = kFourMaQ16 + static_cast<int64_t>(above) * d.drive_slope_q16 + 0x8000;
-    return static_cast<int16_t>(limited<int32_t>(static_cast<int32_t>(q16 >> 16), 0, kDriveFull));
+    // 20 000 * 65 535 and the 4 mA fit 31 bits.
+    const int32_t q16 = kFourMaQ16 + above * d.drive_slope_q16 + 0x8000;
+    return static_cast<int16_t>(limited<int32_t>(q16 >> 16, 0, kDriveFull));
   }
 
   int16_t set_cpsi() const { return static_cast<int16_t>(set_q8_ >> 8); }

@@ -1,7 +1,8 @@
 // A trapezoid of speed towards a position, one step each control period.
 //
-// Speed is a whole number of acceleration steps, so that the braking distance is a triangular
-// number and neither root nor division is needed. Positions are in encoder counts, in 1/65536.
+// Speed is a whole number of acceleration steps, and the braking distance the sum of the speeds
+// that were passed: it is kept along, so that neither root nor product is needed. Positions are in
+// encoder counts, in 1/65536.
 #ifndef THIGMO_CORE_CONTROL_PROFILE_H_
 #define THIGMO_CORE_CONTROL_PROFILE_H_
 
@@ -17,30 +18,35 @@ class Profile {
     position_q16_ = static_cast<int64_t>(from_counts) * 65536;
     target_q16_ = static_cast<int64_t>(to_counts) * 65536;
     forward_ = to_counts >= from_counts;
+    // Rounded down so that whole steps of it make up the top speed.
+    const int32_t steps = (speed_q16 + accel_q16 - 1) / accel_q16;
+    accel_q16_ = greater<int32_t>(speed_q16 / steps, 1);
     top_q16_ = speed_q16;
-    accel_q16_ = lesser(accel_q16, speed_q16);
-    steps_ = 0;
     speed_q16_ = 0;
+    stopping_q16_ = 0;
   }
 
   // One control step. Returns the counts to be reached now.
   int32_t step() {
-    const int64_t left = forward_ ? target_q16_ - position_q16_ : position_q16_ - target_q16_;
-    const int64_t stopping = stopping_q16(steps_);
+    int64_t left = target_q16_ - position_q16_;
+    if (!forward_) left = -left;
     if (left <= 0) {
-      steps_ = 0;
       speed_q16_ = 0;
       return position();
     }
-    if (left <= stopping) {
-      if (steps_ > 1) --steps_;
-    } else if (static_cast<int64_t>(accel_q16_) * steps_ < top_q16_ &&
-               left > stopping_q16(steps_ + 1) + speed_q16_) {
-      ++steps_;
+    if (left <= stopping_q16_) {
+      // Brake, but keep creeping.
+      if (speed_q16_ > accel_q16_) {
+        stopping_q16_ -= speed_q16_;
+        speed_q16_ -= accel_q16_;
+      }
+    } else if (speed_q16_ + accel_q16_ <= top_q16_ &&
+               left > stopping_q16_ + speed_q16_ + speed_q16_ + accel_q16_) {
+      speed_q16_ += accel_q16_;
+      stopping_q16_ += speed_q16_;
     }
-    int64_t move = lesser<int64_t>(static_cast<int64_t>(accel_q16_) * steps_, top_q16_);
-    move = lesser(greater<int64_t>(move, accel_q16_), left);
-    speed_q16_ = static_cast<int32_t>(move);
+    const int32_t move = left < greater(speed_q16_, accel_q16_) ? static_cast<int32_t>(left)
+                                                                : greater(speed_q16_, accel_q16_);
     position_q16_ += forward_ ? move : -move;
     return position();
   }
@@ -51,16 +57,12 @@ class Profile {
   bool forward() const { return forward_; }
 
  private:
-  int64_t stopping_q16(int32_t steps) const {
-    return static_cast<int64_t>(accel_q16_) * steps * (steps + 1) >> 1;
-  }
-
   int64_t position_q16_ = 0;
   int64_t target_q16_ = 0;
+  int64_t stopping_q16_ = 0;  // way to standstill from the present speed
   int32_t top_q16_ = 0;
   int32_t accel_q16_ = 0;
-  int32_t speed_q16_ = 0;
-  int32_t steps_ = 0;
+  int32_t speed_q16_ = 0;  // per step
   bool forward_ = true;
 };
 

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x7A29455Fu;
+constexpr uint32_t kSchemaHash = 0xFB4237FEu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -1254,8 +1254,8 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {0, 6, 4},                   // oversample_log2
     {0, 20000, 6554},            // pressure_zero
     {0, 20000, 6554},            // pressure_zero
-    {1000, 65000, 52429},        // pressure_span
-    {1000, 65000, 52429},        // pressure_span
+    {5000, 65000, 52429},        // pressure_span
+    {5000, 65000, 52429},        // pressure_span
     {100, 20000, 6000},          // pressure_full_cpsi
     {100, 6000, 1850},           // max_pressure_cpsi
     {100, 6000, 2300},           // over_pressure_cpsi

@@ -43,12 +43,21 @@ inline int32_t total_ohm_q4(uint16_t count) {
   return static_cast<int32_t>(quotient);
 }
 
-// The same from a zero, which is stored in 1/256 of a sum of 2^log2 conversions. 64-bit division:
-// once a zeroing.
+// The same from a zero, which is stored in 1/256 of a sum of 2^log2 conversions: 22000 << (23 +
+// log2) over twice the zero plus half a count for each conversion.
 inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
-  const uint64_t count = static_cast<uint64_t>(zero_sum_q8) * 2 + (256u << log2);
-  const uint64_t numerator = static_cast<uint64_t>(kDividerOhm) * 16 * 1024 * 512 << log2;
-  return static_cast<int32_t>(numerator / count);
+  const uint32_t count = zero_sum_q8 * 2 + (static_cast<uint32_t>(256) << log2);
+  uint32_t remainder = kDividerOhm % count;
+  uint32_t quotient = kDividerOhm / count;
+  for (uint8_t i = static_cast<uint8_t>(23 + log2); i > 0; --i) {
+    remainder <<= 1;  // below 2^26
+    quotient <<= 1;
+    if (remainder >= count) {
+      remainder -= count;
+      quotient |= 1;
+    }
+  }
+  return static_cast<int32_t>(quotient);
 }
 
 // Curvature in 1e-5/cm of two total resistances, saturated.

@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #include "../board.h"
+#include "../config/derived.h"
 #include "../control/fixed_point.h"
 
 namespace thigmo {
@@ -29,11 +30,11 @@ class PressureReading {
   // Averages what was taken since the last call into cpsi(): five conversions, or some other number
   // after a lost frame, which alone costs a division. Half a count is added for the converter's
   // floor; gain is for the sum of five.
-  void update(int32_t zero_q6, int32_t gain_of_five_q24) {
+  void update(int32_t zero_q6, const Gain16& gain_of_five) {
     if (taken_ == 0) return;
     int32_t sum_q6 = static_cast<int32_t>(sum_) * 64;
     if (taken_ != 5) sum_q6 = sum_q6 * 5 / taken_;
-    cpsi_ = saturated16(multiply_q24(sum_q6 + (32 - zero_q6) * 5, gain_of_five_q24));
+    cpsi_ = saturated16(gain_of_five.apply(sum_q6 + (32 - zero_q6) * 5));
     sum_ = 0;
     taken_ = 0;
   }

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x7A29455F
+SCHEMA_HASH = 0xFB4237FE
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -1799,7 +1799,7 @@ PARAMETERS: dict[str, Parameter] = {
             47,
             2,
             "1/64 count",
-            1000,
+            5000,
             65000,
             (52429, 52429),
             "Reading span of full scale, in 1/64 of an ADC count.",

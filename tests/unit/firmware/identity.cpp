@@ -98,7 +98,6 @@ void arithmetic() {
   for (uint16_t i = 0; i < 300; ++i) {
     sum.add(half_sine(dice.next() >> 1));
     sum.add(multiply_q16(dice.in(-30000, 30000), dice.in(-1000000, 1000000)));
-    sum.add(multiply_q24(dice.in(-300000, 300000), dice.in(-10000000, 10000000)));
     sum.add(share_q16(static_cast<int32_t>(dice.next()), static_cast<uint16_t>(dice.next())));
     const uint16_t count = static_cast<uint16_t>(dice.in(32, 65504));
     sum.add(total_ohm_q4(count));
@@ -118,7 +117,8 @@ void constants() {
     draw_configuration(i % 2 == 0);
     for (const int32_t gain : derived.flex_gain_q16) sum.add(gain);
     for (uint8_t side = 0; side < kSides; ++side) {
-      sum.add(derived.pressure_gain_q24[side]);
+      sum.add(derived.pressure_gain[side].mantissa);
+      sum.add(derived.pressure_gain[side].shift);
       sum.add(static_cast<int32_t>(derived.reversal_inverse_q24[side]));
       sum.add(derived.lag_alpha_q16[side]);
     }
@@ -152,7 +152,7 @@ void pressure() {
         reading.add(count);
         count = static_cast<uint16_t>(limited<int32_t>(count + dice.in(-6, 7), 60, 900));
       }
-      reading.update(config.get(Param::kPressureZero), derived.pressure_gain_q24[0]);
+      reading.update(config.get(Param::kPressureZero), derived.pressure_gain[0]);
       muscle.update(reading.cpsi(), derived.lag_alpha_q16[0],
                     static_cast<int16_t>(config.get(Param::kReversalCpsi)),
                     derived.reversal_inverse_q24[0]);

@@ -132,7 +132,7 @@ TEST(pressure_is_read_through_its_calibration) {
       for (int i = 0; i < taken; ++i) {
         reading.add(static_cast<uint16_t>(std::floor(ideal + (i + 0.5) / taken - 0.5)));
       }
-      reading.update(c.get(Param::kPressureZero), d.pressure_gain_q24[0]);
+      reading.update(c.get(Param::kPressureZero), d.pressure_gain[0]);
       CHECK_NEAR(reading.cpsi(), psi * 100, 7.4 / taken + 1.5);
       CHECK(!reading.wire_broken());
     }
