@@ -610,6 +610,8 @@ def fit_several(
                         offset,
                         1e-12 * length,
                     )
+                if mixed >= 0 and done > 4:
+                    break  # arcs read off mixed signs are poor upper bounds
                 continue
             within = True
             for j in range(c):
