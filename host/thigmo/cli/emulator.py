@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,12 +31,16 @@ def emulate(
         Path | None, typer.Option(help="Make this symbolic link to the port, for a stable name.")
     ] = None,
 ) -> None:
-    """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C."""
+    """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C or SIGTERM."""
     serve: Any = import_module(_SERVE)
+    # A service is ended by SIGTERM: that closes the port and removes the link as Ctrl-C does.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         serve.serve(scene, seed=seed, link=link, announce=typer.echo)
     except KeyboardInterrupt:
         raise typer.Exit from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def check(

@@ -29,7 +29,9 @@ def localize(
         float | None, typer.Option(help="One sigma of a reading; estimated when left out.")
     ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
-    method: Annotated[str, typer.Option(help="Solver.")] = "exact",
+    method: Annotated[
+        str, typer.Option(help="exact, l1, l2, or a baseline; a wrong name lists them all.")
+    ] = "exact",
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""

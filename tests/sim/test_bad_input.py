@@ -1,0 +1,406 @@
+"""What goes wrong at the command line: each prints one clear line with the next step and no more.
+
+Ports that are no robot, files that are no scene, and an operator or a computer that ends the
+command in the middle of a sweep, in real time against an emulated robot on a pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from thigmo.cli.main import main
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import PtyServer
+from thigmo.link import client as client_module
+from thigmo.link import protocol as wire
+
+LINE = r"thigmo: [^\n]+; [^\n]+"  # what happened; what to do
+GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
+THIGMO = [sys.executable, "-m", "thigmo"]
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command printed, and how it ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Thigmo = Callable[..., Ran]
+
+
+@pytest.fixture
+def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Thigmo:
+    def run(*arguments: str | Path) -> Ran:
+        monkeypatch.setattr(sys, "argv", ["thigmo", *map(str, arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        captured = capsys.readouterr()
+        return Ran(code, captured.out, captured.err)
+
+    return run
+
+
+def one_line(ran: Ran, named: str) -> None:
+    assert ran.code == 1
+    assert ran.out == ""
+    assert re.fullmatch(LINE, ran.err.strip()), ran.err
+    assert re.search(named, ran.err), ran.err
+
+
+# Ports.
+
+
+class Speaker:
+    """The far end of a port, which says the same over and over and hears nothing."""
+
+    def __init__(self, says: Callable[[], bytes]) -> None:
+        import tty
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._says = says
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        os.set_blocking(self._master, False)
+        while not self._end.wait(0.02):
+            try:
+                os.write(self._master, self._says())
+                os.read(self._master, 4096)
+            except BlockingIOError:
+                continue
+
+    def close(self) -> None:
+        self._end.set()
+        self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+
+def gps() -> bytes:
+    return b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
+
+
+def another_schema() -> bytes:
+    from thigmo.link.framing import encode
+
+    announce = wire.Announce(
+        protocol=wire.PROTOCOL,
+        schema_hash=wire.SCHEMA_HASH ^ 1,
+        firmware_version=(0, 0, 9),
+        board=wire.Board.MEGA,
+        boot_nonce=7,
+        reset_cause=wire.ResetCause.POWER_ON,
+    )
+    return encode(announce, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("says", "named"),
+    [
+        (lambda: b"", "nothing|no answer|silent|nobody"),
+        (gps, "no robot"),
+        (lambda: os.urandom(64), "no robot"),
+        (lambda: bytes(64), "no robot|nothing|nobody|no answer"),
+        (another_schema, r"schema.*thigmo flash"),
+    ],
+    ids=["silence", "gps", "noise", "zeros", "another schema"],
+)
+def test_a_port_that_is_no_robot_of_ours(
+    thigmo: Thigmo,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    says: Callable[[], bytes],
+    named: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(client_module, "BOOT_LOADER_S", 0.2)
+    monkeypatch.setattr(client_module, "SILENCE_S", 0.2)
+    monkeypatch.setattr(wire.Hello, "DEADLINE_S", 0.3)
+    speaker = Speaker(says)
+    try:
+        for command in (["info", speaker.port], ["explore", "--robot", speaker.port]):
+            one_line(thigmo(*command), named)
+    finally:
+        speaker.close()
+    assert not (tmp_path / "runs").exists()
+
+
+# Files.
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[[pegs]\nx = 1\n", "room.toml"),
+        ("pegs = 3\n", "pegs"),
+        ("[[pegs]]\nx = 30\ny = nan\nradius = 1\n", r"pegs\.0\.y"),
+        ("[[pegs]]\nx = 0\ny = 0\nradius = 1\n", r"pegs\[0\] overlaps"),
+        ("[[pegs]]\nx = 30\ny = 9\n", r"pegs\.0\.radius"),
+        ("[noise]\nwhite_count = 1\n", r"noise\.white_count"),
+        ('extends = "nowhere"\n', "nowhere"),
+        ('[[faults]]\nkind = "flex_short"\n', r"faults\.0"),
+        ('[[faults]]\nkind = "gremlins"\nat_s = 1\n', r"faults\.0\.kind"),
+        ("[robot.body]\nlength_cm = -5\n", r"robot\.body\.length_cm"),
+        ("start_length_cm = 99\n", "start_length_cm"),
+        (b"\xff\xfe\x00", "room.toml"),
+    ],
+)
+@pytest.mark.parametrize("command", [["explore", "--scene"], ["emulate"]], ids=lambda c: c[0])
+def test_a_malformed_scene(
+    thigmo: Thigmo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes, named: str,
+    command: list[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("room.toml").write_bytes(text if isinstance(text, bytes) else text.encode())
+    one_line(thigmo(*command, "room.toml"), named)
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("position,curvature,span\n5,0.01,many\n", "line 2: span"),
+        ("position,curvature,span\n5,0.01,-1\n", "span"),
+        ("position,curvature\n5,0.01\n15\n", "line 3"),
+        ("position,curvature\n", "no rows|no readings|empty"),
+        ("position,curvature\n5,inf\n", "line 2: curvature is inf"),
+        ("position,curvature\n-5,0.1\n", "line 2: a sensor at -5 lies outside"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe", "r.csv"),
+    ],
+)
+def test_a_malformed_table_of_readings(
+    thigmo: Thigmo, tmp_path: Path, text: str | bytes, named: str
+) -> None:
+    file = tmp_path / "r.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    one_line(thigmo("localize", file, "--length", 53, "--span", 5.5), named)
+
+
+def test_a_folder_where_a_file_is_needed(thigmo: Thigmo, tmp_path: Path) -> None:
+    (tmp_path / "room.toml").mkdir()
+    for command in (
+        ["localize", tmp_path, "--length", 53],
+        ["explore", "--scene", tmp_path / "room.toml"],
+        ["explore", "--config", tmp_path / "room.toml"],
+    ):
+        one_line(thigmo(*command), str(tmp_path))
+
+
+def test_a_malformed_robot_toml_is_said_before_anything_moves(
+    thigmo: Thigmo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for text, named in (("[body]\nlength_cm = 0\n", r"body\.length_cm"), ("[bodi]\n", "bodi")):
+        Path("robot.toml").write_text(text)
+        one_line(thigmo("explore", "--config", "robot.toml"), named)
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize("place", ["file/runs", "file"])
+def test_a_folder_that_cannot_be_written(thigmo: Thigmo, tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    ran = thigmo("explore", "--scene", "empty", "--out", tmp_path / place, "--json")
+    one_line(ran, "--out")
+
+
+def test_a_run_folder_whose_record_is_garbage(thigmo: Thigmo, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "run.mcap").write_bytes(os.urandom(500))
+    (run / "contacts.json").write_text("{")
+    (run / "robot.toml").write_text("")
+    for command in ("info", "replay"):
+        one_line(thigmo(command, run), r"run\.mcap|contacts\.json")
+
+
+# Ends in the middle of a sweep, in real time.
+
+
+class Room:
+    """An emulated robot at its full length, on a port in real time, that outlives its hosts."""
+
+    def __init__(self, folder: Path) -> None:
+        scene = Scene.load("empty")
+        scene.start_length_cm = scene.robot.body.length_cm
+        scene.robot.sensors.settle_s = 0.5
+        scene.flex.creep = 0.0
+        scene.robot.save(folder / "robot.toml")
+        lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
+        for _ in range(100):  # everything is compiled before a clock counts
+            lockstep.advance()
+        self.board = lockstep.board
+        self.plant = lockstep.plant
+        self._server = PtyServer(lockstep)
+        self.port = self._server.path
+        self._on = True
+        self._thread = threading.Thread(target=lambda: self._server.run(lambda: self._on))
+        self._thread.start()
+
+    @property
+    def safe(self) -> bool:
+        return not any(self.board.drive_enabled) and self.board.motor == 0 and self.board.braked
+
+    def close(self) -> None:
+        self._on = False
+        self._thread.join()
+        self._server.close()
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How an exploration ended that was cut short in mid-sweep.
+
+    Attributes:
+        ran: what it printed after the signal.
+        safe_after_s: from the signal.
+        length_cm: of the robot at the signal, and at the end.
+        run: its folder.
+    """
+
+    ran: Ran
+    safe_after_s: float
+    length_cm: tuple[float, float]
+    run: Path
+
+
+def within(condition: Callable[[], bool], seconds: float) -> bool:
+    """Wait in real time, on a condition."""
+    never = threading.Event()
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > until:
+            return False
+        never.wait(0.005)
+    return True
+
+
+def cut_in_mid_sweep(room: Room, folder: Path, number: signal.Signals) -> Cut:
+    """Explore with a robot on a real port, and signal the program while a muscle is energised."""
+    operator, terminal = os.openpty()
+    os.write(operator, b"53\n\n\n\n")  # the everted length; Enter when the pressure is set
+    command = [
+        *THIGMO, "explore", "--robot", room.port, "--config", str(folder / "robot.toml"),
+        "--out", str(folder / "runs"),
+    ]  # fmt: skip
+    with subprocess.Popen(
+        command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as host:
+        assert host.stdout is not None
+        assert host.stderr is not None
+        said = ""
+        for line in host.stderr:
+            said += line
+            if "sweeping" in line:
+                break
+        assert within(lambda: any(room.board.drive_enabled), 10.0), said
+        length = room.plant.length_cm
+        host.send_signal(number)
+        began = time.monotonic()
+        assert within(lambda: room.safe, 5.0)
+        after = time.monotonic() - began
+        out, err = host.communicate(timeout=30)
+    os.close(operator)
+    os.close(terminal)
+    (run,) = (folder / "runs").iterdir()
+    ran = Ran(host.returncode, out, err)
+    return Cut(ran, after, (length, room.plant.length_cm), run)
+
+
+SIGNALS = ("SIGINT", "SIGTERM", "SIGKILL")
+
+
+@pytest.fixture(scope="module")
+def cuts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple[Cut, Room]]]:
+    """One exploration cut short by each signal; side by side, for they take their time."""
+    folders = [tmp_path_factory.mktemp(name) for name in SIGNALS]
+    rooms = [Room(folder) for folder in folders]
+    try:
+        with ThreadPoolExecutor(len(SIGNALS)) as pool:
+            numbers = [signal.Signals[name] for name in SIGNALS]
+            done = list(pool.map(cut_in_mid_sweep, rooms, folders, numbers))
+        yield dict(zip(SIGNALS, zip(done, rooms, strict=True), strict=True))
+    finally:
+        for room in rooms:
+            room.close()
+
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+SLACK_S = 0.7  # of a loaded computer's real time
+
+
+@needs_pty
+@pytest.mark.parametrize(
+    ("name", "code", "limit_s"),
+    [("SIGINT", 130, 0.1), ("SIGTERM", 128 + 15, 0.1), ("SIGKILL", -9, 0.5)],
+)
+def test_a_host_that_is_ended_in_mid_sweep_leaves_a_safe_robot_and_a_readable_run(
+    cuts: dict[str, tuple[Cut, Room]], thigmo: Thigmo, name: str, code: int, limit_s: float
+) -> None:
+    cut, room = cuts[name]
+    assert cut.safe_after_s < limit_s + SLACK_S
+    assert within(lambda: max(room.plant.muscle_psi) < 0.5, 3.0)
+    assert room.safe
+    assert cut.length_cm[0] == pytest.approx(cut.length_cm[1], abs=1e-3)  # never a retraction
+
+    assert cut.ran.code == code
+    assert cut.ran.out == ""
+    said = cut.ran.err.strip().splitlines()
+    if name == "SIGKILL":
+        assert said == []
+    else:
+        assert re.fullmatch(LINE, said[-1]), cut.ran.err
+        assert str(cut.run) in said[-1]
+        assert not any("Traceback" in line for line in said)
+
+    info = thigmo("info", cut.run, "--json")
+    assert info.code == 0, info.err
+    facts = json.loads(info.out)
+    assert facts["frames"] > 100
+    assert facts["outcome"].startswith("aborted: " if name != "SIGKILL" else "running")
+    assert facts["truncated"] == (name == "SIGKILL")
+    replayed = thigmo("replay", cut.run, "--json")
+    assert replayed.code == 0, replayed.err
+    assert json.loads(replayed.out)["contacts"] == []
+
+
+@needs_pty
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_emulated_robot_is_served_until_it_is_told_to_end(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    link = tmp_path / "robot"
+    command = [*THIGMO, "emulate", "empty", "--link", str(link)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as server:
+        assert server.stdout is not None
+        assert str(link).encode() in server.stdout.readline()
+        assert link.is_symlink()
+        server.send_signal(number)
+        out, err = server.communicate(timeout=20)
+    assert (out, err) == (b"", b"")
+    assert server.returncode == 0
+    assert not link.is_symlink()
