@@ -26,7 +26,7 @@ class Serial0 {
     UBRR0 = F_CPU / (16 * THIGMO_BAUD) - 1;
     UCSR0A = 0;
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);  // 8N1
-    UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
+    UCSR0B = kOn;
   }
 
   static bool read(uint8_t* byte) {
@@ -64,8 +64,7 @@ class Serial0 {
     return true;
   }
 
-  // --- interrupt routines
-  // --------------------------------------------------------------------------
+  // The interrupt routine of a received byte.
   static inline void on_received() {
     const uint8_t status = UCSR0A;  // before UDR0, which moves the flags on
     const uint8_t byte = UDR0;
@@ -81,22 +80,16 @@ class Serial0 {
     if (byte == 0) wake::ask();
   }
 
-  static inline void on_empty() {
-    const uint8_t out = tx_out_;
-    if (out == tx_in_) {
-      UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
-      return;
-    }
-    UDR0 = tx_[out];
-    tx_out_ = out + 1;
-  }
+  // The transmit interrupt below is written in assembly and shares these.
+  static constexpr uint8_t kOn = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
+  static uint8_t tx_[kTxRing];
+  static volatile uint8_t tx_in_, tx_out_;
 
  private:
   static constexpr uint8_t kNearlyEmpty = 7;
 
   static uint8_t rx_[kRxRing];
-  static uint8_t tx_[kTxRing];
-  static volatile uint8_t rx_in_, rx_out_, tx_in_, tx_out_;
+  static volatile uint8_t rx_in_, rx_out_;
   static bool draining_;
   static uint16_t overruns_;
 };
@@ -111,6 +104,42 @@ uint16_t Serial0::overruns_;
 }  // namespace thigmo
 
 ISR(USART0_RX_vect, THIGMO_FAST) { thigmo::mega::Serial0::on_received(); }
-ISR(USART0_UDRE_vect, THIGMO_FAST) { thigmo::mega::Serial0::on_empty(); }
+
+// The next byte of the ring, or no more interrupts: 48 cycles where a compiler's takes 67, and it
+// runs 25 times a millisecond when the line is full.
+ISR(USART0_UDRE_vect, ISR_NAKED) {
+  __asm__ volatile(
+      "push r24            \n\t"
+      "in   r24, %[sreg]   \n\t"
+      "push r24            \n\t"
+      "push r30            \n\t"
+      "push r31            \n\t"
+      "lds  r30, %[out]    \n\t"
+      "lds  r24, %[in]     \n\t"
+      "cp   r24, r30       \n\t"
+      "breq 1f             \n\t"
+      "mov  r24, r30       \n\t"
+      "inc  r24            \n\t"
+      "sts  %[out], r24    \n\t"
+      "ldi  r31, 0         \n\t"
+      "subi r30, lo8(-(%[ring])) \n\t"
+      "sbci r31, hi8(-(%[ring])) \n\t"
+      "ld   r24, Z         \n\t"
+      "sts  %[data], r24   \n\t"
+      "0: pop r31          \n\t"
+      "pop  r30            \n\t"
+      "pop  r24            \n\t"
+      "out  %[sreg], r24   \n\t"
+      "pop  r24            \n\t"
+      "reti                \n\t"
+      "1: ldi r24, %[on]   \n\t"
+      "sts  %[control], r24 \n\t"
+      "rjmp 0b             \n\t"
+      :
+      : [sreg] "I"(_SFR_IO_ADDR(SREG)), [out] "i"(&thigmo::mega::Serial0::tx_out_),
+        [in] "i"(&thigmo::mega::Serial0::tx_in_), [ring] "i"(&thigmo::mega::Serial0::tx_),
+        [data] "i"(_SFR_MEM_ADDR(UDR0)), [control] "i"(_SFR_MEM_ADDR(UCSR0B)),
+        [on] "n"(thigmo::mega::Serial0::kOn));
+}
 
 #endif  // THIGMO_MEGA_SERIAL_H_

@@ -1,0 +1,407 @@
+"""What the Mega's image costs, measured on the simulated chip: memory, cycles, delays, throughput.
+
+    python tools/budgets.py             a table
+    python tools/budgets.py --json      one JSON object
+    python tools/budgets.py --check     compare with tools/budgets.json; exit 1 if anything got worse
+    python tools/budgets.py --update    write tools/budgets.json
+
+Cycles are exact and the same in each run, so the ratchet is tight: a figure may not be worse than
+the committed one by more than its slack, nor beyond its limit. A figure that got better by more
+than that asks for `--update`, so that what was won stays won.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.emulator import mega_build
+from thigmo.emulator.chip import CHANNELS, CYCLES_PER_MS, NO_COUNT, SRAM_END, Cause
+from thigmo.emulator.mega_sim import SimulatedMega
+from thigmo.emulator.scene import Scene
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.framing import Decoder, encode
+from thigmo.link.image import BUILD
+from thigmo.robot.robot import Robot
+
+RATCHET = Path(__file__).with_suffix(".json")
+FLASH = 253_952
+RAM = 8192
+PAINT = 0xC5
+TASKS = ("receive", "sense", "control", "decide", "telemetry", "store", "transmit")
+INTERRUPTS = {
+    "encoder A": 5, "encoder B": 6, "tick": 17, "sampling": 19, "receive": 25, "transmit": 26,
+}  # fmt: skip
+US = 16  # cycles
+SEED = 3
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure.
+
+    Attributes:
+        name, value, unit: what.
+        limit: of the specification, if it sets one.
+        least: the limit is a least value.
+    """
+
+    name: str
+    value: float
+    unit: str
+    limit: float | None = None
+    least: bool = False
+
+    @property
+    def kept(self) -> bool:
+        """The limit is met."""
+        if self.limit is None:
+            return True
+        return self.value >= self.limit if self.least else self.value <= self.limit
+
+
+class Rig(SimulatedMega):
+    """A simulated Mega that notes when each byte leaves, and how busy each millisecond is."""
+
+    def __init__(self, eeprom: bytes = b"") -> None:
+        super().__init__(SEED, eeprom)
+        self.wire: list[tuple[bytes, npt.NDArray[np.uint64]]] = []
+        self.busy: list[int] = []
+        self._take = self.chip.take
+        self.chip.take = self._noting_take  # type: ignore[method-assign]
+
+    def _noting_take(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
+        data, at = self._take()
+        self.wire.append((data, at))
+        return data, at
+
+    def step(self, ticks: int) -> None:
+        asleep = self.chip.asleep_cycles
+        super().step(ticks)
+        self.busy.append(ticks * CYCLES_PER_MS - (self.chip.asleep_cycles - asleep))
+
+    def frames(self) -> list[tuple[wire.Message, int]]:
+        """Messages sent so far, each with the cycle at which its last byte was on the wire."""
+        data = b"".join(part for part, _ in self.wire)
+        at = np.concatenate([times for _, times in self.wire])
+        decoder, out, start = Decoder(), [], 0
+        for end in np.flatnonzero(np.frombuffer(data, np.uint8) == 0):
+            for frame in decoder.feed(data[start : end + 1]):
+                out.append((frame.message(), int(at[end])))
+            start = int(end) + 1
+        return out
+
+
+def scene(*, pegs: bool = False) -> Scene:
+    """The default robot, out to 51.5 cm and rested, in an empty room."""
+    whole = Scene.load("default")
+    changes: dict[str, object] = {"start_length_cm": 51.5}
+    if not pegs:
+        changes["pegs"] = []
+    return whole.model_copy(update=changes)
+
+
+def session(rig: Rig) -> tuple[Robot, Client]:
+    """A configured, armed, zeroed robot at 53 cm."""
+    transport = EmulatorTransport(scene(), rig, seed=SEED, exchange_ms=1)
+    client = Client(transport)
+    robot = Robot(client)
+    robot.configure(transport.config)
+    robot.set_parameter("drift_limit_e5", [5000])
+    robot.set_parameter("zero_ms", [300])
+    robot.wait(0.3)
+    robot.clear_faults()
+    robot.confirm_length(51.5, settled=True)
+    robot.select_zone(2)
+    robot.arm()
+    return robot, client
+
+
+def symbols() -> dict[str, int]:
+    listing = subprocess.run(
+        ["avr-nm", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
+    ).stdout
+    return {p[2]: int(p[0], 16) & 0xFFFF for line in listing.splitlines() if len(p := line.split()) == 3}
+
+
+def memory() -> list[Figure]:
+    image = mega_build.firmware_hex()
+    size = subprocess.run(
+        ["avr-size", "-A", str(image.with_suffix(".elf"))],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    sections = {name: int(count) for name, count in re.findall(r"^(\.\w+)\s+(\d+)", size, re.M)}
+    ram = sum(sections.get(name, 0) for name in (".data", ".bss", ".noinit"))
+    return [
+        Figure("flash", sections[".text"] + sections.get(".data", 0), "byte", FLASH),
+        Figure("static RAM", ram, "byte"),
+    ]
+
+
+def tasks(rig: Rig) -> list[Figure]:
+    """Cycles from a task's mark to the next, interrupts within included."""
+    marks = rig.chip.take_marks()
+    marks = marks[marks["reg"] == 1]
+    spent = np.diff(marks["cycle"]).astype(np.int64)
+    kind = marks["value"][:-1]
+    figures = []
+    for number, name in enumerate(TASKS, 1):
+        mine = spent[kind == number]
+        if number == 1:  # a pass of which the host wants nothing only looks
+            mine = mine[mine > np.median(mine)]
+        figures.append(Figure(f"task {name}, median", float(np.median(mine)), "cycle"))
+        figures.append(Figure(f"task {name}, worst", int(mine.max()), "cycle"))
+    sense = marks["cycle"][marks["value"] == 2].astype(np.int64)
+    # A tick's conversions are complete 832 us into it.
+    late = (sense - rig.chip.tick_origin - 832 * US) % CYCLES_PER_MS
+    figures.append(Figure("control step after its readings, worst", late.max() / US, "us", 500))
+    figures.append(Figure("control step's jitter", (late.max() - late.min()) / US, "us"))
+    return figures
+
+
+def busy_robot(rig: Rig) -> list[Figure]:
+    """Grow, zero, sweep, with telemetry at 200 Hz, heartbeats and commands all the time."""
+    robot, client = session(rig)
+    chip = rig.chip
+    chip.record_trace(True)
+    chip.record_marks(True)
+    chip.measure_again()
+    rig.busy.clear()
+    asked = 0
+
+    def ask(_: object) -> None:
+        nonlocal asked
+        asked += 1
+
+    client.on_telemetry.append(ask)
+    began = chip.cycle
+    robot.grow_to(53.0)
+    robot.confirm_length(53.0, settled=True)
+    robot.zero()
+    robot.sweep(left_psi=14.0, right_psi=14.0, period_s=2.0)
+    for number in range(100):
+        client.request(wire.GetParameter(number % wire.PARAMETER_COUNT))
+    robot.vent()
+    seconds = (chip.cycle - began) / 16e6
+    stats = client.request(wire.GetLinkStats())
+    trace = chip.take_trace()
+    figures = []
+    spacing = np.diff(trace["sampled"][trace["channel"] == 10].astype(np.int64))
+    figures.append(Figure("sampling jitter", np.ptp(spacing) / US, "us", 20))
+    for name, channel in (("pressure and base", 0), ("other flex", 1)):
+        count = np.count_nonzero(trace["channel"] == channel)
+        figures.append(Figure(f"scan rate, {name}", round(count / seconds, 1), "Hz"))
+    load = np.convolve(rig.busy, np.ones(5), "valid") / (5 * CYCLES_PER_MS)
+    figures.append(Figure("loop load, mean", round(100 * float(np.mean(load)), 2), "%"))
+    figures.append(Figure("loop load, worst 5 ms", round(100 * float(load.max()), 2), "%", 50))
+    figures += tasks(rig)
+    for name, vector in INTERRUPTS.items():
+        cost = chip.interrupt(vector)
+        figures.append(Figure(f"interrupt {name}, worst", cost.longest, "cycle", 20 * US))
+    figures.append(Figure("telemetry rate", round(asked / seconds, 1), "Hz", 199.0, least=True))
+    lost = stats.tx_dropped + client.stats.telemetry_lost + stats.rx_overruns
+    figures.append(Figure("telemetry frames or bytes lost", lost, "", 0))
+    return figures
+
+
+def painted_stack() -> tuple[Rig, Callable[[], int]]:
+    """A rig whose free RAM is painted, and how deep the stack has gone since."""
+    rig = Rig()
+    rig.step(2)
+    # Painted before the firmware starts: the boot loader's own stack is above and does not count.
+    end = symbols()["_end"]
+    chip = rig.chip
+    chip.boot_at(0)
+    chip.write_ram(end, bytes([PAINT]) * (SRAM_END + 1 - end))
+    chip.reset(Cause.EXTERNAL)
+
+    def depth() -> int:
+        ram = np.frombuffer(chip.read_ram(end, SRAM_END + 1 - end), np.uint8)
+        return len(ram) - int(np.flatnonzero(ram != PAINT)[0])
+
+    return rig, depth
+
+
+def throughput(rig: Rig) -> list[Figure]:
+    """Both directions full at once: telemetry each millisecond, heartbeats back to back."""
+    transport = EmulatorTransport(scene(), rig, seed=SEED, exchange_ms=1)
+    client = Client(transport)
+    robot = Robot(client)
+    robot.wait(0.2)
+    robot.set_parameter("telemetry_ms", [1])
+    robot.wait(0.1)
+    transport.stop_heartbeat()
+    before = client.request(wire.GetLinkStats())
+    sent, counter = 0, 1_000_000
+    rig.wire.clear()
+    start = rig.chip.cycle
+    while rig.chip.cycle - start < 1000 * CYCLES_PER_MS:
+        room = 200 - rig.chip.line_backlog
+        while room > 0:
+            counter += 1
+            frame = encode(wire.Heartbeat(counter), 0, client.hello.session)
+            transport.write(frame)
+            room -= len(frame)
+            sent += 1
+        transport.read(0.005)
+    seconds = (rig.chip.cycle - start) / 16e6
+    up = sum(len(part) for part, _ in rig.wire) / seconds
+    transport.pass_time(0.05)
+    after = client.request(wire.GetLinkStats())
+    down = after.rx_frames - before.rx_frames
+    return [
+        Figure("link up, both ways full", round(up), "byte/s"),
+        Figure("link down, both ways full", round(down / seconds), "frame/s"),
+        Figure("frames lost at that", sent + 1 - down + after.rx_overruns - before.rx_overruns, "", 0),
+    ]
+
+
+def commands(rig: Rig) -> list[Figure]:
+    """One command after the other, telemetry at 200 Hz."""
+    transport = EmulatorTransport(scene(), rig, seed=SEED, exchange_ms=1)
+    client = Client(transport)
+    Robot(client).wait(0.2)
+    times = []
+    for number in range(60):
+        rig.wire.clear()
+        sent = rig.chip.cycle
+        client.request(wire.GetParameter(number % wire.PARAMETER_COUNT))
+        reply = next(at for message, at in rig.frames() if isinstance(message, wire.ParameterValue))
+        times.append((reply - sent) / US / 1000)
+    return [
+        Figure("command to reply on the wire, median", round(float(np.median(times)), 3), "ms"),
+        Figure("command to reply on the wire, worst", round(max(times), 3), "ms"),
+    ]
+
+
+STEP_COUNTS = 20
+
+
+def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
+    """A sweep in an empty room; the inactive side's base sensor may jump by 20 counts."""
+    rig = Rig()
+    robot, client = session(rig)
+    robot.grow_to(53.0)
+    robot.confirm_length(53.0, settled=True)
+    robot.zero()
+    chip = rig.chip
+    chip.record_trace(True)
+    # Left muscle first: the right base sensor (channel 5) is the one that counts.
+    client.request(wire.Sweep(1400, 0, 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
+    robot.wait(1.2)
+    trace = chip.take_trace()
+    last = int(trace["tick"][-1])
+    level = int(round(float(np.mean(trace["count"][trace["channel"] == 5][-50:]))))
+    first = last + 8
+    if with_step:
+        table = np.full((400, CHANNELS), NO_COUNT, dtype=np.uint16)
+        table[:, 5] = level + STEP_COUNTS
+        chip.feed_trace(table, first)
+    at = chip.tick_origin + first * CYCLES_PER_MS + 3 * 1664 + 192  # slot 3, its sample
+    rig.wire.clear()
+    drives = []
+    transport = client.transport
+    assert isinstance(transport, EmulatorTransport)
+    original = rig.step
+
+    def watched(ticks: int) -> None:
+        original(ticks)
+        drives.append((chip.cycle, rig.drive[0]))
+
+    rig.step = watched  # type: ignore[method-assign]
+    transport.pass_time(0.12)
+    return rig, at, first, drives
+
+
+def trigger_latency() -> list[Figure]:
+    """From a step of the base sensor's voltage to the event's last byte, and to the valve."""
+    rig, at, first, drives = _step_run(with_step=True)
+    _, _, _, calm = _step_run(with_step=False)
+    event, on_wire = next(
+        (message, cycle)
+        for message, cycle in rig.frames()
+        if isinstance(message, wire.Event) and message.code is wire.EventCode.CONTACT
+    )
+    decided_ms = event.t_us / 1000 - (first + 0.832)  # ticks of filter and debounce
+    reacted = next(a[0] for a, b in zip(drives, calm, strict=True) if a[1] != b[1])
+    total = (on_wire - at) / US / 1000
+    return [
+        Figure("trigger's filter and debounce", round(decided_ms, 3), "ms"),
+        Figure("trigger: step to event on the wire", round(total, 3), "ms"),
+        Figure("trigger: beyond filter and debounce", round(total - decided_ms, 3), "ms", 5),
+        Figure("trigger: step to the valve's reaction", round((reacted - at) / US / 1000, 1), "ms"),
+    ]
+
+
+def measure() -> list[Figure]:
+    """All figures."""
+    figures = memory()
+    rig, depth = painted_stack()
+    figures += busy_robot(rig)
+    stack = depth()
+    static = next(f.value for f in figures if f.name == "static RAM")
+    figures.insert(2, Figure("stack, worst", stack, "byte"))
+    figures.insert(3, Figure("RAM with the worst stack", static + stack, "byte", 0.75 * RAM))
+    figures += throughput(Rig(rig.eeprom))
+    figures += commands(Rig(rig.eeprom))
+    figures += trigger_latency()
+    return figures
+
+
+def slack(committed: float) -> float:
+    """How far a figure may move before the ratchet notices: 1 %, and never less than 2."""
+    return max(2.0, 0.01 * abs(committed))
+
+
+def compare(figures: list[Figure], committed: dict[str, float]) -> list[str]:
+    """What is wrong with the figures."""
+    wrong = [f"{f.name}: {f.value:g} {f.unit}, the limit is {f.limit:g}" for f in figures if not f.kept]
+    for f in figures:
+        if f.name not in committed:
+            wrong.append(f"{f.name} is not in {RATCHET.name}: run tools/budgets.py --update")
+            continue
+        was = committed[f.name]
+        worse = was - f.value if f.least or f.unit in ("byte/s", "frame/s", "Hz") else f.value - was
+        if worse > slack(was):
+            wrong.append(f"{f.name}: {f.value:g} {f.unit}, was {was:g}")
+        elif -worse > 5 * slack(was):
+            wrong.append(f"{f.name} improved from {was:g} to {f.value:g}: run --update to keep that")
+    return wrong
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--check", action="store_true", help="compare with the committed figures")
+    parser.add_argument("--update", action="store_true", help="write the committed figures")
+    options = parser.parse_args()
+    figures = measure()
+    if options.json:
+        print(json.dumps({f.name: asdict(f) | {"kept": f.kept} for f in figures}, indent=2))
+    else:
+        for f in figures:
+            limit = "" if f.limit is None else f"{'>=' if f.least else '<='} {f.limit:g}"
+            print(f"{f.name:42} {f.value:>10g} {f.unit:8} {limit:10} {'' if f.kept else 'EXCEEDED'}")
+    if options.update:
+        RATCHET.write_text(json.dumps({f.name: f.value for f in figures}, indent=2) + "\n")
+    if options.check:
+        wrong = compare(figures, json.loads(RATCHET.read_text()))
+        for line in wrong:
+            print(line, file=sys.stderr)
+        return 1 if wrong else 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
