@@ -132,7 +132,7 @@ def connect_cluster(address: str) -> Any:
             "the dask backend needs dask", "run `pip install 'thigmo[bench]'`"
         ) from error
     try:
-        client: Any = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout="5s")  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as error:
         raise DataError(
             f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"
