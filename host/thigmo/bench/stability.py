@@ -26,7 +26,7 @@ Draw = Callable[[np.random.Generator, Condition, Condition], tuple[Case, float]]
 """Case and the noise that the method is told, for a row and a column condition."""
 
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.
-MAPPED = ("exact", "l2", "alternating", "coordinate", "clamped", "grid", "slsqp", "pwlf")
+MAPPED = ("exact", "l1", "l2", "alternating", "coordinate", "grid", "slsqp", "pwlf")
 
 
 def _sign(rng: np.random.Generator) -> float:
