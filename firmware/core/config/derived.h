@@ -45,6 +45,8 @@ struct Derived {
   uint16_t lag_alpha_q16[kSides];         // share of the way to the input in one control step
   uint16_t drive_slope_q16;               // duty per 0.01 psi
   uint32_t um_per_count_q16;              // tip movement per encoder count
+  uint32_t counts_per_um_q24;             // and the other way
+  uint32_t step_per_um_s_q32;             // counts in a control step at a tip speed
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
@@ -88,12 +90,10 @@ struct Derived {
     return greater<int32_t>(static_cast<int32_t>(cpsi_s) * 256 / kControlHz, 1);
   }
 
-  // Encoder counts of a tip movement, rounded to nearest. One 64-bit division.
+  // Encoder counts of a tip movement, rounded to nearest.
   int32_t counts(int32_t um) const {
-    const int64_t scaled = static_cast<int64_t>(um) * 65536;
-    const int64_t half = um_per_count_q16 / 2;
-    return static_cast<int32_t>((scaled < 0 ? scaled - half : scaled + half) /
-                                static_cast<int64_t>(um_per_count_q16));
+    return static_cast<int32_t>(
+        (static_cast<int64_t>(um) * static_cast<int64_t>(counts_per_um_q24) + 0x800000) >> 24);
   }
 
   // Tip movement of encoder counts.
@@ -104,16 +104,15 @@ struct Derived {
 
   // Tip speed as profile steps: counts per control step, in 1/65536.
   int32_t speed_q16(int32_t um_s) const {
-    return static_cast<int32_t>(greater<int64_t>(
-        (static_cast<int64_t>(um_s) * 65536 * 65536 / kControlHz) / um_per_count_q16, 1));
+    return greater<int32_t>(
+        static_cast<int32_t>(
+            (static_cast<int64_t>(um_s) * static_cast<int64_t>(step_per_um_s_q32)) >> 16),
+        1);
   }
 
   // Tip acceleration as profile steps: counts per control step and step, in 1/65536.
   int32_t accel_q16(int32_t um_s2) const {
-    return static_cast<int32_t>(
-        greater<int64_t>((static_cast<int64_t>(um_s2) * 65536 * 65536 / (kControlHz * kControlHz)) /
-                             um_per_count_q16,
-                         1));
+    return greater<int32_t>(speed_q16(um_s2) / kControlHz, 1);
   }
 
  private:
@@ -137,9 +136,11 @@ struct Derived {
   }
 
   void update_spool(const Configuration& c) {
-    um_per_count_q16 = static_cast<uint32_t>((static_cast<uint64_t>(1000000) * 256 << 16) /
-                                             (static_cast<uint32_t>(c.get(Param::kCountsPerM)) *
-                                              static_cast<uint64_t>(c.get(Param::kPayoutQ8))));
+    const uint64_t scale = static_cast<uint32_t>(c.get(Param::kCountsPerM)) *
+                           static_cast<uint64_t>(c.get(Param::kPayoutQ8));
+    um_per_count_q16 = static_cast<uint32_t>((static_cast<uint64_t>(1000000) << 24) / scale);
+    counts_per_um_q24 = static_cast<uint32_t>((scale << 16) / 1000000u);
+    step_per_um_s_q32 = static_cast<uint32_t>((scale << 24) / (1000000u * uint64_t{kControlHz}));
     update_distances(c);
   }
 

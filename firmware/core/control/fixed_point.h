@@ -44,6 +44,10 @@ inline int32_t share_q16(int32_t a, uint16_t b) {
   return high + static_cast<int32_t>(low >> 16);
 }
 
+// A sum over control steps of gain (1/256) times error, as an output: sum / (256 * 200). Dividing
+// by 25 is multiplying by 20972 / 2^19, but for 2e-5 of it; good for sums below 2^27.
+inline int32_t integral_output(int32_t sum) { return (sum >> 11) * 20972 >> 19; }
+
 // sin(phase) for phase = 0 .. 2^31 standing for 0 .. pi, in 1/32768. Linear between 64 points a
 // quarter: off by at most 1.1e-4, 0.002 psi of an 18 psi sweep.
 constexpr uint16_t kQuarterSine[65] THIGMO_PROGMEM = {

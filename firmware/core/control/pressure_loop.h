@@ -52,9 +52,7 @@ class PressurePid {
 
   void reset() { sum_ = 0; }
 
-  // sum_ / 51200 (256 * 200), the division by 25 as a multiplication: 1/25 is 20972 / 2^19 but for
-  // 2e-5 of it, and the limit leaves the sum 14 bits after eleven are shifted out.
-  int32_t integral_cpsi() const { return (sum_ >> 11) * 20972 >> 19; }
+  int32_t integral_cpsi() const { return integral_output(sum_); }
 
  private:
   int32_t sum_ = 0;  // of ki * error, per step

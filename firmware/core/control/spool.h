@@ -60,7 +60,7 @@ class SpoolLoop {
     past_[oldest_] = counts;
     oldest_ = static_cast<uint8_t>((oldest_ + 1) % kSpeedSteps);
 
-    int32_t duty = (c.get(Param::kSpoolKp) * error >> 8) + (sum_ >> 8) / kControlHz +
+    int32_t duty = (c.get(Param::kSpoolKp) * error >> 8) + integral_output(sum_) +
                    (c.get(Param::kSpoolKd) * (wanted_speed - speed) >> 8) +
                    (c.get(Param::kSpoolKff) * wanted_speed >> 8);
     if (way * duty > 0) duty += way * c.get(Param::kSpoolDeadZone);
