@@ -10,7 +10,9 @@ the sensors' true spans, for either norm, by steps that solve for arcs and force
 kept only if they improve.
 
 What is exact: the least-squares optimum over the grid, for point sensors. What is not: the
-refinement is local, so the result off the grid carries no proof (`gap` is infinite).
+refinement starts from the best few places on the grid and is local, so the result carries no proof
+(`gap` is infinite). Against the branch and bound on 60 sensors, least squares was never worse in
+200 problems; L1 was, by up to 4 %, in one in ten, mostly with three contacts under heavy noise.
 """
 
 from __future__ import annotations
@@ -27,8 +29,47 @@ Ints = NDArray[np.int64]
 
 
 @compiled_sums
-def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, out: Ints) -> float:
-    """Least-squares knots on a grid.
+def keep(value: float, a: int, b: int, c: int, values: Floats, out: Ints) -> None:
+    """Put a choice of knots among the best few, ascending, unless one next to it is better.
+
+    Args:
+        value: its objective.
+        a: first knot.
+        b: second knot, or any number if there is none.
+        c: third knot, likewise.
+        values: (K,) objectives so far, inf where empty; written.
+        out: (K, contacts) knots so far; written.
+    """
+    most = values.shape[0]
+    contacts = out.shape[1]
+    slot = most - 1
+    for s in range(most):
+        near = values[s] < np.inf and abs(out[s, 0] - a) <= 2
+        near = near and (contacts < 2 or abs(out[s, 1] - b) <= 2)
+        near = near and (contacts < 3 or abs(out[s, 2] - c) <= 2)
+        if near:
+            if values[s] <= value:
+                return
+            slot = s
+            break
+    while slot > 0 and values[slot - 1] > value:
+        values[slot] = values[slot - 1]
+        for k in range(contacts):
+            out[slot, k] = out[slot - 1, k]
+        slot -= 1
+    values[slot] = value
+    out[slot, 0] = a
+    if contacts > 1:
+        out[slot, 1] = b
+    if contacts > 2:
+        out[slot, 2] = c
+
+
+@compiled_sums
+def best_knots(
+    x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, values: Floats, out: Ints
+) -> None:
+    """Least-squares knots on a grid: the best, and the next best that are not its neighbours.
 
     Args:
         x: (N,) sensor centres, ascending.
@@ -36,11 +77,11 @@ def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, ou
         w: (N,) weights.
         knots: (M,) grid, ascending.
         contacts: 1 to 3.
-        out: (contacts,) written: indices into `knots`, ascending.
-
-    Returns:
-        The objective on the grid.
+        values: (K,) written: objectives, ascending; inf where there are fewer.
+        out: (K, contacts) written: indices into `knots`, ascending.
     """
+    values[:] = np.inf
+    worst = values.shape[0] - 1
     n = x.shape[0]
     m = knots.shape[0]
     # Running sums of w^2 times 1, x, x^2, y, y x, y^2.
@@ -76,14 +117,12 @@ def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, ou
             base[i, 0] -= x1 * x1 / x2
             base[i, 1] += 2.0 * z1 * x1 / x2
             base[i, 2] -= z1 * z1 / x2
-    best = np.inf
     if contacts == 1:
         for i in range(m):
             value = base[i, 2] + sums[5, n] - sums[5, at[i]]
-            if value < best:
-                best = value
-                out[0] = i
-        return best
+            if value < values[worst]:
+                keep(value, i, i, i, values, out)
+        return
     # Envelope beyond each knot: quadratics a u^2 + d u + e and the knot that each stands for.
     shape = np.empty((m, m, 3))
     label = np.empty((m, m), np.int64)
@@ -142,10 +181,8 @@ def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, ou
                 value = shape[i, k, 2] + base[i, 2]
                 if a > 0.0:
                     value -= 0.25 * d * d / a
-                if value < best:
-                    best = value
-                    out[0] = i
-                    out[1] = label[i, k]
+                if value < values[worst]:
+                    keep(value, i, label[i, k], i, values, out)
             continue
         for g in range(i):
             # Piece from knot g (curvature z) to knot i (curvature u).
@@ -175,12 +212,8 @@ def best_knots(x: Floats, y: Floats, w: Floats, knots: Floats, contacts: int, ou
                     slope = dz
                 if curve > 1e-12 * zz:
                     value -= 0.25 * slope * slope / curve
-                if value < best:
-                    best = value
-                    out[0] = g
-                    out[1] = i
-                    out[2] = label[i, k]
-    return best
+                if value < values[worst]:
+                    keep(value, g, i, label[i, k], values, out)
 
 
 @compiled_sums
@@ -276,10 +309,24 @@ def refine(
     length: float,
     norm: int,
     step: float,
+    stop: float,
     arcs: Floats,
     forces: Floats,
 ) -> float:
-    """Improve arcs (C,) in place, forces free; returns the objective. `step`: first search step."""
+    """Improve arcs (C,) in place, forces free; returns the objective.
+
+    Args:
+        y: (N,).
+        low: (N,).
+        span: (N,).
+        w: (N,).
+        length: everted length.
+        norm: 1 or 2.
+        step: first step of the search.
+        stop: step at which it ends.
+        arcs: (C,) start; written.
+        forces: (C,) written.
+    """
     n = y.shape[0]
     c = arcs.shape[0]
     inverse = np.zeros(n)
@@ -292,11 +339,12 @@ def refine(
     items = np.empty((4, n + 2 * c), np.int64)
     kind = np.zeros(2 * c, np.int64)
     beta = np.zeros(2 * c)
+    push = np.zeros(2 * c)
     trial = np.empty(c)
     columns(arcs, low, span, inverse, False, g)
     best = free_fit(g, y, w, c, norm, forces, tableau, work, items, kind)
     scale = best
-    while step > 1e-10 * length:
+    while step > stop:
         start = best
         # Arcs and forces together: linear in (f, f da) while no sensor is passed.
         for _ in range(8):
@@ -310,17 +358,15 @@ def refine(
                     move = min(max(share * move, -8.0 * step), 8.0 * step)
                     trial[j] = min(max(arcs[j] + move, 0.0), length)
                 columns(trial, low, span, inverse, False, g)
-                value = free_fit(g, y, w, c, norm, beta, tableau, work, items, kind)
+                value = free_fit(g, y, w, c, norm, push, tableau, work, items, kind)
                 if value < best - 1e-12 * scale:
                     best = value
                     for j in range(c):
                         arcs[j] = trial[j]
-                        forces[j] = beta[j]
+                        forces[j] = push[j]
                     gained = True
                     break
                 share *= 0.4
-                columns(arcs, low, span, inverse, True, g)
-                free_fit(g, y, w, 2 * c, norm, beta, tableau, work, items, kind)
             if not gained:
                 break
         # One arc at a time: crosses the kinks that the steps above stop at.
@@ -330,12 +376,12 @@ def refine(
                     trial[k] = arcs[k]
                 trial[j] = min(max(arcs[j] + (1.0 - 2.0 * side) * step, 0.0), length)
                 columns(trial, low, span, inverse, False, g)
-                value = free_fit(g, y, w, c, norm, beta, tableau, work, items, kind)
+                value = free_fit(g, y, w, c, norm, push, tableau, work, items, kind)
                 if value < best - 1e-12 * scale:
                     best = value
                     arcs[j] = trial[j]
                     for k in range(c):
-                        forces[k] = beta[k]
+                        forces[k] = push[k]
         if best >= start - 1e-12 * scale:
             step *= 0.35
     return best

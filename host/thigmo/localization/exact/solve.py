@@ -27,6 +27,8 @@ ENUMERATED = 32
 BOUNDED = {1: 32, 2: 128, 3: 64}
 # Grid of knots for more sensors than that.
 KNOTS = 192
+# Places on it from which to refine, by norm.
+STARTS = (4, 8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -461,22 +463,23 @@ def _dense_several(
 ) -> float:
     """Knots on a grid, then refined; for L1 once more with weights that resist outliers."""
     centre = low + 0.5 * span
-    size = min(len(y), KNOTS)
-    knots = np.linspace(max(float(centre[0]), 1.0 / size), 1.0, size)
-    index = np.empty(len(arcs), dtype=np.int64)
+    knots = np.linspace(max(float(centre[0]), 1.0 / KNOTS), 1.0, KNOTS)
+    tries = STARTS[norm - 1]
+    values = np.empty(tries)
+    index = np.empty((tries, len(arcs)), dtype=np.int64)
     weight = w
     best = np.inf
     for _ in range(2 if norm == 1 else 1):
-        best_knots(centre, y, weight, knots, len(arcs), index)
-        trial, push = knots[index], np.zeros(len(arcs))
-        value = refine(y, low, span, w, 1.0, norm, 1.0 / size, trial, push)
-        if value < best:
-            best = value
-            arcs[:], forces[:] = trial, push
-        if norm == 1:
-            model = np.zeros(len(y))
-            for arc, force in zip(trial, push, strict=True):
-                model += force * np.maximum(arc - centre, 0.0)
-            gap = np.abs(y - model)
-            weight = np.sqrt(w / np.maximum(gap, 0.1 * float(np.median(gap)) + 1e-12))
-    return float(best)
+        best_knots(centre, y, weight, knots, len(arcs), values, index)
+        for start in index[np.isfinite(values)]:
+            trial, push = knots[start], np.zeros(len(arcs))
+            value = refine(y, low, span, w, 1.0, norm, 1.0 / KNOTS, 0.1 / KNOTS, trial, push)
+            if value < best:
+                best = value
+                arcs[:], forces[:] = trial, push
+        model = np.zeros(len(y))
+        for arc, force in zip(arcs, forces, strict=True):
+            model += force * np.maximum(arc - centre, 0.0)
+        gap = np.abs(y - model)
+        weight = np.sqrt(w / np.maximum(gap, 0.1 * float(np.median(gap)) + 1e-12))
+    return refine(y, low, span, w, 1.0, norm, 0.1 / KNOTS, 1e-10, arcs, forces)

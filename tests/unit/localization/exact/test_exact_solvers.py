@@ -11,7 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from thigmo.errors import DataError
-from thigmo.localization.exact import one_contact, one_contact_batch, several_contacts
+from thigmo.localization.exact import (
+    one_contact,
+    one_contact_batch,
+    several_contacts,
+    solve,
+)
 from thigmo.localization.exact.knots import best_knots
 
 BOTH = np.tile([5.0, 15.0, 25.0, 35.0, 45.0], 2)
@@ -254,14 +259,15 @@ def test_knots_on_a_grid_are_the_best_ones() -> None:
         y = rng.standard_normal(n)
         w = rng.uniform(0.5, 2, n)
         knots = np.sort(rng.uniform(0, LENGTH, 11))
-        index = np.empty(contacts, dtype=np.int64)
-        value = best_knots(x, y, w, knots, contacts, index)
+        values, index = np.empty(3), np.empty((3, contacts), dtype=np.int64)
+        best_knots(x, y, w, knots, contacts, values, index)
         best = np.inf
         for pick in itertools.combinations(range(11), contacts):
             model = np.maximum(knots[list(pick)] - x[:, None], 0.0) * w[:, None]
             forces = np.linalg.lstsq(model, y * w, rcond=None)[0]
             best = min(best, float(((y * w - model @ forces) ** 2).sum()))
-        assert value == pytest.approx(best, rel=1e-7)
+        assert values[0] == pytest.approx(best, rel=1e-7)
+        assert np.all(np.diff(values[np.isfinite(values)]) >= 0)
 
 
 @pytest.mark.parametrize("norm", [1, 2])
@@ -280,6 +286,23 @@ def test_a_thousand_gratings_resolve_three_contacts(norm: int) -> None:
     model = sum(f * np.maximum(a - x, 0.0) for a, f in zip(arcs, forces, strict=True))
     truth = np.abs(y - model).sum() if norm == 1 else ((y - model) ** 2).sum()
     assert solution.objective <= truth
+
+
+def test_refined_knots_reach_the_proven_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(14)
+    x = np.linspace(0.3, 52.7, 60)
+    for contacts in (2, 3):
+        for _ in range(4):
+            arcs = np.sort(rng.uniform(8, LENGTH, contacts))
+            forces = rng.uniform(2e-4, 6e-4, contacts) * rng.choice([-1, 1], contacts)
+            y = np.maximum(arcs - x[:, None], 0.0) @ forces + 3e-4 * rng.standard_normal(60)
+            proven = several_contacts(y, x, LENGTH, contacts=contacts, norm=2)
+            with monkeypatch.context() as patch:
+                patch.setattr(solve, "BOUNDED", {2: 0, 3: 0})
+                dense = several_contacts(y, x, LENGTH, contacts=contacts, norm=2)
+            assert np.isfinite(proven.gap)
+            assert not np.isfinite(dense.gap)
+            assert dense.objective <= proven.objective * (1 + 1e-6)
 
 
 @settings(max_examples=150, deadline=None)
