@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig, Side
-from thigmo.exploration.known import beyond
+from thigmo.exploration.feel import Felt, arc_grid
+from thigmo.exploration.known import beyond, fused
+from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     fold_moment,
     measuring_pressure,
@@ -17,7 +19,8 @@ from thigmo.exploration.measuring import (
 )
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
-from thigmo.localization import localize
+from thigmo.exploration.workspace import Bend
+from thigmo.localization import Contact, localize
 from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
@@ -129,3 +132,57 @@ def test_readings_that_contradict_what_is_known_leave_the_place_open() -> None:
     assert contact.interval == pytest.approx((48.25, 53.0))
     empty = replace(answer, contacts=())
     assert beyond(empty, 48.25, 53.0) is empty
+
+
+def _felt(
+    length: float, arc: float, deviation: float, side: Side = "left", turn: float = 0.02
+) -> Felt:
+    grid = arc_grid(53.0)
+    mass = np.exp(-0.5 * ((grid - arc) / deviation) ** 2) * (grid <= length)
+    interval = (arc - 1.96 * deviation, min(arc + 1.96 * deviation, length))
+    force = -2e-4 if side == "left" else 2e-4
+    bend = Bend(length, turn if side == "left" else -turn)
+    contact = Contact(arc, force, interval, "localized")
+    return Felt(side, length, bend, contact, mass / mass.sum(), "plain beam", 4)
+
+
+def test_a_peg_felt_at_several_stages_is_one_contact_and_known_better() -> None:
+    room = ContactMap(CONFIG)
+    for length, arc in ((40.0, 33.0), (50.0, 37.0), (53.0, 36.0)):
+        room.add(_felt(length, arc, 3.0))
+    (contact,) = room.contacts
+    assert contact.arc_cm == pytest.approx(np.mean([33.0, 37.0, 36.0]), abs=0.2)
+    width = contact.interval_cm[1] - contact.interval_cm[0]
+    assert width == pytest.approx(2 * 1.96 * 3.0 / 3**0.5, rel=0.15)
+    assert contact.merged == [40.0, 50.0]
+    assert contact.everted_length_cm == 53.0
+    assert contact.force_per_cm2 * contact.arc_cm == pytest.approx(-2e-4 * 36.0)
+
+
+def test_an_open_place_at_first_is_settled_by_the_stage_that_knows() -> None:
+    room = ContactMap(CONFIG)
+    first = _felt(40.0, 34.0, 3.0)
+    grid = arc_grid(53.0)
+    flat = ((grid >= 28.25) & (grid <= 40.0)).astype(float)
+    room.add(replace(first, mass=flat / flat.sum()))
+    room.add(_felt(50.0, 38.5, 2.0))
+    (contact,) = room.contacts
+    assert contact.arc_cm == pytest.approx(38.0, abs=0.6)
+
+
+def test_pegs_on_other_sides_places_or_of_the_same_stage_stay_apart() -> None:
+    room = ContactMap(CONFIG)
+    room.add(_felt(53.0, 45.0, 1.0))
+    room.add(_felt(53.0, 45.0, 1.0, side="right"))
+    room.add(_felt(53.0, 43.0, 1.0))  # the same stage and side: another peg
+    room.add(_felt(53.0, 20.0, 1.0))
+    assert len(room.contacts) == 4
+
+
+def test_one_wrong_stage_does_not_erase_the_others() -> None:
+    grid = arc_grid(53.0)
+    masses = [_felt(53.0, arc, 1.0).mass for arc in (30.0, 30.5, 29.5, 45.0)]
+    mass = fused(grid, masses)
+    assert mass.sum() == pytest.approx(1.0)
+    assert grid[mass.argmax()] == pytest.approx(30.0, abs=0.3)
+    assert mass[grid > 40].sum() < 1e-3

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thigmo.exploration.map import best_contact, errors, merge, peg_ahead
+from thigmo.exploration.map import best_contact, errors, peg_ahead
 from thigmo.exploration.workspace import (
     Bend,
     centreline,
@@ -87,15 +87,6 @@ def _contact(x: float, y: float, width: float, length: float, side: str = "left"
         model="",
         readings=4,
     )
-
-
-def test_the_same_peg_felt_twice_is_one_contact_and_the_surer_place_stays() -> None:
-    once = merge([], _contact(37, 28, 6, 50))
-    twice = merge(once, _contact(38, 28.5, 3, 53))
-    assert len(twice) == 1
-    assert (twice[0].x_cm, twice[0].merged) == (38, [50])
-    assert len(merge(twice, _contact(20, 20, 3, 53))) == 2
-    assert len(merge(twice, _contact(38, 28.5, 3, 53, side="right"))) == 2
 
 
 def test_the_error_is_taken_at_the_best_contacts_own_stage() -> None:

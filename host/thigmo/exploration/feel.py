@@ -1,8 +1,8 @@
-"""One peak's readings to contacts on the map: what the live run and a replay share.
+"""One peak's readings to contacts along the body: what the live run and a replay share.
 
 Averages of the ten peak readings of the inactive side's sensors that were everted, settled and
-zeroed go to the localizer with the free curvature of the map at the lag-filtered pressure; what it
-answers is placed through the bent shape.
+zeroed go to the localizer with the free curvature of the map at the lag-filtered pressure, as the
+free response corrects it, and with what earlier sweeps rule out.
 """
 
 from __future__ import annotations
@@ -11,17 +11,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig
-from thigmo.exploration.known import beyond
+from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.exploration.known import WIDEST_CM, beyond
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.workspace import Bend, centreline, excess_knots, place_contact
-from thigmo.localization import LocalizeResult, localize
+from thigmo.exploration.workspace import Bend, centreline, excess_knots
+from thigmo.localization import Contact, LocalizeResult, localize
 from thigmo.mechanics.buckling import fold_share
-from thigmo.record import MapContact, Shape
+from thigmo.record import Shape
 from thigmo.robot import Peak, SensorTable
+from thigmo.robot.readings import Floats
 
 _PLACED = ("localized", "ambiguous")
+_GRID_CM = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """One contact that a stage felt.
+
+    Attributes:
+        side: inflated muscle.
+        length_cm: everted length.
+        bend: the body's shape at the measurement.
+        contact: the localizer's.
+        mass: posterior over the arc, on `arc_grid`.
+        model: the localizer's.
+        readings: number of sensors used.
+    """
+
+    side: Side
+    length_cm: float
+    bend: Bend
+    contact: Contact
+    mass: Floats
+    model: str
+    readings: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,19 +55,19 @@ class Feeling:
 
     Attributes:
         result: the localizer's answer.
-        contacts: those with a place, in the workspace.
+        felt: those of its contacts that have a place.
         shape: the body at the peak.
     """
 
     result: LocalizeResult
-    contacts: list[MapContact]
+    felt: list[Felt]
     shape: Shape
 
 
 def feel(
     peak: Peak, config: RobotConfig, zone: int, response: FreeResponse, nearest_arc: float = 0.0
 ) -> Feeling:
-    """Localize the contacts behind a peak's readings and place them.
+    """Localize the contacts behind a peak's readings.
 
     Args:
         peak: the averaged readings.
@@ -68,6 +93,7 @@ def feel(
         offset_sigma=muscle.offset_se,
         critical_curvature=fold_moment(config, zone),
         tube_radius=config.body.radius_cm,
+        width_limit=WIDEST_CM,
     )
     if nearest_arc > 0:
         result = beyond(result, nearest_arc, peak.length_cm)
@@ -81,35 +107,40 @@ def feel(
     )
     last = max((contact.arc for contact in found), default=0.0)
     bend = Bend(peak.length_cm, peak.free_curvature, excess_knots(centers, unfolded, last), fold)
-    contacts = []
-    for contact in found:
-        placed = place_contact(
-            bend,
-            contact.arc,
-            contact.force,
-            contact.interval,
-            radius_cm=config.body.radius_cm,
-            curvature_se=muscle.offset_se,
+    felt = [
+        Felt(
+            side=peak.side,
+            length_cm=peak.length_cm,
+            bend=bend,
+            contact=contact,
+            mass=_mass(result, contact, config.body.length_cm),
+            model=result.model,
+            readings=int(use.sum()),
         )
-        contacts.append(
-            MapContact(
-                arc_cm=contact.arc,
-                x_cm=placed.x_cm,
-                y_cm=placed.y_cm,
-                force_per_cm2=contact.force,
-                interval_cm=(float(contact.interval[0]), float(contact.interval[1])),
-                status=contact.status,
-                everted_length_cm=peak.length_cm,
-                side=peak.side,
-                normal_rad=placed.normal_rad,
-                covariance_cm2=placed.covariance_cm2,
-                track=placed.track,
-                model=result.model,
-                readings=int(use.sum()),
-            )
-        )
+        for contact in found
+    ]
     shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
-    return Feeling(result, contacts, shape)
+    return Feeling(result, felt, shape)
+
+
+def arc_grid(full_cm: float) -> Floats:
+    """Arcs at which posteriors of different stages are compared, cm."""
+    return np.linspace(0.0, full_cm, round(full_cm / _GRID_CM) + 1)
+
+
+def _mass(result: LocalizeResult, contact: Contact, full_cm: float) -> Floats:
+    """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
+    grid = arc_grid(full_cm)
+    if len(result.contacts) == 1:
+        mass = np.interp(grid, result.arcs, result.density, left=0.0, right=0.0)
+    else:
+        low, high = contact.interval
+        deviation = max((high - low) / 3.92, _GRID_CM)
+        mass = np.exp(-0.5 * ((grid - contact.arc) / deviation) ** 2)
+    if not mass.sum() > 0:
+        mass = np.ones(len(grid))
+    normalised: Floats = mass / mass.sum()
+    return normalised
 
 
 def warm_up(config: RobotConfig) -> None:

@@ -1,4 +1,6 @@
-"""A localizer's answer, given that the contact lies beyond a certain arc."""
+"""Posteriors over the arc, given what else is known: that a contact lies beyond a certain arc, or
+that several stages felt the same peg.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from thigmo.robot.readings import Floats
 
 _NODES = 201
 _LEVEL = 0.95
-_WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own limit
+WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own limit
 # With less of the posterior than this beyond the arc, its slope there says nothing: the readings
 # and the model disagree about what is known, and the place is open within it.
 _LEAST_MASS = 0.05
@@ -36,20 +38,51 @@ def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> Loca
         density = np.ones(_NODES)
     density /= density.sum()
     arc = float(density @ arcs)
-    low, high = _shortest(arcs, density)
+    low, high = shortest(arcs, density)
     # Few sensors see the difference, so what stays is the moment at the body's base.
     force = contact.force * contact.arc / arc
-    status: Status = "localized" if high - low <= _WIDEST_CM else "ambiguous"
+    status: Status = "localized" if high - low <= WIDEST_CM else "ambiguous"
     placed = replace(
         contact, arc=arc, force=force, interval=(low, high), intervals=((low, high),), status=status
     )
     message = f"{result.message}; beyond {nearest_arc:.1f} cm, for sweeps felt nothing before"
-    return replace(result, status=status, contacts=(placed,), message=message)
+    return replace(
+        result,
+        status=status,
+        contacts=(placed,),
+        message=message,
+        arcs=arcs,
+        density=density / step,
+    )
 
 
-def _shortest(arcs: Floats, mass: Floats) -> tuple[float, float]:
+def shortest(arcs: Floats, mass: Floats) -> tuple[float, float]:
     """Hull of the highest-density set that holds 95 % of the mass; all of it where it is flat."""
     falling = np.sort(mass)[::-1]
     least = falling[min(int(np.searchsorted(np.cumsum(falling), _LEVEL)), len(mass) - 1)]
     inside = arcs[mass >= least * (1 - 1e-9)]
     return float(inside[0]), float(inside[-1])
+
+
+# A peg stands still, and the body slides along it by so much between stages (one sigma, cm).
+_SLIDE_CM = 0.7
+_FLOOR = 1e-3  # share of a posterior that stays open, for a stage that was wrong altogether
+
+
+def fused(grid: Floats, masses: list[Floats]) -> Floats:
+    """Posterior over the arc from the posteriors of several stages that felt the same peg.
+
+    Args:
+        grid: arcs, evenly spaced, cm.
+        masses: on the grid, each with the sum 1.
+    """
+    step = grid[1] - grid[0]
+    reach = np.arange(-3 * _SLIDE_CM, 3 * _SLIDE_CM + step / 2, step)
+    kernel = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)
+    kernel /= kernel.sum()
+    product = np.ones(len(grid))
+    for mass in masses:
+        blurred = np.convolve(mass, kernel, mode="same")
+        product *= blurred / blurred.sum() * (1 - _FLOOR) + _FLOOR / len(grid)
+    result: Floats = product / product.sum()
+    return result

@@ -1,12 +1,16 @@
-"""The map that grows while the robot explores: contacts merged, errors known only by the room."""
+"""The map that grows while the robot explores: the pegs, each felt at one stage or at several."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field
 from math import hypot
 
 import numpy as np
 
+from thigmo.config import RobotConfig
+from thigmo.exploration.feel import Felt, arc_grid
+from thigmo.exploration.known import WIDEST_CM, fused, shortest
+from thigmo.exploration.workspace import place_contact
 from thigmo.record import MapContact, TrueContact
 
 # Two contacts are one if they differ by less than this many standard deviations in the plane...
@@ -15,30 +19,88 @@ _SAME_SIGMA = 3.0
 _FLOOR_CM = 1.0
 
 
-def merge(contacts: list[MapContact], new: MapContact) -> list[MapContact]:
-    """Add a contact to the map, or fold it into one that is the same within the uncertainty.
+@dataclass
+class ContactMap:
+    """Contacts in the workspace.
 
-    Of two that are the same the one with the narrower interval stays, and remembers the stages at
-    which the other was felt.
+    A contact that is the same as a known one within the uncertainty is fused with it: their
+    posteriors over the arc are multiplied, for the peg stands still and the body near it bends
+    alike at every length, and the result is placed through the newest shape.
+
+    Attributes:
+        config: robot.toml as used.
     """
-    for index, old in enumerate(contacts):
-        if old.side == new.side and _distance_sigma(old, new) < _SAME_SIGMA:
-            best, other = (new, old) if _rank(new) < _rank(old) else (old, new)
-            stages = sorted({*best.merged, *other.merged, other.everted_length_cm})
-            kept = replace(best, merged=[s for s in stages if s != best.everted_length_cm])
-            return [*contacts[:index], kept, *contacts[index + 1 :]]
-    return [*contacts, new]
+
+    config: RobotConfig
+    _pegs: list[list[Felt]] = field(default_factory=list)
+    _placed: list[MapContact] = field(default_factory=list)
+
+    @property
+    def contacts(self) -> list[MapContact]:
+        """One for each peg, in the order of their discovery."""
+        return list(self._placed)
+
+    def add(self, felt: Felt) -> None:
+        """Take a contact that a stage felt."""
+        alone = self._place([felt])
+        for index, known in enumerate(self._placed):
+            once_a_stage = all(
+                abs(f.length_cm - felt.length_cm) > _FLOOR_CM for f in self._pegs[index]
+            )
+            if known.side == felt.side and once_a_stage and _apart(known, alone) < _SAME_SIGMA:
+                self._pegs[index].append(felt)
+                self._placed[index] = self._place(self._pegs[index])
+                return
+        self._pegs.append([felt])
+        self._placed.append(alone)
+
+    def _place(self, stages: list[Felt]) -> MapContact:
+        newest = stages[-1]
+        contact = newest.contact
+        arc, interval, status = contact.arc, contact.interval, str(contact.status)
+        if len(stages) > 1:
+            grid = arc_grid(self.config.body.length_cm)
+            mass = fused(grid, [felt.mass for felt in stages])
+            arc = float(grid @ mass)
+            interval = shortest(grid, mass)
+            status = "localized" if interval[1] - interval[0] <= WIDEST_CM else "ambiguous"
+        force = contact.force * contact.arc / arc if arc > 0 else contact.force
+        placed = place_contact(
+            newest.bend,
+            arc,
+            force,
+            interval,
+            radius_cm=self.config.body.radius_cm,
+            curvature_se=self.config.actuators.side(newest.side).offset_se,
+        )
+        return MapContact(
+            arc_cm=arc,
+            x_cm=placed.x_cm,
+            y_cm=placed.y_cm,
+            force_per_cm2=force,
+            interval_cm=(float(interval[0]), float(interval[1])),
+            status=status,
+            everted_length_cm=newest.length_cm,
+            side=newest.side,
+            normal_rad=placed.normal_rad,
+            covariance_cm2=placed.covariance_cm2,
+            track=placed.track,
+            model=newest.model,
+            readings=newest.readings,
+            merged=[felt.length_cm for felt in stages[:-1]],
+        )
 
 
-def _rank(contact: MapContact) -> tuple[bool, float]:
-    return (contact.status != "localized", contact.interval_cm[1] - contact.interval_cm[0])
-
-
-def _distance_sigma(a: MapContact, b: MapContact) -> float:
+def _apart(a: MapContact, b: MapContact) -> float:
+    """Distance in the plane, in standard deviations."""
     covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
     covariance += _FLOOR_CM**2 * np.eye(2)
     apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
     return float(np.sqrt(apart @ np.linalg.solve(covariance, apart)))
+
+
+def _rank(contact: MapContact) -> tuple[bool, float]:
+    return (contact.status != "localized", contact.interval_cm[1] - contact.interval_cm[0])
 
 
 def best_contact(contacts: list[MapContact]) -> MapContact | None:

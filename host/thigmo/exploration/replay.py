@@ -17,7 +17,7 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.errors import RunFolderError
-from thigmo.exploration.map import errors, merge
+from thigmo.exploration.map import ContactMap, errors
 from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
@@ -173,18 +173,18 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     config = folder.read_config()
     log = folder.read_log()
     reader = _read(folder, log)
-    contacts: list[MapContact] = []
+    found = ContactMap(config)
     stages = []
     interpreter, table = Interpreter(config), SensorTable.of(config)
     for sweep, measuring in _stages(reader.sweeps):
         result = sweep.result(table)
         felt = interpreter.feel(result, measuring.result(table) if measuring else None, sweep.zone)
         for feeling in felt:
-            for contact in feeling.contacts:
-                contacts = merge(contacts, contact)
+            for contact in feeling.felt:
+                found.add(contact)
         pressure = config.body.zones[sweep.zone].pressure_psi
         stages.append(stage_entry(sweep.length_cm, pressure, sweep.t_s, result, felt))
-    document = _document(folder, log, contacts, stages)
+    document = _document(folder, log, found.contacts, stages)
     folder.write_document(document, "replay.json")
     draw_map(document, folder.path / "replay.png", radius_cm=config.body.radius_cm)
     return ReplayResult(document, len(reader.sweeps), reader.bad, log.truncated)

@@ -14,7 +14,7 @@ from typing import Literal
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError
 from thigmo.exploration.feel import Feeling
-from thigmo.exploration.map import errors, merge, peg_ahead
+from thigmo.exploration.map import ContactMap, errors, peg_ahead
 from thigmo.exploration.measuring import measuring_pressure, opposed_sides
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
 from thigmo.exploration.stage import Interpreter, stage_entry
@@ -67,6 +67,7 @@ class Exploration:
         self.swept = False
         self.protocol = protocol
         self.interpreter = Interpreter(config)
+        self.map = ContactMap(config)
         self.sweep: SweepResult | None = None
         self.measuring: SweepResult | None = None
         self.feelings: list[Feeling] = []
@@ -202,14 +203,13 @@ class Exploration:
     def _localize(self) -> str:
         assert self.sweep is not None
         self.feelings = self.interpreter.feel(self.sweep, self.measuring, self.zone)
-        return "contact" if any(f.contacts for f in self.feelings) else "none"
+        return "contact" if any(f.felt for f in self.feelings) else "none"
 
     def _map(self) -> str:
-        contacts = self.document.contacts
         for feeling in self.feelings:
-            for contact in feeling.contacts:
-                contacts = merge(contacts, contact)
-        self.document = replace(self.document, contacts=contacts)
+            for felt in feeling.felt:
+                self.map.add(felt)
+        self.document = replace(self.document, contacts=self.map.contacts)
         return "mapped"
 
     def _vent(self) -> str:

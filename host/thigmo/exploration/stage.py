@@ -14,7 +14,7 @@ from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import Bend, centreline
 from thigmo.record import Shape, Stage, Trigger
-from thigmo.robot import Peak, SweepFrame, SweepResult
+from thigmo.robot import Peak, SensorTable, SweepFrame, SweepResult
 
 _SHAPES_A_SIDE = 12
 _BENT_FURTHER = "the base bent further than the map says: an error of the map, and no peg"
@@ -43,7 +43,10 @@ class Interpreter:
         fired = opposed_sides(sweep)
         measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
         feelings = []
+        table = SensorTable.of(self._config)
         for peak in sweep.peaks:
+            if not table.usable(peak.side, peak.sensors).any():
+                continue  # nothing to feel with: no sensor is out and well
             nearest = self._nearest(sweep, peak) if peak.side in fired else 0.0
             feeling = feel(
                 measured.get(peak.side, peak), self._config, zone, self._response, nearest
