@@ -54,6 +54,6 @@ def check(
         print_json(scene.model_dump(mode="json"))
         return
     typer.echo(
-        f"{file}: good. {len(scene.pegs)} pegs; a robot of {scene.robot.body.length_cm:g} cm, "
-        f"{scene.start_length_cm:g} cm of it out at the start; {len(scene.faults)} faults."
+        f"{file}: good. Pegs: {len(scene.pegs)}; a robot of {scene.robot.body.length_cm:g} cm, "
+        f"{scene.start_length_cm:g} cm of it out at the start; faults: {len(scene.faults)}."
     )

@@ -59,9 +59,17 @@ def info(
 
     table = Table(show_header=False, box=None)
     for name, value in facts.items():
-        shown = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-        table.add_row(name.replace("_", " "), shown)
+        rows = value.items() if isinstance(value, dict) else [("", value)]
+        for part, single in rows:
+            table.add_row(f"{name} {part}".strip().replace("_", " "), _shown(single))
     Console().print(table)
+
+
+def _shown(value: Any) -> str:
+    """A fact for people: numbers rounded, lists on one line."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_shown, value)) or "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _run_info(path: Path) -> dict[str, Any]:
