@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -39,15 +39,16 @@ def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
 
 
 def test_help_answers_in_half_a_second() -> None:
-    command = [sys.executable, "-m", "thigmo", "--help"]
+    # Processor time: what it takes on a machine that does nothing else.
     times = []
-    for _ in range(5):  # the first may compile bytecode; a busy machine may delay any
-        start = time.perf_counter()
+    for _ in range(2):  # the first may compile bytecode
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [sys.executable, "-m", "thigmo", "--help"]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
-        times.append(time.perf_counter() - start)
-        if times[-1] < 0.5:
-            break
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert "explore" in done.stdout
+    print(f"{min(times):.2f} s")
     assert min(times) < 0.5
 
 

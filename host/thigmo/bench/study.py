@@ -157,7 +157,7 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
                 writer.writerows(table.rows)
             as_json = path.with_suffix(".json")
             records = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-            as_json.write_text(json.dumps(records, indent=1))
+            as_json.write_text(json.dumps(records, indent=1, default=lambda number: number.item()))
             paths += [path, as_json]
         for label, figure in outcome.figures.items():
             path = folder / f"{name}-{label}.png"
