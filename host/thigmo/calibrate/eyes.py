@@ -24,15 +24,24 @@ class Eyes:
         camera: located.
         sheet: in use.
         diameter_cm: of the tube.
+        dowel_radius_cm: of the obstacles, if known: fewer mistakes.
     """
 
     def __init__(
-        self, source: PictureSource, camera: CameraModel, sheet: Sheet, diameter_cm: float = 3.5
+        self,
+        source: PictureSource,
+        camera: CameraModel,
+        sheet: Sheet,
+        diameter_cm: float = 3.5,
+        dowel_radius_cm: float | None = None,
     ) -> None:
         self.source = source
         self.camera = camera
         self.sheet = sheet
         self.wanted = Seen(diameter_cm=diameter_cm)
+        if dowel_radius_cm is not None:
+            radii = (0.8 * dowel_radius_cm, 1.2 * dowel_radius_cm)
+            self.wanted = replace(self.wanted, obstacle_radius_cm=radii)
 
     def tip(self) -> TipSighting:
         """The tip.

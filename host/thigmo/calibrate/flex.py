@@ -49,6 +49,7 @@ __all__ = ["FlexFit", "FlexReadings", "FlexResult", "fit_flex", "merge", "tip_cu
 Array = NDArray[np.float64]
 
 _CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
+_LEAST_NOISE = 5e-5  # 1/cm
 _OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
 
 
@@ -63,9 +64,10 @@ class FlexFit:
         zero_ohm: resistance of the straight sensor.
         zero_se_ohm: its standard error.
         valid_direction: bending direction that it answers to; 0 = both.
-        noise: one sigma of a reading, 1/cm.
+        noise: one sigma of a reading about the fit, 1/cm.
         nonlinearity: departure from the line at the largest curvature seen, relative.
-        hysteresis: half the gap between loading and unloading, 1/cm.
+        hysteresis: half width of its loop, 1/cm, signed: what it reads too much after long bending
+            to the left, and too little after bending to the right.
         hysteresis_se: its standard error.
         used: rows that went into the line.
         rejected: rows left out as outliers of this sensor.
@@ -97,7 +99,7 @@ class FlexFit:
 
 @dataclass(frozen=True)
 class FlexResult:
-    """All sensors, and what was detected on the way."""
+    """All sensors, what was detected on the way, and over which curvature their loops turn."""
 
     sensors: tuple[FlexFit, ...]
     verdict: Verdict
@@ -105,6 +107,7 @@ class FlexResult:
     readings: FlexReadings
     row_good: NDArray[np.bool_]
     deflection: Deflection
+    loop_width: float
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
@@ -118,6 +121,7 @@ class FlexResult:
             "rows": len(self.row_good),
             "rows_left_out": [int(i) for i in np.nonzero(~self.row_good)[0]],
             "deflection": self.deflection,
+            "loop_width": self.loop_width,
             "verdict": self.verdict.as_data(),
         }
 
@@ -136,7 +140,8 @@ class FlexResult:
             sensor.scale_se = fit.scale_se
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
-            sensor.noise = fit.noise
+            # Whoever uses a reading knows nothing of the loop.
+            sensor.noise = float(np.hypot(fit.noise, fit.hysteresis))
         return made
 
     def figure(self, path: Path) -> None:
@@ -180,15 +185,16 @@ def fit_flex(
             "repeat the step; " + notes[0] if notes else "take at least ten places",
         )
     block = readings.block
-    width = loop_width(ohm, model, model_se, block, usable & good[:, None], on_body)
-    turn = loop_turns(model, block, width)
+    turn = loop_turns(model, block)
     first = fit_each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     sides = [side for side, _ in sensors]
     rows = usable & good[:, None]
     directions = directions_of(ohm, model, model_se, turn, block, rows, first, sides)
     usable &= (directions == 0) | (directions * model >= -1e-12)
+    width = loop_width(ohm, model, model_se, block, usable & good[:, None], on_body)
+    turn = loop_turns(model, block, width)
     first = fit_each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
-    good = judge_rows(readings, ohm, model, first, usable, good, on_body, notes)
+    good = judge_rows(readings, ohm, model, turn, first, usable, good, on_body, notes)
     final = fit_each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     swapped = columns_swapped(readings, sensors, ohm, model, good, on_body)
     fits = []
@@ -200,7 +206,7 @@ def fit_flex(
                     1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5))
         )  # fmt: skip
     verdict = _verdict(fits, notes, swapped)
-    return FlexResult(tuple(fits), verdict, model, readings, good, deflection)
+    return FlexResult(tuple(fits), verdict, model, readings, good, deflection, width)
 
 
 def _sensor(
@@ -239,9 +245,11 @@ def _sensor(
     scale = 1.0 / slope
     se = float(np.hypot(fit.se(1) / abs(slope), _CAMERA_SCALE_SE))
     inside = fit.used
-    noise = fit.sigma * abs(scale)
+    left = fit.residuals[inside]
+    spread = float(np.sqrt(left @ left / max(1, inside.sum() - 3)))
+    noise = max(spread * abs(scale), _LEAST_NOISE)
     bend, bend_se = nonlinearity(ohm, model, error, inside, fit)
-    loop, loop_se = abs(float(fit.coefficients[2] * scale)), fit.se(2) * abs(scale)
+    loop, loop_se = float(fit.coefficients[2] * scale), fit.se(2) * abs(scale)
     rejected = int((rows & np.isfinite(ohm) & ~inside).sum())
     reason = f"scale known to {100 * se:.1f} %"
     healthy = True

@@ -23,7 +23,7 @@ _LOOP = 5e-4  # 1/cm, one sigma over sensors of the loop's half width and of a s
 _LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
 
 
-def loop_turns(model: Array, block: NDArray[np.int64], width: float) -> Array:
+def loop_turns(model: Array, block: NDArray[np.int64], width: float = _LOOP_WIDTHS[1]) -> Array:
     """(n, m) where each sensor is in its loop: 1 after long bending to the left, -1 to the right.
 
     It turns over within `width` of curvature (Dahl's model of friction), and starts between the
@@ -39,7 +39,7 @@ def loop_turns(model: Array, block: NDArray[np.int64], width: float) -> Array:
             state = np.where(
                 way == 0, state, way + (state - way) * np.exp(-abs(k - before) / width)
             )
-            before = k
+            before = k.copy()
         turn[row] = state
     return turn
 
@@ -132,14 +132,16 @@ def directions_of(
 ) -> NDArray[np.int64]:
     """(m,) bending direction that each sensor answers to; 0 = both alike.
 
-    One line with a kink at zero: where the weaker side's slope is surely below `_ONE_WAY` of the
-    stronger's, only the stronger side counts.
+    A line with a kink at zero gives the ratio of a sensor's slopes to the left and to the right.
+    The sensors of a column are mounted alike, so they are asked together: where the weaker side's
+    slope is surely below `_ONE_WAY` of the stronger's, only the stronger side counts. A sensor that
+    surely differs from its column stands for itself.
     """
-    found, told = np.zeros(len(fits), np.int64), np.zeros(len(fits), np.bool_)
+    ratio, spread = np.full(len(fits), np.nan), np.full(len(fits), np.inf)
     for column, both in enumerate(fits):
         pick = rows[:, column] & np.isfinite(ohm[:, column])
         k = model[:, column]
-        enough = [int((pick & (sign * k > 1e-4)).sum()) >= 4 for sign in (1, -1)]
+        enough = [int((pick & (sign * k > 1e-4)).sum()) >= 3 for sign in (1, -1)]
         if both is None or not all(enough):
             continue
         halves = np.column_stack([np.clip(k, 0, None), np.clip(k, None, 0)])
@@ -147,22 +149,28 @@ def directions_of(
         split = _with_loop(part, halves, k, error[:, column], turn[:, column], block)
         if split is None:
             continue
-        slopes = split.coefficients[1:3]
-        strong = int(np.argmax(np.abs(slopes)))
-        if abs(slopes[strong]) < 5 * split.se(1 + strong):
-            continue
-        ratio = slopes[1 - strong] / slopes[strong]
-        ratio_se = np.hypot(split.se(2 - strong), ratio * split.se(1 + strong))
-        spread = 4 * float(ratio_se) / abs(slopes[strong])
-        if ratio + spread < _ONE_WAY:
-            found[column] = 1 if strong == 0 else -1
-        told[column] = ratio + spread < _ONE_WAY or ratio - spread > _ONE_WAY - 0.35
-    # Where a sensor is bent too little to tell, it is like the others of its column.
+        left, right = (float(v) for v in split.coefficients[1:3])
+        strong = max(abs(left), abs(right))
+        # A slope that is lost in noise, or of the wrong sign, counts as a tenth of the other.
+        sizes = [max(v * np.sign(left + right), 0.1 * strong) for v in (left, right)]
+        ratio[column] = np.log(sizes[0] / sizes[1])
+        spread[column] = np.hypot(split.se(1) / sizes[0], split.se(2) / sizes[1])
+    found = np.zeros(len(fits), np.int64)
+    limit = -np.log(_ONE_WAY)
     for side in sorted(set(sides)):
-        part = np.array([s == side for s in sides])
-        known = found[part & told]
-        if len(known) > 0.5 * part.sum() and (known == known[0]).all():
-            found[part] = known[0]
+        known = np.array([s == side for s in sides]) & np.isfinite(ratio)
+        if not known.any():
+            continue
+        weights = 1 / np.maximum(spread[known], 0.02) ** 2
+        pooled = float((weights * ratio[known]).sum() / weights.sum())
+        scatter = float((weights * (ratio[known] - pooled) ** 2).sum()) / max(1, known.sum() - 1)
+        column_se = float(np.sqrt(max(1.0, scatter) / weights.sum()))
+        alike = np.array([s == side for s in sides])
+        if abs(pooled) - 4 * column_se > limit:
+            apart = (np.abs(ratio - pooled) > 5 * spread) & (np.abs(ratio) + 2 * spread < limit)
+            found[alike & ~apart] = 1 if pooled > 0 else -1
+        alone = alike & (np.abs(ratio) - 4 * spread > limit)
+        found[alone] = np.sign(ratio[alone]).astype(np.int64)
     return found
 
 

@@ -131,6 +131,7 @@ def judge_rows(
     readings: FlexReadings,
     ohm: Array,
     model: Array,
+    turn: Array,
     fits: list[LinearFit | None],
     usable: NDArray[np.bool_],
     good: NDArray[np.bool_],
@@ -172,7 +173,7 @@ def judge_rows(
     kept = good.copy()
     kept[wrong_side] = False
     tips = np.array([k == "tip" for k in readings.kind])
-    moved = _moved(readings, ohm, model, fits, usable & kept[:, None], tips & kept, live)
+    moved = _moved(readings, ohm, model, turn, fits, usable & kept[:, None], tips & kept, live)
     if moved is not None:
         since, shift = moved
         kept[since:] &= ~tips[since:]
@@ -206,6 +207,7 @@ def _moved(
     readings: FlexReadings,
     ohm: Array,
     model: Array,
+    turn: Array,
     fits: list[LinearFit | None],
     usable: NDArray[np.bool_],
     tips: NDArray[np.bool_],
@@ -226,21 +228,25 @@ def _moved(
             rows = usable[:, column] & np.isfinite(ohm[:, column])
             if fit is None or rows.sum() < 8:
                 continue
-            calm = np.abs(fit.residuals) < 8 * max(fit.sigma, 1e-9)
-            rows &= np.nan_to_num(calm, nan=0.0).astype(bool)
+            size = np.where(rows & np.isfinite(fit.residuals), np.abs(fit.residuals), np.nan)
+            rows &= np.nan_to_num(size, nan=np.inf) < 12 * np.nanmedian(size)
+            if rows.sum() < 8:
+                continue
             # Curvature at this sensor for each cm that the tip stands aside.
-            size = np.abs(readings.tip_cm[:, 1])
+            aside = np.abs(readings.tip_cm[:, 1])
             pattern = np.where(
-                late & (size > 0.5), np.abs(model[:, column]) / np.maximum(size, 0.5), 0.0
+                late & (aside > 0.5), np.abs(model[:, column]) / np.maximum(aside, 0.5), 0.0
             )
             if np.ptp(pattern[rows]) == 0:
                 continue
-            design = np.column_stack([np.ones(len(rows)), model[:, column], pattern])[rows]
+            design = np.column_stack(
+                [np.ones(len(rows)), model[:, column], pattern, turn[:, column]]
+            )[rows]
             line, _, rank, _ = np.linalg.lstsq(design, ohm[rows, column], rcond=None)
-            if rank < 3:
+            if rank < 4:
                 continue
             rest = ohm[rows, column] - design @ line
-            variance = float(rest @ rest) / max(1, int(rows.sum()) - 3)
+            variance = float(rest @ rest) / max(1, int(rows.sum()) - 4)
             covariance = np.linalg.inv(design.T @ design) * variance
             shifts.append(line[2] / line[1])
             errors.append(float(np.sqrt(covariance[2, 2])) / abs(line[1]))

@@ -24,6 +24,7 @@ from thigmo.calibrate.buckling import BucklingResult, PushReadings, fit_buckling
 from thigmo.calibrate.check import CheckResult, run_check
 from thigmo.calibrate.encoder import EncoderResult, PressureResult, fit_encoder, fit_pressure_zero
 from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex
+from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.hysteresis import CreepRecord, HysteresisResult, fit_hysteresis
 from thigmo.calibrate.noise import NoiseResult, fit_noise
 from thigmo.calibrate.procedures import (
@@ -238,10 +239,20 @@ def buckling(bench: Bench) -> BucklingResult:
     """Critical curvature from hard pushes: run it after flex."""
     rows = push_rows(bench)
     scale = _scales(bench.config)
-    gone = np.array([[_number(v) for v in r["ohm"]] for r in rows])
-    rest = np.array([[_number(v) for v in r["rest"]] for r in rows])
+    gone = np.array([[_number(v) for v in r["ohm"]] for r in rows]) * scale
+    rest = np.array([[_number(v) for v in r["rest"]] for r in rows]) * scale
+    flex_done = bench.session.done("flex")
+    if flex_done is not None:
+        # Each push ends on the other side of the sensors' loops than the rest before it.
+        loop = np.array([_number(s["hysteresis"]) for s in flex_done["sensors"]])
+        walk = np.empty((2 * len(rows), gone.shape[1]))
+        walk[0::2], walk[1::2] = 0.0, gone - rest
+        block = np.zeros(len(walk), np.int64)
+        turn = loop_turns(np.nan_to_num(walk), block, float(flex_done["loop_width"]))
+        rest -= np.nan_to_num(loop) * turn[0::2]
+        gone -= np.nan_to_num(loop) * turn[1::2]
     body = bench.config.body
-    readings = PushReadings((gone - rest) * scale, body.zones[-1].pressure_psi, body.length_cm)
+    readings = PushReadings(gone - rest, body.zones[-1].pressure_psi, body.length_cm)
     result = fit_buckling(readings, bench.config)
     bench.finish("buckling", result)
     return result

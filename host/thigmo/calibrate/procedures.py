@@ -118,9 +118,8 @@ def tip_rows(bench: Bench) -> list[Row]:
     )
     half = plan.places // 2
     far = [reach * (n + 1) / half for n in range(half)]
-    # Out on one side and back, then the other: loading and unloading apart.
-    asked = [*far[::2], *reversed(far[1::2]), *(-y for y in far[::2]),
-             *(-y for y in reversed(far[1::2]))]  # fmt: skip
+    # Out and back, sides in turn: neither a loop nor a shift looks like a side.
+    asked = [sign * y for y in (*far[::2], *reversed(far[1::2])) for sign in (1, -1)]
     keys = [f"straight {n}" for n in range(plan.straight)]
     keys += [f"tip {n}" for n in range(len(asked))]
     prepared = False

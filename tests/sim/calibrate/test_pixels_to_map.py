@@ -1,0 +1,100 @@
+"""From rendered pictures only: an unknown robot is calibrated and explored, its peg found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+import thigmo
+from thigmo.calibrate import guided
+from thigmo.calibrate.bench import Bench, Plan
+from thigmo.calibrate.eyes import Eyes, emulated_source
+from thigmo.calibrate.session import Session, blank
+from thigmo.camera import Sheet, locate
+from thigmo.config import SIDES
+from thigmo.emulator.scene import Scene
+
+PLAN = Plan(places=8, straight=2, trials=1, step_psi=4.5, pushes=4, creep_s=20.0)
+
+
+def unknown_robot(seed: int) -> Scene:
+    """The default room with a robot that nobody has measured."""
+    scene = Scene.load("default")
+    rng = np.random.default_rng(seed)
+    for side in SIDES:
+        for sensor in scene.robot.sensors.column(side):
+            sensor.scale_per_ohm = float(rng.uniform(2.6e-5, 4.4e-5))
+            sensor.zero_ohm = float(rng.uniform(9e3, 14e3))
+        for zone in scene.robot.actuators.side(side).maps:
+            stretch = float(rng.uniform(0.9, 1.1))
+            zone.inflate.amplitude *= stretch
+            zone.deflate.amplitude *= stretch
+    scene.robot.spool.counts_per_cm = 71.0
+    scene.robot.body.critical_curvature = 0.0118
+    return scene
+
+
+def save(scene: Scene, path: Path) -> str:
+    path.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    return f"emulator://{path}"
+
+
+@pytest.mark.timeout(240)
+def test_from_pixels_to_the_map(tmp_path):
+    scene = unknown_robot(11)
+    room = save(scene, tmp_path / "room.toml")
+    bare = scene.model_copy(deep=True)
+    bare.pegs = []
+    url = save(bare, tmp_path / "bare.toml")
+    truth = scene.robot
+
+    with thigmo.connect(url, seed=4) as robot:
+        sheet = Sheet()
+        source, height = emulated_source(robot, sheet, seed=8)
+        sheet.camera_height_cm = height
+        camera = locate(source.read(), sheet)
+        session = Session(tmp_path / "calibration", blank(truth))
+        bench = Bench(robot, robot.operator, Eyes(source, camera, sheet), session, PLAN)
+        bench.start()
+        for step in ("pressure", "encoder", "actuator", "flex", "buckling"):
+            result = guided.run(bench, step)
+            assert result.verdict.good, result.verdict
+    found = session.config
+
+    pairs = [
+        (mine, true)
+        for side in SIDES
+        for mine, true in zip(found.sensors.column(side), truth.sensors.column(side), strict=True)
+    ]
+    errors = np.array([mine.scale_per_ohm / true.scale_per_ohm - 1 for mine, true in pairs])
+    stated = np.array([mine.scale_se for mine, _ in pairs])
+    assert np.abs(errors).max() < 0.02
+    assert np.mean((errors / stated) ** 2) < 3.0
+    assert [mine.valid_direction for mine, _ in pairs] == [t.valid_direction for _, t in pairs]
+    for side in SIDES:
+        for mine, true in zip(
+            found.actuators.side(side).maps, truth.actuators.side(side).maps, strict=True
+        ):
+            full = true.inflate.curvature(18.0)
+            for branch in ("inflate", "deflate"):
+                curve, right = getattr(mine, branch), getattr(true, branch)
+                gap = [curve.curvature(p) - right.curvature(p) for p in np.arange(3.0, 18.1)]
+                assert np.sqrt(np.mean(np.square(gap))) < 0.005 * full
+                assert np.abs(gap).max() < 0.01 * full
+    assert found.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
+    assert found.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
+
+    (peg,) = scene.pegs
+    with thigmo.connect(room, seed=4) as robot:
+        source, _ = emulated_source(robot, sheet, seed=8)
+        seen = Eyes(source, camera, sheet, dowel_radius_cm=peg.radius).everything().obstacles
+    where = min(seen, key=lambda o: np.hypot(o.x_cm - peg.x, o.y_cm - peg.y))
+    assert (where.x_cm, where.y_cm) == pytest.approx((peg.x, peg.y), abs=0.3)
+
+    explored = thigmo.explore(room, config=found, seed=4, out=tmp_path)
+    document = explored.document
+    assert len(document.contacts) >= 1
+    assert document.error_x_cm < 3.0
