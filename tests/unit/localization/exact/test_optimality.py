@@ -20,9 +20,7 @@ TOLERANCE = 1e-9
 
 
 def oracle(case: Case, norm: int, contacts: int, bounds: tuple[float, float]) -> float:
-    points, starts, levels, fine = {1: (160, 5, 8, 33), 2: (24, 4, 6, 7), 3: (11, 3, 5, 5)}[
-        contacts
-    ]
+    points, starts, levels, fine = {1: (130, 4, 6, 25), 2: (20, 3, 5, 7), 3: (9, 2, 5, 5)}[contacts]
     return float(
         grid_minimum(
             case.curvature,
