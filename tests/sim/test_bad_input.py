@@ -28,6 +28,8 @@ from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import PtyServer
 from thigmo.link import client as client_module
 from thigmo.link import protocol as wire
+from thigmo.link.framing import decode, encode
+from thigmo.record import RunFolder
 
 LINE = r"thigmo: [^\n]+; [^\n]+"  # what happened; what to do
 GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
@@ -106,8 +108,6 @@ def gps() -> bytes:
 
 
 def another_schema() -> bytes:
-    from thigmo.link.framing import encode
-
     announce = wire.Announce(
         protocol=wire.PROTOCOL,
         schema_hash=wire.SCHEMA_HASH ^ 1,
@@ -383,6 +383,10 @@ def test_a_host_that_is_ended_in_mid_sweep_leaves_a_safe_robot_and_a_readable_ru
     assert facts["frames"] > 100
     assert facts["outcome"].startswith("aborted: " if name != "SIGKILL" else "running")
     assert facts["truncated"] == (name == "SIGKILL")
+    sent = [
+        decode(e.frame).id for e in RunFolder(cut.run).read_log().entries if e.direction == "tx"
+    ]
+    assert (wire.Stop.ID in sent) == (name != "SIGKILL")  # it was told, it did not just fall silent
     replayed = thigmo("replay", cut.run, "--json")
     assert replayed.code == 0, replayed.err
     assert json.loads(replayed.out)["contacts"] == []

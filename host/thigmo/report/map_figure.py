@@ -104,7 +104,8 @@ def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
     # One collection: a thousand single patches would take seconds.
     axes.add_collection(PolyCollection(swept, facecolor=_SWEPT, edgecolor=_SWEPT, lw=0.6, zorder=1))
     axes.autoscale_view()
-    longest = max((stage.everted_length_cm for stage in stages), default=1.0)
+    # A record that is cut short may not hold a length yet.
+    longest = max((stage.everted_length_cm for stage in stages), default=0.0) or 1.0
     for stage in stages:
         shade = colormaps["Blues"](0.35 + 0.6 * stage.everted_length_cm / longest)
         for side in ("left", "right"):
