@@ -113,6 +113,7 @@ class Controller {
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
+  static constexpr uint8_t kZeroPhase = 2;
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint16_t kRearmMs = 200;

@@ -47,7 +47,7 @@ inline void Controller::control() {
   }
 }
 
-inline void Controller::decide() {
+THIGMO_NOINLINE inline void Controller::decide() {
   if (activity_ == Activity::kZeroing) zeroing_step();
   trigger_step();
   if (snapshots_.due(tick_) && snapshots_.store_peak(reading())) {
@@ -200,7 +200,7 @@ inline void Controller::free_step() {
   free_e5_ = saturated16(sum);
 }
 
-inline void Controller::zeroing_step() {
+THIGMO_NOINLINE inline void Controller::zeroing_step() {
   const uint16_t mask = zeros_.mask();
   if ((conditions_ & protocol::mask(Condition::kVented)) == 0 || slipping_) {
     averaging_ = false;
@@ -210,7 +210,8 @@ inline void Controller::zeroing_step() {
   }
   if (!averaging_) {
     if (zeroing_next_ > 0) {
-      // Averages become zeros, one sensor a tick.
+      // Averages become zeros, one sensor a control period.
+      if (phase_ != kZeroPhase) return;
       zeros_.finish(static_cast<uint8_t>(zeroing_next_ - 1), flex_.log2());
       if (zeroing_next_++ < kSensors) return;
       zeroing_next_ = 0;
@@ -249,7 +250,7 @@ inline uint8_t Controller::active_side() const {
   return muscle_[1].lagged_cpsi() > muscle_[0].lagged_cpsi() ? 1 : 0;
 }
 
-inline void Controller::trigger_step() {
+THIGMO_NOINLINE inline void Controller::trigger_step() {
   const uint16_t usable =
       static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask() & zeros_.valid_mask());
   const bool vented = (conditions_ & mask(Condition::kVented)) != 0 && !bending();
@@ -460,7 +461,7 @@ inline void Controller::finish_activity(protocol::EventCode code, int32_t value)
   post(code, static_cast<uint8_t>(ended), value);
 }
 
-inline void Controller::fill(protocol::Telemetry* out) const {
+THIGMO_NOINLINE inline void Controller::fill(protocol::Telemetry* out) const {
   out->t_us = t_us();
   for (uint8_t i = 0; i < kSensors; ++i) out->flex_sum[i] = flex_.latest(i);
   out->left_cpsi = pressure_[0].cpsi();

@@ -20,42 +20,45 @@ class EventQueue {
   void post(protocol::EventCode code, uint16_t arg, int32_t value, uint32_t t_us) {
     ++number_;
     if (count_ == kPlaces) return;
-    Place& place = places_[(first_ + count_) % kPlaces];
+    Place& place = places_[wrapped(static_cast<uint8_t>(first_ + count_))];
     ++count_;
     place.event = {number_, code, t_us, arg, value};
     place.sent = false;
+    waiting_ = true;
   }
 
   // Unlatches events up to and including a number.
   void acknowledge(uint16_t number) {
     while (count_ > 0 && static_cast<int16_t>(places_[first_].event.number - number) <= 0) {
-      first_ = static_cast<uint8_t>((first_ + 1) % kPlaces);
+      first_ = wrapped(static_cast<uint8_t>(first_ + 1));
       --count_;
     }
   }
 
-  // The oldest event that is to be sent at this tick, or null.
-  const protocol::Event* due(uint32_t tick) const {
+  // The oldest event that is to be sent at this tick, or null; it then counts as sent.
+  const protocol::Event* take_due(uint32_t tick) {
+    // Between a repeat and the next there is nothing to look for.
+    if (count_ == 0 || (!waiting_ && tick - looked_tick_ < kLookMs)) return nullptr;
+    uint8_t at = first_;
     for (uint8_t i = 0; i < count_; ++i) {
-      const Place& place = places_[(first_ + i) % kPlaces];
-      if (!place.sent || tick - place.sent_tick >= kRepeatMs) return &place.event;
-    }
-    return nullptr;
-  }
-
-  // Marks an event from due() as sent.
-  void sent(const protocol::Event* event, uint32_t tick) {
-    for (uint8_t i = 0; i < kPlaces; ++i) {
-      if (&places_[i].event == event) {
-        places_[i].sent = true;
-        places_[i].sent_tick = tick;
+      Place& place = places_[at];
+      if (!place.sent || tick - place.sent_tick >= kRepeatMs) {
+        place.sent = true;
+        place.sent_tick = tick;
+        waiting_ = true;  // there may be more
+        return &place.event;
       }
+      at = wrapped(static_cast<uint8_t>(at + 1));
     }
+    waiting_ = false;
+    looked_tick_ = tick;
+    return nullptr;
   }
 
   // A new conversation: all that is latched is to be sent anew.
   void resend() {
     for (uint8_t i = 0; i < kPlaces; ++i) places_[i].sent = false;
+    waiting_ = true;
   }
 
   uint16_t newest() const { return number_; }
@@ -68,10 +71,18 @@ class EventQueue {
     bool sent;
   };
 
+  static constexpr uint16_t kLookMs = 10;
+
+  static uint8_t wrapped(uint8_t index) {
+    return index < kPlaces ? index : static_cast<uint8_t>(index - kPlaces);
+  }
+
   Place places_[kPlaces] = {};
+  uint32_t looked_tick_ = 0;
   uint16_t number_ = 0;
   uint8_t first_ = 0;
   uint8_t count_ = 0;
+  bool waiting_ = false;  // some event may be due
 };
 
 }  // namespace thigmo

@@ -45,7 +45,7 @@ __attribute__((always_inline)) inline uint16_t crc16_add(uint16_t crc, uint8_t b
   return static_cast<uint16_t>((crc << 8) ^ THIGMO_FLASH_U16(kCrcTable + index));
 }
 
-inline uint16_t crc16(const uint8_t* bytes, uint8_t count) {
+THIGMO_NOINLINE inline uint16_t crc16(const uint8_t* bytes, uint8_t count) {
   uint16_t crc = kCrcStart;
   for (uint8_t i = 0; i < count; ++i) crc = crc16_add(crc, bytes[i]);
   return crc;
@@ -79,7 +79,7 @@ struct Frame {
 
 // Stuffs count bytes (at most 253) and ends them with the delimiter; out needs count + 2 bytes.
 // Returns the number of bytes written.
-inline uint8_t cobs_encode(const uint8_t* in, uint8_t count, uint8_t* out) {
+THIGMO_NOINLINE inline uint8_t cobs_encode(const uint8_t* in, uint8_t count, uint8_t* out) {
   uint8_t code_at = 0;
   uint8_t length = 1;
   for (uint8_t i = 0; i < count; ++i) {

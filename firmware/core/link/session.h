@@ -104,10 +104,9 @@ class Session {
     if (!open_) return nullptr;
     // Events of a session that its host does not know yet would be lost on it.
     if (session_ != 0 && notice_.kind != Notice::kHello) {
-      const protocol::Event* event = events.due(tick);
+      const protocol::Event* event = events.take_due(tick);
       if (event != nullptr) {
         scratch_.set(*event, 0, session_);
-        events.sent(event, tick);
         return &scratch_;
       }
     }

@@ -23,7 +23,7 @@ inline uint16_t count_q6(uint32_t sum, uint8_t log2) {
 // Sensor resistance plus divider in 1/16 ohm: 22 kOhm * 1024 / count, which is 22000 << 20 over a
 // count in 1/64. Divided by hand, bit by bit with a 16-bit remainder: a third of the time that an
 // AVR's library takes for 32 bits, and the trigger needs it every millisecond.
-inline int32_t total_ohm_q4(uint16_t count) {
+THIGMO_NOINLINE inline int32_t total_ohm_q4(uint16_t count) {
   static_assert(kDividerOhm < 0x8000, "the remainder must fit 16 bits");
   uint16_t remainder = static_cast<uint16_t>(kDividerOhm);
   uint32_t quotient = 0;
@@ -45,7 +45,7 @@ inline int32_t total_ohm_q4(uint16_t count) {
 
 // The same from a zero, which is stored in 1/256 of a sum of 2^log2 conversions: 22000 << (23 +
 // log2) over twice the zero plus half a count for each conversion.
-inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
+THIGMO_NOINLINE inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
   const uint32_t count = zero_sum_q8 * 2 + (static_cast<uint32_t>(256) << log2);
   uint32_t remainder = kDividerOhm % count;
   uint32_t quotient = kDividerOhm / count;

@@ -410,11 +410,11 @@ TEST(a_full_event_queue_leaves_a_gap_and_keeps_the_oldest) {
     events.post(protocol::EventCode::kPeak, 0, i, 0);
   }
   CHECK_EQUAL(events.newest(), EventQueue::kPlaces + 5);
-  CHECK_EQUAL(events.due(0)->value, 0);
+  CHECK_EQUAL(events.take_due(0)->value, 0);
   events.acknowledge(EventQueue::kPlaces);
   CHECK_EQUAL(events.count(), 0);
   events.post(protocol::EventCode::kPeak, 0, 77, 0);
-  CHECK_EQUAL(events.due(0)->number, EventQueue::kPlaces + 6);
+  CHECK_EQUAL(events.take_due(0)->number, EventQueue::kPlaces + 6);
 }
 
 TEST(telemetry_that_finds_no_room_is_dropped_and_leaves_a_gap) {

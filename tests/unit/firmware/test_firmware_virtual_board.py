@@ -277,7 +277,8 @@ def test_a_zero_is_taken_after_stillness_and_drift_forbids_it() -> None:
     aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)[-1]
     assert (aborted.arg, aborted.value) == (wire.Activity.ZEROING, wire.Reason.DRIFTING)
     assert bench.status().zeroed_mask == 0
-    assert bench.get(wire.GetSensor(0), wire.SensorReport).drift_e5 == pytest.approx(100, abs=40)
+    # 200e-5 1/cm/s, seen for the last half of two to four seconds.
+    assert 40 < bench.get(wire.GetSensor(0), wire.SensorReport).drift_e5 < 140
 
 
 def _latency_ticks(**parameters: int) -> float:
