@@ -1,7 +1,8 @@
 """Runs the commands behind README's numbers, keeps what they print, and writes README's table.
 
     python tools/figures.py                 run every command (about half an hour), then render
-    python tools/figures.py explore budgets run some of them, then render
+    python tools/figures.py explore budgets
+                                            run some of them, then render
     python tools/figures.py --render        render from the kept results only
     python tools/figures.py --check         fail if README's table is not what the results say
 
@@ -91,11 +92,14 @@ def _claims(found: list[dict[str, Any]]) -> list[Row]:
 def _budgets(found: dict[str, Any]) -> list[Row]:
     return [
         (
-            row["name"],
-            f"{_number(row['value'])} {row['unit']}".strip(),
-            f"at most {_number(row['limit'])}" if row.get("limit") is not None else "",
+            name,
+            f"{_number(figure['value'])} {figure['unit']}".strip(),
+            ""
+            if figure["limit"] is None
+            else f"{'at least' if figure['least'] else 'at most'} {_number(figure['limit'])}"
+            f"{'' if figure['kept'] else '; **exceeded**'}",
         )
-        for row in found["rows"]
+        for name, figure in found.items()
     ]
 
 
@@ -118,14 +122,18 @@ SOURCES: dict[str, Source] = {
             "sensitivity-sensitivity.png": "sensitivity.png",
         },
     ),
-    "bench": Source(
-        (THIGMO, "bench", "--json"),
-        _claims,
-        {
-            "speed-accuracy-chart.png": "speed-accuracy.png",
-            "stability-force-place.png": "stability.png",
-        },
-    ),
+    **{
+        f"bench-{study}": Source((THIGMO, "bench", study, "--json"), _claims, pictures)
+        for study, pictures in {
+            "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
+            "stability": {"stability-force-place.png": "stability.png"},
+            "scaling": {},
+            "calibration": {},
+            "exploration": {},
+            "plant-models": {},
+            "camera": {},
+        }.items()
+    },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
 }
 
@@ -157,15 +165,17 @@ def table() -> str:
         path = RESULTS / f"{name}.json"
         if not path.is_file():
             continue
-        lines += ["", f"`{source.shown}`", "", "| what | value | |", "| --- | --- | --- |"]
-        lines += [f"| {a} | {b} | {c} |" for a, b, c in source.rows(json.loads(path.read_text()))]
+        rows = source.rows(json.loads(path.read_text()))
+        if rows:
+            lines += ["", f"`{source.shown}`", "", "| what | value | |", "| --- | --- | --- |"]
+            lines += [f"| {a} | {b} | {c} |" for a, b, c in rows]
     return "\n".join([*lines, "", END])
 
 
 def main() -> None:
     """Parse the command line and do what it says."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("sources", nargs="*", choices=[*SOURCES, []], help="all when left out")
+    parser.add_argument("sources", nargs="*", choices=[[], *SOURCES], help="all when left out")
     parser.add_argument("--render", action="store_true", help="run nothing")
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     options = parser.parse_args()
