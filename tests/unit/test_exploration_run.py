@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, RobotFaultError
-from thigmo.exploration.run import Exploration
+from thigmo.exploration.run import Exploration, Protocol
 from thigmo.exploration.states import State
 from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
@@ -26,6 +27,8 @@ class Script:
         self.operator = self
         self.fail_at = ""
         self.drifts = 0
+        self.young = 0  # sensors that have everted and not settled
+        self.aside = 0
         self.clock = 0.0
 
     def _call(self, text: str) -> None:
@@ -61,7 +64,7 @@ class Script:
         self.length = length_cm + 0.02
         return self.length
 
-    def wait_settled(self, progress: Any) -> None:
+    def wait_settled(self, progress: Any, sensors: int = 0x3FF) -> None:
         self._call("settle")
 
     def wait(self, seconds: float) -> None:
@@ -74,7 +77,17 @@ class Script:
             raise CommandRefusedError("zeroing ended early", "wait", reason="drifting")
         return 0
 
-    def sweep(self, *, left_psi: float, right_psi: float, period_s: float) -> SweepResult:
+    def status(self) -> Any:
+        return SimpleNamespace(everted=self.young, settled=0)
+
+    def set_aside(self, mask: int) -> None:
+        if mask != self.aside:
+            self._call(f"aside {mask:#x}")
+        self.aside = mask
+
+    def sweep(
+        self, *, left_psi: float, right_psi: float, period_s: float, rising_only: bool = False
+    ) -> SweepResult:
         self._call(f"sweep {left_psi:g} {right_psi:g}")
         if self.touches_at is None or abs(self.length - self.touches_at) > 0.1:
             return SweepResult()
@@ -86,7 +99,8 @@ class Script:
             SweepFrame("left", n / 20, psi, psi / 600, -0.008 if psi > 9 else 0.0, psi > 9)
             for n, psi in enumerate(np.linspace(0.0, left_psi, 100))
         ]
-        return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames)
+        unread = np.full((len(frames), 10), np.nan)
+        return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames, unread)
 
     def vent(self) -> None:
         self._call("vent")
@@ -95,7 +109,7 @@ class Script:
         self._call("stop")
 
 
-def _explore(tmp_path: Path, robot: Script) -> Exploration:
+def _explore(tmp_path: Path, robot: Script, protocol: Protocol = "measure") -> Exploration:
     document = RunDocument(thigmo="0", name="n", url="u", started="s")
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
@@ -105,6 +119,7 @@ def _explore(tmp_path: Path, robot: Script) -> Exploration:
         log,
         document,
         lambda doing, fraction: None,
+        protocol,
     )
     with log:
         run.run()
@@ -123,14 +138,34 @@ def test_an_empty_room_is_explored_to_the_full_length(tmp_path: Path) -> None:
     assert robot.calls[:4] == ["configure", "confirm 0", "arm", "body 1.47"]
     assert robot.calls[-1] == "stop"
     first_stage = robot.calls[4:11]
-    assert first_stage == ["zone 0", "grow 10", "settle", "zero", "sweep 18 18", "vent", "settle"]
+    assert first_stage == ["zone 0", "grow 10", "settle", "zero", "sweep 18 18", "vent", "zone 0"]
+    assert [c for c in robot.calls if c.startswith("body")] == [
+        "body 1.47",
+        "body 1.01",
+        "body 0.49",
+    ]
 
 
-def test_every_sweep_is_zeroed_before_and_after_and_pressures_change_on_the_way(
-    tmp_path: Path,
-) -> None:
-    robot = Script()
+def test_young_sensors_are_set_aside_until_a_contact_needs_them(tmp_path: Path) -> None:
+    robot = Script(touches_at=50)
+    robot.young = 0x210
     _explore(tmp_path, robot)
+    calls = robot.calls
+    assert calls.index("aside 0x210") < calls.index("sweep 18 18")
+    contact = calls.index("aside 0x0")  # first taken in again where the contact is
+    assert calls[contact - 3 : contact + 2] == [
+        "sweep 18 18",
+        "vent",
+        "settle",
+        "aside 0x0",
+        "zero",
+    ]
+    assert robot.aside == 0
+
+
+def test_the_thesis_protocol_zeroes_before_and_after_every_sweep(tmp_path: Path) -> None:
+    robot = Script()
+    _explore(tmp_path, robot, "thesis")
     at = [n for n, call in enumerate(robot.calls) if call.startswith("sweep")]
     assert len(at) == 6
     assert all(robot.calls[n - 2 : n] == ["settle", "zero"] for n in at)

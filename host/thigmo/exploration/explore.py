@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -138,7 +138,9 @@ def _recorded_run(
             raise
         finally:
             # Safe outputs first, while the record still listens.
-            robot.make_safe()
+            if robot.make_safe():
+                with suppress(ThigmoError):
+                    run.restore()
             run.document = replace(
                 run.document,
                 robot_time_s=round(robot.elapsed_s, 3),

@@ -46,8 +46,14 @@ class FreeResponse:
             self._matrix[row, :, 0, 0] = 1 / self._table.noise**2
             self._matrix[row, :, 1, 1] = 1 / np.maximum(scale_se**2 + map_se**2, 1e-6)
 
-    def learn(self, sweep: SweepResult, side: Side) -> None:
-        """Take the rising half of a sweep's side on which nothing was touched."""
+    def learn(self, sweep: SweepResult, side: Side, below: float = np.inf) -> None:
+        """Take the rising half of a sweep's side, as far as nothing was touched.
+
+        Args:
+            sweep: any.
+            side: of it.
+            below: nothing was touched up to this free curvature (1/cm, unsigned).
+        """
         mine = np.array([f.side == side for f in sweep.frames], dtype=np.bool_)
         if not mine.any():
             return
@@ -55,6 +61,7 @@ class FreeResponse:
         free = np.array([f.free_curvature for f in sweep.frames])[mine]
         readings = sweep.curvature[mine]
         rising = (np.arange(len(free)) <= pressure.argmax()) & (pressure >= _LEAST_PSI)
+        rising &= np.abs(free) <= below
         row = SIDES.index(side)
         for part in np.array_split(np.flatnonzero(rising), _BINS):
             if not part.size:

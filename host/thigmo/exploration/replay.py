@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from thigmo import __version__
+from thigmo.config import SIDES, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.map import ContactMap, errors
 from thigmo.exploration.stage import Interpreter, stage_entry
@@ -73,6 +74,7 @@ class _Sweep:
 
     length_cm: float
     zone: int
+    sides: frozenset[Side]
     sensors: int
     t_s: float
     watcher: SweepWatcher
@@ -101,6 +103,7 @@ class _Reader:
         self._snapshots: list[SnapshotReading] = []
         self._events: set[int] = set()
         self._last_sweep = (0, 0)
+        self._swept = True  # the last sweep came to its end
         self.sweeps: list[_Sweep] = []
         self.bad = 0
 
@@ -128,18 +131,23 @@ class _Reader:
             case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
                 # A repeat of the same command, whose reply was lost, is no other sweep.
                 self._last_sweep = (frame.session, frame.seq)
-                self._begin(entry.t_s)
+                self._begin(message, entry.t_s)
             case wire.Event() if message.number not in self._events:
                 self._events.add(message.number)
                 if message.code == wire.EventCode.CONTACT and self.sweeps:
                     self.sweeps[-1].watcher.event(message)
+                if message.code == wire.EventCode.ACTIVITY_DONE:
+                    self._swept = True
+            case wire.Vent() if self.sweeps and not self._swept:
+                self.sweeps[-1].watcher.rising = True  # cut short after its peak
             case wire.Snapshot() if message.index < message.count and self.sweeps:
                 self._snapshot(message)
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6
 
-    def _begin(self, t_s: float) -> None:
+    def _begin(self, command: wire.Sweep, t_s: float) -> None:
+        self._swept = False
         status = self._status
         mask, length = 0, 0.0
         if status:
@@ -147,7 +155,11 @@ class _Reader:
             length = status.length_um / 1e4
         watcher = SweepWatcher(self._device_s, list)
         zeros = self._zero_sum.copy()
-        self.sweeps.append(_Sweep(length, self._zone, mask, t_s, watcher, zeros, self._oversample))
+        amplitudes = (command.left_cpsi, command.right_cpsi)
+        sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
+        self.sweeps.append(
+            _Sweep(length, self._zone, sides, mask, t_s, watcher, zeros, self._oversample)
+        )
 
     def _snapshot(self, message: wire.Snapshot) -> None:
         if message.index == 0:
@@ -176,9 +188,13 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     found = ContactMap(config)
     stages = []
     interpreter, table = Interpreter(config), SensorTable.of(config)
-    for sweep, measuring in _stages(reader.sweeps):
-        result = sweep.result(table)
-        felt = interpreter.feel(result, measuring.result(table) if measuring else None, sweep.zone)
+    for looked, measured in _stages(reader.sweeps):
+        sweep = looked[-1]
+        result = SweepResult.joined([part.result(table) for part in looked])
+        measuring = (
+            SweepResult.joined([part.result(table) for part in measured]) if measured else None
+        )
+        felt = interpreter.feel(result, measuring, sweep.zone)
         for feeling in felt:
             for contact in feeling.felt:
                 found.add(contact)
@@ -216,11 +232,20 @@ def _read(folder: RunFolder, log: Log) -> _Reader:
     return reader
 
 
-def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[_Sweep, _Sweep | None]]:
-    """Each stage's sweep with its measuring sweep, which follows it at the same length."""
+def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[list[_Sweep], list[_Sweep]]]:
+    """Each stage's sweeps that looked for contacts, and those that measured them.
+
+    They follow each other at the same length; a side that is swept again is measured.
+    """
     for _, group in groupby(sweeps, key=lambda sweep: round(sweep.length_cm, 1)):
-        first, *again = group
-        yield first, again[0] if again else None
+        looked: list[_Sweep] = []
+        measured: list[_Sweep] = []
+        seen: set[Side] = set()
+        for sweep in group:
+            again = measured or seen & sweep.sides
+            (measured if again else looked).append(sweep)
+            seen |= sweep.sides
+        yield looked, measured
 
 
 def _document(

@@ -20,9 +20,11 @@ from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stag
 from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.exploration.states import State, next_state
 from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
-from thigmo.robot import Robot, SweepResult, sweep_period_s
+from thigmo.robot import SENSORS, Robot, SweepResult, rising_period_s, sweep_period_s
 
 _MOST_ZERO_TRIES = 5
+_ALL = (1 << SENSORS) - 1
+_BASE = 1 | 1 << SENSORS // 2  # the first sensor of each side: what the trigger works on
 
 # "measure" sweeps a side with a contact again, to the pressure at which it is felt best; "thesis"
 # takes the readings at the full sweep's peak.
@@ -64,6 +66,7 @@ class Exploration:
         self.length_cm = 0.0
         self.stage_cm = 0.0
         self.zone = 0
+        self.body_psi: float | None = None  # what the operator last set
         self.swept = False
         self.protocol = protocol
         self.interpreter = Interpreter(config)
@@ -83,6 +86,7 @@ class Exploration:
             State.SETTLE: self._settle,
             State.ZERO: self._zero,
             State.SWEEP: self._sweep,
+            State.REST: self._rest,
             State.MEASURE: self._measure,
             State.LOCALIZE: self._localize,
             State.MAP: self._map,
@@ -145,7 +149,10 @@ class Exploration:
 
     def _pressurize(self) -> str:
         self.zone = growth_zone(self.config, self.length_cm, self.stage_cm)
-        self.robot.operator.set_body_pressure(self.config.body.zones[self.zone].pressure_psi)
+        pressure = self.config.body.zones[self.zone].pressure_psi
+        if self.protocol == "thesis" or pressure != self.body_psi:
+            self.robot.operator.set_body_pressure(pressure)
+            self.body_psi = pressure
         self.robot.select_zone(self.zone)
         return "pressure set"
 
@@ -156,10 +163,25 @@ class Exploration:
         return "whole pitch" if target == self.stage_cm else "pressure boundary"
 
     def _settle(self) -> str:
-        self.robot.wait_settled(lambda left_s: self._tell(f"{left_s:.0f} s left"))
+        if self.protocol == "thesis":
+            self._wait_settled()
+            return "settled"
+        # Sensors that have just everted are not needed to feel a contact, only to measure it.
+        self._wait_settled(_BASE)
+        status = self.robot.status()
+        self.robot.set_aside(status.everted & ~status.settled)
         return "settled"
 
+    def _wait_settled(self, sensors: int = _ALL) -> None:
+        self.robot.wait_settled(lambda left_s: self._tell(f"{left_s:.0f} s left"), sensors)
+
     def _zero(self) -> str:
+        if not self._zeroed():
+            return "drifting"
+        return "zeroed after sweep" if self.swept else "zeroed after growth"
+
+    def _zeroed(self) -> bool:
+        """Zero the sensors; False after a pause if they drift."""
         try:
             self.robot.zero()
         except CommandRefusedError as error:
@@ -169,21 +191,36 @@ class Exploration:
             ):
                 raise
             self.robot.wait(2.0)
-            return "drifting"
-        return "zeroed after sweep" if self.swept else "zeroed after growth"
+            return False
+        return True
 
     def _sweep(self) -> str:
         actuators = self.config.actuators
+        thesis = self.protocol == "thesis"
         self.sweep = self.robot.sweep(
             left_psi=actuators.left.max_pressure_psi,
             right_psi=actuators.right.max_pressure_psi,
-            period_s=sweep_period_s(self.config, self.zone),
+            period_s=sweep_period_s(self.config, self.zone)
+            if thesis
+            else rising_period_s(self.config, self.zone),
+            rising_only=not thesis,
         )
         self.swept = True
         self.measuring = None
         if not opposed_sides(self.sweep):
             return "no contact"
         return "contact" if self.protocol == "measure" else "contact, thesis protocol"
+
+    def _rest(self) -> str:
+        if self.robot.aside:
+            self.robot.vent()
+            self._wait_settled()
+            late = self.robot.aside
+            self.robot.set_aside(0)
+            if not self._zeroed():
+                self.robot.set_aside(late)
+                return "drifting"
+        return "all sensors zeroed"
 
     def _measure(self) -> str:
         assert self.sweep is not None
@@ -196,7 +233,10 @@ class Exploration:
         )
         self.robot.vent()
         self.measuring = self.robot.sweep(
-            left_psi=left, right_psi=right, period_s=sweep_period_s(self.config, self.zone)
+            left_psi=left,
+            right_psi=right,
+            period_s=sweep_period_s(self.config, self.zone),
+            rising_only=True,
         )
         return "measured"
 
@@ -215,7 +255,7 @@ class Exploration:
     def _vent(self) -> str:
         self.robot.vent()
         self._keep_stage()
-        return "vented"
+        return "vented, thesis protocol" if self.protocol == "thesis" else "vented"
 
     def _keep_stage(self) -> None:
         """Put the stage into the document, and the document on the disk."""
@@ -241,4 +281,9 @@ class Exploration:
 
     def _finish(self) -> str:
         self.robot.stop()
+        self.restore()
         return "safe"
+
+    def restore(self) -> None:
+        """Leave the board with every healthy sensor in use, as robot.toml says."""
+        self.robot.set_aside(0)

@@ -14,9 +14,12 @@ from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import Bend, centreline
 from thigmo.record import Shape, Stage, Trigger
-from thigmo.robot import Peak, SensorTable, SweepFrame, SweepResult
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepFrame, SweepResult
 
 _SHAPES_A_SIDE = 12
+# The trigger fires when the base is held back by its threshold, so the body was touched before:
+# by so much less free curvature (1/cm), for the base gives up about as much as the map goes on.
+_TOUCH_MARGIN = 1.3 * TRIGGER_PER_CM
 _BENT_FURTHER = "the base bent further than the map says: an error of the map, and no peg"
 
 
@@ -48,6 +51,10 @@ class Interpreter:
             if not table.usable(peak.side, peak.sensors).any():
                 continue  # nothing to feel with: no sensor is out and well
             nearest = self._nearest(sweep, peak) if peak.side in fired else 0.0
+            if measuring is not None and peak.side in fired:
+                touch = touch_curvature(sweep.frames, peak.side)
+                if touch is not None:
+                    self._response.learn(measuring, peak.side, abs(touch) - _TOUCH_MARGIN)
             feeling = feel(
                 measured.get(peak.side, peak), self._config, zone, self._response, nearest
             )

@@ -23,6 +23,7 @@ class State(StrEnum):
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping left and right"
+    REST = "letting every sensor settle for the measurement"
     MEASURE = "sweeping again to measure a contact"
     LOCALIZE = "localizing"
     MAP = "mapping"
@@ -55,14 +56,17 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.ZERO, "drifting", State.SETTLE),
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),
     Transition(State.ZERO, "zeroed after sweep", State.PLAN),
-    Transition(State.SWEEP, "contact", State.MEASURE),
+    Transition(State.SWEEP, "contact", State.REST),
     Transition(State.SWEEP, "contact, thesis protocol", State.LOCALIZE),
     Transition(State.SWEEP, "no contact", State.LOCALIZE),
+    Transition(State.REST, "drifting", State.REST),
+    Transition(State.REST, "all sensors zeroed", State.MEASURE),
     Transition(State.MEASURE, "measured", State.LOCALIZE),
     Transition(State.LOCALIZE, "contact", State.MAP),
     Transition(State.LOCALIZE, "none", State.VENT),
     Transition(State.MAP, "mapped", State.VENT),
-    Transition(State.VENT, "vented", State.SETTLE),
+    Transition(State.VENT, "vented, thesis protocol", State.SETTLE),
+    Transition(State.VENT, "vented", State.PLAN),
     Transition(State.FINISH, "safe", State.DONE),
 )
 

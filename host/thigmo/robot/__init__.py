@@ -16,7 +16,7 @@ from thigmo.robot.state import (
     SweepFrame,
     SweepResult,
 )
-from thigmo.robot.sweep import TRIGGER_PER_CM, sweep_period_s
+from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.sweeping import SweepWatcher
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "average_peak",
     "connect",
     "other_side",
+    "rising_period_s",
     "snapshot_reading",
     "sweep_period_s",
 ]

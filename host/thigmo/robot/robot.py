@@ -107,6 +107,7 @@ class Robot:
         self._zero_sum: Floats = np.full(SENSORS, np.nan)
         self._oversample = 16
         self._started = client.now()
+        self._aside = 0
         self._closed = False
 
     # Life.
@@ -235,6 +236,7 @@ class Robot:
         self.config = config
         self._table = SensorTable.of(config)
         self._zero_sum = np.full(SENSORS, np.nan)
+        self._aside = 0
         status = self.status()
         if changed or status.config_generation == 0 or "bad_config" in status.faults:
             self.save()
@@ -402,18 +404,45 @@ class Robot:
         """
         self._watch.wait(seconds)
 
-    def wait_settled(self, progress: Callable[[float], None] = lambda left_s: None) -> None:
-        """Wait until every everted sensor is past its settling time.
+    def set_aside(self, mask: int) -> None:
+        """Have the board leave everted sensors out, as if they were dead; 0 takes all in again.
+
+        Outputs must be off. Sensors that have not everted stay in use: the board refuses to bend
+        the body while one lies in the tip's fold.
+
+        Args:
+            mask: of sensors, bit 0 = left base; those not everted are ignored.
+        """
+        mask &= self.status().everted
+        if mask == self._aside:
+            return
+        healthy = self._table.healthy
+        enabled = [int(healthy[n] and not mask >> n & 1) for n in range(SENSORS)]
+        self.set_parameter("flex_enabled", enabled)
+        self._aside = mask
+
+    @property
+    def aside(self) -> int:
+        """Mask of the sensors that were set aside."""
+        return self._aside
+
+    def wait_settled(
+        self,
+        progress: Callable[[float], None] = lambda left_s: None,
+        sensors: int = (1 << SENSORS) - 1,
+    ) -> None:
+        """Wait until everted sensors are past their settling time.
 
         Args:
             progress: told the seconds that are left, about once a second.
+            sensors: mask of those to wait for, bit 0 = left base.
 
         Raises:
             CommandTimeoutError: they do not settle in their time.
             RobotFaultError: a fault was latched meanwhile.
         """
         end = self.now() + self.config.sensors.settle_s + _SETTLE_EXTRA_S
-        while waiting := (status := self.status()).everted & ~status.settled:
+        while waiting := (status := self.status()).everted & ~status.settled & sensors:
             if self.now() > end:
                 raise CommandTimeoutError(
                     f"sensors {[n for n in range(SENSORS) if waiting >> n & 1]} do not settle",
@@ -442,6 +471,7 @@ class Robot:
         """
         enabled = np.flatnonzero(self._table.healthy)
         mask = self.status().everted & int(sum(1 << int(sensor) for sensor in enabled))
+        mask &= ~self._aside
         if mask:
             self._start(wire.ZeroSensors(mask))
             self._watch.finish(wire.Activity.ZEROING, 20.0)
@@ -532,6 +562,7 @@ class Robot:
         period_s: float,
         cycles: int = 1,
         hold_on_contact: bool = False,
+        rising_only: bool = False,
     ) -> SweepResult:
         """Bend to the left, then to the right, along a sine of pressure, and feel.
 
@@ -540,15 +571,37 @@ class Robot:
             period_s: of the whole sine (`sweep_period_s` says how slow it must be).
             cycles: whole periods.
             hold_on_contact: keep the pressure when the trigger fires, until `vent` or `stop`.
+            rising_only: vent each side after its peak: what the way back would feel, the way up
+                has felt. One cycle.
 
         Raises:
             CommandRefusedError: a sensor is half everted, the length or the zone is unknown.
             RobotFaultError: the board latched a fault; it is vented.
         """
+        if rising_only:
+            halves = []
+            for left, right in ((left_psi, 0.0), (0.0, right_psi)):
+                if max(left, right) > 0:
+                    halves.append(self._sweep(left, right, period_s, 1, hold_on_contact, True))
+                    self.vent()
+            return SweepResult.joined(halves)
+        return self._sweep(left_psi, right_psi, period_s, cycles, hold_on_contact, False)
+
+    def _sweep(
+        self,
+        left_psi: float,
+        right_psi: float,
+        period_s: float,
+        cycles: int,
+        hold_on_contact: bool,
+        rising: bool,
+    ) -> SweepResult:
         before = self.status()
         options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
         truths: list[Truth] = []
-        watcher = SweepWatcher(self._client.device_s, lambda: self._peak_and_truth(truths))
+        watcher = SweepWatcher(
+            self._client.device_s, lambda: self._peak_and_truth(truths), rising=rising
+        )
         with self._telemetry_to(watcher):
             self._start(
                 wire.Sweep(
@@ -563,6 +616,9 @@ class Robot:
                 wire.Activity.SWEEPING, period_s * cycles + _SWEEP_EXTRA_S
             ):
                 watcher.event(event)
+                if rising and event.code == wire.EventCode.PEAK:
+                    self._request(wire.Vent())
+                    break
         return watcher.result(
             self._table,
             self._zero_sum,

@@ -172,3 +172,23 @@ class SweepResult:
     curvature: Floats = field(default_factory=lambda: np.zeros((0, 10)))
     sensors: int = 0
     truth: Truth | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[SweepResult]) -> SweepResult:
+        """Several sweeps, in their order, as one; `sensors` are those that all of them had."""
+        if len(parts) == 1:
+            return parts[0]
+        truths = [part.truth for part in parts if part.truth is not None]
+        common = parts[0].sensors
+        for part in parts:
+            common &= part.sensors
+        return cls(
+            [trigger for part in parts for trigger in part.triggers],
+            [peak for part in parts for peak in part.peaks],
+            [frame for part in parts for frame in part.frames],
+            np.concatenate([part.curvature for part in parts]),
+            common,
+            Truth(truths[0].pegs, [contact for truth in truths for contact in truth.contacts])
+            if truths
+            else None,
+        )

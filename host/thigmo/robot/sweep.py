@@ -22,6 +22,14 @@ ALLOWED_FRACTION = 0.25
 # Faster than this the pressure loop no longer follows 18 psi (0.15 s of transducer, 15 psi/s).
 SHORTEST_PERIOD_S = 15.0
 
+# On the way up only, with the muscle's inflating lag alone, less of it is unknown.
+RISING_RESIDUAL_LAG = 0.25
+
+
+def rising_period_s(config: RobotConfig, zone: int) -> float:
+    """Period (s) of a sweep that only looks for contacts, and only on the way up."""
+    return sweep_period_s(config, zone, residual_lag=RISING_RESIDUAL_LAG)
+
 
 def sweep_period_s(
     config: RobotConfig,

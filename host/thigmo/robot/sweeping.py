@@ -26,6 +26,7 @@ class SweepWatcher:
         device_s: unwraps the device's time.
         fetch: reads the captured peak from the board.
         triggers, peaks, frames: what was collected.
+        rising: the sweep is cut short after its first peak; what comes later does not count.
     """
 
     device_s: Callable[[int], float]
@@ -33,6 +34,7 @@ class SweepWatcher:
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SnapshotReading]] = field(default_factory=list)
     frames: list[SweepFrame] = field(default_factory=list)
+    rising: bool = False
     _next_s: float = 0.0
 
     def event(self, event: wire.Event) -> None:
@@ -64,6 +66,9 @@ class SweepWatcher:
             length_cm: everted length.
             truth: what the emulator knew at the peaks.
         """
+        end_s = self._end_s()
+        frames = [frame for frame in self.frames if frame.t_s <= end_s]
+        triggers = [trigger for trigger in self.triggers if trigger.t_s <= end_s]
         peaks = [
             average_peak(
                 snapshots,
@@ -76,9 +81,15 @@ class SweepWatcher:
             for snapshots in self.peaks
             if snapshots
         ]
-        sums: Floats = np.array([f.flex_sum for f in self.frames], dtype=np.float64)
+        sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
         curvature = table.curvature(sums.reshape(-1, len(zero_sum)), zero_sum, oversample)
-        return SweepResult(self.triggers, peaks, self.frames, curvature, sensors, truth)
+        return SweepResult(triggers, peaks, frames, curvature, sensors, truth)
+
+    def _end_s(self) -> float:
+        """Device time of the last instant that counts."""
+        if not self.rising or not self.peaks or not self.peaks[0]:
+            return float("inf")
+        return max(reading.t_s for reading in self.peaks[0])
 
     def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
         """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
