@@ -238,6 +238,14 @@ def test_a_run_folder_whose_record_is_garbage(thigmo: Thigmo, tmp_path: Path) ->
         one_line(thigmo(command, run), r"run\.mcap|contacts\.json")
 
 
+def test_a_parameter_that_is_set_and_not_stored_is_said_to_be_lost(thigmo: Thigmo) -> None:
+    command = ("params", "emulator://default", "settle_ms", 2000)
+    for stored, said in (((), LINE), (("--save",), "")):
+        ran = thigmo(*command, "--json", *stored)
+        assert (ran.code, json.loads(ran.out)["settle_ms"]["value"]) == (0, 2000)
+        assert re.fullmatch(said, ran.err.strip()), ran.err
+
+
 # Ends in the middle of a sweep, in real time.
 
 

@@ -39,6 +39,9 @@ def params(
             robot.save()
         names = [name] if name is not None else list(wire.PARAMETERS)
         values = {each: robot.parameter(each) for each in names}
+    if name is not None and value and not save:
+        note = f"thigmo: {name} is not stored and ends with this connection; keep it with --save"
+        typer.echo(note, err=True)
     if as_json:
         print_json({each: _described(each, held) for each, held in values.items()})
         return
