@@ -25,7 +25,7 @@ from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
-PX_PER_CM = 16
+BODY_PX_CM = 12  # enough for a tube that is 40 px wide
 _STEP_CM = 0.5
 _CLASH = 0.5  # bodyness at a flank
 
@@ -39,23 +39,25 @@ class Flat:
         low: (2,) x, y of the lower left corner, cm.
         high: (2,) x, y of the upper right corner, cm.
         height_cm: of the plane.
+        px_per_cm: resolution.
     """
 
     image: Picture
     low: Array
     high: Array
     height_cm: float
+    px_per_cm: int
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
         """Workspace x, y (n, 2) to column, row (n, 2)."""
-        columns = (points_cm[..., 0] - self.low[0]) * PX_PER_CM - 0.5
-        rows = (self.high[1] - points_cm[..., 1]) * PX_PER_CM - 0.5
+        columns = (points_cm[..., 0] - self.low[0]) * self.px_per_cm - 0.5
+        rows = (self.high[1] - points_cm[..., 1]) * self.px_per_cm - 0.5
         return np.stack([columns, rows], axis=-1).astype(np.float32)
 
     def places(self, pixels: Array) -> Array:
         """Column, row (n, 2) to workspace x, y (n, 2)."""
-        x = (pixels[..., 0] + 0.5) / PX_PER_CM + self.low[0]
-        y = self.high[1] - (pixels[..., 1] + 0.5) / PX_PER_CM
+        x = (pixels[..., 0] + 0.5) / self.px_per_cm + self.low[0]
+        y = self.high[1] - (pixels[..., 1] + 0.5) / self.px_per_cm
         return np.stack([x, y], axis=-1)
 
 
@@ -65,16 +67,17 @@ def flatten(
     height_cm: float,
     low: Sequence[float] = (-4.0, -58.0),
     high: Sequence[float] = (60.0, 58.0),
+    px_per_cm: int = BODY_PX_CM,
 ) -> Flat:
-    """Lay a picture flat at a height (16 px/cm)."""
+    """Lay a picture flat at a height."""
     box_low, box_high = np.asarray(low, float), np.asarray(high, float)
-    columns, rows = (ceil(n * PX_PER_CM) for n in box_high - box_low)
+    columns, rows = (ceil(n * px_per_cm) for n in box_high - box_low)
     # The map is smooth: computed every 16 px, interpolated between.
     step = 16
     grid_x = np.arange(0, columns + 2 * step, step)
     grid_y = np.arange(0, rows + 2 * step, step)
-    x = (grid_x + 0.5) / PX_PER_CM + box_low[0]
-    y = box_high[1] - (grid_y + 0.5) / PX_PER_CM
+    x = (grid_x + 0.5) / px_per_cm + box_low[0]
+    y = box_high[1] - (grid_y + 0.5) / px_per_cm
     mesh = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     solid = np.column_stack([mesh, np.full(len(mesh), height_cm)])
     coarse = camera.project(solid).astype(np.float32).reshape(len(y), len(x), 2)
@@ -83,7 +86,7 @@ def flatten(
     columns_of, rows_of = (np.ascontiguousarray(lookup[..., k]) for k in (0, 1))
     colored = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     image = cv2.remap(colored, columns_of, rows_of, cv2.INTER_LINEAR)
-    return Flat(np.asarray(image, np.uint8), box_low, box_high, height_cm)
+    return Flat(np.asarray(image, np.uint8), box_low, box_high, height_cm, px_per_cm)
 
 
 def _between(n: int, step: int, knots: int) -> NDArray[np.float32]:

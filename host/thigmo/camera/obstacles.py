@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from thigmo.camera.body import PX_PER_CM, Flat
+from thigmo.camera.body import Flat
 from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
 _RAYS = 72
+OBSTACLE_PX_CM = 16  # rims need finer pixels than flanks
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def find_obstacles(
         least_rim: share of the rim that must be seen.
     """
     channels = _channels(flat)
-    low, high = (r * PX_PER_CM for r in radius_cm)
+    low, high = (r * flat.px_per_cm for r in radius_cm)
     candidates: list[Array] = []
     for channel in channels:
         circles = cv2.HoughCircles(
@@ -143,11 +144,11 @@ def _refine(
                 if rim < least or (best is not None and rim <= best.rim and width > 0.3):
                     continue
                 place = flat.places(circle[:2])
-                scatter = float(np.std(off[near])) / PX_PER_CM
+                scatter = float(np.std(off[near])) / flat.px_per_cm
                 made = Obstacle(
                     float(place[0]),
                     float(place[1]),
-                    float(circle[2] / PX_PER_CM),
+                    float(circle[2] / flat.px_per_cm),
                     rim,
                     float(scatter * np.sqrt(2 / near.sum()) + 0.02),
                 )

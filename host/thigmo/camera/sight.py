@@ -18,7 +18,12 @@ from thigmo.camera.body import Centerline, Flat, bodyness, fit_centerline, flatt
 from thigmo.camera.clicks import Clicks
 from thigmo.camera.errors import BodyNotSeenError, CameraError, MarkerMissingError
 from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
-from thigmo.camera.obstacles import Obstacle, circle_through, find_obstacles
+from thigmo.camera.obstacles import (
+    OBSTACLE_PX_CM,
+    Obstacle,
+    circle_through,
+    find_obstacles,
+)
 from thigmo.camera.sheet import Sheet
 from thigmo.errors import DataError
 
@@ -229,7 +234,7 @@ def _obstacles(
     given = []
     if clicks is not None and clicks.obstacles:
         given = [circle_through(camera.to_plane(np.array(rim), height)) for rim in clicks.obstacles]
-    flat = flatten(picture, camera, height, *_WORKSPACE)
+    flat = flatten(picture, camera, height, *_WORKSPACE, px_per_cm=OBSTACLE_PX_CM)
     ignore = [camera.to_plane(four, height) for four in markers.values()]
     found = find_obstacles(flat, wanted.obstacle_radius_cm, ignore)
     apart = [

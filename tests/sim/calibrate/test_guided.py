@@ -1,0 +1,137 @@
+"""The guided steps on the emulator: resumed where they stopped; what goes wrong is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tomlkit
+
+import thigmo
+from thigmo.calibrate import guided
+from thigmo.calibrate.bench import Bench, Plan
+from thigmo.calibrate.eyes import Eyes, emulated_source
+from thigmo.calibrate.procedures import tip_rows
+from thigmo.calibrate.session import Session
+from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
+from thigmo.emulator.scene import Scene
+from thigmo.errors import DataError
+
+PLAN = Plan(places=4, straight=1, trials=1, step_psi=9.0, pushes=3, rest_readings=24)
+
+
+class Lab:
+    """An emulated robot at full length, with a camera whose view a test may spoil."""
+
+    def __init__(self, tmp_path, **changes) -> None:
+        scene = Scene.load("empty")
+        scene.start_length_cm = scene.robot.body.length_cm
+        for key, value in changes.items():
+            setattr(scene, key, value)
+        path = tmp_path / "scene.toml"
+        path.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+        self.robot = thigmo.connect(f"emulator://{path}", seed=2)
+        self.pictures = 0
+        self.shove_after = 10**9
+        sheet = Sheet()
+        source, sheet.camera_height_cm = emulated_source(
+            self.robot, sheet, seed=3, spoil=self._spoil
+        )
+        self.eyes = Eyes(source, locate(source.read(), sheet), sheet)
+        self.told: list[str] = []
+        self.session = Session(tmp_path / "calibration", self.robot.known_config)
+
+    def _spoil(self, camera):
+        self.pictures += 1
+        if self.pictures > self.shove_after:
+            return replace(camera, translation=camera.translation + np.array([0.0, 1.5, 0.0]))
+        return camera
+
+    def bench(self) -> Bench:
+        bench = Bench(
+            self.robot, self.robot.operator, self.eyes, self.session, PLAN, self.told.append
+        )
+        bench.start()
+        return bench
+
+
+@pytest.fixture
+def lab(tmp_path):
+    made = Lab(tmp_path)
+    yield made
+    made.robot.close()
+
+
+def test_moved_camera_stops_the_step_and_the_rest_is_taken_after_it_is_located_again(lab):
+    lab.shove_after = 4
+    with pytest.raises(CameraMovedError, match="locate` again"):
+        tip_rows(lab.bench())
+    taken = lab.session.rows("tips")
+    assert 1 <= len(taken) < 5
+    lab.shove_after = 10**9  # put back
+    rows = tip_rows(lab.bench())
+    assert len(rows) == 5
+    assert {key: lab.session.rows("tips")[key] for key in taken} == taken
+    assert any("going on after" in text for text in lab.told)
+    assert rows[1]["tip"][1] == pytest.approx(rows[1]["asked"], abs=0.2)
+
+
+def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch):
+    bench = lab.bench()
+    look = lab.eyes.axis
+    calls = 0
+
+    def blinded(*, free_bend):
+        nonlocal calls
+        calls += 1
+        if calls in (3, 4, 5):
+            raise MarkerMissingError(40)
+        return look(free_bend=free_bend)
+
+    monkeypatch.setattr(lab.eyes, "axis", blinded)
+    rows = tip_rows(bench)
+    assert rows[2]["tip"] == [None, None]
+    readings = guided.flex_readings(rows, 53.0)
+    assert np.isnan(readings.tip_cm[2]).all()
+    assert any("is not seen" in text for text in lab.told)
+
+
+def test_noise_pressure_and_check_of_a_sound_robot(lab):
+    bench = lab.bench()
+    for step in ("pressure", "noise", "check"):
+        result = guided.run(bench, step)
+        assert result.verdict.good, result.verdict
+        assert (lab.session.folder / f"{step}.png").exists()
+    held = lab.robot.parameter("pressure_zero")
+    # Taken again, the zeros are where the board now has them (half a count).
+    assert guided.run(bench, "pressure").board_values() == pytest.approx(held, abs=32)
+    with pytest.raises(DataError, match="no step 'magic'"):
+        guided.run(bench, "magic")
+
+
+def test_check_names_a_dead_sensor(tmp_path):
+    lab = Lab(tmp_path)
+    bench = lab.bench()
+    read = lab.robot.read
+
+    def with_open_sensor(seconds=0.5):
+        reading = read(seconds)
+        ohm = reading.resistance.copy()
+        ohm[2] = np.nan
+        return replace(reading, resistance=ohm)
+
+    lab.robot.read = with_open_sensor
+    result = guided.run(bench, "check")
+    lab.robot.close()
+    assert not result.verdict.good
+    assert "sensor left 2: open circuit" in result.verdict.reason
+
+
+def test_a_real_robot_has_no_emulated_camera():
+    class Real:
+        def scenery(self):
+            return None
+
+    with pytest.raises(DataError, match="give a camera"):
+        emulated_source(Real(), Sheet())

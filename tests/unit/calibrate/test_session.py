@@ -1,0 +1,123 @@
+"""The calibration folder: rows survive crashes, results back up robot.toml, blanks are blank."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibration_truth import bends
+
+from thigmo.calibrate.actuator import fit_actuator
+from thigmo.calibrate.from_csv import COLUMNS, FITS, fit_csv
+from thigmo.calibrate.regression import fit_linear
+from thigmo.calibrate.session import Session, blank
+from thigmo.calibrate.table import Table
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+
+
+def test_rows_are_kept_in_order_and_a_torn_line_is_dropped(tmp_path):
+    session = Session(tmp_path)
+    session.add("tips", {"key": "a", "ohm": np.array([1.0, 2.0]), "n": np.int64(3)})
+    session.add("tips", {"key": "b", "ohm": [3.0]})
+    with (tmp_path / "tips.jsonl").open("a") as file:
+        file.write('{"key": "c", "oh')
+    again = Session(tmp_path)
+    assert list(again.rows("tips")) == ["a", "b"]
+    again.add("tips", {"key": "c", "ohm": [4.0]})
+    assert [row["ohm"] for row in again.rows("tips").values()] == [[1.0, 2.0], [3.0], [4.0]]
+    again.forget("tips")
+    assert again.rows("tips") == {}
+    assert (tmp_path / "tips.jsonl.old").exists()
+
+
+def test_damage_in_the_middle_is_an_error(tmp_path):
+    session = Session(tmp_path)
+    (tmp_path / "tips.jsonl").write_text('{"key": "a"}\nnonsense\n{"key": "b"}\n')
+    with pytest.raises(DataError, match="line 2 is damaged"):
+        session.rows("tips")
+
+
+def test_good_results_reach_robot_toml_with_a_backup_and_bad_ones_do_not(tmp_path):
+    session = Session(tmp_path)
+    before = session.robot_file.read_text()
+    result = fit_actuator(bends(1))
+    backup = session.keep("actuator", result)
+    assert backup is not None
+    assert backup.read_text() == before
+    assert RobotConfig.load(session.robot_file).actuators.left.maps[2] == result.zone
+    assert session.done("actuator")["verdict"]["good"]
+    after = session.robot_file.read_text()
+    wrong = bends(1)
+    swapped = fit_actuator(type(wrong)(**{**wrong.__dict__, "curvature": -wrong.curvature}))
+    assert session.keep("actuator", swapped) is None
+    assert session.robot_file.read_text() == after
+    assert session.done("actuator") is None
+
+
+def test_an_unwritable_folder_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="choose another folder"):
+        Session(tmp_path / "file" / "deeper")
+
+
+def test_blank_keeps_geometry_only():
+    config = RobotConfig()
+    config.sensors.left[1].center_cm = 16.0
+    config.sensors.left[1].scale_per_ohm = 1e-6
+    config.actuators.right.maps[0].inflate.amplitude = 0.01
+    made = blank(config)
+    assert made.sensors.left[1].center_cm == 16.0
+    assert made.sensors.left[1].scale_per_ohm == RobotConfig().sensors.left[1].scale_per_ohm
+    assert made.actuators.right.maps[0] == RobotConfig().actuators.right.maps[0]
+
+
+def test_every_fit_names_the_column_that_a_csv_lacks(tmp_path):
+    assert FITS.keys() == COLUMNS.keys()
+    path = tmp_path / "bare.csv"
+    path.write_text("nothing\n1\n")
+    for step in FITS:
+        with pytest.raises(DataError, match="no column"):
+            fit_csv(step, path, RobotConfig())
+    with pytest.raises(DataError, match="no fit 'magic'"):
+        fit_csv("magic", path, RobotConfig())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no readings"),
+        ("a,b\n1\n", "line 2: 1 cells for 2 columns"),
+        ("a,a\n1,2\n", "twice"),
+        ("a\nword\n", "'word' in column 'a'"),
+    ],
+)
+def test_malformed_tables_name_the_line(tmp_path, text, message):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=message):
+        Table.read(path).numbers("a")
+
+
+def test_regression_coverage_with_known_and_unknown_errors():
+    misses = []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        x = rng.uniform(-1, 1, 24)
+        known = rng.uniform(0.0, 0.2, 24)
+        y = 2 + 3 * x + rng.normal(0, 0.1, 24) + known * rng.normal(0, 1, 24)
+        fit = fit_linear(np.column_stack([np.ones(24), x]), y, known)
+        misses.append(
+            [(fit.coefficients[0] - 2) / fit.se(0), (fit.coefficients[1] - 3) / fit.se(1)]
+        )
+    assert 0.8 < np.mean(np.square(misses)) < 1.35
+
+
+def test_regression_stands_a_fifth_of_outliers():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        x = rng.uniform(-1, 1, 40)
+        y = 3 * x + rng.normal(0, 0.02, 40)
+        y[:8] += rng.choice([-1, 1], 8) * rng.uniform(1, 20, 8)
+        fit = fit_linear(np.column_stack([np.ones(40), x]), y)
+        assert not fit.used[:8].any()
+        assert fit.coefficients[1] == pytest.approx(3, abs=0.05)
