@@ -153,7 +153,16 @@ class Controller {
   void finish_spool(bool arrived);
   void start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s);
   Outcome wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s);
-  void take_over(const Derived& before);
+  // Scales whose change voids what was measured.
+  struct Scales {
+    uint32_t um_per_count;
+    uint8_t oversample;
+    uint8_t trigger;
+  };
+  Scales scales() const {
+    return {derived_.um_per_count_q16, derived_.oversample_log2, derived_.trigger_log2};
+  }
+  void take_over(const Scales& before);
   uint8_t active_side() const;
   bool bending() const {
     return activity_ == Activity::kSweeping || activity_ == Activity::kPressing ||

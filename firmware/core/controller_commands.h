@@ -84,8 +84,7 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
 }
 
 inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
-  spool_.start(encoder_, target_counts, derived_.speed_q16(speed_um_s),
-               derived_.accel_q16(config_.get(Param::kSpoolAccelUmS2)),
+  spool_.start(encoder_, target_counts, derived_.speed_q16(speed_um_s), derived_.accel_q16,
                activity == Activity::kHoming ? SpoolLoop::kHomingDuty : kMotorFull);
   start(activity);
 }
@@ -196,25 +195,25 @@ inline Outcome Controller::set_parameter(uint16_t index, int32_t value) {
   const Outcome allowed = permit(Permit::kConfigure);
   if (allowed.reason != Reason::kNone) return allowed;
   if (!config_.set(index, value)) return {Reason::kBadValue, index};
-  const Derived before = derived_;
+  const Scales before = scales();
   derived_.update(config_, index);
   take_over(before);
   return kAccepted;
 }
 
 // After a change of the scaled constants: what it voids.
-inline void Controller::take_over(const Derived& before) {
+inline void Controller::take_over(const Scales& before) {
   eversion_.reconsider();
-  if (derived_.oversample_log2 != before.oversample_log2) {
+  if (derived_.oversample_log2 != before.oversample) {
     flex_.set_oversampling(derived_.oversample_log2);
     zeros_.invalidate(0xFFFF);
     drift_.set_quiet(false, tick_);
   }
-  if (derived_.trigger_log2 != before.trigger_log2) {
+  if (derived_.trigger_log2 != before.trigger) {
     for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
   }
   // Another scale of length is another length.
-  if (derived_.um_per_count_q16 != before.um_per_count_q16) length_known_ = false;
+  if (derived_.um_per_count_q16 != before.um_per_count) length_known_ = false;
   assemble_conditions();
 }
 
@@ -237,7 +236,7 @@ inline Outcome Controller::load_defaults() {
   if (allowed.reason != Reason::kNone) return allowed;
   config_.load_defaults();
   config_valid_ = true;
-  const Derived before = derived_;
+  const Scales before = scales();
   derived_.update(config_);
   take_over(before);
   return kAccepted;

@@ -55,12 +55,15 @@ class Robot {
  private:
   static constexpr int16_t kNever = INT16_MIN;  // no output has this value
 
+  static constexpr uint8_t kReceiveBytes = 40;
+
   // Less than this left on the line counts as idle: at 250 kbaud it lasts 320 us.
   static constexpr uint16_t kLineIdle = 8;
 
+  // One frame a pass at most, and no more bytes than arrive in a millisecond at 250 kbaud and some.
   void receive() {
     uint8_t byte;
-    while (board_.rx_read(&byte)) {
+    for (uint8_t i = 0; i < kReceiveBytes && board_.rx_read(&byte); ++i) {
       if (session_.receive(byte, byte == 0 ? board_.micros() : 0, commands_)) {
         write_outputs();  // a stop takes effect now, not at the next tick
         return;
@@ -126,15 +129,14 @@ class Robot {
     }
   }
 
+  // One frame a pass at most, to keep the pass short.
   void transmit() {
+    if (board_.tx_free() < protocol::kMaxWire) return;
+    const Frame* frame =
+        session_.next(controller_.now(), board_.tx_pending() <= kLineIdle, controller_.events());
+    if (frame == nullptr) return;
     uint8_t wire[protocol::kMaxWire];
-    // Two at most, to keep the pass short: what is left goes with the next.
-    for (uint8_t i = 0; i < 2 && board_.tx_free() >= protocol::kMaxWire; ++i) {
-      const Frame* frame =
-          session_.next(controller_.now(), board_.tx_pending() <= kLineIdle, controller_.events());
-      if (frame == nullptr) return;
-      board_.tx_write(wire, cobs_encode(frame->bytes, frame->size, wire));
-    }
+    board_.tx_write(wire, encode(*frame, wire));
   }
 
   Board& board_;

@@ -61,13 +61,19 @@ struct Configuration {
     }
   }
 
-  // Index of the first parameter that is out of range or contradicts another, or -1. A robot whose
-  // configuration contradicts itself is not armed.
-  int16_t first_conflict() const {
+  // Index of the first parameter that is out of range, or -1: for what comes from the store. set()
+  // lets none in.
+  int16_t first_out_of_range() const {
     for (uint16_t i = 0; i < protocol::kParamCount; ++i) {
       const protocol::ParamRow limits = row(i);
       if (value[i] < limits.low || value[i] > limits.high) return static_cast<int16_t>(i);
     }
+    return -1;
+  }
+
+  // Index of the first parameter that contradicts another, or -1. A robot whose configuration
+  // contradicts itself is not armed.
+  int16_t first_conflict() const {
     // The transducer's span divides the feed-forward; from 13 psi on its slope fits 16 bits.
     if (get(Param::kDrive20maCpsi) < get(Param::kDrive4maCpsi) + 1300) {
       return static_cast<int16_t>(Param::kDrive20maCpsi);

@@ -47,6 +47,7 @@ struct Derived {
   uint32_t um_per_count_q16;              // tip movement per encoder count
   uint32_t counts_per_um_q24;             // and the other way
   uint32_t step_per_um_s_q32;             // counts in a control step at a tip speed
+  int32_t accel_q16;                      // counts per control step and step, in 1/65536
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
@@ -59,8 +60,13 @@ struct Derived {
 
   void update(const Configuration& c) {
     for (uint8_t i = 0; i < kSensors; ++i) update_flex(c, i);
-    for (uint8_t side = 0; side < kSides; ++side) update_muscle(c, side);
+    for (uint8_t side = 0; side < kSides; ++side) {
+      update_gain(c, side);
+      update_reversal(c, side);
+      update_lag(c, side);
+    }
     update_spool(c);
+    update_drive(c);
     update_rest(c);
   }
 
@@ -77,9 +83,18 @@ struct Derived {
       update_spool(c);
     } else if (within(Param::kSlipUm, 1) || within(Param::kSpoolToleranceUm, 1)) {
       update_distances(c);
-    } else if (within(Param::kPressureSpan, kSides) || within(Param::kPressureFullCpsi, 1) ||
-               within(Param::kReversalCpsi, kSides) || within(Param::kLagMs, kSides)) {
-      for (uint8_t side = 0; side < kSides; ++side) update_muscle(c, side);
+    } else if (within(Param::kPressureSpan, kSides)) {
+      update_gain(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kPressureSpan)));
+    } else if (within(Param::kPressureFullCpsi, 1)) {
+      for (uint8_t side = 0; side < kSides; ++side) update_gain(c, side);
+    } else if (within(Param::kReversalCpsi, kSides)) {
+      update_reversal(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kReversalCpsi)));
+    } else if (within(Param::kLagMs, kSides)) {
+      update_lag(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kLagMs)));
+    } else if (within(Param::kDrive4maCpsi, 1) || within(Param::kDrive20maCpsi, 1)) {
+      update_drive(c);
+    } else if (within(Param::kSpoolAccelUmS2, 1)) {
+      update_acceleration(c);
     } else {
       update_rest(c);
     }
@@ -110,11 +125,6 @@ struct Derived {
         1);
   }
 
-  // Tip acceleration as profile steps: counts per control step and step, in 1/65536.
-  int32_t accel_q16(int32_t um_s2) const {
-    return greater<int32_t>(speed_q16(um_s2) / kControlHz, 1);
-  }
-
  private:
   void update_flex(const Configuration& c, uint8_t i) {
     // 1e-9/cm per ohm -> 1e-5/cm per 1/16 ohm: / 160000; times 65536 is 256 / 625.
@@ -124,11 +134,17 @@ struct Derived {
                                                                             : enabled_mask & ~bit);
   }
 
-  void update_muscle(const Configuration& c, uint8_t side) {
+  void update_gain(const Configuration& c, uint8_t side) {
     pressure_gain[side].set(static_cast<uint32_t>(c.get(Param::kPressureFullCpsi)),
                             static_cast<uint32_t>(c.get(Param::kPressureSpan, side)) * 5u);
+  }
+
+  void update_reversal(const Configuration& c, uint8_t side) {
     reversal_inverse_q24[side] =
         0x1000000u / static_cast<uint32_t>(c.get(Param::kReversalCpsi, side)) + 1;
+  }
+
+  void update_lag(const Configuration& c, uint8_t side) {
     // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
     const int32_t lag = c.get(Param::kLagMs, side);
     const int32_t alpha = 2 * kControlMs * 65536 / (2 * lag + kControlMs);
@@ -142,6 +158,11 @@ struct Derived {
     counts_per_um_q24 = static_cast<uint32_t>((scale << 16) / 1000000u);
     step_per_um_s_q32 = static_cast<uint32_t>((scale << 24) / (1000000u * uint64_t{kControlHz}));
     update_distances(c);
+    update_acceleration(c);
+  }
+
+  void update_acceleration(const Configuration& c) {
+    accel_q16 = greater<int32_t>(speed_q16(c.get(Param::kSpoolAccelUmS2)) / kControlHz, 1);
   }
 
   void update_distances(const Configuration& c) {
@@ -149,12 +170,15 @@ struct Derived {
     tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
   }
 
-  void update_rest(const Configuration& c) {
+  void update_drive(const Configuration& c) {
     // 16 mA of 20 mA is 4/5 of the full duty. A span too small for 16 bits is never armed.
     const int32_t span =
         greater<int32_t>(c.get(Param::kDrive20maCpsi) - c.get(Param::kDrive4maCpsi), 1300);
     drive_slope_q16 =
         static_cast<uint16_t>(static_cast<int32_t>(kDriveFull) * 65536 / 5 * 4 / span);
+  }
+
+  void update_rest(const Configuration& c) {
     slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
     stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
     stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);

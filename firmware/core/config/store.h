@@ -70,7 +70,7 @@ class ConfigStore {
     for (uint16_t i = 0; i < sizeof(Configuration); ++i) {
       image[i] = board.eeprom_read(static_cast<uint16_t>(kSlotAt[slot_] + kSlotHeader + i));
     }
-    if (configuration->first_conflict() >= 0) {
+    if (configuration->first_out_of_range() >= 0 || configuration->first_conflict() >= 0) {
       configuration->load_defaults();
       return LoadResult::kDamaged;
     }

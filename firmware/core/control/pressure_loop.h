@@ -83,6 +83,13 @@ class PressureLoop {
 
   // One control step; returns the duty 0..kDriveFull, or kOff.
   int16_t step(int16_t measured, const Configuration& c, const Derived& d) {
+    if (target_ == 0 && set_q8_ == 0 && follower_q12_ == 0) {
+      // At rest: nothing moves but what should not.
+      watch_following(0, measured, c.get(Param::kStuckCpsi), d.stuck_steps);
+      pid_.idle(measured);
+      output_ = kOff;
+      return output_;
+    }
     const int32_t goal = static_cast<int32_t>(target_) * 256;
     set_q8_ += limited<int32_t>(goal - set_q8_, -slew_q8_, slew_q8_);
     const int16_t set = set_cpsi();

@@ -51,48 +51,70 @@ THIGMO_NOINLINE inline uint16_t crc16(const uint8_t* bytes, uint8_t count) {
   return crc;
 }
 
-// Header, payload and check sequence of one frame, unstuffed.
+// Header and payload of one frame, unstuffed; behind them lies room for the check sequence.
 struct Frame {
   uint8_t bytes[protocol::kMaxFrame];
-  uint8_t size;  // 0 = none
+  uint8_t size;  // without the check sequence; 0 = none
 
   uint8_t id() const { return bytes[0]; }
   uint16_t seq() const { return protocol::detail::get16(bytes + 1); }
   uint16_t session() const { return protocol::detail::get16(bytes + 3); }
   const uint8_t* payload() const { return bytes + protocol::kHeaderSize; }
-  uint8_t payload_size() const {
-    return static_cast<uint8_t>(size - protocol::kHeaderSize - protocol::kCrcSize);
-  }
+  uint8_t payload_size() const { return static_cast<uint8_t>(size - protocol::kHeaderSize); }
 
-  // Fills the frame with a message and closes it.
+  // Fills the frame with a message.
   template <typename Message>
   void set(const Message& message, uint16_t seq, uint16_t session) {
     bytes[0] = Message::kId;
     protocol::detail::put16(bytes + 1, seq);
     protocol::detail::put16(bytes + 3, session);
     message.encode(bytes + protocol::kHeaderSize);
-    const uint8_t body = protocol::kHeaderSize + Message::kSize;
-    protocol::detail::put16(bytes + body, crc16(bytes, body));
-    size = static_cast<uint8_t>(body + protocol::kCrcSize);
+    size = protocol::kHeaderSize + Message::kSize;
   }
 };
 
-// Stuffs count bytes (at most 253) and ends them with the delimiter; out needs count + 2 bytes.
-// Returns the number of bytes written.
-THIGMO_NOINLINE inline uint8_t cobs_encode(const uint8_t* in, uint8_t count, uint8_t* out) {
-  uint8_t code_at = 0;
-  uint8_t length = 1;
-  for (uint8_t i = 0; i < count; ++i) {
-    if (in[i] == 0) {
-      out[code_at] = static_cast<uint8_t>(length - code_at);
-      code_at = length++;
+// Stuffs bytes into a wire frame.
+class Stuffer {
+ public:
+  explicit Stuffer(uint8_t* out) : out_(out), code_(out), next_(out + 1) {}
+
+  void put(uint8_t byte) {
+    if (byte == 0) {
+      close();
+      code_ = next_++;
     } else {
-      out[length++] = in[i];
+      *next_++ = byte;
     }
   }
-  out[code_at] = static_cast<uint8_t>(length - code_at);
-  out[length++] = 0;
-  return length;
+
+  // Ends the frame with the delimiter; returns the number of bytes.
+  uint8_t end() {
+    close();
+    *next_++ = 0;
+    return static_cast<uint8_t>(next_ - out_);
+  }
+
+ private:
+  void close() { *code_ = static_cast<uint8_t>(next_ - code_); }
+
+  uint8_t* const out_;
+  uint8_t* code_;  // where the length of the running block goes
+  uint8_t* next_;
+};
+
+// A frame as it goes on the wire, check sequence and delimiter added, in one pass over its bytes.
+// Returns the number of bytes, at most kMaxWire.
+THIGMO_NOINLINE inline uint8_t encode(const Frame& frame, uint8_t* wire) {
+  Stuffer stuffer(wire);
+  uint16_t crc = kCrcStart;
+  const uint8_t* const end = frame.bytes + frame.size;
+  for (const uint8_t* at = frame.bytes; at != end; ++at) {
+    crc = crc16_add(crc, *at);
+    stuffer.put(*at);
+  }
+  stuffer.put(static_cast<uint8_t>(crc));
+  stuffer.put(static_cast<uint8_t>(crc >> 8));
+  return stuffer.end();
 }
 
 // Unstuffs a stream byte by byte.
@@ -141,7 +163,7 @@ class FrameDecoder {
     if (crc16(frame_.bytes, body) != protocol::detail::get16(frame_.bytes + body)) {
       return Result::kBad;
     }
-    frame_.size = count;
+    frame_.size = body;
     return Result::kFrame;
   }
 

@@ -304,7 +304,7 @@ TEST(the_spool_arrives_within_its_tolerance) {
     SpoolLoop spool;
     Motor motor;
     const int32_t target = s.d.counts(um);
-    spool.start(0, target, s.d.speed_q16(20000), s.d.accel_q16(40000), kMotorFull);
+    spool.start(0, target, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
     SpoolLoop::Outcome outcome = SpoolLoop::Outcome::kMoving;
     int steps = 0;
     while (outcome == SpoolLoop::Outcome::kMoving && steps < 20000) {
@@ -324,7 +324,7 @@ TEST(the_spool_is_on_its_profile_while_it_grows) {
   Settings s;
   SpoolLoop spool;
   Motor motor;
-  spool.start(0, s.d.counts(100000), s.d.speed_q16(20000), s.d.accel_q16(40000), kMotorFull);
+  spool.start(0, s.d.counts(100000), s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
   for (int i = 0; i < 800; ++i) {
     if (spool.step(motor.read(), s.c, s.d) != SpoolLoop::Outcome::kMoving) break;
     motor.step(spool.duty());
@@ -339,7 +339,7 @@ TEST(a_jammed_spool_is_a_stall_and_a_pulled_one_is_braked) {
   SpoolLoop spool;
   Motor motor;
   motor.jammed = true;
-  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16(40000), kMotorFull);
+  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
   int steps = 0;
   while (spool.step(motor.read(), s.c, s.d) == SpoolLoop::Outcome::kMoving && steps < 1000) {
     motor.step(spool.duty());
@@ -351,7 +351,7 @@ TEST(a_jammed_spool_is_a_stall_and_a_pulled_one_is_braked) {
   // Air pulls harder than the profile: the loop brakes, it never winds in.
   Motor pulled;
   pulled.pull = 600;
-  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16(40000), kMotorFull);
+  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
   SpoolLoop::Outcome outcome = SpoolLoop::Outcome::kMoving;
   for (int i = 0; i < 2000 && outcome == SpoolLoop::Outcome::kMoving; ++i) {
     outcome = spool.step(pulled.read(), s.c, s.d);
@@ -364,7 +364,7 @@ TEST(a_jammed_spool_is_a_stall_and_a_pulled_one_is_braked) {
 TEST(a_spool_that_turns_the_wrong_way_is_a_stall) {
   Settings s;
   SpoolLoop spool;
-  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16(40000), kMotorFull);
+  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
   int32_t counts = 0;
   int steps = 0;
   while (spool.step(counts, s.c, s.d) == SpoolLoop::Outcome::kMoving && steps < 1000) {

@@ -130,7 +130,7 @@ void constants() {
     sum.add(derived.counts(dice.in(-500000, 500000)));
     sum.add(derived.um(dice.in(-20000, 20000)));
     sum.add(derived.speed_q16(dice.in(100, 200000)));
-    sum.add(derived.accel_q16(dice.in(100, 1000000)));
+    sum.add(derived.accel_q16);
   }
   sum.print("constants");
 }
@@ -173,8 +173,7 @@ void spool() {
     draw_configuration(round == 3);
     SpoolLoop loop;
     const int32_t target = round == 3 ? dice.in(-2000, 2000) : dice.in(-400, 400);
-    loop.start(0, target, derived.speed_q16(dice.in(2000, 50000)),
-               derived.accel_q16(dice.in(5000, 100000)), kMotorFull);
+    loop.start(0, target, derived.speed_q16(dice.in(2000, 50000)), derived.accel_q16, kMotorFull);
     int32_t counts = 0;
     for (uint16_t i = 0; i < 200; ++i) {
       sum.add(static_cast<uint8_t>(loop.step(counts, config, derived)));

@@ -29,7 +29,7 @@ inline std::vector<Frame> frames_of(FrameDecoder& decoder, const Bytes& bytes, i
 
 inline Bytes wire_of(const Frame& frame) {
   uint8_t wire[protocol::kMaxWire];
-  return Bytes(wire, wire + cobs_encode(frame.bytes, frame.size, wire));
+  return Bytes(wire, wire + encode(frame, wire));
 }
 
 template <typename Message>
@@ -55,7 +55,8 @@ void check_vector(const Message& message, uint16_t seq, uint16_t session, const 
   const Bytes wire = from_hex(wire_hex);
   Frame frame;
   frame.set(message, seq, session);
-  CHECK(Bytes(frame.bytes, frame.bytes + frame.size) == raw);
+  CHECK(Bytes(frame.bytes, frame.bytes + frame.size) == Bytes(raw.begin(), raw.end() - 2));
+  CHECK_EQUAL(crc16(frame.bytes, frame.size), raw[raw.size() - 2] | raw[raw.size() - 1] << 8);
   CHECK(wire_of(frame) == wire);
   FrameDecoder decoder;
   const std::vector<Frame> found = frames_of(decoder, wire);
@@ -96,12 +97,10 @@ TEST(stuffing_leaves_no_zero_and_comes_back) {
   std::mt19937 random(7);
   for (int i = 0; i < 20000; ++i) {
     Frame frame;
-    frame.size = static_cast<uint8_t>(7 + random() % (protocol::kMaxFrame - 6));
-    for (int k = 0; k < frame.size - 2; ++k) {
+    frame.size = static_cast<uint8_t>(5 + random() % (protocol::kMaxFrame - 6));
+    for (int k = 0; k < frame.size; ++k) {
       frame.bytes[k] = static_cast<uint8_t>(random() % 3 == 0 ? 0 : random());
     }
-    const uint8_t body = static_cast<uint8_t>(frame.size - 2);
-    protocol::detail::put16(frame.bytes + body, crc16(frame.bytes, body));
     const Bytes wire = wire_of(frame);
     CHECK(wire.size() <= protocol::kMaxWire);
     for (size_t k = 0; k + 1 < wire.size(); ++k) CHECK(wire[k] != 0);
@@ -303,14 +302,12 @@ TEST(unknown_ids_and_wrong_sizes_are_refused_once_each) {
   Frame odd;
   odd.set(protocol::ClearFaults{3}, 1, session);
   odd.bytes[0] = 0x7E;
-  protocol::detail::put16(odd.bytes + odd.size - 2, crc16(odd.bytes, odd.size - 2));
   device.take(wire_of(odd));
   std::vector<Frame> sent = device.give();
   CHECK_EQUAL(sent.size(), 1u);
   CHECK(ack_of(sent[0]).reason == protocol::Reason::kUnknownId);
   odd.set(protocol::ClearFaults{3}, 2, session);
   odd.bytes[0] = protocol::kArm;
-  protocol::detail::put16(odd.bytes + odd.size - 2, crc16(odd.bytes, odd.size - 2));
   device.take(wire_of(odd));
   sent = device.give();
   CHECK_EQUAL(sent.size(), 1u);
