@@ -76,7 +76,7 @@ def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> No
 
 def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -> None:
     again = replay(default.folder)
-    assert again.sweeps == 7  # six stages, and one measurement
+    assert again.sweeps == 13  # two sides at six stages, and one measurement
     assert again.bad_frames == 0
     (live,), (replayed,) = default.document.contacts, again.document.contacts
     assert replayed == live
@@ -146,7 +146,7 @@ def test_the_thesis_protocol_measures_at_the_full_sweeps_peak(tmp_path: Path) ->
         ]
         assert result.document.contacts
         assert (min(pressures) > 17) == (protocol == "thesis")
-    assert times["thesis"] < times["measure"]
+    assert times["measure"] < times["thesis"]
 
 
 @pytest.mark.parametrize(

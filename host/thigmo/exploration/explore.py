@@ -79,8 +79,9 @@ def explore(
         out: folder in which the run folder is made.
         name: of the run.
         realtime: pace the emulator by the clock.
-        protocol: "measure" sweeps a side with a contact again, to the pressure at which the contact
-            is felt best; "thesis" takes the readings at the full sweep's peak.
+        protocol: "measure" looks for contacts on the way up only, without waiting for young
+            sensors, and sweeps a side with a contact again, to the pressure at which the contact
+            is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: told what the robot is doing.
 
