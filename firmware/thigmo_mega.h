@@ -3,6 +3,13 @@
 #ifndef THIGMO_MEGA_H_
 #define THIGMO_MEGA_H_
 
+// Arduino.h, which the IDE puts before every sketch, defines macros with everyday names.
+#undef abs
+#undef bit
+#undef max
+#undef min
+#undef round
+
 #include "mega/mega_board.h"
 #include "mega/signature.h"
 // The core needs the board's access to flash tables, defined above.

@@ -175,9 +175,10 @@ class Sampler {
   static const Input* volatile next_;  // in flash
 
  private:
-  static constexpr uint16_t kTrigger = kTickCycles - 1728;  // 13.5 ADC clocks before the tick
-  static constexpr uint16_t kChain = kTrigger + 832;        // middle of the bandgap's conversion
-  static constexpr uint16_t kMiddle = kConversion / 2;      // middle of slot 0
+  // 13.5 ADC clocks before the tick; the flag rises a cycle after the match.
+  static constexpr uint16_t kTrigger = kTickCycles - 1728 - 1;
+  static constexpr uint16_t kChain = kTrigger + 832;    // middle of the bandgap's conversion
+  static constexpr uint16_t kMiddle = kConversion / 2;  // middle of slot 0
   static constexpr uint16_t kEnd = kAdcSlots * kConversion + 96;  // after the last slot
   static constexpr uint8_t kReference = _BV(REFS0);               // AVcc
   static constexpr uint8_t kBandgap = 0x1E;

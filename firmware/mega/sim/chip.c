@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "avr_extint.h"
 #include "avr_ioport.h"
 #include "sim_io.h"
 
@@ -215,6 +216,9 @@ static void after_reset(chip* c, int cause) {
   adc_reset(c);
   eeprom_reset(c);
   for (int v = 1; v < BRIDGE_VECTORS; v++) c->watch[v].requested = c->watch[v].accepted = NEVER;
+  // A pin that is low while its interrupt is level-triggered (as after reset) would be polled in
+  // every cycle.
+  for (uint8_t n = 0; n < 8; n++) avr_extint_set_strict_lvl_trig(avr, n, 0);
   for (int port = 0; port < PORTS; port++)
     for (int bit = 0; bit < 8; bit++)
       if (c->driven[port] >> bit & 1) drive(c, port, bit, c->level[port] >> bit & 1, true);
