@@ -9,6 +9,8 @@ from __future__ import annotations
 import shutil
 import struct
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,18 +117,33 @@ def build_image(baud: int = 250_000) -> Path:
     return make(folder, BUILD / name, f"BAUD={baud}")
 
 
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Only one process builds at a time (tests run beside each other)."""
+    BUILD.mkdir(parents=True, exist_ok=True)
+    with (BUILD / ".lock").open("w") as lock:
+        try:
+            import fcntl
+        except ImportError:  # not on Windows, where nobody builds twice at once
+            yield
+            return
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 def make(folder: Path, target: Path, *settings: str) -> Path:
     """Run a Makefile of the firmware.
 
     Raises:
         PortError: it failed; the message holds its first line.
     """
-    result = subprocess.run(
-        ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    with _alone():
+        result = subprocess.run(
+            ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     if result.returncode or not target.exists():
         lines = (result.stderr or result.stdout).strip().splitlines() or ["no message"]
         raise PortError(
