@@ -206,7 +206,8 @@ class Controller {
   uint16_t rx_overruns_ = 0;
   uint16_t overruns_seen_ = 0;
   uint16_t judged_conditions_ = 0;
-  uint16_t quiet_run_ = 0;  // ms below half the trigger's threshold
+  uint16_t quiet_run_ = 0;        // ms below half the trigger's threshold
+  int16_t side_e5_[kSides] = {};  // base curvature of each side, when last looked at
   int16_t base_e5_ = 0;
   int16_t free_e5_ = 0;
   State state_ = State::kBoot;
@@ -220,6 +221,7 @@ class Controller {
   uint8_t zeroing_next_ = 0;
   uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
   uint8_t peak_side_ = 0;
+  bool side_known_[kSides] = {};
   bool greeted_ = false;
   bool beaten_ = false;
   bool length_known_ = false;

@@ -259,18 +259,26 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
   uint8_t count = 0;
   bool wrinkled = false;
   for (uint8_t side = 0; side < kSides; ++side) {
+    const bool known = side_known_[side];
+    side_known_[side] = false;
     // The pressurised side wrinkles: its readings are worth nothing.
     if (!vented && side == active) continue;
     const uint8_t sensor = static_cast<uint8_t>(side * kSensorsPerSide);
     const uint16_t bit = static_cast<uint16_t>(side == 0 ? 1u : 1u << kSensorsPerSide);
     if ((usable & bit) == 0 || !base_sum_[side].full()) continue;
-    const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
-    sum += curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
+    // When both count, each is looked at on every second tick: the work of one a tick.
+    if (!vented || (tick_ & 1) == side || !known) {
+      const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
+      side_e5_[side] =
+          curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
+    }
+    side_known_[side] = true;
+    sum += side_e5_[side];
     ++count;
     // Nor is the other side's, while its muscle still empties after its own half.
     wrinkled = wrinkled || pressure_[side].cpsi() >= config_.get(Param::kVentCpsi);
   }
-  base_e5_ = static_cast<int16_t>(count == 2 ? sum / 2 : sum);
+  base_e5_ = static_cast<int16_t>(count == 2 ? sum >> 1 : sum);
   if (count == 0 || wrinkled || zone_ >= kZones || !may_energise(state_)) {
     trigger_.interrupt();
     return;

@@ -102,15 +102,19 @@ class Session {
   // long ever lies ahead of an event.
   const Frame* next(uint32_t tick, bool idle, EventQueue& events) {
     if (!open_) return nullptr;
+    // A crowd of events lets telemetry through between them, or some would be lost.
+    const bool crowd = telemetry_waits_ && events_in_row_ >= kCrowd;
     // Events of a session that its host does not know yet would be lost on it.
-    if (session_ != 0 && notice_.kind != Notice::kHello) {
+    if (session_ != 0 && notice_.kind != Notice::kHello && !crowd) {
       const protocol::Event* event = events.take_due(tick);
       if (event != nullptr) {
+        if (events_in_row_ < kCrowd) ++events_in_row_;
         scratch_.set(*event, 0, session_);
         return &scratch_;
       }
     }
     if (!idle) return nullptr;
+    if (crowd) return send_telemetry();
     if (pulse_waits_) {
       pulse_waits_ = false;
       scratch_.set(pulse_, 0, session_);
@@ -131,11 +135,7 @@ class Session {
       announce();
       return &scratch_;
     }
-    if (telemetry_waits_) {
-      telemetry_waits_ = false;
-      return &telemetry_;
-    }
-    return nullptr;
+    return telemetry_waits_ ? send_telemetry() : nullptr;
   }
 
   uint16_t session() const { return session_; }  // 0 before the first hello
@@ -148,6 +148,7 @@ class Session {
  private:
   static constexpr uint16_t kAnnounceMs = 500;
   static constexpr uint8_t kNonces = 8;
+  static constexpr uint8_t kCrowd = 2;
 
   // An answer that is not a command's reply, so that it must not displace the stored one.
   struct Notice {
@@ -275,6 +276,12 @@ class Session {
     }
   }
 
+  const Frame* send_telemetry() {
+    telemetry_waits_ = false;
+    events_in_row_ = 0;
+    return &telemetry_;
+  }
+
   void send_notice() {
     if (notice_.kind == Notice::kAck) {
       scratch_.set(protocol::Ack{notice_.status, notice_.reason, 0}, notice_.seq, notice_.session);
@@ -323,6 +330,7 @@ class Session {
   uint16_t last_seq_ = 0;
   uint16_t telemetry_seq_ = 0;
   uint8_t last_id_ = 0;
+  uint8_t events_in_row_ = 0;  // since the last telemetry, at most kCrowd
   uint8_t nonce_next_ = 0;
   uint8_t nonce_count_ = 0;
   bool open_ = false;

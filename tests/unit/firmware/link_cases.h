@@ -401,6 +401,18 @@ TEST(events_go_first_and_are_repeated_until_acknowledged) {
   CHECK_EQUAL(device.events.count(), 0);
 }
 
+TEST(a_crowd_of_events_lets_telemetry_through) {
+  Device device;
+  device.greet(1);
+  for (int i = 0; i < 6; ++i) device.events.post(protocol::EventCode::kEverted, 0, i, 0);
+  device.session.offer(protocol::Telemetry{});
+  const std::vector<Frame> sent = device.give();
+  CHECK_EQUAL(sent.size(), 7u);
+  for (int i = 0; i < 7; ++i) {
+    CHECK_EQUAL(sent[i].id(), i == 2 ? protocol::kTelemetry : protocol::kEvent);
+  }
+}
+
 TEST(a_full_event_queue_leaves_a_gap_and_keeps_the_oldest) {
   EventQueue events;
   for (int i = 0; i < EventQueue::kPlaces + 5; ++i) {
