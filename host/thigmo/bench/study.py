@@ -51,6 +51,17 @@ class Claim:
         """Whether the value keeps the promise."""
         return self.value <= self.limit if self.at_most else self.value >= self.limit
 
+    def record(self) -> dict[str, Any]:
+        """As plain data, for JSON."""
+        return {
+            "claim": self.text,
+            "value": self.value,
+            "limit": self.limit,
+            "at_most": self.at_most,
+            "unit": self.unit,
+            "holds": self.holds,
+        }
+
     def __str__(self) -> str:
         sign = "<=" if self.at_most else ">="
         verdict = "holds" if self.holds else "MISSED"
@@ -163,10 +174,7 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
             path = folder / f"{name}-{label}.png"
             figure.savefig(path, dpi=150)
             paths.append(path)
-        claims = [
-            {"claim": c.text, "value": c.value, "limit": c.limit, "unit": c.unit, "holds": c.holds}
-            for c in outcome.claims
-        ]
+        claims = [claim.record() for claim in outcome.claims]
         path = folder / f"{name}-claims.json"
         path.write_text(json.dumps(claims, indent=1))
         paths.append(path)

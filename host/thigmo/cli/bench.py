@@ -97,16 +97,7 @@ def bench(
             [
                 {
                     "study": name,
-                    "claims": [
-                        {
-                            "claim": claim.text,
-                            "value": claim.value,
-                            "limit": claim.limit,
-                            "unit": claim.unit,
-                            "holds": claim.holds,
-                        }
-                        for claim in outcome.claims
-                    ],
+                    "claims": [claim.record() for claim in outcome.claims],
                     "files": [str(path) for path in paths],
                 }
                 for name, outcome, paths in found

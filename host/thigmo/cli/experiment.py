@@ -62,7 +62,7 @@ def experiment(
 
 def _plain(result: Any) -> dict[str, Any]:
     rows = [{**vars(row), "allowed": row.allowed, "beaten": row.beaten} for row in result.rows]
-    claims = [{**vars(claim), "holds": claim.holds} for claim in result.claims]
+    claims = [claim.record() for claim in result.claims]
     return {"rows": rows, "claims": claims}
 
 
