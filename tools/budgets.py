@@ -2,7 +2,7 @@
 
     python tools/budgets.py             a table
     python tools/budgets.py --json      one JSON object
-    python tools/budgets.py --check     compare with tools/budgets.json; exit 1 if anything got worse
+    python tools/budgets.py --check     compare with tools/budgets.json; exit 1 if worse
     python tools/budgets.py --update    write tools/budgets.json
 
 Cycles are exact and the same in each run, so the ratchet is tight: a figure may not be worse than
@@ -97,8 +97,8 @@ class Rig(SimulatedMega):
         at = np.concatenate([times for _, times in self.wire])
         decoder, out, start = Decoder(), [], 0
         for end in np.flatnonzero(np.frombuffer(data, np.uint8) == 0):
-            for frame in decoder.feed(data[start : end + 1]):
-                out.append((frame.message(), int(at[end])))
+            found = decoder.feed(data[start : end + 1])
+            out.extend((frame.message(), int(at[end])) for frame in found)
             start = int(end) + 1
         return out
 
@@ -132,7 +132,9 @@ def symbols() -> dict[str, int]:
     listing = subprocess.run(
         ["avr-nm", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
     ).stdout
-    return {p[2]: int(p[0], 16) & 0xFFFF for line in listing.splitlines() if len(p := line.split()) == 3}
+    return {
+        p[2]: int(p[0], 16) & 0xFFFF for line in listing.splitlines() if len(p := line.split()) == 3
+    }
 
 
 def memory() -> list[Figure]:
@@ -263,7 +265,9 @@ def throughput(rig: Rig) -> list[Figure]:
     return [
         Figure("link up, both ways full", round(up), "byte/s"),
         Figure("link down, both ways full", round(down / seconds), "frame/s"),
-        Figure("frames lost at that", sent + 1 - down + after.rx_overruns - before.rx_overruns, "", 0),
+        Figure(
+            "frames lost at that", sent + 1 - down + after.rx_overruns - before.rx_overruns, "", 0
+        ),
     ]
 
 
@@ -302,7 +306,7 @@ def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
     robot.wait(1.2)
     trace = chip.take_trace()
     last = int(trace["tick"][-1])
-    level = int(round(float(np.mean(trace["count"][trace["channel"] == 5][-50:]))))
+    level = round(float(np.mean(trace["count"][trace["channel"] == 5][-50:])))
     first = last + 8
     if with_step:
         table = np.full((400, CHANNELS), NO_COUNT, dtype=np.uint16)
@@ -366,7 +370,9 @@ def slack(committed: float) -> float:
 
 def compare(figures: list[Figure], committed: dict[str, float]) -> list[str]:
     """What is wrong with the figures."""
-    wrong = [f"{f.name}: {f.value:g} {f.unit}, the limit is {f.limit:g}" for f in figures if not f.kept]
+    wrong = [
+        f"{f.name}: {f.value:g} {f.unit}, the limit is {f.limit:g}" for f in figures if not f.kept
+    ]
     for f in figures:
         if f.name not in committed:
             wrong.append(f"{f.name} is not in {RATCHET.name}: run tools/budgets.py --update")
@@ -376,7 +382,9 @@ def compare(figures: list[Figure], committed: dict[str, float]) -> list[str]:
         if worse > slack(was):
             wrong.append(f"{f.name}: {f.value:g} {f.unit}, was {was:g}")
         elif -worse > 5 * slack(was):
-            wrong.append(f"{f.name} improved from {was:g} to {f.value:g}: run --update to keep that")
+            wrong.append(
+                f"{f.name} improved from {was:g} to {f.value:g}: run --update to keep that"
+            )
     return wrong
 
 
@@ -392,7 +400,9 @@ def main() -> int:
     else:
         for f in figures:
             limit = "" if f.limit is None else f"{'>=' if f.least else '<='} {f.limit:g}"
-            print(f"{f.name:42} {f.value:>10g} {f.unit:8} {limit:10} {'' if f.kept else 'EXCEEDED'}")
+            print(
+                f"{f.name:42} {f.value:>10g} {f.unit:8} {limit:10} {'' if f.kept else 'EXCEEDED'}"
+            )
     if options.update:
         RATCHET.write_text(json.dumps({f.name: f.value for f in figures}, indent=2) + "\n")
     if options.check:
