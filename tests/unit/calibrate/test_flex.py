@@ -9,6 +9,7 @@ import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS, Lab
 
 from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex, merge, tip_curvature
+from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
@@ -113,7 +114,8 @@ def test_tip_on_the_wrong_side_is_detected(asked):
         want[:] = np.nan
     result = fit_flex(replace(readings, tip_cm=tip, intended_y_cm=want), lab.config)
     assert not result.row_good[row]
-    assert any("side" in note for note in result.verdict.notes)
+    said = "on the other side than asked for" if asked else "the sensors say"
+    assert any(said in note for note in result.verdict.notes)
     assert np.abs(errors(result, lab)).max() < 0.05
 
 
@@ -185,6 +187,33 @@ def test_bad_input_is_refused_with_a_next_step(tmp_path):
         fit_flex(lab.flex(places=1, bends=0, straight=1), lab.config)
     with pytest.raises(DataError, match="cannot stand"):
         tip_curvature(50.0, 10.0, LENGTH, CENTERS, SPANS)
+
+
+def test_loop_turns_over_within_its_width_and_starts_anew_in_a_session():
+    model = np.array([[0.0], [0.02], [0.018], [0.0], [0.0], [-0.02]])
+    held = model.copy()
+    turn = loop_turns(model, np.array([0, 0, 0, 0, 1, 1]), 5e-3)[:, 0]
+    assert (model == held).all()
+    assert turn[:4] == pytest.approx([0, 0.98, -1 + 1.98 * np.exp(-0.4), -0.96], abs=0.02)
+    assert turn[4:] == pytest.approx([0, -0.98], abs=0.01)
+
+
+def test_loop_and_one_way_column_are_found_with_the_scale():
+    lab = Lab(11, sigma=1e-4)
+    readings = lab.flex(places=16, bends=24)
+    model = fit_flex(readings, lab.config).model_curvature
+    loop = lab.rng.normal(0, 4e-4, 10)
+    turn = loop_turns(model, readings.block, 5e-3)
+    weak = np.where(model * np.repeat([-1, 1], 5) < 0, 0.6, 1.0)
+    k = model * weak + loop * turn
+    wrinkled = np.array([[a == side for side in ["left"] * 5 + ["right"] * 5]
+                         for a in readings.active])  # fmt: skip
+    k = np.where(wrinkled, 0.3 * k + 0.01 * np.sin(400 * model), k)
+    result = fit_flex(replace(readings, ohm=lab.ohm(k)), lab.config)
+    assert [f.valid_direction for f in result.sensors] == [-1] * 5 + [1] * 5
+    assert np.abs(errors(result, lab)).max() < 0.015
+    found = np.array([f.hysteresis for f in result.sensors])
+    assert np.corrcoef(found, loop)[0, 1] > 0.8
 
 
 def test_merge_and_figure(tmp_path):
