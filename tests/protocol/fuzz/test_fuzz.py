@@ -1,0 +1,53 @@
+"""The fuzz targets, built and run for a while over the committed corpus; any finding fails.
+
+More: `make -C tests/protocol/fuzz run RUNS=1000000`, then `make keep`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+BUILD = HERE.parents[2] / "build" / "fuzz"
+RUNS = {"decoder": 30_000, "commands": 3_000}
+
+
+def missing() -> str:
+    """Why the targets cannot be built here; empty if they can."""
+    if shutil.which("clang++") is None or shutil.which("make") is None:
+        return "clang or make is not installed"
+    probe = subprocess.run(
+        ["clang++", "-fsanitize=fuzzer,address", "-x", "c++", "-", "-o", "/dev/null"],
+        input='extern "C" int LLVMFuzzerTestOneInput(const char*, unsigned long) { return 0; }',
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return "libFuzzer (libclang-rt-dev) is not installed" if probe.returncode else ""
+
+
+@pytest.fixture(scope="module")
+def targets() -> Path:
+    reason = missing()
+    if reason:
+        pytest.skip(f"fuzzing: {reason}")
+    subprocess.run(["make", "-s", "-C", str(HERE), f"BUILD={BUILD}"], check=True)
+    return BUILD
+
+
+@pytest.mark.timeout(100)
+@pytest.mark.parametrize("target", RUNS)
+def test_nothing_is_found(targets: Path, target: str, tmp_path: Path) -> None:
+    found = tmp_path / "found"
+    found.mkdir()
+    command = [str(targets / target), f"-runs={RUNS[target]}", "-seed=1", "-max_len=600"]
+    command += ["-timeout=10", f"-artifact_prefix={tmp_path}/", str(found)]
+    result = subprocess.run(
+        [*command, str(HERE / "corpus" / target)], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr[-4000:]
+    assert f"Done {RUNS[target]} runs" in result.stderr
