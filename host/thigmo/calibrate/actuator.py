@@ -31,6 +31,7 @@ BRANCHES: tuple[Branch, Branch] = ("inflate", "deflate")
 
 _REJECT = 4.0
 _ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
+_DAYS_SE = 2e-4  # 1/cm, what differs from day to day and no session can show [a guess]
 
 
 @dataclass(frozen=True)
@@ -307,7 +308,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     full = float(inflate.curvature(float(p[finite].max())))
     verdict = _verdict(readings, g_se, full, out, int(finite.sum()), moved, notes)
     zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi, inflate=inflate, deflate=deflate)
-    return ActuatorResult(readings, zone, g_se, full, max(spread, 1e-5), used, verdict)
+    return ActuatorResult(readings, zone, g_se, full, max(spread, _DAYS_SE), used, verdict)
 
 
 def _verdict(

@@ -113,7 +113,7 @@ def fit_noise(
         if part is None:
             notes.append(f"{side} {k}: no readings")
             continue
-        white, white_se, drift, slow, dropouts = part
+        white, white_se, drift, drift_se, slow, dropouts = part
         per = _spread(zeros, column)
         gap = float("nan")
         if rising is not None and falling is not None:
@@ -121,7 +121,7 @@ def fit_noise(
         found.append(SensorNoise(side, k, white, white_se, drift, slow, per, gap, dropouts))
         if dropouts > 0.05:
             notes.append(f"{side} {k}: {100 * dropouts:.0f} % wild readings; check its wire")
-        if abs(drift) > 5e-4:
+        if abs(drift) > max(5e-4, 4 * drift_se):
             notes.append(f"{side} {k} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
     return NoiseResult(tuple(found), _verdict(found, notes))
 
@@ -134,8 +134,8 @@ def _spread(zeros: Array | None, column: int) -> float:
     return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
 
 
-def _rest(t: Array, y: Array) -> tuple[float, float, float, float, float] | None:
-    """White sigma and its error, drift a minute, slow scatter, share of wild readings."""
+def _rest(t: Array, y: Array) -> tuple[float, float, float, float, float, float] | None:
+    """White sigma and its error, drift a minute and its error, slow scatter, share of wild ones."""
     finite = np.isfinite(y) & np.isfinite(t)
     if finite.sum() < 20:
         return None
@@ -152,7 +152,8 @@ def _rest(t: Array, y: Array) -> tuple[float, float, float, float, float] | None
     blocks = level[: len(level) // 10 * 10].reshape(-1, 10).mean(axis=1)
     extra = float(blocks.var(ddof=1)) - white**2 / 10 if len(blocks) > 2 else 0.0
     slow = float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0
-    return white, white_se, drift, slow, float(1 - calm.mean())
+    drift_se = 60 * white / float(np.sqrt(len(quiet)) * quiet_t.std())
+    return white, white_se, drift, drift_se, slow, float(1 - calm.mean())
 
 
 def _verdict(found: Sequence[SensorNoise], notes: list[str]) -> Verdict:
