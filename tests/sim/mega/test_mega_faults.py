@@ -128,8 +128,12 @@ def sweeping(scene: Scene, eeprom: bytes) -> Rig:
 
 
 def notice_reset(rig: Rig) -> None:
-    """The board starts again, and the client says so."""
-    rig.pass_ms(1500)
+    """The board starts again, and the client says so.
+
+    The host has to fall silent for it: each byte that the boot loader hears restarts its wait.
+    """
+    rig.transport.stop_heartbeat()
+    rig.pass_ms(6500)
     with pytest.raises(BoardResetError):
         rig.client.request(wire.GetStatus())
 
