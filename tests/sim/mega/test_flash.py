@@ -36,13 +36,17 @@ def image() -> Path:
 
 def patched(image: Path, target: Path, old: bytes, new: bytes) -> Path:
     """A copy of an image with some bytes replaced."""
+
+    def record(kind: int, address: int, data: bytes) -> str:
+        content = bytes([len(data), *(address & 0xFFFF).to_bytes(2, "big"), kind]) + data
+        return f":{content.hex()}{-sum(content) & 255:02x}"
+
     lines = []
-    blocks = [(start, data.replace(old, new)) for start, data in mega_build.read_hex(image)]
-    for start, data in blocks:
+    for start, content in mega_build.read_hex(image):
+        data = content.replace(old, new)
         for at in range(0, len(data), 16):
-            part = data[at : at + 16]
-            record = bytes([len(part), *(start + at).to_bytes(2, "big"), 0]) + part
-            lines.append(f":{record.hex()}{-sum(record) & 255:02x}")
+            lines.append(record(4, 0, ((start + at) >> 16).to_bytes(2, "big")))
+            lines.append(record(0, start + at, data[at : at + 16]))
     target.write_text("\n".join([*lines, ":00000001ff"]))
     return target
 
