@@ -398,7 +398,15 @@ def main() -> int:
     options = parser.parse_args()
     figures = measure()
     if options.json:
-        print(json.dumps({f.name: asdict(f) | {"kept": f.kept} for f in figures}, indent=2))
+        print(
+            json.dumps(
+                {
+                    f.name: asdict(f) | {"value": float(f.value), "kept": bool(f.kept)}
+                    for f in figures
+                },
+                indent=2,
+            )
+        )
     else:
         for f in figures:
             limit = "" if f.limit is None else f"{'>=' if f.least else '<='} {f.limit:g}"

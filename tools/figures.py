@@ -108,7 +108,9 @@ def _budgets(found: dict[str, Any]) -> list[Row]:
 
 
 def _number(value: float | None) -> str:
-    return "unbounded" if value is None else f"{value:.3g}" if abs(value) < 1e4 else f"{value:.0f}"
+    if value is None:
+        return "unbounded"
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 THIGMO = ".venv/bin/thigmo"

@@ -1,0 +1,35 @@
+"""The host explores with the real image: the last growth stage of the default room.
+
+Both boards run the same controller; the Mega's encoder edges, PWM and UART are its own, so the
+contact must be the same one, at the same place within the reading's noise.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from thigmo.emulator.scene import SCENES
+from thigmo.exploration import explore
+
+
+@pytest.mark.timeout(240)
+def test_the_last_stage_finds_the_same_contact_on_both_boards(tmp_path: Path) -> None:
+    room = tmp_path / "last_stage.toml"
+    text = (SCENES / "default.toml").read_text()
+    head, _, rest = text.partition("\n[")
+    kept = [line for line in head.splitlines() if not line.startswith("start_length_cm")]
+    room.write_text("\n".join([*kept, "start_length_cm = 50.0"]) + "\n[" + rest)
+    found = {
+        board: explore(f"{board}://{room}", seed=1, out=tmp_path, name=board).document
+        for board in ("emulator", "mega-sim")
+    }
+    for document in found.values():
+        assert document.outcome == "full length"
+        assert len(document.contacts) == 1
+        assert document.error_x_cm is not None
+        assert document.error_x_cm < 3.0
+    virtual, mega = (found[board].contacts[0] for board in ("emulator", "mega-sim"))
+    assert mega.side == virtual.side
+    assert mega.arc_cm == pytest.approx(virtual.arc_cm, abs=1.5)
