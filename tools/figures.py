@@ -85,7 +85,7 @@ def _claims(found: list[dict[str, Any]]) -> list[Row]:
             verdict = "" if claim["holds"] else "; **missed**"
             rows.append(
                 (
-                    claim["claim"],
+                    claim["claim"].replace("|", "\\|"),
                     f"{_number(claim['value'])} {claim['unit']}".strip(),
                     f"promised {sign} {_number(claim['limit'])}{verdict}",
                 )
