@@ -21,7 +21,7 @@ from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ConfigError, LinkError
-from thigmo.link.heart import Beat, Heart
+from thigmo.link.heart import HOLD_AFTER, Beat, Heart
 from thigmo.mechanics import Peg
 
 if TYPE_CHECKING:
@@ -147,6 +147,8 @@ class EmulatorTransport:
         data = lockstep.board.read()
         if data:
             self._received += data
+            if self._heart is not None:
+                self._heart.heard()
             self.read_s = self.now()
         if self._realtime:
             ahead = self.now() - (time.monotonic() - self._began)
@@ -155,7 +157,7 @@ class EmulatorTransport:
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
         """Beat by the virtual clock from now on."""
-        self._heart = Heart(session, period_s)
+        self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
 
     def stop_heartbeat(self) -> None:
         """Beat no more."""

@@ -23,6 +23,9 @@ class Beat(NamedTuple):
     t_s: float
 
 
+HOLD_AFTER = 4  # beats unheard after which a board counts as mute
+
+
 @dataclass(slots=True)
 class Heart:
     """Beats of one session.

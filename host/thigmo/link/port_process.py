@@ -23,7 +23,7 @@ from typing import IO
 
 import serial
 
-from thigmo.link.heart import Heart
+from thigmo.link.heart import HOLD_AFTER, Heart
 from thigmo.link.pipe import BEAT, START, Kind, read_packet, write_packet
 
 LEASE_S = 30.0
@@ -31,7 +31,6 @@ _READ_S = 0.02
 _READ_BYTES = 4096
 _BACKLOG_BYTES = 4 << 20  # five minutes of telemetry for a host that does not read
 _TICK_S = 0.02
-_HOLD_AFTER = 4
 
 
 class Outbox:
@@ -177,7 +176,7 @@ class PortProcess:
             elif packet.kind == Kind.START:
                 session, period_s = START.unpack(packet.data)
                 with self._heart_lock:
-                    self._heart = Heart(session, period_s, hold_after=_HOLD_AFTER)
+                    self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
             elif packet.kind == Kind.STOP:
                 with self._heart_lock:
                     self._heart = None
