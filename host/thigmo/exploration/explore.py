@@ -39,12 +39,19 @@ class ExplorationResult:
     length_cm: float
 
     def as_json(self) -> dict[str, Any]:
-        """The object that `thigmo explore --json` prints: the document without its shapes."""
+        """The object that `thigmo explore --json` prints: the document without its shapes.
+
+        A contact's `everted_length_cm` is the length at which it was first felt, its
+        `measured_length_cm` the one at which it was last measured.
+        """
         plain = asdict(self.document)
         for stage in plain["stages"]:
             del stage["shapes"]
         for contact in plain["contacts"]:
             del contact["track"]
+            measured = contact["everted_length_cm"]
+            contact["measured_length_cm"] = measured
+            contact["everted_length_cm"] = min([measured, *contact["merged"]])
         wall = max(self.document.wall_time_s, 1e-9)
         return {
             **plain,
