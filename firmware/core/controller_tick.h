@@ -291,7 +291,8 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
   } else {
     quiet_run_ = 0;
   }
-  if (!trigger_.update(difference, threshold,
+  const int32_t held_back = active == 0 ? -difference : difference;
+  if (!trigger_.update(vented ? magnitude(difference) : held_back, threshold,
                        static_cast<uint16_t>(config_.get(Param::kTriggerDebounceMs)))) {
     return;
   }

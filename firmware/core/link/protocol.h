@@ -1177,7 +1177,8 @@ enum class Param : uint16_t {
                 // (ms) [2]
   kReversalCpsi =
       64,  // Pressure change over which the inflate map turns into the deflate map. (0.01 psi) [2]
-  kTriggerE5 = 66,  // Contact threshold (thesis: 0.005 1/cm). (1e-5/cm)
+  kTriggerE5 = 66,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back,
+                    // or a vented one pushed. (1e-5/cm)
   kTriggerDebounceMs =
       67,  // The threshold must be passed for so long, counted in samples of 1 ms. (ms)
   kTriggerFilterLog2 =

@@ -1,5 +1,9 @@
 // The contact trigger: base curvature away from free curvature for long enough.
 //
+// While a muscle bends the body only a base that is held back counts: what stands in the way of a
+// bend takes curvature from it. A base that bends further than the map says is the map's error. A
+// body at rest may be pushed either way.
+//
 // Works on the base sensors' conversions of every tick, averaged over the last 2^n of them, because
 // one ADC count is a third of the threshold. The average of more than 32 samples moves in blocks of
 // 2^(n-5) samples, so that 32 places a sensor hold any width.
@@ -61,9 +65,10 @@ class MovingSum {
 // Debounce and latch.
 class ContactTrigger {
  public:
-  // One sample of base minus free curvature; true when it fires. It fires once, until rearm().
-  bool update(int32_t difference_e5, int32_t threshold_e5, uint16_t debounce_samples) {
-    if (magnitude(difference_e5) <= threshold_e5) {
+  // One sample of the curvature that is missing or in excess; true when it fires. It fires once,
+  // until rearm().
+  bool update(int32_t excess_e5, int32_t threshold_e5, uint16_t debounce_samples) {
+    if (excess_e5 <= threshold_e5) {
       run_ = 0;
       return false;
     }

@@ -1908,7 +1908,10 @@ PARAMETERS: dict[str, Parameter] = {
             10,
             10000,
             (500,),
-            "Contact threshold (thesis: 0.005 1/cm).",
+            (
+                "Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back, or "
+                "a vented one pushed."
+            ),
         ),
         Parameter(
             "trigger_debounce_ms",

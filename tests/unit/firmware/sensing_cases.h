@@ -238,8 +238,9 @@ TEST(the_trigger_fires_once_after_its_debounce) {
     ContactTrigger trigger;
     for (int i = 1; i < debounce; ++i) CHECK(!trigger.update(501, 500, debounce));
     CHECK(!trigger.update(500, 500, debounce));  // at the threshold is not beyond it
-    for (int i = 1; i < debounce; ++i) CHECK(!trigger.update(-501, 500, debounce));
-    CHECK(trigger.update(-501, 500, debounce));
+    for (int i = 0; i < 100; ++i) CHECK(!trigger.update(-900, 500, debounce));  // further is none
+    for (int i = 1; i < debounce; ++i) CHECK(!trigger.update(501, 500, debounce));
+    CHECK(trigger.update(501, 500, debounce));
     CHECK(trigger.latched());
     for (int i = 0; i < 100; ++i) CHECK(!trigger.update(900, 500, debounce));
     trigger.rearm();

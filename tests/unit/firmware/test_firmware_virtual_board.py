@@ -303,6 +303,24 @@ def test_the_trigger_fires_after_filter_and_debounce_ticks(filter_log2: int, deb
     assert got == pytest.approx(0.25 * 2**filter_log2 + debounce, abs=1 + 0.05 * 2**filter_log2)
 
 
+@pytest.mark.parametrize("side", [wire.Side.LEFT, wire.Side.RIGHT])
+@pytest.mark.parametrize(("held_back", "fires"), [(0.008, True), (-0.008, False)])
+def test_only_a_base_that_is_held_back_in_its_bend_fires(
+    side: wire.Side, held_back: float, fires: bool
+) -> None:
+    """A peg takes curvature from the bend; a base that bends further is the map's error."""
+    bench = Bench(body=bend)
+    bench.zeroed()
+    psi = (1500, 0) if side == wire.Side.LEFT else (0, 1500)
+    bench.do(wire.Sweep(*psi, 8000, 1, 0))
+    towards = 1.0 if side == wire.Side.LEFT else -1.0
+    bench.body = lambda left, right: (
+        bend(left, right) - towards * held_back * (max(left, right) > 8.0)
+    )
+    bench.step(8000)
+    assert bool(bench.event(wire.EventCode.CONTACT)) == fires
+
+
 def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None:
     bench = Bench(body=bend)
     bench.zeroed()
