@@ -1,14 +1,20 @@
 // Watchdog, and why the chip last started.
 //
-// The boot loader clears MCUSR before it starts us, so the cause is mostly derived from a record in
-// RAM that no start-up code touches (.noinit): whether it survived, how long the main loop had been
+// The boot loader clears MCUSR before it starts us. After a watchdog's reset it means to start us
+// at once, by an indirect call to address 0; but EIND is 1 there, so the call ends at 0x20000. The
+// linker puts thigmo_watchdog_entry() to that place: it hands over the MCUSR that the boot loader
+// still holds, and starts the program, without the boot loader's second of waiting. (An empty flash
+// there runs on into the boot loader, and what an older program left there, for an upload erases
+// only what it writes, would be run.)
+//
+// All other causes, and a watchdog's under another boot loader, are derived from a record in RAM
+// that no start-up code touches (.noinit): whether it survived, how long the main loop had been
 // silent, and what the supply was. .noinit lies behind .data and .bss, hence above the boot
 // loader's variables (0x200..0x20D) and far below its stack (the top 400 bytes); tests/sim checks
 // both.
 //
-// What it cannot tell: a hang with interrupts off stops the tick as well, and so looks like a press
-// of the reset button. The watchdog resets the chip all the same: it runs in pure reset mode,
-// because its interrupt mode never resets a chip whose interrupts are off.
+// The watchdog runs in pure reset mode: its interrupt would need interrupts, and those may be what
+// hangs.
 #ifndef THIGMO_MEGA_RESTART_H_
 #define THIGMO_MEGA_RESTART_H_
 
@@ -25,7 +31,7 @@ struct RestartRecord {
   uint32_t magic;
   volatile uint16_t silent_ms;  // since the main loop last kicked the watchdog
   volatile uint8_t supply_low;  // at the last look
-  uint8_t mcusr;                // of this start, before it was cleared
+  uint8_t mcusr;                // of this start, before it was cleared; the entry's included
 };
 RestartRecord restart_record __attribute__((section(".noinit")));
 
@@ -74,10 +80,20 @@ protocol::ResetCause Restart::cause_;
 }  // namespace mega
 }  // namespace thigmo
 
+// Where the boot loader goes after a watchdog's reset, its copy of MCUSR in r25 (stk500boot.c of
+// 2011, the one that Arduino ships: `sbrs r25, 3` decides for the call). GPIOR2 is 0 after any
+// reset. The Makefile tells the linker the place (with the Arduino IDE: README.md).
+extern "C" void thigmo_watchdog_entry()
+    __attribute__((naked, used, externally_visible, section(".watchdog_entry")));
+extern "C" void thigmo_watchdog_entry() {
+  __asm__ volatile("out %0, r25\n\tjmp 0" : : "I"(_SFR_IO_ADDR(GPIOR2)));
+}
+
 // Before any constructor, and before the watchdog, which stays on after its own reset, can bite.
 extern "C" void thigmo_first_instructions() __attribute__((naked, used, section(".init3")));
 extern "C" void thigmo_first_instructions() {
-  thigmo::mega::restart_record.mcusr = MCUSR;
+  thigmo::mega::restart_record.mcusr = MCUSR | GPIOR2;
+  GPIOR2 = 0;
   MCUSR = 0;
   wdt_disable();
 }

@@ -335,6 +335,18 @@ def test_a_reset_while_nothing_is_asked_is_told_as_well(
         wait(client, 2.0)
 
 
+def test_a_reset_is_told_even_after_a_command_that_found_no_answer(
+    client: Client, device: ReferenceDevice
+) -> None:
+    device.silent = True  # in its boot loader
+    with pytest.raises(CommandTimeoutError):
+        client.request(wire.GetParameter(SETTLE))
+    device.silent = False
+    device.reset(wire.ResetCause.EXTERNAL)
+    with pytest.raises(BoardResetError, match="external"):
+        wait(client, 2.0)
+
+
 def test_a_reset_whose_announces_are_lost_shows_in_the_next_hello(
     client: Client, device: ReferenceDevice, transport: LoopTransport
 ) -> None:

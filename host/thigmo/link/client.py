@@ -106,6 +106,7 @@ class Client(Inbox):
         self._outstanding: _Outstanding | None = None
         self._broken: LinkError | None = None
         self._talking = False  # a session is open and no time-out has spoilt it
+        self._connected = False  # a hello was answered, and no other `connect` has begun
         self._announce: wire.Announce | None = None
         self._other_hash: int | None = None
         self._nonces: deque[int] = deque(maxlen=_NONCES)
@@ -128,7 +129,7 @@ class Client(Inbox):
 
     def close(self) -> None:
         """Stop the heart and close the transport. Commands nothing: the board's own limit acts."""
-        self._talking = False
+        self._talking = self._connected = False
         self.transport.close()
 
     @property
@@ -166,7 +167,7 @@ class Client(Inbox):
         self._check_reentry()
         self.transport.stop_heartbeat()
         self._broken = None
-        self._talking = False
+        self._talking = self._connected = False
         self._outstanding = None
         self._announce = None
         garbage = self._decoder.garbage
@@ -305,7 +306,7 @@ class Client(Inbox):
         if reply.boot_nonce not in self._nonces:
             self._nonces.append(reply.boot_nonce)
         self._begin_session(reply.session, new_boot)
-        self._talking = True
+        self._talking = self._connected = True
         self.stats.hellos += 1
         self.transport.start_heartbeat(reply.session, self._heartbeat_s)
 
@@ -315,6 +316,7 @@ class Client(Inbox):
         if before is None:
             raise LinkError("no conversation with a board yet", "connect first")
         if self._say_hello(until_s - self.now()) is None:
+            self._raise_if_broken()
             raise failures.timed_out(command, limit_s)
         if self.hello.boot_nonce != before.boot_nonce:
             raise failures.restarted(self.hello.reset_cause)
@@ -428,7 +430,7 @@ class Client(Inbox):
         if message.boot_nonce in self._nonces:
             return  # heard before: it waits for a hello, or is a replay
         self._nonces.append(message.boot_nonce)
-        if self._talking:  # a new boot
+        if self._connected:  # a new boot
             self._talking = False
             self._outstanding = None
             self._broken = failures.restarted(message.reset_cause)

@@ -94,7 +94,8 @@ def read_image(path: Path) -> Image:
             f"{path} needs {end} bytes and the board has {LARGEST}", "build it with the Makefile"
         )
     schema, protocol, _board, *version = _SIGNATURE.unpack_from(found)
-    return Image(path, end, schema, protocol, (version[0], version[1], version[2]))
+    size = sum(len(data) for _, data in blocks)
+    return Image(path, size, schema, protocol, (version[0], version[1], version[2]))
 
 
 def build_image(baud: int = 250_000) -> Path:

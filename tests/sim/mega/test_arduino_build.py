@@ -11,7 +11,7 @@ import pytest
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder
-from thigmo.link.image import ROOT, read_image
+from thigmo.link.image import ROOT, read_hex, read_image
 
 HARDWARE = Path("/usr/share/arduino/hardware")
 BUILDER = Path("/usr/share/arduino-builder")
@@ -40,8 +40,10 @@ def sketch(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "compiler.path": "/usr/bin/",
         "tools.ctags.path": "/usr/bin",
         "tools.ctags.cmd.path": "/usr/bin/arduino-ctags",
-        # WString.cpp of the core needs the first with this avr-libc; the second is the README's.
+        # WString.cpp of the core needs the first with this avr-libc; the rest is the README's.
         "compiler.cpp.extra_flags": "-DDECIMAL_DIG=__DECIMAL_DIG__ -std=gnu++14",
+        "compiler.c.elf.extra_flags": "-Wl,--undefined=thigmo_watchdog_entry,"
+        "--section-start=.watchdog_entry=0x20000",
     }
     command = ["arduino-builder", "-compile", "-hardware", str(hardware), "-tools", str(hardware)]
     command += ["-tools", "/usr/bin", "-libraries", str(libraries)]
@@ -58,6 +60,10 @@ def test_the_sketch_builds_and_carries_the_signature(sketch: Path) -> None:
     image = read_image(sketch)
     assert image.schema_hash == wire.SCHEMA_HASH
     assert image.size < 120_000
+
+
+def test_the_sketch_has_its_watchdog_entry_where_the_boot_loader_calls(sketch: Path) -> None:
+    assert 0x20000 in {address for address, _ in read_hex(sketch)}, "compiler.c.elf.extra_flags"
 
 
 def test_the_sketch_starts_and_announces_itself(sketch: Path) -> None:
