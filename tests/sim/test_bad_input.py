@@ -228,6 +228,16 @@ def test_a_folder_that_cannot_be_written(thigmo: Thigmo, tmp_path: Path, place: 
     one_line(ran, "--out")
 
 
+@pytest.mark.parametrize("given", ["no-such-run", "room.yaml", "."])
+def test_a_map_that_is_none_is_said_before_anything_moves(
+    thigmo: Thigmo, tmp_path: Path, given: str
+) -> None:
+    (tmp_path / "room.yaml").write_text("resolution: fine")
+    ran = thigmo("explore", "--scene", "empty", "--out", tmp_path, "--map", tmp_path / given)
+    one_line(ran, "ROS map")
+    assert not list(tmp_path.glob("*-empty"))
+
+
 def test_a_run_folder_whose_record_is_garbage(thigmo: Thigmo, tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()

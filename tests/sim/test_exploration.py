@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomlkit
+import yaml
+from PIL import Image
 
 from thigmo.cli.main import main
 from thigmo.emulator.reach import random_peg
@@ -17,7 +19,7 @@ from thigmo.errors import LinkError, RobotFaultError
 from thigmo.exploration import ExplorationResult, explore, replay
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
-from thigmo.record import RunFolder
+from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
 
 FOUND = ("localized", "ambiguous")
 
@@ -54,6 +56,8 @@ def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
     assert folder.read_document() == default.document
     assert folder.read_config().name == "vine-53"
     assert folder.map_path.read_bytes().startswith(b"\x89PNG")
+    (obstacle,) = read_obstacles(folder.path / OBSTACLES_FILE).obstacles
+    assert obstacle.x_cm == default.document.contacts[0].x_cm
     log = folder.read_log()
     assert not log.truncated
     assert int(log.metadata["schema_hash"], 16) == wire.SCHEMA_HASH
@@ -62,6 +66,33 @@ def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
     states = [note["state"] for _, note in log.notes if note["topic"] == "state"]
     assert states[:3] == ["CONFIGURE", "CONFIRM", "ARM"]
     assert states[-1] == "FINISH"
+
+
+def test_a_planner_finds_the_true_contact_in_an_occupied_cell_and_the_peg_in_no_free_one(
+    default: ExplorationResult,
+) -> None:
+    truth = default.document.truth
+    assert truth is not None
+    described = yaml.safe_load((default.folder / "map.yaml").read_text())
+    picture = np.array(Image.open(default.folder / described["image"]))[::-1]
+    occupied = (255 - picture) / 255 > described["occupied_thresh"]
+    free = (255 - picture) / 255 < described["free_thresh"]
+    size = described["resolution"] * 100
+    x0, y0 = (100 * value for value in described["origin"][:2])
+    (contact,), (peg,) = truth.contacts, truth.pegs
+    assert occupied[int((contact.y_cm - y0) / size), int((contact.x_cm - x0) / size)]
+    y, x = np.indices(picture.shape) * size + size / 2 + np.array([[[y0]], [[x0]]])
+    inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
+    assert inside.any()
+    assert not (inside & free).any()
+    straight = (np.abs(y) < 0.7) & (x > 0) & (x < 52)
+    assert free[straight].all()  # the robot has grown through it
+    assert free.sum() * size**2 > 1000  # cm^2
+
+
+def test_nothing_is_missed_and_nothing_false(default: ExplorationResult) -> None:
+    assert default.document.missed == []
+    assert default.document.false == []
 
 
 def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> None:
@@ -85,6 +116,12 @@ def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -
         assert mine.triggers == theirs.triggers
         assert mine.shapes == theirs.shapes
     assert (default.folder / "replay.png").exists()
+    for name in ("map.pgm", "map.yaml"):
+        live = (default.folder / name).read_bytes()
+        assert (default.folder / f"replay-{name}").read_bytes().replace(b"replay-", b"") == live
+    mine = read_obstacles(default.folder / f"replay-{OBSTACLES_FILE}")
+    assert mine.obstacles == read_obstacles(default.folder / OBSTACLES_FILE).obstacles
+    assert again.document.missed == again.document.false == []
 
 
 def test_the_same_seed_gives_the_same_run_and_minutes_of_it_take_at_most_10_s(

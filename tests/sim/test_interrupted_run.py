@@ -21,7 +21,7 @@ from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import PtyServer
 from thigmo.exploration import replay
-from thigmo.record import RunFolder
+from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles, read_ros_map
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 HEARTBEAT_LIMIT_S = 0.5
@@ -119,6 +119,9 @@ def test_a_run_cut_short_in_mid_sweep_leaves_a_vented_robot_and_a_readable_folde
     (path,) = tmp_path.glob("*-cut-short")
     folder = RunFolder(path)
     assert folder.read_document().outcome == outcome
+    if number != signal.SIGKILL:
+        assert read_obstacles(path / OBSTACLES_FILE).outcome == outcome
+        assert read_ros_map(path / "map.yaml").cells.size
     log = folder.read_log()
     assert log.truncated == (number == signal.SIGKILL)
     assert len(log.entries) > 500

@@ -133,13 +133,29 @@ class Console:
                 f"{document.error_cm:.2f} cm.",
                 highlight=False,
             )
+        for missed in document.missed or []:
+            say(
+                f"Missed: x {missed.x_cm:.1f} cm, y {missed.y_cm:.1f} cm ({missed.source}): "
+                f"{missed.reason}.",
+                highlight=False,
+            )
+        for false in document.false or []:
+            say(
+                f"False: x {false.x_cm:.1f} cm, y {false.y_cm:.1f} cm: {false.reason}.",
+                highlight=False,
+            )
         ratio = document.robot_time_s / max(document.wall_time_s, 1e-9)
         say(
             f"{document.robot_time_s:.0f} s of robot time in {document.wall_time_s:.1f} s "
             f"({ratio:.0f} times real time). Ended: {document.outcome}.",
             highlight=False,
         )
-        say(f"Map: {result.folder / 'map.png'}", highlight=False, soft_wrap=True)
+        say(
+            f"Map: {result.folder / 'map.png'}; for planners: obstacles.json and map.yaml beside "
+            "it.",
+            highlight=False,
+            soft_wrap=True,
+        )
         say(
             f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
             f"To retract it: thigmo retract --robot {document.url}",

@@ -41,6 +41,14 @@ def explore(
             "best, or at the full sweep's peak, as in the thesis."
         ),
     ] = "measure",
+    prior: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            help="A map of the room: an earlier run's folder or obstacles.json, or a ROS map's "
+            "YAML file. It is believed as far as the readings allow.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Grow, sweep, feel, localize and map, stage by stage to the full length."""
@@ -61,6 +69,7 @@ def explore(
             name=name,
             realtime=realtime,
             protocol=protocol,
+            prior=prior,
             operator=TerminalOperator(console),
             progress=show,
         )

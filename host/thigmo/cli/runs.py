@@ -21,7 +21,7 @@ def replay(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Run the localizer again over a run's raw record; writes replay.json and replay.png."""
+    """Run the localizer again over a run's raw record; writes replay.json and its maps."""
     from thigmo.exploration import replay as again
 
     result = again(run)

@@ -18,6 +18,7 @@ from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
 from thigmo.exploration.feel import warm_up
+from thigmo.exploration.prior import PriorMap, keep_prior, read_prior
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
@@ -74,6 +75,7 @@ def explore(
     name: str | None = None,
     realtime: bool = False,
     protocol: Protocol = "measure",
+    prior: str | os.PathLike[str] | None = None,
     operator: Operator | None = None,
     progress: Progress | None = None,
 ) -> ExplorationResult:
@@ -89,6 +91,8 @@ def explore(
         protocol: "measure" looks for contacts on the way up only, without waiting for young
             sensors, and sweeps a side with a contact again, to the pressure at which the contact
             is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
+        prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
+            file. It is believed as far as the readings allow.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: told what the robot is doing.
 
@@ -100,6 +104,7 @@ def explore(
             run folder says how far it came.
     """
     tell = progress or (lambda doing, fraction: None)
+    given = None if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     document = RunDocument(
@@ -118,9 +123,16 @@ def explore(
         warm_up(used)
         folder = RunFolder.create(out, label, started.astimezone())
         used.save(folder.path / "robot.toml")
-        run = _recorded_run(robot, used, folder, document, tell, protocol)
+        if given is not None:
+            keep_prior(given, folder, used.body.radius_cm)
+        run = _recorded_run(robot, used, folder, document, tell, protocol, given)
     tell("drawing the map", 1.0)
-    draw_map(run.document, folder.map_path, radius_cm=used.body.radius_cm)
+    draw_map(
+        run.document,
+        folder.map_path,
+        radius_cm=used.body.radius_cm,
+        prior=given.obstacles if given else (),
+    )
     return ExplorationResult(run.document, folder.path, run.length_cm)
 
 
@@ -131,13 +143,14 @@ def _recorded_run(
     document: RunDocument,
     tell: Progress,
     protocol: Protocol,
+    prior: PriorMap | None,
 ) -> Exploration:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
     folder.write_document(document)
     with folder.open_log(_metadata(robot, document)) as log:
         robot.record_frames(log.frame)
-        run = Exploration(robot, config, folder, log, document, tell, protocol)
+        run = Exploration(robot, config, folder, log, document, tell, protocol, prior)
         try:
             run.run()
         except BaseException as error:
@@ -154,7 +167,7 @@ def _recorded_run(
                 robot_time_s=round(robot.elapsed_s, 3),
                 wall_time_s=round(time.monotonic() - start, 3),
             )
-            folder.write_document(run.document)
+            run.keep()
     return run
 
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig, Side
-from thigmo.exploration.known import WIDEST_CM, beyond
+from thigmo.exploration.known import WIDEST_CM, beyond, expected
 from thigmo.exploration.measuring import fold_moment
+from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.workspace import Bend, centreline, excess_knots
+from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
 from thigmo.localization import Contact, LocalizeResult, localize
 from thigmo.mechanics.buckling import fold_share
 from thigmo.record import Shape
@@ -65,7 +66,12 @@ class Feeling:
 
 
 def feel(
-    peak: Peak, config: RobotConfig, zone: int, response: FreeResponse, nearest_arc: float = 0.0
+    peak: Peak,
+    config: RobotConfig,
+    zone: int,
+    response: FreeResponse,
+    nearest_arc: float = 0.0,
+    prior: PriorMap | None = None,
 ) -> Feeling:
     """Localize the contacts behind a peak's readings.
 
@@ -75,6 +81,7 @@ def feel(
         zone: index of the body-pressure zone that held.
         response: what each sensor reads of an untouched robot.
         nearest_arc: no contact lies nearer to the base than this (`SweptSpace`), cm.
+        prior: where obstacles are expected.
 
     Raises:
         DataError: no usable sensor.
@@ -82,13 +89,13 @@ def feel(
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
     muscle = config.actuators.side(peak.side)
-    expected, error = response.expected(peak.side, peak.free_curvature)
+    free, error = response.expected(peak.side, peak.free_curvature)
     result = localize(
         peak.curvature[use],
         table.center_cm[use],
         length=peak.length_cm,
         span=table.span_cm[use],
-        free_curvature=expected[use],
+        free_curvature=free[use],
         noise=np.hypot(table.noise, error)[use],
         offset_sigma=muscle.offset_se,
         critical_curvature=fold_moment(config, zone),
@@ -102,11 +109,14 @@ def feel(
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
-    unfolded = (peak.curvature - expected)[use] - fold * fold_share(
+    unfolded = (peak.curvature - free)[use] - fold * fold_share(
         centers, spans, config.body.diameter_cm
     )
     last = max((contact.arc for contact in found), default=0.0)
     bend = Bend(peak.length_cm, peak.free_curvature, excess_knots(centers, unfolded, last), fold)
+    if prior is not None and len(found) == 1:
+        result = _expected(result, prior, bend, config.body.radius_cm)
+        found = list(result.contacts)
     felt = [
         Felt(
             side=peak.side,
@@ -121,6 +131,16 @@ def feel(
     ]
     shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
     return Feeling(result, felt, shape)
+
+
+def _expected(
+    result: LocalizeResult, prior: PriorMap, bend: Bend, radius_cm: float
+) -> LocalizeResult:
+    """The one contact's posterior with a map's obstacles as its prior, through the body's shape."""
+    arcs = arc_grid(bend.length_cm)
+    curve, force = centreline(bend), result.contacts[0].force
+    points = np.array([skin_point(curve, float(arc), force, radius_cm)[:2] for arc in arcs])
+    return expected(result, arcs, prior.boost(points, bend.length_cm))
 
 
 def arc_grid(full_cm: float) -> Floats:

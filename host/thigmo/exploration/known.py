@@ -18,6 +18,7 @@ WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own
 # With less of the posterior than this beyond the arc, its slope there says nothing: the readings
 # and the model disagree about what is known, and the place is open within it.
 _LEAST_MASS = 0.05
+_FLAT = 0.01  # a prior that varies by less says nothing
 
 
 def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> LocalizeResult:
@@ -30,13 +31,37 @@ def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> Loca
     """
     if len(result.contacts) != 1 or result.contacts[0].interval[0] >= nearest_arc:
         return result
-    contact = result.contacts[0]
     arcs = np.linspace(nearest_arc, length_cm, _NODES)
     density = np.interp(arcs, result.arcs, result.density)
     step = (length_cm - nearest_arc) / (_NODES - 1)
     if density.sum() * step < _LEAST_MASS:
         density = np.ones(_NODES)
-    density /= density.sum()
+    message = f"beyond {nearest_arc:.1f} cm, for sweeps felt nothing before"
+    return _conditioned(result, arcs, density, message)
+
+
+def expected(result: LocalizeResult, arcs: Floats, boost: Floats) -> LocalizeResult:
+    """Multiply a single contact's posterior with a prior over its arc.
+
+    Args:
+        result: of `localize`, with one contact; others are returned as they are.
+        arcs: (n,) evenly spaced, cm.
+        boost: (n,) prior density there, of any scale.
+    """
+    if len(result.contacts) != 1 or float(np.ptp(boost)) < _FLAT * float(boost.max()):
+        return result
+    density = np.interp(arcs, result.arcs, result.density, left=0.0, right=0.0) * boost
+    if not density.sum() > 0:
+        return result
+    return _conditioned(result, arcs, density, "with what the map given shows")
+
+
+def _conditioned(
+    result: LocalizeResult, arcs: Floats, density: Floats, message: str
+) -> LocalizeResult:
+    """A result whose one contact has another posterior, on evenly spaced arcs."""
+    contact = result.contacts[0]
+    density = density / density.sum()
     arc = float(density @ arcs)
     low, high = shortest(arcs, density)
     # Few sensors see the difference, so what stays is the moment at the body's base.
@@ -45,14 +70,13 @@ def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> Loca
     placed = replace(
         contact, arc=arc, force=force, interval=(low, high), intervals=((low, high),), status=status
     )
-    message = f"{result.message}; beyond {nearest_arc:.1f} cm, for sweeps felt nothing before"
     return replace(
         result,
         status=status,
         contacts=(placed,),
-        message=message,
+        message=f"{result.message}; {message}",
         arcs=arcs,
-        density=density / step,
+        density=density / (arcs[1] - arcs[0]),
     )
 
 

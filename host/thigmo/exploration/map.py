@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Felt, arc_grid
 from thigmo.exploration.known import WIDEST_CM, fused, shortest
+from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.workspace import place_contact
 from thigmo.record import MapContact, TrueContact
 
@@ -29,9 +30,11 @@ class ContactMap:
 
     Attributes:
         config: robot.toml as used.
+        prior: the map that was given; a contact that is one of its obstacles says so.
     """
 
     config: RobotConfig
+    prior: PriorMap | None = None
     _pegs: list[list[Felt]] = field(default_factory=list)
     _placed: list[MapContact] = field(default_factory=list)
 
@@ -73,7 +76,7 @@ class ContactMap:
             radius_cm=self.config.body.radius_cm,
             curvature_se=self.config.actuators.side(newest.side).offset_se,
         )
-        return MapContact(
+        found = MapContact(
             arc_cm=arc,
             x_cm=placed.x_cm,
             y_cm=placed.y_cm,
@@ -89,6 +92,7 @@ class ContactMap:
             readings=newest.readings,
             merged=[felt.length_cm for felt in stages[:-1]],
         )
+        return replace(found, known=self.prior.match(found)) if self.prior else found
 
 
 def _apart(a: MapContact, b: MapContact) -> float:
@@ -119,7 +123,11 @@ def errors(
     best = best_contact(contacts)
     if best is None:
         return None, None
-    same = [t for t in truth if abs(t.everted_length_cm - best.everted_length_cm) < 0.5]
+    same = [
+        t
+        for t in truth
+        if abs(t.everted_length_cm - best.everted_length_cm) < 0.5 and t.side in ("", best.side)
+    ]
     if not same:
         return None, None
     nearest = min(same, key=lambda t: hypot(t.x_cm - best.x_cm, t.y_cm - best.y_cm))

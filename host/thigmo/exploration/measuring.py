@@ -38,20 +38,22 @@ def opposed_sides(sweep: SweepResult) -> set[Side]:
     is the map's error, or the sensor's.
     """
     fired = {trigger.side for trigger in sweep.triggers}
-    return {side for side in fired if _held_back(sweep.frames, side).max(initial=0.0) > 0}
+    return {
+        side for side in fired if held_back(sweep.frames, side).max(initial=0.0) > TRIGGER_PER_CM
+    }
 
 
 def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
     """Free curvature (1/cm) at which a side's bend was first held back; None if it was not."""
     mine = [frame for frame in frames if frame.side == side]
-    first = np.flatnonzero(_held_back(frames, side) > 0)
+    first = np.flatnonzero(held_back(frames, side) > TRIGGER_PER_CM)
     return mine[first[0]].free_curvature if first.size else None
 
 
-def _held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
-    """By how much each frame of a side passes the trigger's threshold in the bend's way, 1/cm."""
+def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
+    """By how much the base was held back in each frame of a side, 1/cm, against the bend's way."""
     against = -1.0 if side == "left" else 1.0
-    return against * _smooth([f.excess for f in frames if f.side == side]) - TRIGGER_PER_CM
+    return against * _smooth([f.excess for f in frames if f.side == side])
 
 
 def _smooth(values: Sequence[float]) -> Floats:

@@ -18,7 +18,10 @@ import numpy as np
 from thigmo import __version__
 from thigmo.config import SIDES, Side
 from thigmo.errors import RunFolderError
-from thigmo.exploration.map import ContactMap, errors
+from thigmo.exploration.map import ContactMap
+from thigmo.exploration.missed import judged
+from thigmo.exploration.obstacles import export_obstacles
+from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
@@ -153,7 +156,7 @@ class _Reader:
         if status:
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
-        watcher = SweepWatcher(self._device_s, list)
+        watcher = SweepWatcher(self._device_s, lambda side: [])
         zeros = self._zero_sum.copy()
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
@@ -172,7 +175,8 @@ class _Reader:
 
 
 def replay(run: str | os.PathLike[str]) -> ReplayResult:
-    """Localize again from a run's raw record; writes `replay.json` and `replay.png` into it.
+    """Localize again from a run's raw record; writes `replay.json`, `replay.png`,
+    `replay-obstacles.json` and `replay-map.yaml` with its picture into it.
 
     Args:
         run: the run folder.
@@ -185,9 +189,10 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     config = folder.read_config()
     log = folder.read_log()
     reader = _read(folder, log)
-    found = ContactMap(config)
+    prior = kept_prior(folder)
+    found = ContactMap(config, prior)
     stages = []
-    interpreter, table = Interpreter(config), SensorTable.of(config)
+    interpreter, table = Interpreter(config, prior), SensorTable.of(config)
     for looked, measured in _stages(reader.sweeps):
         sweep = looked[-1]
         result = SweepResult.joined([part.result(table) for part in looked])
@@ -200,9 +205,12 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
                 found.add(contact)
         pressure = config.body.zones[sweep.zone].pressure_psi
         stages.append(stage_entry(sweep.length_cm, pressure, sweep.t_s, result, felt))
-    document = _document(folder, log, found.contacts, stages)
+    document = judged(_document(folder, log, found.contacts, stages), config, prior)
+    radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
-    draw_map(document, folder.path / "replay.png", radius_cm=config.body.radius_cm)
+    export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
+    shown = prior.obstacles if prior else ()
+    draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=shown)
     return ReplayResult(document, len(reader.sweeps), reader.bad, log.truncated)
 
 
@@ -263,15 +271,12 @@ def _document(
             started=log.metadata.get("started", ""),
             outcome="cut short",
         )
-    error_x, error = errors(contacts, known.truth.contacts if known.truth else [])
     return replace(
         known,
         thigmo=__version__,
         outcome=f"replayed; {known.outcome}",
         contacts=contacts,
         stages=stages,
-        error_x_cm=error_x,
-        error_cm=error,
         robot_time_s=recorded,
         wall_time_s=0.0,
     )

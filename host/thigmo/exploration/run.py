@@ -14,9 +14,12 @@ from typing import Literal
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError
 from thigmo.exploration.feel import Feeling
-from thigmo.exploration.map import ContactMap, errors, peg_ahead
+from thigmo.exploration.map import ContactMap, peg_ahead
 from thigmo.exploration.measuring import measuring_pressure, opposed_sides
+from thigmo.exploration.missed import judged
+from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
+from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.exploration.states import State, next_state
 from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
@@ -44,6 +47,7 @@ class Exploration:
         document: what is known at the start; kept up to date, and written after each stage.
         progress: called at each state and while waiting.
         protocol: how a contact is measured.
+        prior: a map of the room.
     """
 
     def __init__(
@@ -55,6 +59,7 @@ class Exploration:
         document: RunDocument,
         progress: Progress,
         protocol: Protocol = "measure",
+        prior: PriorMap | None = None,
     ) -> None:
         self.robot = robot
         self.config = config
@@ -69,8 +74,9 @@ class Exploration:
         self.body_psi: float | None = None  # what the operator last set
         self.swept = False
         self.protocol = protocol
-        self.interpreter = Interpreter(config)
-        self.map = ContactMap(config)
+        self.prior = prior
+        self.interpreter = Interpreter(config, prior)
+        self.map = ContactMap(config, prior)
         self.sweep: SweepResult | None = None
         self.measuring: SweepResult | None = None
         self.feelings: list[Feeling] = []
@@ -262,20 +268,30 @@ class Exploration:
         assert self.sweep is not None
         pressure = self.config.body.zones[self.zone].pressure_psi
         stage = stage_entry(self.length_cm, pressure, self.robot.now(), self.sweep, self.feelings)
-        truth = self.document.truth
-        seen = self.measuring or self.sweep
-        if seen.truth is not None:
-            known = truth.contacts if truth else []
-            truth = Truth(seen.truth.pegs, [*known, *seen.truth.contacts])
-        error_x, error = errors(self.document.contacts, truth.contacts if truth else [])
-        self.document = replace(
-            self.document,
-            stages=[*self.document.stages, stage],
-            truth=truth,
-            error_x_cm=error_x,
-            error_cm=error,
+        document = replace(
+            self.document, stages=[*self.document.stages, stage], truth=self._truth()
         )
+        self.document = judged(document, self.config, self.prior)
+        self.keep()
+
+    def _truth(self) -> Truth | None:
+        """The room's truth so far, with each side's contacts when it was measured."""
+        assert self.sweep is not None
+        if self.sweep.truth is None:
+            return self.document.truth
+        known = self.document.truth.contacts if self.document.truth else []
+        again = self.measuring.truth if self.measuring else None
+        sides = {peak.side for peak in self.measuring.peaks} if self.measuring else set()
+        looked = [c for c in self.sweep.truth.contacts if c.side not in sides]
+        measured = again.contacts if again else []
+        return Truth(self.sweep.truth.pegs, [*known, *looked, *measured])
+
+    def keep(self) -> None:
+        """Put what is known on the disk: contacts.json, obstacles.json and the grid."""
         self.folder.write_document(self.document)
+        export_obstacles(
+            self.folder, self.document, radius_cm=self.config.body.radius_cm, prior=self.prior
+        )
 
     # The end.
 

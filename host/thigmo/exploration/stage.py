@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thigmo.config import RobotConfig
+from thigmo.config import SIDES, RobotConfig
 from thigmo.exploration.feel import Feeling, feel
-from thigmo.exploration.measuring import opposed_sides, touch_curvature
+from thigmo.exploration.measuring import held_back, opposed_sides, touch_curvature
+from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import Bend, centreline
 from thigmo.record import Shape, Stage, Trigger
-from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepFrame, SweepResult
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
 
 _SHAPES_A_SIDE = 12
 # The trigger fires when the base is held back by its threshold, so the body was touched before:
@@ -28,10 +29,12 @@ class Interpreter:
 
     Args:
         config: robot.toml as used.
+        prior: the map that was given.
     """
 
-    def __init__(self, config: RobotConfig) -> None:
+    def __init__(self, config: RobotConfig, prior: PriorMap | None = None) -> None:
         self._config = config
+        self._prior = prior
         self._response = FreeResponse(config)
         self._swept = SweptSpace()
 
@@ -56,7 +59,12 @@ class Interpreter:
                 if touch is not None:
                     self._response.learn(measuring, peak.side, abs(touch) - _TOUCH_MARGIN)
             feeling = feel(
-                measured.get(peak.side, peak), self._config, zone, self._response, nearest
+                measured.get(peak.side, peak),
+                self._config,
+                zone,
+                self._response,
+                nearest,
+                self._prior,
             )
             if peak.side in fired:
                 feelings.append(feeling)
@@ -86,7 +94,7 @@ def stage_entry(
         everted_length_cm=length_cm,
         body_pressure_psi=body_pressure_psi,
         t_s=t_s,
-        shapes=[*_free_shapes(length_cm, sweep.frames), *(f.shape for f in feelings)],
+        shapes=[*_free_shapes(length_cm, sweep), *(f.shape for f in feelings)],
         triggers=[
             Trigger(
                 t.side,
@@ -97,14 +105,21 @@ def stage_entry(
             )
             for t in sweep.triggers
         ],
+        held_back_per_cm={
+            side: round(float(held.max()), 6)
+            for side in SIDES
+            if (held := held_back(sweep.frames, side)).size
+        },
     )
 
 
-def _free_shapes(length_cm: float, frames: Sequence[SweepFrame]) -> list[Shape]:
+def _free_shapes(length_cm: float, sweep: SweepResult) -> list[Shape]:
     """A dozen shapes of each half sweep, as far as nothing was touched."""
     shapes = []
-    for side in ("left", "right"):
-        free = [f for f in frames if f.side == side and not f.touched]
+    opposed = opposed_sides(sweep)
+    for side in SIDES:
+        mine = [f for f in sweep.frames if f.side == side]
+        free = [f for f in mine if not f.touched] if side in opposed else mine
         top = max((f.pressure_psi for f in free), default=0.0)
         kept = 0
         for frame in sorted(free, key=lambda f: f.pressure_psi):

@@ -1,11 +1,15 @@
 """Run folders: what a run leaves behind, and how it is read again.
 
 A run folder holds `run.mcap` (every frame of the link, raw, with its time), `contacts.json` (what
-was found), `map.png` and `robot.toml` as used. All of it stays readable when the run is cut short.
+was found), `obstacles.json` and the grid `map.pgm` with `map.yaml` (the same for who plans with
+it), `map.png`, `robot.toml` as used, and `prior.json` if the run was given a map. All of it stays
+readable when the run is cut short.
 """
 
 from thigmo.record.document import (
+    FalseContact,
     MapContact,
+    MissedContact,
     Pose,
     RunDocument,
     Shape,
@@ -17,13 +21,34 @@ from thigmo.record.document import (
 )
 from thigmo.record.folder import RunFolder
 from thigmo.record.log import Entry, Log, LogWriter, read_log
+from thigmo.record.obstacles import (
+    OBSTACLES_FILE,
+    PRIOR_FILE,
+    Ellipse,
+    FreeArea,
+    Obstacle,
+    ObstacleMap,
+    read_obstacles,
+    write_obstacles,
+)
+from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.readings_table import ReadingsTable, read_readings
+from thigmo.record.swept_shapes import outline, passed
 
 __all__ = [
+    "OBSTACLES_FILE",
+    "PRIOR_FILE",
+    "Ellipse",
     "Entry",
+    "FalseContact",
+    "FreeArea",
     "Log",
     "LogWriter",
     "MapContact",
+    "MissedContact",
+    "Obstacle",
+    "ObstacleMap",
+    "OccupancyGrid",
     "Pose",
     "ReadingsTable",
     "RunDocument",
@@ -34,6 +59,12 @@ __all__ = [
     "TrueContact",
     "TruePeg",
     "Truth",
+    "outline",
+    "passed",
     "read_log",
+    "read_obstacles",
     "read_readings",
+    "read_ros_map",
+    "write_obstacles",
+    "write_ros_map",
 ]

@@ -64,6 +64,8 @@ class MapContact:
         model: the localizer's model.
         readings: number of sensors used.
         merged: earlier stages whose contact is the same one.
+        known: index of the prior map's obstacle (prior.json) that this is; null if it is new, or no
+            map was given.
     """
 
     arc_cm: float
@@ -80,28 +82,36 @@ class MapContact:
     model: str
     readings: int
     merged: list[float] = field(default_factory=list)
+    known: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stop of the growth: swept both ways."""
+    """One stop of the growth: swept both ways.
+
+    Attributes:
+        held_back_per_cm: by how much the base was held back at most, of each side swept: what the
+            trigger compares with its threshold.
+    """
 
     everted_length_cm: float
     body_pressure_psi: float
     t_s: float
     shapes: list[Shape] = field(default_factory=list)
     triggers: list[Trigger] = field(default_factory=list)
+    held_back_per_cm: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class TrueContact:
-    """A contact as the room knows it."""
+    """A contact as the room knows it, at a sweep's peak; `side` is the inflated muscle."""
 
     x_cm: float
     y_cm: float
     arc_cm: float
     everted_length_cm: float
     peg: int
+    side: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +132,40 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
+class MissedContact:
+    """A contact that should be on the map and is not.
+
+    Attributes:
+        source: who knows of it: "truth" (the emulated room: a peg that a sweep's peak touched) or
+            "prior" (the map given: an obstacle whose place was swept without its being felt).
+        x_cm, y_cm: where it is.
+        reason: why it was missed, as far as the record tells.
+        arc_cm, everted_length_cm, side: along the body, at the last stage that touched it; null and
+            empty for the prior's.
+    """
+
+    source: str
+    x_cm: float
+    y_cm: float
+    reason: str
+    arc_cm: float | None = None
+    everted_length_cm: float | None = None
+    side: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FalseContact:
+    """A contact of the map that the emulated room does not have: its index, and why it was taken
+    for one, as far as the record tells.
+    """
+
+    contact: int
+    x_cm: float
+    y_cm: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class RunDocument:
     """The whole of contacts.json.
 
@@ -131,6 +175,8 @@ class RunDocument:
         error_x_cm: |x error| of the best contact against the true contact point (the thesis's
             measure), null without truth or contact.
         error_cm: distance in the plane from it to the true contact point.
+        missed: contacts known otherwise that are not on the map; null if nothing else is known.
+        false: contacts of the map that are not in the room; null without truth.
         robot_time_s: device time that the run took.
         wall_time_s: the operator's time that it took, from connecting on.
     """
@@ -146,6 +192,8 @@ class RunDocument:
     truth: Truth | None = None
     error_x_cm: float | None = None
     error_cm: float | None = None
+    missed: list[MissedContact] | None = None
+    false: list[FalseContact] | None = None
     robot_time_s: float = 0.0
     wall_time_s: float = 0.0
     version: int = 1

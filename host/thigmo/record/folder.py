@@ -13,6 +13,8 @@ from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.record.document import RunDocument
 from thigmo.record.log import Log, LogWriter, read_log
+from thigmo.record.obstacles import OBSTACLES_FILE, ObstacleMap, write_obstacles
+from thigmo.record.occupancy import OccupancyGrid, write_ros_map
 
 _DOCUMENT = TypeAdapter(RunDocument)
 
@@ -112,6 +114,15 @@ class RunFolder:
             raise RunFolderError(
                 f"{path}: {where}: {first['msg']}", "run `thigmo replay` on the folder"
             ) from error
+
+    def write_map(self, known: ObstacleMap, grid: OccupancyGrid, prefix: str = "") -> None:
+        """Write obstacles.json, map.pgm and map.yaml; each whole or not at all.
+
+        Raises:
+            RunFolderError: the folder cannot be written.
+        """
+        write_ros_map(grid, self.path / f"{prefix}map.yaml")
+        write_obstacles(known, self.path / f"{prefix}{OBSTACLES_FILE}")
 
     def read_config(self) -> RobotConfig:
         """Read robot.toml as it was used.

@@ -7,29 +7,36 @@ measured, except what is marked as the room's truth, which only the emulator kno
 from __future__ import annotations
 
 import os
-from itertools import pairwise
+from collections.abc import Sequence
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thigmo.errors import RunFolderError
+from thigmo.record import outline, passed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from thigmo.record import MapContact, Pose, RunDocument, Shape, Stage
+    from thigmo.record import MapContact, Obstacle, RunDocument, Stage
 
 _INK = "#22313f"
 _SWEPT = "#e9eff5"
 _CONTACT = "#c8323c"
 _AMBIGUOUS = "#d98a1f"
 _TRUTH = "#2c7a58"
+_PRIOR = "#6b5b95"
 _SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
 
 
 def draw_map(
-    document: RunDocument, path: str | os.PathLike[str], *, radius_cm: float, dpi: int = 160
+    document: RunDocument,
+    path: str | os.PathLike[str],
+    *,
+    radius_cm: float,
+    prior: Sequence[Obstacle] = (),
+    dpi: int = 160,
 ) -> None:
     """Draw a run's map.
 
@@ -37,6 +44,7 @@ def draw_map(
         document: the run.
         path: the PNG to write.
         radius_cm: of the tube, for its outline.
+        prior: obstacles of the map that the run was given.
         dpi: resolution.
 
     Raises:
@@ -49,6 +57,8 @@ def draw_map(
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     _robot(axes, document.stages, radius_cm)
+    for obstacle in prior:
+        _prior(axes, obstacle)
     for contact in document.contacts:
         _contact(axes, contact)
     if document.truth is not None:
@@ -62,44 +72,16 @@ def draw_map(
         ) from error
 
 
-def _outline(poses: list[Pose], radius_cm: float) -> np.ndarray:
-    """The tube's outline around a centreline, shape (2n, 2): left side out, right side back."""
-    line = np.asarray(poses)
-    normal = np.column_stack((-np.sin(line[:, 2]), np.cos(line[:, 2])))
-    left, right = line[:, :2] + radius_cm * normal, line[:, :2] - radius_cm * normal
-    outline: np.ndarray = np.vstack((left, right[::-1]))
-    return outline
-
-
-def _between(shapes: list[Shape]) -> list[list[Pose]]:
-    """The recorded shapes of a half sweep and the positions passed on the way between them."""
-    ordered = sorted(shapes, key=lambda shape: shape.pressure_psi)
-    if not ordered:
-        return []
-    lines = [np.asarray([(float(i), 0.0, 0.0) for i in range(len(ordered[0].poses))])]
-    span = np.linspace(
-        0.0,
-        np.hypot(*np.diff(np.asarray(ordered[0].poses)[:, :2], axis=0).T).sum(),
-        len(ordered[0].poses),
-    )
-    lines[0][:, 0] = span
-    lines += [np.asarray(shape.poses) for shape in ordered]
-    passed: list[list[Pose]] = []
-    for start, end in pairwise(lines):
-        passed += [[tuple(p) for p in start + (end - start) * w] for w in np.linspace(0, 1, 9)]
-    return passed
-
-
 def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
     """Swept space as one pale area; over it the widest bends of each stage, darker with length."""
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
 
     swept = [
-        _outline(poses, radius_cm)
+        outline(poses, radius_cm)
         for stage in stages
         for side in ("left", "right")
-        for poses in _between([shape for shape in stage.shapes if shape.side == side])
+        for poses in passed(shape for shape in stage.shapes if shape.side == side)
     ]
     # One collection: a thousand single patches would take seconds.
     axes.add_collection(PolyCollection(swept, facecolor=_SWEPT, edgecolor=_SWEPT, lw=0.6, zorder=1))
@@ -121,8 +103,8 @@ def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
         last = stages[-1]
         touched = [s for s in last.shapes if s.side in {t.side for t in last.triggers}]
         for shape in sorted(touched, key=lambda s: s.pressure_psi)[-1:]:
-            outline = _outline(shape.poses, radius_cm)
-            axes.fill(*outline.T, facecolor="#bcd0e2", alpha=0.55, edgecolor=_INK, lw=0.8, zorder=2)
+            around = outline(shape.poses, radius_cm)
+            axes.fill(*around.T, facecolor="#bcd0e2", alpha=0.55, edgecolor=_INK, lw=0.8, zorder=2)
         axes.plot([], [], color=colormaps["Blues"](0.85), lw=1.6, label="robot at its widest bends")
         axes.fill([], [], color=_SWEPT, label="space swept")
     axes.fill([-2.4, 0, 0, -2.4], [-2.6, -2.6, 2.6, 2.6], color=_INK, zorder=4)
@@ -162,6 +144,15 @@ def _contact(axes: Axes, contact: MapContact) -> None:
         fontsize=8, color=color, va="center", zorder=8,
         bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.8},
         arrowprops={"arrowstyle": "-", "color": color, "lw": 0.8},
+    )  # fmt: skip
+
+
+def _prior(axes: Axes, obstacle: Obstacle) -> None:
+    """What the map given shows."""
+    x, y = np.asarray(obstacle.track).T
+    axes.plot(
+        x, y, "s", color=_PRIOR, ms=3.5, mfc="none", mew=0.9, zorder=4,
+        label=_once(axes, "map given"),
     )  # fmt: skip
 
 

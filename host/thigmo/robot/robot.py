@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
-from thigmo.config import RobotConfig
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.link.transport import open_transport
@@ -600,7 +600,7 @@ class Robot:
         options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
         truths: list[Truth] = []
         watcher = SweepWatcher(
-            self._client.device_s, lambda: self._peak_and_truth(truths), rising=rising
+            self._client.device_s, lambda side: self._peak_and_truth(side, truths), rising=rising
         )
         with self._telemetry_to(watcher):
             self._start(
@@ -639,8 +639,8 @@ class Robot:
         finally:
             self._client.on_telemetry.remove(take)
 
-    def _peak_and_truth(self, truths: list[Truth]) -> list[SnapshotReading]:
-        truth = self.truth()
+    def _peak_and_truth(self, side: Side, truths: list[Truth]) -> list[SnapshotReading]:
+        truth = truth_now(self._client.transport.truth(), side)
         if truth is not None:
             truths.append(truth)
         return self.snapshots()

@@ -30,7 +30,7 @@ class SweepWatcher:
     """
 
     device_s: Callable[[int], float]
-    fetch: Callable[[], list[SnapshotReading]]
+    fetch: Callable[[Side], list[SnapshotReading]]
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SnapshotReading]] = field(default_factory=list)
     frames: list[SweepFrame] = field(default_factory=list)
@@ -44,7 +44,7 @@ class SweepWatcher:
                 ContactTrigger(SIDES[event.arg], self.device_s(event.t_us), event.value / 1e5)
             )
         elif event.code == wire.EventCode.PEAK:
-            self.peaks.append(self.fetch())
+            self.peaks.append(self.fetch(SIDES[event.arg]))
 
     def result(
         self,

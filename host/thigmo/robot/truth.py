@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
+from thigmo.config import Side
 from thigmo.record import TrueContact, TruePeg, Truth
 
 
-def truth_now(known: Any) -> Truth | None:
+def truth_now(known: Any, side: Side | None = None) -> Truth | None:
     """The room and its present contacts.
 
     Args:
         known: what the transport's `truth` gives (the emulator's Truth), or None.
+        side: the muscle that is inflated.
     """
     if known is None:
         return None
     pegs = [TruePeg(float(p.x), float(p.y), float(p.radius)) for p in known.pegs]
     touching = [
-        TrueContact(float(c.x), float(c.y), float(c.arc), float(known.now.length_cm), int(c.peg))
+        TrueContact(
+            float(c.x), float(c.y), float(c.arc), float(known.now.length_cm), int(c.peg), side or ""
+        )
         for c in known.now.contacts
     ]
     return Truth(pegs, touching)

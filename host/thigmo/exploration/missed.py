@@ -1,0 +1,146 @@
+"""What a run missed and what it made up, by whoever else knows the room.
+
+The emulator knows its pegs and which of them each sweep's peak touched; on hardware a map that was
+given says what to expect. The reasons are read off the run's own record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from thigmo.config import RobotConfig, Side
+from thigmo.exploration.map import errors
+from thigmo.exploration.obstacles import unfelt
+from thigmo.exploration.prior import PriorMap
+from thigmo.record import (
+    FalseContact,
+    MapContact,
+    MissedContact,
+    RunDocument,
+    Stage,
+    TrueContact,
+)
+from thigmo.robot import TRIGGER_PER_CM
+from thigmo.robot.readings import other_side
+
+# A contact is the true one if it lies within so many standard deviations in the plane, none taken
+# as smaller than a peg's size; or if its interval holds the true arc (an end is no sharper than
+# this).
+_SAME_SIGMA = 3.0
+_FLOOR_CM = 1.0
+_SAME_LENGTH_CM = 0.5
+
+
+def judged(
+    document: RunDocument, config: RobotConfig, prior: PriorMap | None = None
+) -> RunDocument:
+    """The document with its errors, and with what was missed and what is false."""
+    truth = document.truth
+    error_x, error = errors(document.contacts, truth.contacts if truth else [])
+    missed: list[MissedContact] | None = None
+    false = None
+    if truth is not None:
+        missed = _missed(document, truth.contacts, config)
+        false = [
+            FalseContact(index, contact.x_cm, contact.y_cm, _why_false(contact, truth.contacts))
+            for index, contact in enumerate(document.contacts)
+            if not any(_same(contact, true) for true in truth.contacts)
+        ]
+    if prior is not None:
+        gone = unfelt(document, prior, radius_cm=config.body.radius_cm)
+        missed = (missed or []) + [
+            MissedContact(
+                "prior",
+                prior.obstacles[index].x_cm,
+                prior.obstacles[index].y_cm,
+                "its place was swept without being felt: it is gone, or the map given is wrong",
+            )
+            for index in gone
+        ]
+    return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
+
+
+def _missed(
+    document: RunDocument, truth: Sequence[TrueContact], config: RobotConfig
+) -> list[MissedContact]:
+    """One entry for each peg that some sweep's peak touched and that is not on the map."""
+    entries = []
+    for peg in sorted({true.peg for true in truth}):
+        touches = [true for true in truth if true.peg == peg]
+        if any(_same(contact, true) for contact in document.contacts for true in touches):
+            continue
+        last = touches[-1]
+        entries.append(
+            MissedContact(
+                "truth",
+                last.x_cm,
+                last.y_cm,
+                _why_missed(document, last, truth, config),
+                last.arc_cm,
+                last.everted_length_cm,
+                last.side,
+            )
+        )
+    return entries
+
+
+def _same(contact: MapContact, true: TrueContact) -> bool:
+    covariance = np.asarray(contact.covariance_cm2) + _FLOOR_CM**2 * np.eye(2)
+    apart = np.array([contact.x_cm - true.x_cm, contact.y_cm - true.y_cm])
+    if apart @ np.linalg.solve(covariance, apart) < _SAME_SIGMA**2:
+        return True
+    low, high = contact.interval_cm
+    held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM
+    return held and _at(contact.everted_length_cm, contact.side, true)
+
+
+def _at(length_cm: float, side: str, true: TrueContact) -> bool:
+    """Whether a true contact belongs to a stage's side."""
+    near = abs(true.everted_length_cm - length_cm) < _SAME_LENGTH_CM
+    return near and true.side in ("", side)
+
+
+def _why_missed(
+    document: RunDocument, missed: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
+) -> str:
+    side: Side = "left" if missed.side == "left" else "right"
+    # The sensors of the side that is not inflated feel.
+    feeling = [s for s in config.sensors.column(other_side(side)) if s.healthy]
+    first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
+    if missed.arc_cm <= first:
+        return "below detection: nearer to the base than the first sensor, which it does not bend"
+    stage = _stage(document.stages, missed)
+    if stage is None:
+        return "the run ended before its stage was localized"
+    held = stage.held_back_per_cm.get(missed.side)
+    if held is not None and held < TRIGGER_PER_CM:
+        return (
+            f"moment below threshold: it held the base back by {max(held, 0.0):.4f} 1/cm at most, "
+            f"and the trigger takes {TRIGGER_PER_CM} 1/cm"
+        )
+    found = [c for c in document.contacts if _at(c.everted_length_cm, c.side, missed)]
+    there = [t for t in truth if _at(stage.everted_length_cm, missed.side, t)]
+    if found and len(found) < len(there):
+        return "not told apart from another contact of the same sweep"
+    if found:
+        return "placed elsewhere, beyond three standard deviations of its interval"
+    said = [t.message for t in stage.triggers if t.side == missed.side and t.message]
+    return f"below detection: {said[-1]}" if said else "felt, and not localized at its last stage"
+
+
+def _stage(stages: Sequence[Stage], missed: TrueContact) -> Stage | None:
+    near = [
+        s for s in stages if abs(s.everted_length_cm - missed.everted_length_cm) < _SAME_LENGTH_CM
+    ]
+    return near[-1] if near else None
+
+
+def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:
+    there = [t for t in truth if _at(contact.everted_length_cm, contact.side, t)]
+    if not there:
+        return "nothing touched there at the sweep's peak: an error of the map or of the sensors"
+    away = min(float(np.hypot(t.x_cm - contact.x_cm, t.y_cm - contact.y_cm)) for t in there)
+    return f"the nearest true contact of that sweep is {away:.1f} cm away"

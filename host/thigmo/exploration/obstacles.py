@@ -1,0 +1,228 @@
+"""From what a run found to the map that a planner reads: obstacles, free space, a grid.
+
+Built from contacts.json alone, so that a live run, one cut short and a replay all export the same
+way. Free is where the tube has been while nothing held it back, drawn in by what its shape may be
+off; occupied is where a contact is with 95 % of its posterior, and wins over free; the rest is
+unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.exploration.prior import PriorMap
+from thigmo.record import (
+    Ellipse,
+    FreeArea,
+    MapContact,
+    Obstacle,
+    ObstacleMap,
+    OccupancyGrid,
+    RunDocument,
+    RunFolder,
+    Stage,
+    outline,
+    passed,
+)
+from thigmo.record.occupancy import FREE, OCCUPIED, UNKNOWN
+
+_RESOLUTION_CM = 0.5
+_MARGIN_CM = 3.0
+_SIGMA_95 = 2.4477
+# The outline of a free sweep is drawn in by so much: the map's bend is not the body's to the last
+# millimetre, and a body that is held back by less than the trigger's threshold is not free.
+_DRAWN_IN_CM = 0.75
+_BITS = 4  # fractions of a cell in OpenCV's drawing
+
+Mask = NDArray[np.bool_]
+
+
+def export_obstacles(
+    folder: RunFolder,
+    document: RunDocument,
+    *,
+    radius_cm: float,
+    prior: PriorMap | None = None,
+    prefix: str = "",
+) -> ObstacleMap:
+    """Write obstacles.json, map.pgm and map.yaml of what a run knows.
+
+    Args:
+        folder: the run's.
+        document: contacts and stages.
+        radius_cm: of the tube.
+        prior: the map that the run was given.
+        prefix: of the files' names (a replay's differ).
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+    """
+    grid = _empty_grid(document, radius_cm, prior)
+    free = _free(grid, document.stages, radius_cm)
+    obstacles = _obstacles(document.contacts, prior, grid, free)
+    occupied = np.zeros_like(free)
+    for obstacle in obstacles:
+        if obstacle.source != "prior, not felt":
+            occupied |= _near_track(grid, obstacle)
+    grid.cells[free] = FREE
+    grid.cells[occupied] = OCCUPIED
+    known = ObstacleMap(
+        name=document.name,
+        started=document.started,
+        outcome=document.outcome,
+        tube_radius_cm=radius_cm,
+        obstacles=obstacles,
+        free=_areas(grid, grid.cells == FREE),
+        grid=f"{prefix}map.yaml",
+    )
+    folder.write_map(known, grid, prefix)
+    return known
+
+
+def unfelt(document: RunDocument, prior: PriorMap, *, radius_cm: float) -> list[int]:
+    """Indices of the prior map's obstacles whose place was swept without their being felt."""
+    grid = _empty_grid(document, radius_cm, prior)
+    free = _free(grid, document.stages, radius_cm)
+    met = {contact.known for contact in document.contacts}
+    return [
+        index
+        for index in range(len(prior.obstacles))
+        if index not in met and _swept_through(prior.obstacles[index], grid, free)
+    ]
+
+
+def _obstacles(
+    contacts: Sequence[MapContact], prior: PriorMap | None, grid: OccupancyGrid, free: Mask
+) -> list[Obstacle]:
+    """Contacts felt, and what the prior map shows besides."""
+    felt = [_obstacle(contact) for contact in contacts]
+    if prior is None:
+        return felt
+    met = {contact.known for contact in contacts}
+    rest = [
+        replace(
+            obstacle,
+            source="prior, not felt" if _swept_through(obstacle, grid, free) else "prior",
+        )
+        for index, obstacle in enumerate(prior.obstacles)
+        if index not in met
+    ]
+    return felt + rest
+
+
+def _obstacle(contact: MapContact) -> Obstacle:
+    return Obstacle(
+        x_cm=contact.x_cm,
+        y_cm=contact.y_cm,
+        covariance_cm2=contact.covariance_cm2,
+        ellipse_95=Ellipse.of(contact.covariance_cm2),
+        track=contact.track or [(contact.x_cm, contact.y_cm)],
+        source="felt" if contact.known is None else "felt, prior",
+        status=contact.status,
+        normal_rad=contact.normal_rad,
+        body_side="right" if contact.force_per_cm2 > 0 else "left",
+        arc_cm=contact.arc_cm,
+        interval_cm=contact.interval_cm,
+        felt_at_cm=[*contact.merged, contact.everted_length_cm],
+        force_per_cm2=contact.force_per_cm2,
+    )
+
+
+def _empty_grid(document: RunDocument, radius_cm: float, prior: PriorMap | None) -> OccupancyGrid:
+    """A grid of unknown cells around all that is known."""
+    points = [np.array([[0.0, radius_cm], [0.0, -radius_cm]])]
+    for stage in document.stages:
+        points.append(np.array([[stage.everted_length_cm, 0.0]]))
+        points += [np.asarray(shape.poses)[:, :2] for shape in stage.shapes]
+    for obstacle in [*map(_obstacle, document.contacts), *(prior.obstacles if prior else [])]:
+        reach = obstacle.ellipse_95.semi_major_cm
+        point = np.array([[obstacle.x_cm, obstacle.y_cm]])
+        points += [np.asarray(obstacle.track), point - reach, point + reach]
+    every = np.vstack(points)
+    margin = radius_cm + _MARGIN_CM
+    low = np.floor((every.min(axis=0) - margin) / _RESOLUTION_CM) * _RESOLUTION_CM
+    columns, rows = np.ceil((every.max(axis=0) + margin - low) / _RESOLUTION_CM).astype(int)
+    cells = np.full((rows, columns), UNKNOWN, dtype=np.int8)
+    return OccupancyGrid(cells, _RESOLUTION_CM, (float(low[0]), float(low[1]), 0.0))
+
+
+def _pixels(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Points as OpenCV draws them: cell centres at whole numbers, with fractions."""
+    cells = (points - np.array(grid.origin[:2])) / grid.resolution_cm - 0.5
+    scaled: NDArray[np.int32] = np.round(cells * (1 << _BITS)).astype(np.int32)
+    return scaled
+
+
+def _free(grid: OccupancyGrid, stages: Sequence[Stage], radius_cm: float) -> Mask:
+    """Cells that the tube covered in a sweep or standing straight."""
+    canvas = np.zeros(grid.cells.shape, dtype=np.uint8)
+    inner = max(radius_cm - _DRAWN_IN_CM, _RESOLUTION_CM / 2)
+    for stage in stages:
+        straight = np.array([[0.0, 0.0, 0.0], [stage.everted_length_cm, 0.0, 0.0]])
+        lines = [straight]
+        for side in ("left", "right"):
+            lines += passed(shape for shape in stage.shapes if shape.side == side)
+        for line in lines:
+            polygon = _pixels(grid, outline(line, inner))
+            cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
+    return canvas.astype(np.bool_)
+
+
+def _near_track(grid: OccupancyGrid, obstacle: Obstacle) -> Mask:
+    """Cells that may hold the obstacle's surface: 95 % along its track, and across it."""
+    away = np.ones(grid.cells.shape, dtype=np.uint8)
+    line = _pixels(grid, np.asarray(obstacle.track))
+    cv2.polylines(away, [line], False, 0, lineType=cv2.LINE_8, shift=_BITS)
+    distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    mask: Mask = distance * grid.resolution_cm <= _across(obstacle) + grid.resolution_cm / 2
+    return mask
+
+
+def _across(obstacle: Obstacle) -> float:
+    """Half the width (cm) of the band around an obstacle's track that holds it with 95 %."""
+    if obstacle.normal_rad is None:
+        return 0.0
+    normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
+    return _SIGMA_95 * float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
+
+
+def _swept_through(obstacle: Obstacle, grid: OccupancyGrid, free: Mask) -> bool:
+    """Whether an obstacle's place, and all within its standard deviation, was swept freely."""
+    distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    sigma = float(np.sqrt(np.linalg.eigvalsh(np.asarray(obstacle.covariance_cm2))[-1]))
+    column, row = (
+        int((value - low) // grid.resolution_cm)
+        for value, low in zip((obstacle.x_cm, obstacle.y_cm), grid.origin[:2], strict=True)
+    )
+    return bool(distance[row, column] * grid.resolution_cm > max(sigma, grid.resolution_cm))
+
+
+def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
+    """Outlines of the free cells, through their centres."""
+    contours, tree = cv2.findContours(
+        free.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE
+    )
+    if tree is None:
+        return []
+    low = np.array(grid.origin[:2])
+    drawn = [
+        [
+            (round(float(x), 3), round(float(y), 3))
+            for x, y in low + (contour[:, 0, :] + 0.5) * grid.resolution_cm
+        ]
+        for contour in contours
+    ]
+    outer = [index for index in range(len(drawn)) if tree[0, index, 3] < 0]
+    return [
+        FreeArea(
+            drawn[index],
+            [drawn[hole] for hole in range(len(drawn)) if tree[0, hole, 3] == index],
+        )
+        for index in outer
+        if len(drawn[index]) > 2
+    ]

@@ -1,0 +1,156 @@
+"""A map of the room that an exploration is given: an earlier run's, or a ROS map.
+
+What it shows makes a contact there likelier, and nothing more: the posterior over the arc is the
+likelihood times a prior in which the contact is as likely one of the known obstacles as a new one
+anywhere. A map that is wrong can so move an estimate within its interval, and cannot make a contact
+or hide one. Coordinates are those of obstacles.json: the robot's base at the origin, x along it.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from thigmo.errors import RunFolderError
+from thigmo.record import (
+    OBSTACLES_FILE,
+    PRIOR_FILE,
+    Ellipse,
+    MapContact,
+    Obstacle,
+    ObstacleMap,
+    OccupancyGrid,
+    RunFolder,
+    read_obstacles,
+    read_ros_map,
+    write_obstacles,
+)
+from thigmo.record.occupancy import OCCUPIED
+from thigmo.robot.readings import Floats
+
+# No place is known better than this (one sigma): the peg is touched on another part of its rim, and
+# the two runs' shapes err.
+_FLOOR_CM = 1.5
+_SAME_SIGMA = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class PriorMap:
+    """Obstacles that are expected.
+
+    Attributes:
+        obstacles: of the map, those that it had itself found gone left out.
+    """
+
+    obstacles: list[Obstacle]
+
+    def boost(self, points: Floats, length_cm: float) -> Floats:
+        """Prior density at points of the skin, relative to that of a new obstacle.
+
+        Args:
+            points: (n, 2), cm.
+            length_cm: of the body that a new obstacle may touch anywhere.
+        """
+        # Known and new are equally likely: the bell over an arc holds as much as the rest of it.
+        peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi))
+        value = np.ones(len(points))
+        for obstacle in self.obstacles:
+            squared = _squared(obstacle, points, np.zeros((2, 2)))
+            value += peak * np.exp(-0.5 * squared)
+        return value
+
+    def match(self, contact: MapContact) -> int | None:
+        """Index of the obstacle that a contact is, or None for a new one."""
+        point = np.array([[contact.x_cm, contact.y_cm]])
+        covariance = np.asarray(contact.covariance_cm2)
+        apart = [float(_squared(o, point, covariance)[0]) for o in self.obstacles]
+        if not apart or min(apart) > _SAME_SIGMA**2:
+            return None
+        return int(np.argmin(apart))
+
+
+def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
+    """Squared distance of points from an obstacle, in standard deviations."""
+    total = covariance + _FLOOR_CM**2 * np.eye(2)
+    places = np.asarray(obstacle.track)
+    if obstacle.normal_rad is not None:  # a contact: a point with its covariance
+        places = np.array([[obstacle.x_cm, obstacle.y_cm]])
+        total = total + np.asarray(obstacle.covariance_cm2)
+    apart = points[:, None, :] - places[None, :, :]
+    inverse = np.linalg.inv(total)
+    squared: Floats = np.einsum("pki,ij,pkj->pk", apart, inverse, apart).min(axis=1)
+    return squared
+
+
+def read_prior(path: str | os.PathLike[str]) -> PriorMap:
+    """Read a map: a run folder, its obstacles.json, or a ROS map's YAML file.
+
+    Raises:
+        RunFolderError: it is neither, or cannot be read.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / OBSTACLES_FILE
+    if file.suffix == ".json":
+        known = read_obstacles(file).obstacles
+        return PriorMap([o for o in known if o.source != "prior, not felt"])
+    if file.suffix in (".yaml", ".yml"):
+        return PriorMap(_grid_obstacles(read_ros_map(file)))
+    raise RunFolderError(
+        f"{path} is no map", "give a run folder, its obstacles.json, or a ROS map's YAML file"
+    )
+
+
+def keep_prior(prior: PriorMap, folder: RunFolder, radius_cm: float) -> None:
+    """Keep the map that a run was given in its folder, for the replay.
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+    """
+    kept = ObstacleMap("prior", "", "given", radius_cm, prior.obstacles)
+    write_obstacles(kept, folder.path / PRIOR_FILE)
+
+
+def kept_prior(folder: RunFolder) -> PriorMap | None:
+    """The map that a run was given, or None.
+
+    Raises:
+        RunFolderError: it cannot be read.
+    """
+    file = folder.path / PRIOR_FILE
+    return PriorMap(read_obstacles(file).obstacles) if file.exists() else None
+
+
+def _grid_obstacles(grid: OccupancyGrid) -> list[Obstacle]:
+    """One obstacle for each connected patch of occupied cells; its track is the patch's rim."""
+    occupied = (grid.cells == OCCUPIED).astype(np.uint8)
+    count, labels = cv2.connectedComponents(occupied, connectivity=8)
+    x, y = grid.centers()
+    obstacles = []
+    for label in range(1, count):
+        patch = (labels == label).astype(np.uint8)
+        inside = cv2.erode(patch, np.ones((3, 3), np.uint8), borderValue=0)
+        rim = (patch > 0) & (inside == 0)
+        points = np.column_stack((x[rim], y[rim]))
+        spread = np.cov(np.column_stack((x[patch > 0], y[patch > 0])).T, ddof=0)
+        spread = spread + grid.resolution_cm**2 / 12 * np.eye(2)
+        covariance = (
+            (float(spread[0, 0]), float(spread[0, 1])),
+            (float(spread[1, 0]), float(spread[1, 1])),
+        )
+        obstacles.append(
+            Obstacle(
+                x_cm=float(x[patch > 0].mean()),
+                y_cm=float(y[patch > 0].mean()),
+                covariance_cm2=covariance,
+                ellipse_95=Ellipse.of(covariance),
+                track=[(float(px), float(py)) for px, py in points],
+                source="prior",
+                status="localized",
+            )
+        )
+    return obstacles

@@ -1,0 +1,150 @@
+"""obstacles.json: the room as a run leaves it to whoever plans with it, or explores it again.
+
+Obstacles are contacts, merged over the run's stages and with those of a map that was given before;
+free is what the robot swept without being held back. `map.pgm` and `map.yaml` beside it hold the
+same as a grid. Lengths in cm, angles in rad, forces over EI in 1/cm^2.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from thigmo.errors import RunFolderError
+
+OBSTACLES_FILE = "obstacles.json"
+PRIOR_FILE = "prior.json"  # the map that an exploration was given, in its run folder
+_FRAME = "origin at the robot's base, x along the straight robot, y to its left"
+_SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
+
+Point = tuple[float, float]
+Covariance = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """95 % ellipse in the plane: half axes, and the angle of the long one from x."""
+
+    semi_major_cm: float
+    semi_minor_cm: float
+    angle_rad: float
+
+    @classmethod
+    def of(cls, covariance_cm2: Covariance) -> Ellipse:
+        """The ellipse of a normal law's covariance."""
+        values, vectors = np.linalg.eigh(np.asarray(covariance_cm2))
+        minor, major = _SIGMA_95 * np.sqrt(np.maximum(values, 0.0))
+        return cls(float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """Something that the robot touched, or that an earlier map shows.
+
+    Attributes:
+        x_cm, y_cm: the point of its surface that the robot touched.
+        covariance_cm2: of that point.
+        ellipse_95: the same, drawn out.
+        track: the 95 % interval along the skin, in the room; of a grid's obstacle, its outline.
+        source: "felt" in this run; "prior", shown by the map given and not reached; "felt, prior";
+            "prior, not felt", where the robot swept through its place.
+        status: "localized" or "ambiguous".
+        normal_rad: direction from the body into the obstacle; None for a grid's obstacle.
+        body_side: side of the robot that it touched, "left" or "right"; empty for a grid's.
+        arc_cm, interval_cm: along the body when it was last measured.
+        felt_at_cm: everted lengths at which it was felt, the last measured one last.
+        force_per_cm2: F/EI at the last measurement.
+    """
+
+    x_cm: float
+    y_cm: float
+    covariance_cm2: Covariance
+    ellipse_95: Ellipse
+    track: list[Point]
+    source: str
+    status: str
+    normal_rad: float | None = None
+    body_side: str = ""
+    arc_cm: float | None = None
+    interval_cm: tuple[float, float] | None = None
+    felt_at_cm: list[float] = field(default_factory=list)
+    force_per_cm2: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FreeArea:
+    """One connected part of the space that was swept freely: its outline, and islands in it."""
+
+    outline: list[Point]
+    holes: list[list[Point]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class ObstacleMap:
+    """The whole of obstacles.json.
+
+    Attributes:
+        name, started, outcome: of the run.
+        tube_radius_cm: of the robot that swept.
+        obstacles: merged.
+        free: swept without contact.
+        grid: file that holds the same as a ROS map, beside this one; empty without.
+    """
+
+    name: str
+    started: str
+    outcome: str
+    tube_radius_cm: float
+    obstacles: list[Obstacle] = field(default_factory=list)
+    free: list[FreeArea] = field(default_factory=list)
+    grid: str = ""
+    frame: str = _FRAME
+    units: dict[str, str] = field(
+        default_factory=lambda: {"length": "cm", "angle": "rad", "force over EI": "1/cm^2"}
+    )
+    version: int = 1
+
+
+_MAP = TypeAdapter(ObstacleMap)
+
+
+def write_obstacles(known: ObstacleMap, path: Path) -> None:
+    """Write obstacles.json whole or not at all.
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+    """
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        partial.write_bytes(_MAP.dump_json(known, indent=1) + b"\n")
+        partial.replace(path)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
+        ) from error
+
+
+def read_obstacles(path: str | os.PathLike[str]) -> ObstacleMap:
+    """Read an obstacles.json.
+
+    Raises:
+        RunFolderError: missing or malformed.
+    """
+    try:
+        return _MAP.validate_json(Path(path).read_bytes())
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot read {path}: {error.strerror}",
+            "give a run folder that holds obstacles.json, or a ROS map's YAML file",
+        ) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise RunFolderError(
+            f"{path}: {where + ': ' if where else ''}{first['msg']}",
+            "run `thigmo replay` on its folder, or give another map",
+        ) from error

@@ -1,0 +1,140 @@
+"""Occupancy grids as ROS's map_server keeps them: a PGM picture and a YAML file that describes it.
+
+A pixel x stands for the occupancy (255 - x) / 255 (negate: 0); above `occupied_thresh` a cell is
+occupied, below `free_thresh` it is free, and else unknown. The picture's first row is the map's
+farthest in y; `origin` is the pose of its lower left corner, in m and rad (wiki.ros.org/map_server,
+map format; REP 103 for units). The grey values are those of ROS's own map_saver.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
+
+from thigmo.errors import RunFolderError
+
+FREE, UNKNOWN, OCCUPIED = 0, -1, 100  # as in nav_msgs/OccupancyGrid
+_GREY = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
+_OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
+_CM_PER_M = 100.0
+_FINITE = Annotated[float, Field(allow_inf_nan=False)]
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancyGrid:
+    """A grid in the plane.
+
+    Attributes:
+        cells: (rows, columns) of FREE, UNKNOWN or OCCUPIED; row 0 lowest in y.
+        resolution_cm: size of a cell.
+        origin: x, y (cm) and yaw (rad) of the outer corner of cell (0, 0).
+    """
+
+    cells: NDArray[np.int8]
+    resolution_cm: float
+    origin: tuple[float, float, float]
+
+    def centers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """x and y of every cell's centre, cm, each of the cells' shape."""
+        rows, columns = self.cells.shape
+        along, up = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+        x0, y0, yaw = self.origin
+        cos, sin, size = np.cos(yaw), np.sin(yaw), self.resolution_cm
+        return x0 + size * (along * cos - up * sin), y0 + size * (along * sin + up * cos)
+
+
+class _Description(BaseModel):
+    """map.yaml; keys that other tools add (`mode`, `cost_translation_table`) are left alone."""
+
+    image: str
+    resolution: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    origin: tuple[_FINITE, _FINITE, _FINITE]
+    negate: Literal[0, 1] = 0
+    occupied_thresh: _FINITE = _OCCUPIED_ABOVE
+    free_thresh: _FINITE = _FREE_BELOW
+
+
+def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
+    """Write `path` (a .yaml) and the picture of the same name beside it.
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+    """
+    picture = path.with_suffix(".pgm")
+    grey: NDArray[np.uint8] = np.full(grid.cells.shape, _GREY[UNKNOWN], dtype=np.uint8)
+    for value in (FREE, OCCUPIED):
+        grey[grid.cells == value] = _GREY[value]
+    x, y, yaw = grid.origin
+    described = {
+        "image": picture.name,
+        "mode": "trinary",
+        "resolution": round(grid.resolution_cm / _CM_PER_M, 6),
+        "origin": [round(x / _CM_PER_M, 6), round(y / _CM_PER_M, 6), float(yaw)],
+        "negate": 0,
+        "occupied_thresh": _OCCUPIED_ABOVE,
+        "free_thresh": _FREE_BELOW,
+    }
+    rows, columns = grey.shape
+    files = {
+        picture: f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes(),
+        path: yaml.safe_dump(described, sort_keys=False).encode(),
+    }
+    for target, data in files.items():
+        partial = target.with_name(f"{target.name}.partial")
+        try:
+            partial.write_bytes(data)
+            partial.replace(target)
+        except OSError as error:
+            raise RunFolderError(
+                f"cannot write {target}: {error.strerror}", "free some space, or check permissions"
+            ) from error
+
+
+def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
+    """Read a map that map_server could serve: its YAML file, and the picture that this names.
+
+    Raises:
+        RunFolderError: a file is missing or is not what it should be.
+    """
+    import cv2
+
+    try:
+        described = _Description.model_validate(yaml.safe_load(Path(path).read_text()))
+        data = (Path(path).parent / described.image).read_bytes()
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot read {error.filename or path}: {error.strerror}", "check the map's paths"
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise RunFolderError(
+            f"{path} is not valid YAML: {reason}", "give a ROS map's YAML file, or a run folder"
+        ) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise RunFolderError(
+            f"{path}: {where + ': ' if where else ''}{first['msg']}",
+            "give a ROS map's YAML file (image, resolution, origin), or a run folder",
+        ) from error
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    if picture is None:
+        raise RunFolderError(
+            f"{described.image}, named by {path}, is no picture", "give the map's own picture"
+        )
+    level = picture[::-1].astype(np.float64) / 255.0
+    occupancy = level if described.negate else 1.0 - level
+    cells = np.full(picture.shape, UNKNOWN, dtype=np.int8)
+    cells[occupancy < described.free_thresh] = FREE
+    cells[occupancy > described.occupied_thresh] = OCCUPIED
+    x, y, yaw = described.origin
+    return OccupancyGrid(
+        cells, described.resolution * _CM_PER_M, (x * _CM_PER_M, y * _CM_PER_M, yaw)
+    )

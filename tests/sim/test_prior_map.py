@@ -1,0 +1,109 @@
+"""An exploration with a map: it knows its obstacles again, and a wrong one does no harm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+from thigmo.emulator.scene import Scene
+from thigmo.exploration import ExplorationResult, explore, replay
+from thigmo.record import OBSTACLES_FILE, OccupancyGrid, read_obstacles, write_ros_map
+
+SEED = 2
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene mid_body, from 38 cm on: three stages, and a contact at each."""
+    scene = Scene.load("mid_body")
+    scene.start_length_cm = 38.0
+    file = tmp_path_factory.mktemp("room") / "room.toml"
+    file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    return file
+
+
+@pytest.fixture(scope="module")
+def first(room: Path) -> ExplorationResult:
+    """Explored without a map."""
+    return explore(f"emulator://{room}", seed=SEED, out=room.parent, name="first")
+
+
+def _grid(path: Path, *blocks: tuple[float, float]) -> Path:
+    """A ROS map of 1 cm cells with 2 cm blocks at these places (cm)."""
+    cells = np.full((80, 80), -1, dtype=np.int8)
+    for x, y in blocks:
+        column, row = int(x + 10), int(y + 40)
+        cells[row - 1 : row + 1, column - 1 : column + 1] = 100
+    write_ros_map(OccupancyGrid(cells, 1.0, (-10.0, -40.0, 0.0)), path)
+    return path
+
+
+def _arc_is_held(result: ExplorationResult) -> None:
+    (contact,) = result.document.contacts
+    truth = result.document.truth
+    assert truth is not None
+    true = truth.contacts[-1]
+    low, high = contact.interval_cm
+    assert low - 0.5 <= true.arc_cm <= high + 0.5
+    assert result.document.error_x_cm is not None
+    assert result.document.error_x_cm < 3.0
+
+
+def test_a_second_run_knows_the_firsts_obstacle_again(
+    room: Path, first: ExplorationResult, tmp_path: Path
+) -> None:
+    assert first.document.contacts[0].known is None
+    again = explore(f"emulator://{room}", seed=9, out=tmp_path, prior=first.folder)
+    (contact,) = again.document.contacts
+    assert contact.known == 0
+    _arc_is_held(again)
+    assert again.document.missed == []
+    (obstacle,) = read_obstacles(again.folder / OBSTACLES_FILE).obstacles
+    assert obstacle.source == "felt, prior"
+    repeated = replay(again.folder).document
+    assert repeated.contacts == again.document.contacts
+
+
+def test_a_map_of_the_true_peg_narrows_the_interval(
+    room: Path, first: ExplorationResult, tmp_path: Path
+) -> None:
+    truth = first.document.truth
+    assert truth is not None
+    (peg,) = truth.pegs
+    given = _grid(tmp_path / "room.yaml", (peg.x_cm, peg.y_cm))
+    result = explore(f"emulator://{room}", seed=SEED, out=tmp_path, prior=given)
+    (contact,), (before,) = result.document.contacts, first.document.contacts
+    assert contact.known == 0
+    _arc_is_held(result)
+    width, unaided = (np.diff(c.interval_cm)[0] for c in (contact, before))
+    print(f"{width:.1f} cm instead of {unaided:.1f} cm")
+    assert width < unaided
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        pytest.param([(28.0, -7.5)], id="a peg where the same bend would have met it sooner"),
+        pytest.param([(40.0, -14.0), (48.0, 20.0)], id="pegs that are not there"),
+        pytest.param([(40.0, 0.0)], id="a peg in the path of growth"),
+    ],
+)
+def test_a_wrong_map_does_not_break_the_run(
+    room: Path, tmp_path: Path, blocks: list[tuple[float, float]]
+) -> None:
+    given = _grid(tmp_path / "room.yaml", *blocks)
+    result = explore(f"emulator://{room}", seed=SEED, out=tmp_path, prior=given)
+    assert result.document.outcome == "full length"
+    _arc_is_held(result)
+
+
+def test_an_empty_room_stays_empty_whatever_the_map_says(tmp_path: Path) -> None:
+    given = _grid(tmp_path / "room.yaml", (40.0, 0.0), (44.0, 24.0))
+    document = explore("emulator://empty", seed=1, out=tmp_path, prior=given).document
+    assert document.contacts == []
+    assert document.missed is not None
+    assert (40.0, 0.0) in {(round(m.x_cm), round(m.y_cm)) for m in document.missed}
+    assert all(m.source == "prior" for m in document.missed)

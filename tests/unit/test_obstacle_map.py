@@ -1,0 +1,286 @@
+"""The map for planners: what a run's document becomes, read back by independent readers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from thigmo.config import RobotConfig
+from thigmo.errors import RunFolderError
+from thigmo.exploration.missed import judged
+from thigmo.exploration.obstacles import export_obstacles
+from thigmo.exploration.prior import PriorMap, read_prior
+from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
+from thigmo.record import (
+    Ellipse,
+    MapContact,
+    Obstacle,
+    RunDocument,
+    RunFolder,
+    Shape,
+    Stage,
+    TrueContact,
+    TruePeg,
+    Truth,
+    read_obstacles,
+    read_ros_map,
+)
+
+CONFIG = RobotConfig()
+RADIUS = CONFIG.body.radius_cm
+FREE, UNKNOWN, OCCUPIED = 254, 205, 0  # map_saver's grey values
+
+
+def _contact(arc: float = 40.0, length: float = 50.0, width: float = 3.0) -> MapContact:
+    """A peg on the left of a robot that bends to the left with 0.02 1/cm."""
+    bend = Bend(length, 0.02, ramp_knots([(arc, -2e-4)]))
+    placed = place_contact(
+        bend, arc, -2e-4, (arc - width, arc + width), radius_cm=RADIUS, curvature_se=5e-4
+    )
+    return MapContact(
+        arc_cm=arc,
+        x_cm=placed.x_cm,
+        y_cm=placed.y_cm,
+        force_per_cm2=-2e-4,
+        interval_cm=(arc - width, arc + width),
+        status="localized",
+        everted_length_cm=length,
+        side="left",
+        normal_rad=placed.normal_rad,
+        covariance_cm2=placed.covariance_cm2,
+        track=placed.track,
+        model="plain beam",
+        readings=5,
+    )
+
+
+def _document(*contacts: MapContact, top: float = 0.015) -> RunDocument:
+    """One stage, 50 cm long, swept to both sides."""
+    shapes = [
+        Shape(side, 10.0 * share, centreline(Bend(50.0, sign * top * share)).poses(1.0))
+        for side, sign in (("left", 1.0), ("right", -1.0))
+        for share in (0.25, 0.5, 0.75, 1.0)
+    ]
+    stage = Stage(50.0, 0.49, 1.0, shapes, [], {"left": 0.006, "right": 0.001})
+    return RunDocument("0", "n", "u", "s", "full length", None, list(contacts), [stage])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.create(tmp_path, "room", datetime(2024, 5, 17))
+
+
+def _grey(folder: RunFolder, x: float, y: float) -> int:
+    """Pixel under a point (cm), by map_server's convention, with a reader that is not ours."""
+    described = yaml.safe_load((folder.path / "map.yaml").read_text())
+    picture = np.array(Image.open(folder.path / described["image"]))
+    low_x, low_y, _ = described["origin"]
+    column = int((x / 100 - low_x) / described["resolution"])
+    row = picture.shape[0] - 1 - int((y / 100 - low_y) / described["resolution"])
+    return int(picture[row, column])
+
+
+def test_the_grid_is_what_map_server_reads(folder: RunFolder) -> None:
+    contact = _contact()
+    export_obstacles(folder, _document(contact), radius_cm=RADIUS)
+    described = yaml.safe_load((folder.path / "map.yaml").read_text())
+    assert described["negate"] == 0
+    picture = Image.open(folder.path / described["image"])
+    assert picture.format == "PPM"
+    assert picture.mode == "L"
+    data = (folder.path / "map.pgm").read_bytes()
+    assert data.startswith(b"P5\n%d %d\n255\n" % picture.size)
+    # Occupancy (255 - x) / 255 of the three greys, against the file's own thresholds.
+    occupancy = {grey: (255 - grey) / 255 for grey in np.unique(np.array(picture)).tolist()}
+    assert set(occupancy) == {FREE, UNKNOWN, OCCUPIED}
+    assert occupancy[FREE] < described["free_thresh"] < occupancy[UNKNOWN]
+    assert occupancy[UNKNOWN] < described["occupied_thresh"] < occupancy[OCCUPIED]
+
+
+def test_rows_run_downwards_from_the_left_of_the_robot(folder: RunFolder) -> None:
+    contact = _contact()
+    assert contact.y_cm > 10  # on the left, so in the picture's upper half
+    export_obstacles(folder, _document(contact), radius_cm=RADIUS)
+    assert _grey(folder, contact.x_cm, contact.y_cm) == OCCUPIED
+    assert _grey(folder, contact.x_cm, -contact.y_cm) != OCCUPIED
+    for x, y in contact.track:
+        assert _grey(folder, x, y) == OCCUPIED
+
+
+def test_what_was_swept_is_free_and_what_was_not_is_unknown(folder: RunFolder) -> None:
+    export_obstacles(folder, _document(), radius_cm=RADIUS)
+    swept = centreline(Bend(50.0, 0.0075))
+    for arc in (5.0, 20.0, 35.0, 49.0):
+        x, y, _ = swept.pose(arc)
+        assert _grey(folder, x, y) == FREE
+        assert _grey(folder, x, -y) == FREE
+    for arc in (10.0, 30.0, 49.0):
+        assert _grey(folder, arc, 0.0) == FREE
+    beyond, side, _ = centreline(Bend(50.0, 0.025)).pose(49.0)
+    assert _grey(folder, beyond, side) == UNKNOWN
+    known = read_obstacles(folder.path / "obstacles.json")
+    assert known.obstacles == []
+    (area,) = known.free
+    x, y = np.array(area.outline).T
+    # The polygon holds what the grid does: area by the shoelace formula.
+    shoelace = abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+    grid = read_ros_map(folder.path / "map.yaml")
+    cells = int((grid.cells == 0).sum()) * grid.resolution_cm**2
+    assert shoelace == pytest.approx(cells, rel=0.1)
+
+
+def test_obstacles_json_says_all_of_a_contact(folder: RunFolder) -> None:
+    contact = replace(_contact(), merged=[40.0])
+    export_obstacles(folder, _document(contact), radius_cm=RADIUS)
+    known = read_obstacles(folder.path / "obstacles.json")
+    assert known.units["length"] == "cm"
+    assert "base" in known.frame
+    (obstacle,) = known.obstacles
+    assert (obstacle.x_cm, obstacle.y_cm) == (contact.x_cm, contact.y_cm)
+    assert obstacle.status == "localized"
+    assert obstacle.body_side == "left"
+    assert obstacle.normal_rad == pytest.approx(contact.normal_rad)
+    assert obstacle.interval_cm == contact.interval_cm
+    assert obstacle.felt_at_cm == [40.0, 50.0]
+    assert obstacle.source == "felt"
+    values = np.linalg.eigvalsh(np.asarray(contact.covariance_cm2))
+    axes = (obstacle.ellipse_95.semi_minor_cm, obstacle.ellipse_95.semi_major_cm)
+    assert axes == pytest.approx(tuple(2.4477 * np.sqrt(values)), rel=1e-3)
+
+
+def test_an_ellipses_angle_is_that_of_its_long_axis() -> None:
+    turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+    covariance = turn @ np.diag([9.0, 1.0]) @ turn.T
+    ellipse = Ellipse.of(
+        ((covariance[0, 0], covariance[0, 1]), (covariance[1, 0], covariance[1, 1]))
+    )
+    assert ellipse.angle_rad % pi == pytest.approx(0.5)
+    assert ellipse.semi_major_cm == pytest.approx(3 * ellipse.semi_minor_cm)
+
+
+def test_a_run_that_knows_nothing_yet_exports_an_unknown_room(folder: RunFolder) -> None:
+    export_obstacles(folder, RunDocument("0", "n", "u", "s"), radius_cm=RADIUS)
+    assert (read_ros_map(folder.path / "map.yaml").cells == -1).all()
+    assert read_obstacles(folder.path / "obstacles.json").free == []
+
+
+def test_a_grid_is_read_with_its_orientation_and_yaw(tmp_path: Path) -> None:
+    picture = np.full((3, 4), 254, np.uint8)
+    picture[0, 3] = 0  # top right: high x, high y
+    Image.fromarray(picture).save(tmp_path / "room.png")
+    text = "image: room.png\nresolution: 0.1\norigin: [1.0, 2.0, 0.0]\nnegate: 0\n"
+    text += "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    (tmp_path / "room.yaml").write_text(text)
+    (obstacle,) = read_prior(tmp_path / "room.yaml").obstacles
+    assert (obstacle.x_cm, obstacle.y_cm) == pytest.approx((135.0, 225.0))
+    (tmp_path / "room.yaml").write_text(text.replace("0.0]", f"{pi / 2}]"))
+    (turned,) = read_prior(tmp_path / "room.yaml").obstacles
+    assert (turned.x_cm, turned.y_cm) == pytest.approx((100.0 - 25.0, 200.0 + 35.0))
+    (tmp_path / "room.yaml").write_text(text.replace("negate: 0", "negate: 1"))
+    (inverted,) = read_prior(tmp_path / "room.yaml").obstacles
+    assert inverted.x_cm < 135.0  # now all the others are occupied
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("m.json", "{", "m.json"),
+        ("m.json", '{"name": "n"}', "started"),
+        ("m.yaml", "image: [", "not valid YAML"),
+        ("m.yaml", "resolution: 0.1", "image"),
+        ("m.yaml", "image: no.pgm\nresolution: 0.1\norigin: [0, 0, 0]", "no.pgm"),
+        ("m.yaml", "image: m.yaml\nresolution: 0.1\norigin: [0, 0, 0]", "no picture"),
+        ("m.yaml", "image: m.yaml\nresolution: -1\norigin: [0, 0, 0]", "resolution"),
+        ("m.yaml", "image: m.yaml\nresolution: 1\norigin: [0, .nan, 0]", "origin"),
+        ("m.yaml", "just words", "ROS map"),
+        ("m.txt", "x", "no map"),
+        (None, "", "obstacles.json"),
+    ],
+)
+def test_a_bad_map_is_one_clear_line(
+    tmp_path: Path, name: str | None, text: str, said: str
+) -> None:
+    path = tmp_path if name is None else tmp_path / name
+    if name is not None:
+        path.write_text(text)
+    with pytest.raises(RunFolderError, match=said) as raised:
+        read_prior(path)
+    assert "\n" not in str(raised.value)
+
+
+def _known(contact: MapContact) -> PriorMap:
+    return PriorMap([
+        Obstacle(
+            contact.x_cm, contact.y_cm, contact.covariance_cm2,
+            Ellipse.of(contact.covariance_cm2), contact.track, "felt", "localized",
+            normal_rad=contact.normal_rad,
+        )
+    ])  # fmt: skip
+
+
+def test_a_contact_at_a_known_obstacle_is_that_obstacle() -> None:
+    prior = _known(_contact())
+    assert prior.match(_contact(arc=41.0)) == 0
+    assert prior.match(_contact(arc=20.0)) is None
+    assert PriorMap([]).match(_contact()) is None
+
+
+def test_a_known_obstacle_that_is_met_is_one_with_the_contact(folder: RunFolder) -> None:
+    contact = replace(_contact(), known=0)
+    known = export_obstacles(
+        folder, _document(contact), radius_cm=RADIUS, prior=_known(_contact(arc=41.0))
+    )
+    assert [o.source for o in known.obstacles] == ["felt, prior"]
+
+
+def test_a_known_obstacle_that_was_swept_through_is_missed_and_free(folder: RunFolder) -> None:
+    ahead, far = _contact(), replace(_contact(), x_cm=10.0, y_cm=30.0)
+    ahead = replace(ahead, x_cm=47.0, y_cm=3.0, covariance_cm2=((0.2, 0.0), (0.0, 0.2)))
+    prior = PriorMap([*_known(ahead).obstacles, *_known(far).obstacles])
+    document = judged(_document(), CONFIG, prior)
+    assert document.missed is not None
+    (gone,) = document.missed
+    assert (gone.source, gone.x_cm, gone.y_cm) == ("prior", 47.0, 3.0)
+    known = export_obstacles(folder, document, radius_cm=RADIUS, prior=prior)
+    assert [o.source for o in known.obstacles] == ["prior, not felt", "prior"]
+    assert _grey(folder, 47.0, 3.0) == FREE
+    assert _grey(folder, *far.track[12]) == OCCUPIED
+    assert len(read_prior(folder.path).obstacles) == 1  # the next run does not expect it
+
+
+def _truth(*contacts: TrueContact) -> Truth:
+    return Truth([TruePeg(30.0, 20.0, 0.6)], list(contacts))
+
+
+def test_missed_and_false_contacts_are_listed_with_reasons() -> None:
+    found = _contact()
+    here = TrueContact(found.x_cm + 0.5, found.y_cm, 40.5, 50.0, 0, "left")
+    right = TrueContact(30.0, -10.0, 33.0, 50.0, 1, "right")
+    near = TrueContact(1.0, -1.75, 1.0, 50.0, 2, "right")
+    both = judged(replace(_document(found), truth=_truth(here, right, near)), CONFIG)
+    assert both.false == []
+    assert both.missed is not None
+    assert [(m.arc_cm, m.source) for m in both.missed] == [(33.0, "truth"), (1.0, "truth")]
+    assert "moment below threshold" in both.missed[0].reason
+    assert "first sensor" in both.missed[1].reason
+    alone = judged(replace(_document(found), truth=_truth(right)), CONFIG)
+    assert alone.false is not None
+    assert [f.contact for f in alone.false] == [0]
+    assert "nothing touched" in alone.false[0].reason
+    assert judged(_document(found), CONFIG).missed is None  # a real room: nobody knows
+
+
+def test_two_pegs_of_one_sweep_that_were_not_told_apart_say_so() -> None:
+    found = _contact()
+    here = TrueContact(found.x_cm, found.y_cm, 40.0, 50.0, 0, "left")
+    other = TrueContact(20.0, 5.0, 20.0, 50.0, 1, "left")
+    document = judged(replace(_document(found), truth=_truth(here, other)), CONFIG)
+    assert document.missed is not None
+    assert "told apart" in document.missed[0].reason
