@@ -4,22 +4,23 @@ Rows are free bends: pressure (measured), curvature by camera, branch (inflating
 trial. Each branch gets its own tanh map; trials may sit a little apart (the robot never lies quite
 straight), which is fitted as an offset for each trial, and its spread becomes `offset_se`, the
 common error that the localizer marginalises and re-estimates from frames without contact.
-`fit_lag` finds the time from pressure to bend; `at_body_pressure` interpolates maps.
+`at_body_pressure` interpolates maps.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
 from scipy.stats import norm
 
+from thigmo.calibrate.lag import Lag
 from thigmo.calibrate.table import Table, write_table
 from thigmo.calibrate.verdict import Verdict
 from thigmo.config import RobotConfig, Side, TanhMap, ZoneMap
@@ -126,8 +127,7 @@ class ActuatorResult:
         full_scale: g at the highest pressure, 1/cm.
         offset_se: standard deviation of a trial's common offset, 1/cm.
         used: (n,) rows that were kept.
-        lag_s: pressure to bend, if a sweep was recorded.
-        lag_se_s: its standard error.
+        lag: pressure to bend, if a ramp was recorded at this body pressure.
         verdict: in words.
     """
 
@@ -138,8 +138,7 @@ class ActuatorResult:
     offset_se: float
     used: NDArray[np.bool_]
     verdict: Verdict
-    lag_s: float | None = None
-    lag_se_s: float | None = None
+    lag: Lag | None = None
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
@@ -151,8 +150,7 @@ class ActuatorResult:
             "offset_se": self.offset_se,
             "rows": len(self.used),
             "rows_left_out": [int(i) for i in np.nonzero(~self.used)[0]],
-            "lag_s": self.lag_s,
-            "lag_se_s": self.lag_se_s,
+            "lag": None if self.lag is None else asdict(self.lag),
             "verdict": self.verdict.as_data(),
         }
 
@@ -175,8 +173,9 @@ class ActuatorResult:
         maps[zone] = self.zone
         actuator.maps = maps
         actuator.offset_se = float(np.hypot(self.offset_se, self.g_se))
-        if self.lag_s is not None:
-            actuator.lag_s = self.lag_s
+        if self.lag is not None:
+            # The board has one constant, and looks for contacts while pressure rises.
+            actuator.lag_s = self.lag.inflate_s
         return made
 
     def figure(self, path: Path) -> None:
@@ -340,68 +339,6 @@ def _verdict(
     return Verdict(
         True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)", tuple(notes)
     )
-
-
-@dataclass(frozen=True)
-class Lag:
-    """Time from measured pressure to bend."""
-
-    lag_s: float
-    lag_se_s: float
-
-
-def low_pass(t: Array, values: Array, lag_s: float) -> Array:
-    """First-order lag of a sampled signal (as the board filters the measured pressure)."""
-    made = np.array(values, float)
-    for i in range(1, len(made)):
-        step = t[i] - t[i - 1]
-        share = 1.0 if lag_s <= 0 else 1 - np.exp(-step / lag_s)
-        made[i] = made[i - 1] + share * (values[i] - made[i - 1])
-    return made
-
-
-def fit_lag(t_s: Array, pressure_psi: Array, curvature: Array, zone: ZoneMap, side: Side) -> Lag:
-    """Lag from a recorded sweep: pressure and the base sensor's (or the camera's) curvature.
-
-    The curvature may be off by a gain and an offset (they are fitted): only its timing counts.
-
-    Raises:
-        DataError: fewer than 50 samples, or no bend.
-    """
-    good = np.isfinite(t_s) & np.isfinite(pressure_psi) & np.isfinite(curvature)
-    t, p, k = t_s[good], pressure_psi[good], curvature[good]
-    if len(t) < 50 or np.ptp(k) < 1e-3:
-        raise DataError("the sweep shows no bend to time", "sweep to 18 psi within 10 s or less")
-    order = np.argsort(t)
-    t, p, k = t[order], p[order], k[order]
-
-    def cost(lag: float) -> tuple[float, Array]:
-        felt = low_pass(t, p, lag)
-        rising = np.gradient(felt, t) >= 0
-        up, down = (
-            np.array([m.curvature(max(0.0, float(v))) for v in felt])
-            for m in (zone.inflate, zone.deflate)
-        )
-        # Branches apart: each may sit off by an offset of its own.
-        g = np.where(rising, up, down)
-        design = np.column_stack([g, np.ones(len(g))])
-        line = np.linalg.lstsq(design, k, rcond=None)[0]
-        rest = k - design @ line
-        return float(rest @ rest), rest
-
-    def misfit(lag: float) -> float:
-        return cost(lag)[0]
-
-    fit = minimize_scalar(misfit, bounds=(0.0, 1.5), method="bounded", options={"xatol": 1e-3})
-    lag = float(fit.x)
-    least, rest = cost(lag)
-    step = 0.05
-    bend = (cost(lag + step)[0] + cost(max(0.0, lag - step))[0] - 2 * least) / step**2
-    along = float(np.corrcoef(rest[1:], rest[:-1])[0, 1])
-    along = min(0.98, max(0.0, along)) if np.isfinite(along) else 0.0
-    variance = least / max(1, len(t) - 3) * (1 + along) / (1 - along)
-    se = float(np.sqrt(2 * variance / bend)) if bend > 0 else np.inf
-    return Lag(lag, se)
 
 
 def at_body_pressure(maps: Sequence[ZoneMap], body_pressure_psi: float) -> ZoneMap:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.actuator import ActuatorResult, BendReadings, fit_actuator, fit_lag
+from thigmo.calibrate.actuator import ActuatorResult, BendReadings, fit_actuator
 from thigmo.calibrate.bench import SAME_CM, Bench, Row
 from thigmo.calibrate.buckling import BucklingResult, PushReadings, fit_buckling
 from thigmo.calibrate.check import CheckResult, run_check
@@ -26,6 +26,7 @@ from thigmo.calibrate.encoder import EncoderResult, PressureResult, fit_encoder,
 from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.hysteresis import CreepRecord, HysteresisResult, fit_hysteresis
+from thigmo.calibrate.lag import fit_lag
 from thigmo.calibrate.noise import NoiseResult, fit_noise
 from thigmo.calibrate.procedures import (
     bend_rows,
@@ -45,6 +46,7 @@ from thigmo.errors import DataError
 Array = NDArray[np.float64]
 
 _VENTED_PSI = 0.5
+_LAG_SE_S = 0.1  # a lag known worse than that is not used
 
 
 def pressure(bench: Bench) -> PressureResult:
@@ -152,7 +154,7 @@ def actuator(bench: Bench) -> ActuatorResults:
     """Maps of both muscles for the planned body pressures, and the lag."""
     zones = bench.plan.zones or tuple(range(len(bench.config.body.zones)))
     rows = bend_rows(bench, zones)
-    lags = {side: ramp(bench, side) for side in SIDES}
+    ramps = {side: ramp(bench, side, zones[-1]) for side in SIDES}
     found: list[ActuatorResult] = []
     for zone in zones:
         for side in SIDES:
@@ -167,20 +169,15 @@ def actuator(bench: Bench) -> ActuatorResults:
                 np.array([r["trial"] for r in mine], np.int64),
             )
             result = fit_actuator(readings)
-            if result.verdict.good and lags[side] is not None:
-                t, p, k = lags[side] or (np.zeros(0),) * 3
-                lag = fit_lag(t, p, k, result.zone, side)
-                result = _with_lag(result, lag.lag_s, lag.lag_se_s)
+            record = ramps[side]
+            if result.verdict.good and zone == zones[-1] and record is not None:
+                lag = fit_lag(*record, result.zone, side)
+                if lag.inflate_se_s < _LAG_SE_S:
+                    result = replace(result, lag=lag)
             found.append(result)
     results = ActuatorResults(tuple(found), summary(found))
     bench.finish("actuator", results)
     return results
-
-
-def _with_lag(result: ActuatorResult, lag_s: float, se: float) -> ActuatorResult:
-    if not np.isfinite(se) or se > 0.1:
-        return result
-    return replace(result, lag_s=lag_s, lag_se_s=se)
 
 
 def flex(bench: Bench) -> FlexResult:

@@ -192,12 +192,16 @@ def rest_rows(bench: Bench) -> list[Row]:
     return bench.rows("rest", [f"rest {n}" for n in range(bench.plan.rest_readings)], take)
 
 
-def ramp(bench: Bench, side: Side) -> tuple[Array, Array, Array] | None:
-    """Time, pressure and curvature (inactive base sensor) of a ramp up and down."""
+def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | None:
+    """Time, pressure and curvature (mean of the inactive side) of a ramp up and down.
+
+    None where no sensor of that side is healthy.
+    """
     top = 0.9 * bench.config.actuators.side(side).max_pressure_psi
 
     def take(key: str) -> Row:
         bench.ready_to_bend()
+        bench.set_zone(zone)
         ramp = top / 4.0
         parts = []
         for target in (top, 2.5):
@@ -216,7 +220,7 @@ def ramp(bench: Bench, side: Side) -> tuple[Array, Array, Array] | None:
         return {"t_s": t[::step].tolist(), "psi": psi[::step].tolist(),
                 "ohm": ohm[::step].tolist()}  # fmt: skip
 
-    row = bench.rows("lag", [f"ramp {side}"], take)[0]
+    row = bench.rows("lag", [f"ramp {side} zone {zone}"], take)[0]
     other: Side = "right" if side == "left" else "left"
     sensors = bench.config.sensors.column(other)
     live = [n for n, s in enumerate(sensors) if s.healthy]

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
         PlaneFitError,
         SheetHiddenError,
     )
-    from thigmo.camera.model import CameraModel, Lens, calibrate_lens, check_still, locate
+    from thigmo.camera.model import CameraModel, Lens, calibrate_lens, check_still
     from thigmo.camera.obstacles import Obstacle
+    from thigmo.camera.pose import locate
     from thigmo.camera.sheet import Card, Sheet, print_sheet
     from thigmo.camera.sight import Seen, Sighting, TipSighting, draw, look, see_tip
     from thigmo.camera.source import Painted, PictureSource, open_source
@@ -51,7 +52,7 @@ _HOME = {
     "click": "clicks",
     "draw": "sight",
     "fit_centerline": "body",
-    "locate": "model",
+    "locate": "pose",
     "look": "sight",
     "open_source": "source",
     "print_sheet": "sheet",

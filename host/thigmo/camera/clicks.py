@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.camera.errors import CameraError
+from thigmo.camera.model import write_json
 
 Pixel = tuple[float, float]
 
@@ -31,9 +32,12 @@ class Clicks:
     obstacles: tuple[tuple[Pixel, ...], ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write as JSON, so that a picture need be clicked only once."""
-        data = {"tip": self.tip, "axis": self.axis, "obstacles": self.obstacles}
-        Path(path).write_text(json.dumps(data))
+        """Write as JSON, so that a picture need be clicked only once.
+
+        Raises:
+            CameraError: the folder cannot be written.
+        """
+        write_json(path, {"tip": self.tip, "axis": self.axis, "obstacles": self.obstacles})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Clicks:
@@ -129,8 +133,11 @@ def click(picture: NDArray[np.uint8], what: tuple[str, ...] = ("tip",)) -> Click
     """Ask for points in a window: any of `tip`, `axis`, `obstacles`.
 
     Raises:
-        CameraError: no window can be opened, or too few points were clicked.
+        CameraError: unknown thing to click, no window, or too few points were clicked.
     """
+    for word in what:
+        if word not in ("tip", "axis", "obstacles"):
+            raise CameraError(f"'{word}' cannot be clicked", "name any of tip,axis,obstacles")
     tip: Pixel | None = None
     axis: tuple[Pixel, ...] = ()
     rims: list[tuple[Pixel, ...]] = []

@@ -1,9 +1,9 @@
 """The camera as a map between pixels and the workspace: lens, pose, and how well both are known.
 
-`calibrate_lens` takes pictures of the ChArUco board; `locate` takes one picture of the cards and
-gives the whole `CameraModel`, with the lens fitted to the same picture when none was calibrated.
-Heights matter: seen from 1 m, the middle of the robot (1.75 cm above the table) stands up to
-0.8 cm away from where the table's plane would have it, so every look-up names its height.
+`calibrate_lens` takes pictures of the ChArUco board; `thigmo.camera.pose` finds the `CameraModel`
+from one picture of the cards; `check_still` says when it no longer holds. Heights matter: seen from
+1 m, the middle of the robot (1.75 cm above the table) stands up to 0.8 cm away from where the
+table's plane would have it, so every look-up names its height.
 """
 
 from __future__ import annotations
@@ -18,14 +18,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from thigmo.camera.errors import CameraError, CameraMovedError, PlaneFitError, SheetHiddenError
-from thigmo.camera.sheet import BOARD_DICTIONARY, Points, Sheet, board, dictionary, place
+from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
+from thigmo.camera.sheet import BOARD_DICTIONARY, Points, Sheet, board, dictionary
 
 Picture = NDArray[np.uint8]
 
-_CORNER_PX = 0.25  # one sigma of a refined marker corner, blur and noise included
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
 
@@ -46,9 +44,27 @@ class Lens:
     size: tuple[int, int]
     rms_px: float = 0.0
 
+    def require(self, picture: Picture) -> None:
+        """Refuse a picture of another size.
+
+        Raises:
+            CameraError: its pixels are not this lens's.
+        """
+        height, width = picture.shape[:2]
+        if (width, height) != tuple(self.size):
+            raise CameraError(
+                f"the picture has {width} x {height} px, the camera was calibrated at "
+                f"{self.size[0]} x {self.size[1]}",
+                "take pictures of one size, or calibrate the camera again",
+            )
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the lens as JSON."""
-        Path(path).write_text(json.dumps({"version": 1, **self.as_data()}, indent=1))
+        """Write the lens as JSON.
+
+        Raises:
+            CameraError: the folder cannot be written.
+        """
+        write_json(path, {"version": 1, **self.as_data()})
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
@@ -150,7 +166,11 @@ class CameraModel:
         return float(abs(self.eye_cm[2]) / self.lens.matrix[0, 0])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model as JSON."""
+        """Write the model as JSON.
+
+        Raises:
+            CameraError: the folder cannot be written.
+        """
         data = {
             "version": 1,
             **self.lens.as_data(),
@@ -161,7 +181,7 @@ class CameraModel:
             "hidden": list(self.hidden),
             "corners": {str(k): v.tolist() for k, v in self.corners.items()},
         }
-        Path(path).write_text(json.dumps(data, indent=1))
+        write_json(path, data)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CameraModel:
@@ -189,6 +209,20 @@ class CameraModel:
             raise CameraError(
                 f"{path} is no camera calibration ({error})", "run `thigmo camera locate` again"
             ) from error
+
+
+def write_json(path: str | os.PathLike[str], data: dict[str, Any]) -> None:
+    """Write plain data.
+
+    Raises:
+        CameraError: the folder cannot be written.
+    """
+    try:
+        Path(path).write_text(json.dumps(data, indent=1))
+    except OSError as error:
+        raise CameraError(
+            f"cannot write {path}: {error.strerror}", "choose a folder that you may write to"
+        ) from error
 
 
 def gray(picture: Picture) -> Picture:
@@ -254,165 +288,15 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
     return Lens(np.asarray(matrix, float), np.ravel(distortion)[:5].astype(float), size, float(rms))
 
 
-def _lens_of(parameters: Points, size: tuple[int, int]) -> Lens:
-    focal = float(np.exp(parameters[0]))
-    matrix = np.array([[focal, 0, parameters[1]], [0, focal, parameters[2]], [0, 0, 1]])
-    return Lens(matrix, np.array([parameters[3], parameters[4], 0.0, 0.0, 0.0]), size)
-
-
-def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraModel:
-    """Camera model from one picture of the workspace cards.
-
-    With `lens` only the pose is fitted; without, focal length and radial distortion too (a plane
-    seen from above tells the distance poorly: give the sheet's `camera_height_cm`). The cards'
-    places float within their stated placement error, so that a tape measure's slips are shared out
-    instead of bending the picture.
-
-    Raises:
-        SheetHiddenError: fewer than three cards are seen.
-        PlaneFitError: corners and sheet disagree (cards swapped, turned, or misplaced).
-    """
-    found = {k: v for k, v in detect_markers(picture).items() if k in sheet.marker_ids()}
-    seen_cards = [c for c in sheet.cards if any(c.first_id + k in found for k in range(4))]
-    hidden = tuple(c.name for c in sheet.cards if c not in seen_cards)
-    if len(seen_cards) < 3:
-        raise SheetHiddenError(hidden, len(seen_cards))
-    size = (picture.shape[1], picture.shape[0])
-    return fit_pose(found, sheet, size, lens, hidden)
-
-
-def fit_pose(
-    found: dict[int, Points],
-    sheet: Sheet,
-    size: tuple[int, int],
-    lens: Lens | None = None,
-    hidden: tuple[str, ...] = (),
-) -> CameraModel:
-    """`locate` from corners that are already found (or clicked): (4, 2) px by marker id.
-
-    Raises:
-        PlaneFitError: corners and sheet disagree.
-    """
-    card_of = sheet.marker_ids()
-    markers = sorted(found)
-    cards = [c for c in sheet.cards if any(card_of[m] is c for m in markers)]
-    pixels = np.concatenate([found[m] for m in markers])
-    flat = np.concatenate([sheet.corners(m) for m in markers])
-    solid = np.column_stack([flat, np.zeros(len(flat))])
-    center = (size[0] / 2, size[1] / 2)
-
-    def guess(focal: float) -> Points:
-        matrix = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1]])
-        known = lens or Lens(matrix, np.zeros(5), size)
-        _, turn, move = cv2.solvePnP(
-            solid, pixels, known.matrix, known.distortion, flags=cv2.SOLVEPNP_IPPE
-        )
-        return np.concatenate([np.ravel(turn), np.ravel(move)])
-
-    offsets = 3 * len(cards)
-    owner = np.repeat([cards.index(card_of[m]) for m in markers], 4)
-    local = np.concatenate([sheet.local_corners(m - card_of[m].first_id) for m in markers])
-    spread = np.tile([sheet.placement_se_cm, sheet.placement_se_cm, 0.03], len(cards))
-    lens_spread = np.array([0.4, 0.01 * size[0], 0.01 * size[0], 0.4, 0.4])
-
-    def split(p: Points) -> tuple[Lens, Points, Points]:
-        if lens is not None:
-            return lens, p[:6], p[6:]
-        return _lens_of(p[:5], size), p[5:11], p[11:]
-
-    def residuals(p: Points, start: Points) -> Points:
-        used, pose, shifts = split(p)
-        shift = shifts.reshape(-1, 3)
-        turned = np.concatenate(
-            [
-                place(
-                    local[owner == k],
-                    card.model_copy(update={"turn_deg": card.turn_deg + np.degrees(shift[k, 2])}),
-                )
-                + shift[k, :2]
-                for k, card in enumerate(cards)
-            ]
-        )
-        seen, _ = cv2.projectPoints(
-            np.column_stack([turned, np.zeros(len(turned))])[order],
-            pose[:3],
-            pose[3:],
-            used.matrix,
-            used.distortion,
-        )
-        parts = [(seen.reshape(-1, 2) - pixels).ravel() / _CORNER_PX, shifts / spread]
-        if lens is None:
-            parts.append((p[:5] - start) / lens_spread)
-        if sheet.camera_height_cm is not None:
-            height = -(cv2.Rodrigues(pose[:3])[0].T @ pose[3:])[2]
-            miss = (height - sheet.camera_height_cm) / sheet.camera_height_se_cm
-            parts.append(np.array([miss]))
-        return np.concatenate(parts)
-
-    # `turned` above runs card by card; back to marker order.
-    order = np.argsort(np.argsort(owner, kind="stable"), kind="stable")
-    best: Any = None
-    for view_deg in (60.0,) if lens is not None else (50.0, 75.0, 95.0):
-        focal = size[0] / 2 / np.tan(np.radians(view_deg / 2))
-        start = np.array([np.log(focal), center[0], center[1], 0.0, 0.0])
-        head = np.zeros(0) if lens is not None else start
-        begin = np.concatenate([head, guess(focal), np.zeros(offsets)])
-        fit = least_squares(
-            residuals, begin, args=(start,), loss="soft_l1", x_scale="jac", max_nfev=80
-        )
-        if best is None or fit.cost < best[0].cost:
-            best = (fit, start)
-    fit, start = best
-    used, pose, shifts = split(fit.x)
-    whole = residuals(fit.x, start)[: 2 * len(pixels)] * _CORNER_PX
-    rms = float(np.sqrt(np.mean(whole**2) * 2))
-    worst = np.abs(shifts.reshape(-1, 3)[:, :2]).max(axis=1)
-    if rms > 3.0 or worst.max() > 8 * sheet.placement_se_cm + 0.5:
-        card = cards[int(np.argmax(worst))].name
-        raise PlaneFitError(
-            f"the cards do not lie where the sheet file says (off by {rms:.1f} px; "
-            f"'{card}' by {worst.max():.1f} cm)",
-            "measure the crosses again, check that no card is swapped or turned, and the 10 cm bar",
-        )
-    model = CameraModel(used, pose[:3].copy(), pose[3:].copy(), dict(found), rms, 0.0, hidden)
-    accuracy = _accuracy(fit.x, fit.jac, split, sheet)
-    return CameraModel(
-        used, model.rotation, model.translation, model.corners, rms, accuracy, hidden
-    )
-
-
-def _accuracy(best: Points, jacobian: Points, split: Any, sheet: Sheet) -> float:
-    """Worst one-sigma error of a place at the robot's height, from the parameters' spread."""
-    covariance = np.linalg.pinv(jacobian.T @ jacobian)
-    places = np.array([[c.x_cm, c.y_cm] for c in sheet.cards])
-    low, high = places.min(axis=0), places.max(axis=0)
-    across = np.meshgrid(np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 4))
-    grid = np.column_stack([across[0].ravel(), across[1].ravel(), np.full(16, 1.75)])
-
-    def model(p: Points) -> CameraModel:
-        lens, pose, _ = split(p)
-        return CameraModel(lens, pose[:3], pose[3:])
-
-    pixels = model(best).project(grid)
-    steps = 1e-3 * np.sqrt(np.maximum(np.diag(covariance), 1e-16))
-    slopes = np.array(
-        [
-            (model(best + step).to_plane(pixels, 1.75) - model(best - step).to_plane(pixels, 1.75))
-            / (2 * step.max())
-            for step in np.diag(steps)
-        ]
-    )
-    spread = np.einsum("pgk,pq,qgk->gk", slopes, covariance, slopes)
-    return float(np.sqrt(spread.sum(axis=1)).max())
-
-
 def check_still(picture: Picture, model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
     """Whether the camera stands where it was located; returns the names of hidden cards.
 
     Raises:
+        CameraError: the picture has another size.
         SheetHiddenError: no card at all is seen.
         CameraMovedError: the cards stand elsewhere in the picture.
     """
+    model.lens.require(picture)
     return judge_still(detect_markers(picture), model, sheet)
 
 
@@ -438,8 +322,6 @@ __all__ = [
     "calibrate_lens",
     "check_still",
     "detect_markers",
-    "fit_pose",
     "gray",
     "judge_still",
-    "locate",
 ]

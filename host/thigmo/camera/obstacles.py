@@ -189,8 +189,14 @@ def _circle(points: Array, center: Array, radius: float) -> Array:
     def residuals(p: Array) -> Array:
         return np.asarray(np.hypot(points[:, 0] - p[0], points[:, 1] - p[1]) - p[2])
 
+    def slopes(p: Array) -> Array:
+        away = p[:2] - points
+        return np.column_stack([away / np.hypot(*away.T)[:, None], np.full(len(points), -1.0)])
+
     start = np.array([center[0], center[1], radius])
-    return np.asarray(least_squares(residuals, start, loss="cauchy", f_scale=0.7).x, float)
+    return np.asarray(
+        least_squares(residuals, start, jac=slopes, loss="cauchy", f_scale=0.7).x, float
+    )
 
 
 def circle_through(points_cm: Array) -> Obstacle:

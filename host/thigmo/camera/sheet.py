@@ -39,6 +39,8 @@ class Card(Model):
     x_cm: Finite
     y_cm: Finite
     turn_deg: Finite = 0.0  # of the card's arrow from the x axis, counter-clockwise
+    # Above the table: a card on a box tells the camera's height, which a plane alone hardly does.
+    z_cm: Annotated[Finite, Field(ge=0, le=40)] = 0.0
 
 
 def _default_cards() -> list[Card]:
@@ -65,8 +67,8 @@ class Sheet(Model):
     board_square_cm: Positive = 2.5
     board_columns: Annotated[int, Field(ge=4, le=12)] = 7
     board_rows: Annotated[int, Field(ge=4, le=16)] = 10
-    # Lens above the table by tape measure. Worth giving where no lens board was shown: a plane seen
-    # from above tells focal length from distance only poorly.
+    # Lens above the table by tape measure. Worth giving where no lens board was shown and no card
+    # stands on a box: a plane seen from above tells focal length from distance only poorly.
     camera_height_cm: Positive | None = None
     camera_height_se_cm: Positive = 1.0
     # Printed length of the 10 cm bar, over 10: printers shrink pages.
@@ -218,7 +220,9 @@ def card_decals(sheet: Sheet) -> list[Decal]:
     for card in sheet.cards:
         flat = place(_square(sheet.card_cm), card)
         decals.append(
-            Decal(card_image(sheet, card), np.column_stack([flat, np.zeros(4)]), card.name)
+            Decal(
+                card_image(sheet, card), np.column_stack([flat, np.full(4, card.z_cm)]), card.name
+            )
         )
     return decals
 

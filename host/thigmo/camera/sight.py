@@ -94,6 +94,18 @@ class Seen:
     obstacles: bool = True
     constant: bool = False
 
+    def __post_init__(self) -> None:
+        low, high = self.obstacle_radius_cm
+        if not (0 < self.diameter_cm < 20 and 0 <= self.obstacle_height_cm < 60):
+            raise DataError(
+                f"a tube of {self.diameter_cm:g} cm and dowels {self.obstacle_height_cm:g} cm high",
+                "give sizes in cm: a tube below 20, dowels below 60",
+            )
+        if not 0 < low < high < 20:
+            raise DataError(
+                f"dowels of {low:g} to {high:g} cm radius", "give a radius above 0 and below 16 cm"
+            )
+
 
 def look(
     picture: Picture,
@@ -115,9 +127,11 @@ def look(
         clicks: points given by hand, which replace detection.
 
     Raises:
+        CameraError: the picture has another size than the camera's.
         SheetHiddenError: no card at all is seen.
         CameraMovedError: the camera moved since it was located.
     """
+    camera.lens.require(picture)
     wanted = wanted or Seen()
     markers = detect_markers(picture)
     hidden = judge_still(markers, camera, sheet)
@@ -150,6 +164,7 @@ def see_tip(
     Raises:
         SheetHiddenError, CameraMovedError, MarkerMissingError: as named.
     """
+    camera.lens.require(picture)
     markers = detect_markers(picture)
     judge_still(markers, camera, sheet)
     return _tip(markers, camera, sheet, Seen(diameter_cm=diameter_cm), None)

@@ -66,6 +66,8 @@ class Capture:
     def __init__(self, device: int | str, size: tuple[int, int] = (1920, 1080)) -> None:
         self._live = isinstance(device, int)
         self._name = f"camera {device}" if self._live else str(device)
+        # What fails is said below, in one line.
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
         self._capture = cv2.VideoCapture(device)
         if not self._capture.isOpened():
             raise PictureError(

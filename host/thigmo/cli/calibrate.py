@@ -168,10 +168,11 @@ def _eyes(
 ) -> Eyes:
     """The camera: painted over an emulated robot, opened and located on a real one."""
     from thigmo.calibrate.eyes import Eyes, emulated_source
-    from thigmo.camera import CameraModel, Sheet, locate, open_source
+    from thigmo.camera import CameraModel, locate, open_source
+    from thigmo.cli.camera import load_sheet
 
     diameter = session.config.body.diameter_cm
-    sheet = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
+    sheet = load_sheet(sheet_file)
     if machine.scenery() is not None:
         source, height = emulated_source(machine, sheet, seed=seed, diameter_cm=diameter)
         measured = sheet.model_copy(update={"camera_height_cm": height})

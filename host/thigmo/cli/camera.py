@@ -12,11 +12,25 @@ from thigmo.cli.output import JsonOption, print_json
 if TYPE_CHECKING:
     from thigmo.camera import Clicks, Sheet, Sighting
 
-group = typer.Typer(help="The overhead camera.", no_args_is_help=True)
+group = typer.Typer(
+    help="The overhead camera: places to 0.3 cm from a webcam about 1 m above the table.\n\n"
+    "1. `thigmo camera sheet` prints four cards, tip markers and a lens board, and writes "
+    "sheet.toml, which says where the cards lie.\n\n"
+    "2. `thigmo camera lens camera:0` (once for a camera): show the lens board in twelve poses. "
+    "Instead, give the lens's height above the table in sheet.toml (camera_height_cm), or stand "
+    "one card on a box (its z_cm).\n\n"
+    "3. `thigmo camera locate camera:0` (whenever the camera was touched): where it stands, and "
+    "how exactly that is known.\n\n"
+    "4. `thigmo camera check camera:0` draws what it sees over the picture: look at check.png.\n\n"
+    "A video, a picture or a folder of pictures does as well as camera:0. What is not found can be "
+    "clicked (`check --click tip,axis,obstacles`).",
+    no_args_is_help=True,
+)
 
 SourceArgument = Annotated[
     str, typer.Argument(help="camera:0, a video, a picture, or a folder of pictures.")
 ]
+SHEET_FILE, LENS_FILE, CAMERA_FILE = Path("sheet.toml"), Path("lens.json"), Path("camera.json")
 SheetOption = Annotated[
     Path, typer.Option("--sheet", help="Sheet file: where the cards lie (TOML).")
 ]
@@ -31,21 +45,21 @@ def register(app: typer.Typer) -> None:
 
 
 def load_sheet(path: Path) -> Sheet:
-    """The sheet file, or the default sheet where there is none."""
+    """The sheet file; the default sheet where none was made or named."""
     from thigmo.camera import Sheet
 
-    return Sheet.load(path) if path.exists() else Sheet()
+    return Sheet() if path == SHEET_FILE and not path.exists() else Sheet.load(path)
 
 
 @group.command()
 def sheet(
     out: Annotated[Path, typer.Option(help="PDF, or PNG (one a page).")] = Path("sheet.pdf"),
-    sheet_file: SheetOption = Path("sheet.toml"),
+    sheet_file: SheetOption = SHEET_FILE,
 ) -> None:
     """Print the workspace cards, tip markers and lens board at true scale."""
-    from thigmo.camera import print_sheet
+    from thigmo.camera import Sheet, print_sheet
 
-    made = load_sheet(sheet_file)
+    made = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
     written = print_sheet(made, out)
     if not sheet_file.exists():
         made.save(sheet_file)
@@ -54,15 +68,23 @@ def sheet(
     typer.echo(
         "Print at 100 % and measure the 10 cm bar: its length over 10 is print_scale in "
         f"{sheet_file}. Lay the cards' crosses where that file says (origin: the robot's base, "
-        "x along the straight robot), or write where they lie; give camera_height_cm too."
+        "x along the straight robot), or write where they lie. Then show the lens board "
+        "(`thigmo camera lens`), or write the lens's height above the table (camera_height_cm), or "
+        "stand one card on a box (its z_cm); then `thigmo camera locate`."
     )
+
+
+def _keep_old(path: Path) -> None:
+    """Set an earlier file aside as `.old`."""
+    if path.exists():
+        path.replace(path.with_name(f"{path.name}.old"))
 
 
 @group.command()
 def lens(
     source: SourceArgument,
-    sheet_file: SheetOption = Path("sheet.toml"),
-    out: Annotated[Path, typer.Option(help="Lens file.")] = Path("lens.json"),
+    sheet_file: SheetOption = SHEET_FILE,
+    out: Annotated[Path, typer.Option(help="Lens file.")] = LENS_FILE,
     count: Annotated[int, typer.Option(help="Pictures taken from a live camera.")] = 12,
     as_json: JsonOption = False,
 ) -> None:
@@ -86,6 +108,7 @@ def lens(
     finally:
         opened.close()
     found = calibrate_lens(shots, load_sheet(sheet_file))
+    _keep_old(out)
     found.save(out)
     if as_json:
         print_json({"rms_px": found.rms_px, "focal_px": found.matrix[0][0], "file": str(out)})
@@ -96,25 +119,29 @@ def lens(
 @group.command()
 def locate(
     source: SourceArgument,
-    sheet_file: SheetOption = Path("sheet.toml"),
+    sheet_file: SheetOption = SHEET_FILE,
     lens_file: Annotated[
         Path, typer.Option("--lens", help="Lens file; fitted to the cards if there is none.")
-    ] = Path("lens.json"),
-    out: Annotated[Path, typer.Option(help="Camera file.")] = Path("camera.json"),
+    ] = LENS_FILE,
+    out: Annotated[Path, typer.Option(help="Camera file.")] = CAMERA_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Find where the camera stands, from the workspace cards."""
     from thigmo.camera import Lens, open_source
     from thigmo.camera import locate as find
+    from thigmo.camera.pose import GOOD_CM, what_helps
 
     opened = open_source(source)
     try:
         picture = opened.read()
     finally:
         opened.close()
-    known = Lens.load(lens_file) if lens_file.exists() else None
-    model = find(picture, load_sheet(sheet_file), known)
+    known = Lens.load(lens_file) if lens_file.exists() or lens_file != LENS_FILE else None
+    used = load_sheet(sheet_file)
+    model = find(picture, used, known)
+    _keep_old(out)
     model.save(out)
+    advice = what_helps(model, used, known is not None)
     if as_json:
         print_json(
             {
@@ -122,15 +149,19 @@ def locate(
                 "accuracy_cm": model.accuracy_cm,
                 "height_cm": float(model.eye_cm[2]),
                 "hidden": list(model.hidden),
+                "good": not advice,
+                "advice": advice,
                 "file": str(out),
             }
         )
         return
-    verdict = "good" if model.accuracy_cm <= 0.15 else "poor: calibrate the lens, uncover all cards"
     typer.echo(
         f"camera {model.eye_cm[2]:.1f} cm above the table; cards fit to {model.rms_px:.2f} px, "
-        f"places to {model.accuracy_cm:.2f} cm (one sigma): {verdict}; wrote {out}"
+        f"places to {model.accuracy_cm:.2f} cm (one sigma): {'poor' if advice else 'good'}; "
+        f"wrote {out}"
     )
+    if advice:
+        typer.echo(f"for {GOOD_CM} cm or better: {advice}; then locate again")
     if model.hidden:
         typer.echo(f"hidden cards: {', '.join(model.hidden)}")
 
@@ -138,8 +169,8 @@ def locate(
 @group.command()
 def check(
     source: SourceArgument,
-    sheet_file: SheetOption = Path("sheet.toml"),
-    camera_file: CameraOption = Path("camera.json"),
+    sheet_file: SheetOption = SHEET_FILE,
+    camera_file: CameraOption = CAMERA_FILE,
     out: Annotated[Path, typer.Option(help="The picture, drawn over.")] = Path("check.png"),
     diameter: Annotated[float, typer.Option(help="Tube diameter, cm.")] = 3.5,
     peg_height: Annotated[float, typer.Option(help="Height of the dowels, cm.")] = 6.0,
@@ -172,7 +203,12 @@ def check(
     finally:
         opened.close()
     used = load_sheet(sheet_file)
-    model = CameraModel.load(camera_file) if camera_file.exists() else find(picture, used)
+    if camera_file.exists() or camera_file != CAMERA_FILE:
+        model = CameraModel.load(camera_file)
+    else:
+        model = find(picture, used)
+        if not as_json:
+            typer.echo(f"no {camera_file}: the camera is located from this very picture")
     radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
     wanted = Seen(diameter, peg_height, radii, constant=free_bend)
     empty = None

@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 from calibration_truth import DEFLATE, INFLATE, bends
 
-from thigmo.calibrate.actuator import (
-    BendReadings,
-    at_body_pressure,
-    fit_actuator,
-    fit_lag,
-    low_pass,
-)
+from thigmo.calibrate.actuator import BendReadings, at_body_pressure, fit_actuator
+from thigmo.calibrate.flex_lines import loop_turns
+from thigmo.calibrate.lag import fit_lag
 from thigmo.config import RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
@@ -80,19 +76,45 @@ def test_camera_moved_between_trials_is_detected():
     assert "moved" in result.verdict.reason
 
 
-def test_lag_is_found_from_a_ramp():
+def swung(t: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Pressure as the bend feels it: delay, a muscle that empties slower, a body that swings."""
+    fine = np.arange(0, t[-1] + 1e-9, 1e-3)
+    late = np.interp(fine - 0.033, t, p)
+    felt, x, v = late[0], late[0], 0.0
+    swing, made = 2 * np.pi * 1.5, np.empty(len(fine))
+    for i, value in enumerate(late):
+        felt += (value - felt) * 1e-3 / (0.16 if value > felt else 0.22)
+        v += 1e-3 * (swing**2 * (felt - x) - 2 * 0.5 * swing * v)
+        x += 1e-3 * v
+        made[i] = x
+    return np.interp(t, fine, made)
+
+
+@pytest.mark.parametrize("loop", [0.0, 8e-4])
+def test_lags_of_both_directions_are_found_beside_the_sensors_loop(loop):
     zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
-    rng = np.random.default_rng(0)
+    swing_s = 2 * 0.5 / (2 * np.pi * 1.5)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        t = np.arange(0, 12, 0.02)
+        p = np.interp(t, [0, 4, 6, 10, 12], [2.5, 16, 16, 2.5, 2.5])
+        felt = swung(t, p)
+        down = t > 6.2
+        g = np.where(down, [DEFLATE.curvature(v) for v in felt],
+                     [INFLATE.curvature(v) for v in felt])  # fmt: skip
+        turn = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
+        k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 6e-4, len(t))
+        lag = fit_lag(t, p + rng.normal(0, 0.03, len(t)), k, zone, "left")
+        assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.06)
+        assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.06)
+        assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.03
+
+
+def test_a_ramp_without_a_bend_has_no_lag():
     t = np.arange(0, 12, 0.02)
-    p = np.interp(t, [0, 4, 6, 10, 12], [2.5, 16, 16, 2.5, 2.5])
-    felt = low_pass(t, p, 0.31)
-    g = np.array([INFLATE.curvature(v) for v in felt])
-    falling = np.gradient(felt, t) < 0
-    g[falling] = [DEFLATE.curvature(v) for v in felt[falling]]
-    k = 1.1 * g + 0.001 + rng.normal(0, 6e-4, len(t))
-    lag = fit_lag(t, p + rng.normal(0, 0.03, len(t)), k, zone, "left")
-    assert lag.lag_s == pytest.approx(0.31, abs=0.04)
-    assert lag.lag_se_s < 0.05
+    zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
+    with pytest.raises(DataError, match="no bend to time"):
+        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), zone, "left")
 
 
 def test_maps_interpolate_over_body_pressure():

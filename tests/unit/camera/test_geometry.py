@@ -15,6 +15,7 @@ from thigmo.camera import (
     Lens,
     PictureError,
     PlaneFitError,
+    Seen,
     Sheet,
     SheetHiddenError,
     fit_centerline,
@@ -22,16 +23,19 @@ from thigmo.camera import (
 )
 from thigmo.camera.clicks import ClickWindow, click, parse_pixel
 from thigmo.camera.errors import CameraError
-from thigmo.camera.model import fit_pose, judge_still
+from thigmo.camera.model import judge_still
 from thigmo.camera.obstacles import circle_through
+from thigmo.camera.pose import Problem, fit_pose, what_helps
 from thigmo.emulator.render import TrueCamera, overhead_camera
 from thigmo.errors import DataError
 
 
 def corners_seen(camera: TrueCamera, sheet: Sheet, rng: np.random.Generator) -> dict:
     """Every card's corners as that camera sees them, 0.1 px of noise."""
+    card_of = sheet.marker_ids()
     return {
-        marker: camera.project(np.column_stack([flat, np.zeros(4)])) + rng.normal(0, 0.1, (4, 2))
+        marker: camera.project(np.column_stack([flat, np.full(4, card_of[marker].z_cm)]))
+        + rng.normal(0, 0.1, (4, 2))
         for marker, flat in sheet.all_corners().items()
     }
 
@@ -60,6 +64,35 @@ def test_pose_from_corners_is_right_within_its_stated_accuracy(known_lens):
         model = fit_pose(corners_seen(camera, sheet, rng), sheet, camera.size, lens)
         assert places(camera, model, 1.75) < max(0.03, 2.5 * model.accuracy_cm)
         assert places(camera, model, 1.75) < 0.15
+
+
+def test_what_helps_is_said_where_cards_alone_do_not_suffice():
+    rng = np.random.default_rng(0)
+    camera, sheet = overhead_camera(None), Sheet()  # looks straight down
+    alone = fit_pose(corners_seen(camera, sheet, rng), sheet, camera.size, hidden=("tip left",))
+    advice = what_helps(alone, sheet, lens_known=False)
+    for way in ("uncover tip left", "thigmo camera lens", "camera_height_cm", "card on a box"):
+        assert way in advice
+    sheet.cards[0].z_cm = 9.0
+    boxed = fit_pose(corners_seen(camera, sheet, rng), sheet, camera.size)
+    assert what_helps(boxed, sheet, lens_known=False) == ""
+    assert boxed.eye_cm[2] == pytest.approx(camera.eye[2], abs=8.0)
+    assert places(camera, boxed, 6.0) < 0.2
+
+
+def test_slopes_of_the_pose_are_those_of_its_residuals():
+    rng = np.random.default_rng(5)
+    camera, sheet = overhead_camera(rng), Sheet(camera_height_cm=100.0)
+    sheet.cards[1].z_cm = 8.0
+    problem = Problem(corners_seen(camera, sheet, rng), sheet, camera.size, None)
+    x = problem.start(60.0)
+    x = x + rng.normal(0, 1e-3, len(x))
+    made = problem.jacobian(x)
+    for column in range(len(x)):
+        step = np.zeros(len(x))
+        step[column] = 1e-6 * max(1.0, abs(x[column]))
+        numeric = (problem.residuals(x + step) - problem.residuals(x - step)) / (2 * step[column])
+        assert made[:, column] == pytest.approx(numeric, rel=1e-3, abs=1e-3 * np.ptp(numeric))
 
 
 def test_misplaced_card_is_named():
@@ -178,6 +211,17 @@ def test_no_window_is_said_and_points_can_be_typed(tmp_path):
     (tmp_path / "clicks.json").write_text("[]")
     with pytest.raises(CameraError, match="click again"):
         Clicks.load(tmp_path / "clicks.json")
+
+
+def test_sizes_and_words_that_cannot_be_are_refused(tmp_path):
+    with pytest.raises(DataError, match="tube of 0 cm"):
+        Seen(diameter_cm=0.0)
+    with pytest.raises(DataError, match="radius above 0"):
+        Seen(obstacle_radius_cm=(-1.0, -2.0))
+    with pytest.raises(CameraError, match="'nose' cannot be clicked"):
+        click(np.zeros((10, 10, 3), np.uint8), ("nose",))
+    with pytest.raises(CameraError, match="cannot write"):
+        Clicks().save(tmp_path / "none" / "clicks.json")
 
 
 def test_sources_say_what_is_wrong(tmp_path):

@@ -1,0 +1,302 @@
+"""Where the camera stands: lens and pose from one picture of the workspace cards.
+
+`locate` is what the command line and the guided steps call. With a calibrated lens only the pose is
+fitted. Without, focal length, principal point and two radial terms are fitted too, which the cards'
+sixteen markers tell well but for one thing: a plane seen from above looks alike to a long lens far
+away and to a short one near by. Places on the table are right either way, places above it are not.
+One of three things settles it: a lens board (`thigmo camera lens`), the camera's height by tape
+(`camera_height_cm`), or one card on a box (`z_cm` of that card). `accuracy_cm` says which holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from thigmo.camera.errors import PlaneFitError, SheetHiddenError
+from thigmo.camera.model import CameraModel, Lens, Picture, detect_markers
+from thigmo.camera.sheet import Card, Points, Sheet
+
+GOOD_CM = 0.15  # one sigma of a place at the robot's height: 0.3 cm at 95 %
+
+_CORNER_PX = 0.25  # one sigma of a refined marker corner, blur and noise included
+_TURN_SE = 0.03  # rad, of a laid card
+# Webcams and phones: 70 degrees across the picture, four in five between 52 and 88.
+_VIEW_DEG = 70.0
+_FOCAL_SPREAD = 0.25
+_LENS_SPREAD = 0.4  # k1 and k2
+_CENTER_SPREAD = 0.01  # principal point, of the picture's width
+_LENS = 5  # log focal length, principal point, k1, k2
+_POSE = 6
+
+
+def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraModel:
+    """Camera model from one picture of the workspace cards.
+
+    The cards' places float within their stated placement error, so that a tape measure's slips are
+    shared out instead of bending the picture.
+
+    Raises:
+        CameraError: the lens was calibrated at another picture size.
+        SheetHiddenError: fewer than three cards are seen.
+        PlaneFitError: corners and sheet disagree (cards swapped, turned, or misplaced).
+    """
+    if lens is not None:
+        lens.require(picture)
+    found = {k: v for k, v in detect_markers(picture).items() if k in sheet.marker_ids()}
+    seen_cards = [c for c in sheet.cards if any(c.first_id + k in found for k in range(4))]
+    hidden = tuple(c.name for c in sheet.cards if c not in seen_cards)
+    if len(seen_cards) < 3:
+        raise SheetHiddenError(hidden, len(seen_cards))
+    size = (picture.shape[1], picture.shape[0])
+    return fit_pose(found, sheet, size, lens, hidden)
+
+
+def fit_pose(
+    found: dict[int, Points],
+    sheet: Sheet,
+    size: tuple[int, int],
+    lens: Lens | None = None,
+    hidden: tuple[str, ...] = (),
+) -> CameraModel:
+    """`locate` from corners that are already found (or clicked): (4, 2) px by marker id.
+
+    Raises:
+        PlaneFitError: corners and sheet disagree.
+    """
+    problem = Problem(found, sheet, size, lens)
+    best: Any = None
+    for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):
+        fit = least_squares(
+            problem.residuals,
+            problem.start(view_deg),
+            jac=problem.jacobian,
+            loss="soft_l1",
+            x_scale="jac",
+            max_nfev=80,
+        )
+        if best is None or fit.cost < best.cost:
+            best = fit
+    whole = problem.residuals(best.x)[: 2 * len(problem.pixels)] * _CORNER_PX
+    rms = float(np.sqrt(np.mean(whole**2) * 2))
+    used, turn, move, shifts = problem.split(best.x)
+    worst = np.abs(shifts[:, :2]).max(axis=1)
+    if rms > 3.0 or worst.max() > 8 * sheet.placement_se_cm + 0.5:
+        card = problem.cards[int(np.argmax(worst))].name
+        raise PlaneFitError(
+            f"the cards do not lie where the sheet file says (off by {rms:.1f} px; "
+            f"'{card}' by {worst.max():.1f} cm)",
+            "measure the crosses again, check that no card is swapped or turned, and the 10 cm bar",
+        )
+    accuracy = _accuracy(problem, best.x, np.asarray(best.jac, float))
+    return CameraModel(used, turn.copy(), move.copy(), dict(found), rms, accuracy, hidden)
+
+
+def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
+    """What brings a camera's places within `GOOD_CM`; empty where they are."""
+    if model.accuracy_cm <= GOOD_CM:
+        return ""
+    ways = []
+    if model.hidden:
+        ways.append(f"uncover {', '.join(model.hidden)}")
+    if not lens_known:
+        ways.append("show the lens board to `thigmo camera lens`")
+        if sheet.camera_height_cm is None:
+            ways.append("or measure the lens's height above the table (camera_height_cm)")
+        if not any(card.z_cm for card in sheet.cards):
+            ways.append("or put one card on a box of 5 to 15 cm (z_cm of that card)")
+    if not ways:
+        ways.append("measure the cards' places again (placement_se_cm), and use a sharper picture")
+    return ", ".join(ways)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Corners against sheet: unknowns are the lens (unless known), the pose, and each card's slip.
+
+    All residuals are in units of their one sigma.
+    """
+
+    found: dict[int, Points]
+    sheet: Sheet
+    size: tuple[int, int]
+    lens: Lens | None
+
+    @cached_property
+    def markers(self) -> list[int]:
+        """Those seen, sorted."""
+        return sorted(self.found)
+
+    @cached_property
+    def cards(self) -> list[Card]:
+        """Those seen."""
+        card_of = self.sheet.marker_ids()
+        return [c for c in self.sheet.cards if any(card_of[m] is c for m in self.markers)]
+
+    @cached_property
+    def pixels(self) -> Points:
+        """Corners (n, 2) in the picture."""
+        return np.concatenate([self.found[m] for m in self.markers])
+
+    @cached_property
+    def owner(self) -> NDArray[np.intp]:
+        """Card of each corner (n,)."""
+        card_of = self.sheet.marker_ids()
+        return np.repeat([self.cards.index(card_of[m]) for m in self.markers], 4)
+
+    @cached_property
+    def local(self) -> Points:
+        """Corners (n, 2) from their card's cross, in the card's frame."""
+        card_of = self.sheet.marker_ids()
+        return np.concatenate(
+            [self.sheet.local_corners(m - card_of[m].first_id) for m in self.markers]
+        )
+
+    @cached_property
+    def laid(self) -> Points:
+        """x, y, z in cm and turn in rad of each card (c, 4), by the sheet file."""
+        return np.array([[c.x_cm, c.y_cm, c.z_cm, np.radians(c.turn_deg)] for c in self.cards])
+
+    @property
+    def _head(self) -> int:
+        return 0 if self.lens is not None else _LENS
+
+    @cached_property
+    def center(self) -> Points:
+        """Middle of the lens's prior."""
+        focal = self.size[0] / 2 / np.tan(np.radians(_VIEW_DEG / 2))
+        return np.array([np.log(focal), self.size[0] / 2, self.size[1] / 2, 0.0, 0.0])
+
+    @cached_property
+    def spread(self) -> Points:
+        """One sigma of every prior: the lens, then each card's slip (x, y, turn)."""
+        width = _CENTER_SPREAD * self.size[0]
+        lens = [_FOCAL_SPREAD, width, width, _LENS_SPREAD, _LENS_SPREAD]
+        place = self.sheet.placement_se_cm
+        slips = [place, place, _TURN_SE] * len(self.cards)
+        return np.array([*lens[: self._head], *slips])
+
+    def start(self, view_deg: float) -> Points:
+        """Unknowns to begin with: a pinhole of that angle, the plane's pose, no slips."""
+        head = self.center[: self._head].copy()
+        if self.lens is None:
+            head[0] = np.log(self.size[0] / 2 / np.tan(np.radians(view_deg / 2)))
+        lens = self._lens(head)
+        flat = self._solid(np.zeros((len(self.cards), 3)))
+        flat[:, 2] = 0.0
+        _, turn, move = cv2.solvePnP(
+            flat, self.pixels, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE
+        )
+        return np.concatenate([head, np.ravel(turn), np.ravel(move), np.zeros(3 * len(self.cards))])
+
+    def split(self, x: Points) -> tuple[Lens, Points, Points, Points]:
+        """Lens, rotation (3,), translation (3,), slips (c, 3) of the unknowns."""
+        pose = x[self._head : self._head + _POSE]
+        slips = x[self._head + _POSE :].reshape(-1, 3)
+        return self._lens(x[: self._head]), pose[:3], pose[3:], slips
+
+    def _lens(self, head: Points) -> Lens:
+        if self.lens is not None:
+            return self.lens
+        focal = float(np.exp(head[0]))
+        matrix = np.array([[focal, 0, head[1]], [0, focal, head[2]], [0, 0, 1]])
+        return Lens(matrix, np.array([head[3], head[4], 0.0, 0.0, 0.0]), self.size)
+
+    def _solid(self, slips: Points) -> Points:
+        """Corners (n, 3) in the workspace."""
+        turn = (self.laid[:, 3] + slips[:, 2])[self.owner]
+        u, v = self.local.T
+        at = (self.laid[:, :2] + slips[:, :2])[self.owner]
+        return np.column_stack(
+            [
+                at[:, 0] + np.cos(turn) * u - np.sin(turn) * v,
+                at[:, 1] + np.sin(turn) * u + np.cos(turn) * v,
+                self.laid[self.owner, 2],
+            ]
+        )
+
+    def _project(self, x: Points) -> tuple[Points, Points, Points]:
+        """Pixels (n, 2), OpenCV's derivatives (2 n, 15), and the solid corners (n, 3)."""
+        lens, turn, move, slips = self.split(x)
+        solid = self._solid(slips)
+        seen, slopes = cv2.projectPoints(solid, turn, move, lens.matrix, lens.distortion)
+        return np.asarray(seen, float).reshape(-1, 2), np.asarray(slopes, float), solid
+
+    def residuals(self, x: Points) -> Points:
+        """Corners, priors of lens and slips, height by tape."""
+        seen, _, _ = self._project(x)
+        priors = np.concatenate([x[: self._head] - self.center[: self._head],
+                                 x[self._head + _POSE :]]) / self.spread  # fmt: skip
+        parts = [(seen - self.pixels).ravel() / _CORNER_PX, priors]
+        if self.sheet.camera_height_cm is not None:
+            _, turn, move, _ = self.split(x)
+            height = -(cv2.Rodrigues(turn)[0].T @ move)[2]
+            miss = (height - self.sheet.camera_height_cm) / self.sheet.camera_height_se_cm
+            parts.append(np.array([miss]))
+        return np.concatenate(parts)
+
+    def jacobian(self, x: Points) -> Points:
+        """Derivatives of `residuals`."""
+        lens, turn, move, slips = self.split(x)
+        _, slopes, _ = self._project(x)
+        rotation, by_turn = cv2.Rodrigues(turn)
+        n, head = len(self.pixels), self._head
+        made = np.zeros((2 * n, len(x)))
+        if self.lens is None:
+            # OpenCV's columns: rotation, translation, fx, fy, cx, cy, k1, k2, ...
+            made[:, 0] = (slopes[:, 6] + slopes[:, 7]) * lens.matrix[0, 0]
+            made[:, 1:5] = slopes[:, 8:12]
+        made[:, head : head + _POSE] = slopes[:, :6]
+        # A corner that moves in the workspace moves as the rotation carries it.
+        by_place = (slopes[:, 3:6] @ rotation).reshape(n, 2, 3)
+        angle = (self.laid[:, 3] + slips[:, 2])[self.owner]
+        u, v = self.local.T
+        swing = np.column_stack([-np.sin(angle) * u - np.cos(angle) * v,
+                                 np.cos(angle) * u - np.sin(angle) * v])  # fmt: skip
+        by_swing = np.einsum("nij,nj->ni", by_place[:, :, :2], swing)
+        for card in range(len(self.cards)):
+            rows = np.repeat(self.owner == card, 2)
+            column = head + _POSE + 3 * card
+            made[rows, column : column + 2] = by_place[self.owner == card, :, :2].reshape(-1, 2)
+            made[rows, column + 2] = by_swing[self.owner == card].ravel()
+        priors = np.zeros((len(self.spread), len(x)))
+        columns = np.r_[np.arange(head), np.arange(head + _POSE, len(x))]
+        priors[np.arange(len(columns)), columns] = 1 / self.spread
+        parts = [made / _CORNER_PX, priors]
+        if self.sheet.camera_height_cm is not None:
+            row = np.zeros((1, len(x)))
+            # height = -(R^T t)_z; by_turn holds dR / d turn, R row by row.
+            row[0, head : head + 3] = -(by_turn.reshape(3, 3, 3)[:, :, 2] @ move)
+            row[0, head + 3 : head + _POSE] = -rotation[:, 2]
+            parts.append(row / self.sheet.camera_height_se_cm)
+        return np.vstack(parts)
+
+
+def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
+    """Worst one-sigma error of a place at the robot's height, from the parameters' spread."""
+    covariance = np.linalg.pinv(jacobian.T @ jacobian)
+    low, high = problem.laid[:, :2].min(axis=0), problem.laid[:, :2].max(axis=0)
+    across = np.meshgrid(np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 4))
+    grid = np.column_stack([across[0].ravel(), across[1].ravel(), np.full(16, 1.75)])
+
+    def model(p: Points) -> CameraModel:
+        lens, turn, move, _ = problem.split(p)
+        return CameraModel(lens, turn, move)
+
+    pixels = model(best).project(grid)
+    steps = 1e-3 * np.sqrt(np.maximum(np.diag(covariance), 1e-16))
+    slopes = np.array(
+        [
+            (model(best + step).to_plane(pixels, 1.75) - model(best - step).to_plane(pixels, 1.75))
+            / (2 * step.max())
+            for step in np.diag(steps)
+        ]
+    )
+    spread = np.einsum("pgk,pq,qgk->gk", slopes, covariance, slopes)
+    return float(np.sqrt(spread.sum(axis=1)).max())
