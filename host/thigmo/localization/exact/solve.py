@@ -259,11 +259,12 @@ def _dense_row(
     ranges: Floats,
 ) -> None:
     """One row by the walk for dense sensing; `out` (3,) and `ranges` (PIECES, 2) are written."""
-    order = np.argsort(x, kind="stable")
+    near_ends = x - 0.5 * span
+    order = np.argsort(near_ends, kind="stable")
     order = order[np.isfinite(y[order]) & (w[order] > 0.0)]
     best, arc, force, low, high, _ = fit_dense_l1(
         y[order],
-        x[order] - 0.5 * span[order],
+        near_ends[order],
         span[order],
         w[order],
         length,

@@ -15,6 +15,7 @@ from exact_oracles import (
 )
 
 from thigmo.localization.exact import Solution, one_contact, several_contacts
+from thigmo.localization.exact.dense_one_contact import fit_dense_l1
 
 TOLERANCE = 1e-9
 
@@ -149,6 +150,32 @@ def test_hundreds_of_sensors_are_fitted_exactly_too() -> None:
             )
             profile = _profile_minimum(case, norm, float(solution.arc[0]))
             check(case, solution, norm, profile, np.inf)
+
+
+def test_the_dense_fit_agrees_with_enumeration() -> None:
+    """Also where medians are ties: sensors on both sides of the same places, equal readings."""
+    rng = np.random.default_rng(8)
+    for index in range(600):
+        case = random_case(rng, 16)
+        bounds = ((-np.inf, np.inf), (0.0, np.inf), (-np.inf, 0.0))[index % 3]
+        expected = one_contact(
+            case.curvature,
+            case.position,
+            LENGTH,
+            span=case.span,
+            weight=case.weight,
+            force_bounds=bounds,
+        )
+        near = case.position - 0.5 * case.span
+        order = np.argsort(near, kind="stable")
+        parts = (case.curvature, near, case.span, case.weight)
+        found = fit_dense_l1(*(part[order] for part in parts), LENGTH, *bounds, TOLERANCE)
+        assert found[0] == pytest.approx(expected.objective, abs=2 * TOLERANCE * case.scale)
+        arc, force = np.array([found[1]]), np.array([found[2]])
+        assert objective(case, arc, force, 1) == pytest.approx(
+            found[0], abs=2 * TOLERANCE * case.scale
+        )
+        assert found[5] < 1000, "arcs looked at: the bound must not bisect to the last bit"
 
 
 def _profile_minimum(case: Case, norm: int, near: float) -> float:
