@@ -9,7 +9,7 @@ import pytest
 
 from thigmo.config import RobotConfig, Side
 from thigmo.exploration.feel import Felt, arc_grid
-from thigmo.exploration.known import beyond, fused
+from thigmo.exploration.known import fused
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     fold_moment,
@@ -20,7 +20,7 @@ from thigmo.exploration.measuring import (
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import Bend
-from thigmo.localization import Contact, localize
+from thigmo.localization import Contact
 from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
@@ -109,29 +109,6 @@ def test_a_contact_lies_on_what_has_grown_since_the_last_free_sweep() -> None:
     assert swept.nearest_arc("left", 50.0, 0.02) == pytest.approx(38.25)
     assert swept.nearest_arc("left", 53.0, 0.0288) == 0.0  # the earlier sweep bent no further
     assert swept.nearest_arc("left", 40.0, 0.02) == 0.0
-
-
-def test_what_is_known_narrows_the_posterior_and_keeps_the_moment_at_the_base() -> None:
-    centers = np.array([5.0, 15, 25, 35, 45])
-    readings = 2e-4 * np.maximum(49 - centers, 0)
-    answer = localize(readings, centers, length=53, span=5.5, noise=1e-3)
-    given = beyond(answer, 48.25, 53.0)
-    (contact,), (free,) = given.contacts, answer.contacts
-    assert 48.25 <= contact.interval[0] < contact.arc < contact.interval[1] <= 53
-    assert contact.interval[1] - contact.interval[0] < free.interval[1] - free.interval[0]
-    assert contact.force * contact.arc == pytest.approx(free.force * free.arc)
-    assert contact.status == "localized"
-    assert beyond(answer, 0.5 * free.interval[0], 53.0) is answer
-
-
-def test_readings_that_contradict_what_is_known_leave_the_place_open() -> None:
-    centers = np.array([5.0, 15, 25, 35, 45])
-    readings = 4e-4 * np.maximum(22 - centers, 0)
-    answer = localize(readings, centers, length=53, span=5.5, noise=2e-4)
-    (contact,) = beyond(answer, 48.25, 53.0).contacts
-    assert contact.interval == pytest.approx((48.25, 53.0))
-    empty = replace(answer, contacts=())
-    assert beyond(empty, 48.25, 53.0) is empty
 
 
 def _felt(

@@ -25,7 +25,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Answer:
-    """A method's estimate: contacts base first, the fold's angle (rad), and its status."""
+    """A method's estimate: contacts base first, the fold's angle (rad), and its status.
+
+    `bend` holds (arc, contact curvature) along the body where the method knows more of it than the
+    straight beam's ramps; `end_offset_cm` where a contact on the end bears.
+    """
 
     arcs_cm: tuple[float, ...]
     forces: tuple[float, ...]
@@ -33,6 +37,8 @@ class Answer:
     status: str = "localized"
     intervals_cm: tuple[tuple[float, float], ...] = ()
     model: str = ""
+    bend: tuple[tuple[float, float], ...] = ()
+    end_offset_cm: float | None = None
 
 
 Method = Callable[[Trial], Answer]
@@ -77,6 +83,8 @@ def ours(trial: Trial) -> Answer:
         result.status,
         tuple(contact.interval for contact in result.contacts),
         result.model,
+        tuple((float(arc), float(above)) for arc, above in result.bend),
+        result.contacts[-1].end_offset if result.contacts else None,
     )
 
 
@@ -107,13 +115,13 @@ def workspace_errors(trial: Trial, answer: Answer) -> Floats:
         Bend(
             thesis.LENGTH_CM,
             trial.free,
-            ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True)),
+            answer.bend or ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True)),
             answer.fold_rad,
         )
     )
     radius = thesis.DIAMETER_CM / 2
     found = [
-        skin_point(curve, arc, force, radius)[0]
+        skin_point(curve, arc, force, radius, answer.end_offset_cm)[0]
         for arc, force in sorted(zip(answer.arcs_cm, answer.forces, strict=True))
     ]
     return np.abs(np.subtract(found, trial.contact_x_cm))

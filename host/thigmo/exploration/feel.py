@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig, Side
-from thigmo.exploration.known import WIDEST_CM, beyond, expected
+from thigmo.exploration.known import WIDEST_CM, cell_masses, expected
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
@@ -101,11 +101,10 @@ def feel(
         critical_curvature=fold_moment(config, zone),
         tube_radius=config.body.radius_cm,
         width_limit=WIDEST_CM,
+        within=(nearest_arc, peak.length_cm) if nearest_arc > 0 else None,
     )
-    if nearest_arc > 0:
-        result = beyond(result, nearest_arc, peak.length_cm)
     found = [c for c in result.contacts if c.status in _PLACED]
-    if len(found) == 1 and found[0].force * peak.free_curvature > 0:
+    if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
@@ -138,7 +137,9 @@ def _expected(
 ) -> LocalizeResult:
     """The one contact's posterior with a map's obstacles as its prior, through the body's shape."""
     arcs = arc_grid(bend.length_cm)
-    curve, force = centreline(bend), result.contacts[0].force
+    curve = centreline(bend)
+    # A peg in the way of a bend pushes against it.
+    force = -bend.free_curvature
     points = np.array([skin_point(curve, float(arc), force, radius_cm)[:2] for arc in arcs])
     return expected(result, arcs, prior.boost(points, bend.length_cm))
 
@@ -152,7 +153,7 @@ def _mass(result: LocalizeResult, contact: Contact, full_cm: float) -> Floats:
     """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
     grid = arc_grid(full_cm)
     if len(result.contacts) == 1:
-        mass = np.interp(grid, result.arcs, result.density, left=0.0, right=0.0)
+        mass = cell_masses(result, grid)
     else:
         low, high = contact.interval
         deviation = max((high - low) / 3.92, _GRID_CM)

@@ -1,5 +1,5 @@
-"""Posteriors over the arc, given what else is known: that a contact lies beyond a certain arc, or
-that several stages felt the same peg.
+"""Posteriors over the arc, given what else is known: what a map shows, or that several stages felt
+the same peg.
 """
 
 from __future__ import annotations
@@ -12,32 +12,28 @@ from thigmo.localization import LocalizeResult
 from thigmo.localization.result import Status
 from thigmo.robot.readings import Floats
 
-_NODES = 201
 _LEVEL = 0.95
 WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own limit
-# With less of the posterior than this beyond the arc, its slope there says nothing: the readings
-# and the model disagree about what is known, and the place is open within it.
-_LEAST_MASS = 0.05
 _FLAT = 0.01  # a prior that varies by less says nothing
+_SAME_CM = 1.0  # a contact on the end that moves by more is on the side
 
 
-def beyond(result: LocalizeResult, nearest_arc: float, length_cm: float) -> LocalizeResult:
-    """Condition a single contact's posterior on its arc being at least `nearest_arc`.
+def cell_masses(result: LocalizeResult, grid: Floats) -> Floats:
+    """Posterior mass in the cell around each node of an evenly spaced grid.
 
-    Args:
-        result: of `localize`, with one contact; others are returned as they are.
-        nearest_arc: in cm; at most the length.
-        length_cm: everted length.
+    A contact on the end of the body is a narrow peak, which samples of the density would miss.
     """
-    if len(result.contacts) != 1 or result.contacts[0].interval[0] >= nearest_arc:
-        return result
-    arcs = np.linspace(nearest_arc, length_cm, _NODES)
-    density = np.interp(arcs, result.arcs, result.density)
-    step = (length_cm - nearest_arc) / (_NODES - 1)
-    if density.sum() * step < _LEAST_MASS:
-        density = np.ones(_NODES)
-    message = f"beyond {nearest_arc:.1f} cm, for sweeps felt nothing before"
-    return _conditioned(result, arcs, density, message)
+    step = grid[1] - grid[0]
+    edges = np.concatenate((grid - 0.5 * step, [grid[-1] + 0.5 * step]))
+    parts = np.diff(result.arcs) * 0.5 * (result.density[1:] + result.density[:-1])
+    below = np.concatenate(([0.0], np.cumsum(parts)))
+    return np.diff(np.interp(edges, result.arcs, below))
+
+
+def median(arcs: Floats, mass: Floats) -> float:
+    """Arc with half of the mass on either side: it errs least on average."""
+    half = 0.5 * float(mass.sum())
+    return float(np.interp(half, np.cumsum(mass) - 0.5 * mass, arcs))
 
 
 def expected(result: LocalizeResult, arcs: Floats, boost: Floats) -> LocalizeResult:
@@ -50,33 +46,34 @@ def expected(result: LocalizeResult, arcs: Floats, boost: Floats) -> LocalizeRes
     """
     if len(result.contacts) != 1 or float(np.ptp(boost)) < _FLAT * float(boost.max()):
         return result
-    density = np.interp(arcs, result.arcs, result.density, left=0.0, right=0.0) * boost
-    if not density.sum() > 0:
+    mass = cell_masses(result, arcs) * boost
+    if not mass.sum() > 0:
         return result
-    return _conditioned(result, arcs, density, "with what the map given shows")
-
-
-def _conditioned(
-    result: LocalizeResult, arcs: Floats, density: Floats, message: str
-) -> LocalizeResult:
-    """A result whose one contact has another posterior, on evenly spaced arcs."""
     contact = result.contacts[0]
-    density = density / density.sum()
-    arc = float(density @ arcs)
-    low, high = shortest(arcs, density)
+    mass = mass / mass.sum()
+    arc = median(arcs, mass)
+    low, high = shortest(arcs, mass)
     # Few sensors see the difference, so what stays is the moment at the body's base.
-    force = contact.force * contact.arc / arc
+    force, offset = contact.force * contact.arc / arc, contact.end_offset
+    if offset is not None and arc < contact.arc - _SAME_CM:
+        force, offset = float(result.bend[0, 1]) / arc, None
     status: Status = "localized" if high - low <= WIDEST_CM else "ambiguous"
     placed = replace(
-        contact, arc=arc, force=force, interval=(low, high), intervals=((low, high),), status=status
+        contact,
+        arc=arc,
+        force=force,
+        interval=(low, high),
+        intervals=((low, high),),
+        status=status,
+        end_offset=offset,
     )
     return replace(
         result,
         status=status,
         contacts=(placed,),
-        message=f"{result.message}; {message}",
+        message=f"{result.message}; with what the map given shows",
         arcs=arcs,
-        density=density / (arcs[1] - arcs[0]),
+        density=mass / (arcs[1] - arcs[0]),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Felt, arc_grid
-from thigmo.exploration.known import WIDEST_CM, fused, shortest
+from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.workspace import place_contact
 from thigmo.record import MapContact, TrueContact
@@ -64,10 +64,14 @@ class ContactMap:
         if len(stages) > 1:
             grid = arc_grid(self.config.body.length_cm)
             mass = fused(grid, [felt.mass for felt in stages])
-            arc = float(grid @ mass)
+            arc = median(grid, mass)
             interval = shortest(grid, mass)
             status = "localized" if interval[1] - interval[0] <= WIDEST_CM else "ambiguous"
         force = contact.force * contact.arc / arc if arc > 0 else contact.force
+        offset = contact.end_offset
+        if offset is not None and arc < contact.arc - _FLOOR_CM and newest.bend.excess:
+            # Other stages say that it is on the side, where the same moment needs this force.
+            offset, force = None, newest.bend.excess[0][1] / arc
         placed = place_contact(
             newest.bend,
             arc,
@@ -75,6 +79,7 @@ class ContactMap:
             interval,
             radius_cm=self.config.body.radius_cm,
             curvature_se=self.config.actuators.side(newest.side).offset_se,
+            end_offset_cm=offset,
         )
         found = MapContact(
             arc_cm=arc,

@@ -117,16 +117,20 @@ def ramp_knots(contacts: Iterable[tuple[float, float]]) -> tuple[tuple[float, fl
     )
 
 
-def skin_point(curve: Curve, arc_cm: float, force: float, radius_cm: float) -> Pose:
+def skin_point(
+    curve: Curve, arc_cm: float, force: float, radius_cm: float, end_offset_cm: float | None = None
+) -> Pose:
     """Point of the skin that a contact touches, and the direction from the centreline to it.
 
-    A force that adds positive curvature pushes to the left, so it comes from the right side.
+    A force that adds positive curvature pushes to the left, so it comes from the right side. A
+    contact on the end bears `end_offset_cm` to the left of the centreline.
     """
     x, y, heading = curve.pose(arc_cm)
-    normal = heading - np.copysign(np.pi / 2, force)
+    across = -np.copysign(radius_cm, force) if end_offset_cm is None else end_offset_cm
+    normal = heading + np.copysign(np.pi / 2, across)
     return (
-        x + radius_cm * float(np.cos(normal)),
-        y + radius_cm * float(np.sin(normal)),
+        x - across * float(np.sin(heading)),
+        y + across * float(np.cos(heading)),
         float(normal),
     )
 
@@ -150,6 +154,7 @@ def place_contact(
     *,
     radius_cm: float,
     curvature_se: float,
+    end_offset_cm: float | None = None,
 ) -> PlacedContact:
     """Put one of the bend's contacts into the room.
 
@@ -160,16 +165,17 @@ def place_contact(
         interval_cm: 95 % interval of the arc.
         radius_cm: of the tube.
         curvature_se: standard error of the common curvature, 1/cm.
+        end_offset_cm: where a contact on the end of the body bears, left of the centreline.
     """
     curve = centreline(bend)
-    x, y, normal = skin_point(curve, arc, force, radius_cm)
+    x, y, normal = skin_point(curve, arc, force, radius_cm, end_offset_cm)
     low, high = (float(np.clip(end, 0.0, bend.length_cm)) for end in interval_cm)
     track = [skin_point(curve, float(s), force, radius_cm)[:2] for s in np.linspace(low, high, 25)]
     # Along the body: 95 % of a normal error spans 3.92 standard deviations.
     heading = curve.pose(arc)[2]
     along = (high - low) / 3.92 * np.array([np.cos(heading), np.sin(heading)])
     bent = replace(bend, free_curvature=bend.free_curvature + curvature_se)
-    moved = skin_point(centreline(bent), arc, force, radius_cm)
+    moved = skin_point(centreline(bent), arc, force, radius_cm, end_offset_cm)
     across = np.array([moved[0] - x, moved[1] - y])
     out = _SHAPE_CM * np.array([np.cos(normal), np.sin(normal)])
     covariance = np.outer(along, along) + np.outer(across, across) + np.outer(out, out)

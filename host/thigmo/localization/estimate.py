@@ -19,16 +19,19 @@ import numpy.typing as npt
 from thigmo.errors import DataError
 from thigmo.localization import prior
 from thigmo.localization.models import (
+    GRID,
     Fit,
+    MomentLimit,
     Setting,
-    at_corner,
     bent_shape,
+    contact_curvature,
     fit_one,
     fit_several,
     fold_column,
     mix,
     not_beyond,
     precision,
+    restrict,
     same_side,
     solve_columns,
     start,
@@ -36,6 +39,7 @@ from thigmo.localization.models import (
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import Contact, LocalizeResult, Range, Status
 from thigmo.localization.several import LOOK, place_bound
+from thigmo.localization.tip import tip_contact
 
 Array = npt.NDArray[np.float64]
 
@@ -52,6 +56,7 @@ class Options:
     mechanics: str
     radius: float
     width: float
+    within: Range | None
 
 
 def localize(
@@ -70,6 +75,7 @@ def localize(
     mechanics: Literal["auto", "plain"] = "auto",
     tube_radius: float | None = None,
     width_limit: float | None = None,
+    within: Range | None = None,
 ) -> LocalizeResult:
     """Find the contacts that a body of known length feels.
 
@@ -94,6 +100,8 @@ def localize(
         tube_radius: radius of the body; 1.75/53 of the length if not given.
         width_limit: widest 95 % interval that counts as localized; 10/53 of the length (10 cm of
             the 53 cm body) if not given.
+        within: arcs between which a single contact is known to lie, by whatever else is known
+            (a sweep that felt nothing, say). It does not decide how many contacts there are.
 
     Returns:
         Contacts with 95 % intervals, status, model.
@@ -126,6 +134,7 @@ def localize(
         if tube_radius is None
         else max(_positive("tube_radius", tube_radius) / scale, 1e-6),
         prior.WIDTH_SHARE if width_limit is None else _positive("width_limit", width_limit) / scale,
+        None if within is None else _range(within, scale),
     )
     solve = partial(_exact, curvature, position, length, span, free_curvature)
     return _decide(readings, contacts, options, solve)
@@ -136,6 +145,14 @@ def _positive(name: str, value: float) -> float:
     if not (math.isfinite(number) and number >= 0.0):
         raise DataError(f"{name} is {value!r}", f"give a finite {name} of zero or more")
     return number
+
+
+def _range(within: Range, scale: float) -> Range:
+    low, high = (_positive("within", end) / scale for end in within)
+    high = min(high, 1.0)
+    if not low < high:
+        raise DataError(f"within={within!r} holds no place", "give two arcs, base first")
+    return low, high
 
 
 def _decide(
@@ -188,11 +205,15 @@ def _best_model(
     if rich:
         called = called or one.misfit > prior.misfit_limit(len(readings.y))
         fold = _fold_setting(readings, one, options, called)
-        ones += _tip_models(readings, one, options, called)
+        if called:
+            ones += _tip_moment(readings, one)
+            ones += _on_the_end(readings, one, options, attached=True)
         if called and len(readings.y) >= LEAST_FOR_SPREAD:
             ones += _spread_models(readings, one)
         if fold is not None:
             ones = _with_fold(readings, ones, fold, options)
+        else:
+            ones += _on_the_end(readings, one, options)
     else:
         fold = None
     winner = max(ones, key=_score)
@@ -201,7 +222,9 @@ def _best_model(
         step = prior.second_threshold(len(readings.y), readings.known)
         if look.score - step > winner.score - _margin(winner) - 0.5 or (called and fold):
             winner, likely = _more_contacts(readings, one.setting, winner, fold, rich)
-    return (mix(ones) if len(winner.arcs) == 1 else winner), likely
+    if len(winner.arcs) > 1:
+        return winner, likely
+    return mix(ones if options.within is None else restrict(ones, *options.within)), likely
 
 
 # Readings from which two contacts can differ from one and noise.
@@ -232,7 +255,7 @@ def _margin(winner: Fit) -> float:
     part: such a model must lead clearly.
     """
     rare = winner.stretch > 0.0 or "tip_moment" in winner.setting.labels
-    return 4.0 if rare or "tangential_force" in winner.setting.labels else 1.0
+    return 4.0 if rare or winner.end is not None else 1.0
 
 
 def _more_contacts(
@@ -306,12 +329,15 @@ def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) 
 
 
 def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Options) -> list[Fit]:
-    """Add the folded base to the one-contact models; with a known critical moment, enforce it."""
-    counted = readings.bend if options.critical_of == "total" else 0.0
+    """One contact with a free and with a folded base; a known critical moment is enforced."""
     if options.critical is None:
-        folded = _lever_arms(readings, fit_one(readings, fold, prior.FOLD_PENALTY))
+        limit = None
+        buckled, penalty = fold, prior.FOLD_PENALTY
     else:
-        ones = [not_beyond(fit, options.critical, counted) for fit in ones]
+        counted = readings.bend if options.critical_of == "total" else 0.0
+        limit = MomentLimit(options.critical, counted)
+        ones = [not_beyond(fit, limit) for fit in ones]
+        penalty = 0.0
         buckled = replace(
             fold,
             name=fold.name.replace("base fold", "base fold at the critical moment"),
@@ -319,43 +345,44 @@ def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Opti
             spread=np.full(2, prior.CRITICAL_SPREAD * options.critical),
             log_weight=np.log(np.full(2, 0.5)),
         )
-        folded = _lever_arms(readings, fit_one(readings, buckled))
+    ones = [*ones, *_on_the_end(readings, ones[0], options, limit)]
+    first = _lever_arms(readings, fit_one(readings, buckled, penalty))
     # The fold opens the way the contact bends the body.
-    folded.score += same_side(folded, readings)
-    return [*ones, folded]
+    for folded in [first, *_on_the_end(readings, first, options)]:
+        folded.score += same_side(folded, readings)
+        ones.append(folded)
+    return ones
 
 
-def _tip_models(readings: Readings, fit: Fit, options: Options, called: bool) -> list[Fit]:
-    """Tip moment and oblique force at the tip, where the place or the misfit suggests them."""
-    out: list[Fit] = []
-    near_tip = float(fit.intervals[0, 1]) > NEAR_TIP and _turning(fit, readings) > prior.CORNER_BEND
-    if not called and not near_tip:
-        return out
-    settings = [(fit.setting, 0.0)]
-    if called and len(readings.y) >= LEAST_FOR_TIP_MOMENT:
-        moment = fit.setting.with_column(
-            np.ones(len(readings.y)), prior.TIP_MOMENT, "tip_moment", "tip moment"
-        )
-        out.append(_lever_arms(readings, fit_one(readings, moment, prior.TIP_MOMENT_PENALTY)))
-        settings.append((moment, prior.TIP_MOMENT_PENALTY))
-    if not near_tip:
-        return out
-    for setting, penalty in settings:
-        corner = at_corner(readings, setting, fit, options.radius, penalty)
-        for _ in range(2):
-            if corner is None:
-                break
-            bent = setting.bent(bent_shape(corner, readings), readings)
-            corner = at_corner(readings, bent, fit, options.radius, penalty)
-        if corner is not None:
-            out.append(corner)
-    return out
+def _on_the_end(
+    readings: Readings,
+    side: Fit,
+    options: Options,
+    limit: MomentLimit | None = None,
+    *,
+    attached: bool = False,
+) -> list[Fit]:
+    """A contact on the end of the body instead of its side, where a bend gives it a lever."""
+    if _turning(side, readings) < prior.CORNER_BEND:
+        return []
+    found = tip_contact(
+        readings, side.setting, side, options.radius, side.penalty, limit, attached=attached
+    )
+    return [] if found is None else [found]
+
+
+def _tip_moment(readings: Readings, fit: Fit) -> list[Fit]:
+    """A moment at the tip beside the contact."""
+    if len(readings.y) < LEAST_FOR_TIP_MOMENT:
+        return []
+    setting = fit.setting.with_column(
+        np.ones(len(readings.y)), prior.TIP_MOMENT, "tip_moment", "tip moment"
+    )
+    return [_lever_arms(readings, fit_one(readings, setting, prior.TIP_MOMENT_PENALTY))]
 
 
 # A place, a force and a tip moment take three readings; one more to test them.
 LEAST_FOR_TIP_MOMENT = 4
-# An interval that ends beyond this share of the length may be a contact on the tip's corner.
-NEAR_TIP = 0.85
 
 
 def _spread_models(readings: Readings, fit: Fit) -> list[Fit]:
@@ -375,7 +402,11 @@ def _contacts(
         low, high = fit.intervals[j]
         pieces = fit.pieces[j]
         own: Status = "localized"
-        if len(pieces) != 1 or high - low > options.width or _open(readings, fit, options):
+        modes = len(pieces)
+        if len(fit.arcs) == 1:
+            # The end is a place of its own: no second mode, if the interval reaches it.
+            modes = int(np.count_nonzero(pieces[:, 0] < 1.0 - 1.01 * prior.CORNER_WIDTH))
+        if modes > 1 or high - low > options.width or _open(readings, fit, options):
             own = "ambiguous"
         out.append(
             Contact(
@@ -385,6 +416,7 @@ def _contacts(
                 status or own,
                 tuple((float(p[0]) * scale, float(p[1]) * scale) for p in pieces),
                 fit.deviation / scale**2,
+                None if fit.end is None else fit.end.offset * scale,
             )
         )
     return tuple(out)
@@ -394,7 +426,7 @@ def _open(readings: Readings, fit: Fit, options: Options) -> bool:
     """Whether only the ends of the body, not the readings, bound the place."""
     if len(fit.arcs) > 1:
         return fit.loose
-    if "tangential_force" in fit.parameters:
+    if fit.end is not None or options.within is not None:
         return False
     setting = fit.setting
     bound = place_bound(
@@ -440,14 +472,21 @@ def _answer(
         np.exp(fit.logp) / scale,
         tuple(int(i) for i in readings.index[fit.flagged]) if fit.flagged.any() else (),
         _parameters(readings, fit) if contacts else {},
+        _bend(readings, fit) if contacts else np.zeros((0, 2)),
         partial(solve, count=len(contacts)),
     )
+
+
+def _bend(readings: Readings, fit: Fit) -> Array:
+    """(K, 2) arc and contact curvature in the caller's units."""
+    scale = readings.length
+    return np.column_stack([GRID * scale, contact_curvature(fit, readings) / scale])
 
 
 def _parameters(readings: Readings, fit: Fit) -> dict[str, float]:
     """Reported parameters of the model in the caller's units."""
     scale = readings.length
-    power = {"tip_moment": 1, "tangential_force": 2, "fold_angle": 0}
+    power = {"tip_moment": 1, "fold_angle": 0}
     out = {}
     if fit.setting.labels:
         for label, unit, value in zip(
@@ -455,10 +494,10 @@ def _parameters(readings: Readings, fit: Fit) -> dict[str, float]:
         ):
             if label:
                 out[label] = float(value) * unit / scale ** power[label]
-    for label, value in fit.parameters.items():
-        # Beside a free tip moment, the oblique force adds its own.
-        own = out.get(label, 0.0) if label == "tip_moment" else 0.0
-        out[label] = own + value / scale ** power[label]
+    if fit.end is not None:
+        out["tangential_force"] = fit.end.tangential / scale**2
+        # Its line passes beside the centreline.
+        out["tip_moment"] = -fit.end.couple * fit.end.radius / scale
     if fit.stretch > 0.0:
         out["half_width"] = fit.stretch * scale
     return out

@@ -93,36 +93,83 @@ def shape_table(curvature: Array) -> Array:
     return np.column_stack([heading, x, y, integral(x), integral(y)])
 
 
-def shape_columns(table: Array, arc: Array) -> Array:
-    """Rows of a shape table at any arcs; behind the base (arc < 0) the body is straight.
-
-    Args:
-        table: (G, 5).
-        arc: (M,) fractions of the length.
-
-    Returns:
-        (M, 5).
-    """
-    grid = np.linspace(0.0, 1.0, len(table))
-    out = np.column_stack([np.interp(arc, grid, table[:, c]) for c in range(5)])
-    behind = arc < 0.0
-    out[behind, 1] = arc[behind]
-    out[behind, 3] = 0.5 * arc[behind] ** 2
-    return out
+@compiled
+def _at(table: Array, arc: float, out: Array) -> None:
+    """A row of a shape table at any arc; beyond the tip the tip's."""
+    if arc < 0.0:
+        out[:] = 0.0
+        out[1] = arc
+        out[3] = 0.5 * arc * arc
+        return
+    last = table.shape[0] - 1
+    place = min(arc, 1.0) * last
+    j = min(int(place), last - 1)
+    t = place - j
+    for c in range(5):
+        out[c] = table[j, c] * (1.0 - t) + table[j + 1, c] * t
 
 
+@compiled
 def sensor_edges(table: Array, low: Array, high: Array) -> Array:
-    """What `influence` needs of each sensor on a bent body.
+    """What `influence` needs of each sensor on a bent body; behind the base it is straight.
 
     Returns:
         (N, 4) mean x and mean y over the span; integrals of x and y up to the near end.
     """
-    if len(table) == 0:
-        return np.zeros((len(low), 4))
-    near, far = shape_columns(table, low), shape_columns(table, high)
-    span = high - low
-    point = span <= 0.0
-    safe = np.where(point, 1.0, span)
-    mean_x = np.where(point, near[:, 1], (far[:, 3] - near[:, 3]) / safe)
-    mean_y = np.where(point, near[:, 2], (far[:, 4] - near[:, 4]) / safe)
-    return np.column_stack([mean_x, mean_y, near[:, 3], near[:, 4]])
+    n = low.shape[0]
+    edges = np.zeros((n, 4))
+    if table.shape[0] == 0:
+        return edges
+    near = np.empty(5)
+    far = np.empty(5)
+    for i in range(n):
+        _at(table, low[i], near)
+        span = high[i] - low[i]
+        if span > 0.0:
+            _at(table, high[i], far)
+            edges[i, 0] = (far[3] - near[3]) / span
+            edges[i, 1] = (far[4] - near[4]) / span
+        else:
+            edges[i, 0] = near[1]
+            edges[i, 1] = near[2]
+        edges[i, 2] = near[3]
+        edges[i, 3] = near[4]
+    return edges
+
+
+@compiled
+def end_influence(table: Array, low: Array, high: Array, radius: float) -> tuple[Array, Array]:
+    """Readings for unit loads at the tip of a bent body (see `tip.py`).
+
+    Args:
+        table: (G, 5) shape of the body, with rows.
+        low, high: (N,) ends of the sensors; beyond the tip they read nothing.
+        radius: of the tube.
+
+    Returns:
+        (3, N) readings for a unit normal force, a unit tangential force, and the couple of a unit
+        tangential force that bears one radius to the left; (3,) their moments at the base.
+    """
+    n = low.shape[0]
+    edges = sensor_edges(table, low, high)
+    out = np.empty((3, n))
+    at_base = np.empty(3)
+    at_base[0] = influence(1.0, low, high, table, edges, out[0])
+    last = table.shape[0] - 1
+    x = table[last, 1]
+    y = table[last, 2]
+    sine = np.sin(table[last, 0])
+    cosine = np.cos(table[last, 0])
+    for i in range(n):
+        part = 1.0
+        mean_x = edges[i, 0]
+        mean_y = edges[i, 1]
+        if high[i] > 1.0 and low[i] < 1.0:
+            part = (1.0 - low[i]) / (high[i] - low[i])
+            mean_x = (table[last, 3] - edges[i, 2]) / (1.0 - low[i])
+            mean_y = (table[last, 4] - edges[i, 3]) / (1.0 - low[i])
+        out[1, i] = part * ((x - mean_x) * sine - (y - mean_y) * cosine)
+        out[2, i] = -radius * part
+    at_base[1] = x * sine - y * cosine
+    at_base[2] = -radius
+    return out, at_base

@@ -1,7 +1,7 @@
 """Mechanics that a scene may need: each is a set of columns and a shape for the same posterior.
 
-Plain beam; levers of the bent body; base fold, free or at its critical moment; tip moment; contact
-on the tip's corner with an oblique force; a load spread over a stretch. `estimate` decides which
+Plain beam; levers of the bent body; base fold, free or at its critical moment; tip moment; a load
+spread over a stretch. Contacts on the end of the body are in `tip.py`. `estimate` decides which
 are called for and compares their evidence. Everything is in units of the length.
 """
 
@@ -16,11 +16,12 @@ import numpy.typing as npt
 from thigmo.localization import prior
 from thigmo.localization.influence import (
     STRAIGHT,
+    end_influence,
     influence,
     sensor_edges,
     shape_table,
 )
-from thigmo.localization.posterior import mixed, one_contact
+from thigmo.localization.posterior import median, mixed, one_contact
 from thigmo.localization.readings import Readings
 from thigmo.localization.several import PASSES, several
 
@@ -71,6 +72,42 @@ class Setting:
         return replace(self, name=name, table=table, edges=edges)
 
 
+@dataclass(frozen=True, slots=True)
+class End:
+    """What a force on the end of the body adds to its normal part at the tip (`tip.py`).
+
+    Attributes:
+        tangential: force along the tangent at the tip, negative towards the base.
+        couple: of it about the centreline, as tangential force times offset over radius.
+        offset: where it bears, left of the centreline.
+        radius: of the tube.
+    """
+
+    tangential: float
+    couple: float
+    offset: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class MomentLimit:
+    """The base moment over EI beyond which a body folds, known to `prior.CRITICAL_SPREAD`.
+
+    Attributes:
+        critical: that moment, times the length.
+        free: curvature that counts towards it.
+    """
+
+    critical: float
+    free: float
+
+    def log_weight(self, moment: Array) -> Array:
+        """Log weight of base moments in a body that is not folded."""
+        beyond = np.maximum(np.abs(moment + self.free) - self.critical, 0.0)
+        excess = beyond / (prior.CRITICAL_SPREAD * self.critical)
+        return np.asarray(-0.5 * np.minimum(excess, 35.0) ** 2)
+
+
 @dataclass(slots=True)
 class Fit:
     """One model's posterior.
@@ -91,7 +128,7 @@ class Fit:
         stretch: half width of a distributed contact.
         penalty: what `score` is less than the log evidence.
         node_forces: (M,) force over the nodes, of a single contact.
-        parameters: further ones, normalised.
+        end: what a contact on the end of the body adds.
     """
 
     setting: Setting
@@ -111,7 +148,7 @@ class Fit:
     stretch: float = 0.0
     penalty: float = 0.0
     node_forces: Array | None = None
-    parameters: dict[str, float] = field(default_factory=dict)
+    end: End | None = None
 
 
 def start(readings: Readings, offset: float) -> Setting:
@@ -282,16 +319,14 @@ def solve_columns(fit: Fit, readings: Readings) -> Array:
     columns = fit.setting.columns
     if columns.shape[1] == 0:
         return np.zeros(0)
-    residual = readings.y.copy()
-    for arc, force in zip(fit.arcs, fit.forces, strict=True):
-        residual -= force * unit_force(float(arc), fit.setting, readings, fit.stretch)
+    residual = readings.y - contact_readings(fit, readings.low, readings.high)
     weight = precision(fit, readings)
     gram = np.eye(columns.shape[1]) + columns.T @ (weight[:, None] * columns)
     return np.asarray(np.linalg.solve(gram, columns.T @ (weight * residual)), dtype=np.float64)
 
 
 def same_side(fit: Fit, readings: Readings) -> float:
-    """Log of twice the probability that the last column has the sign of the force.
+    """Log of twice the probability that the last column has the sign of the contact's moment.
 
     What a prior that allows only that sign adds to the log evidence.
     """
@@ -299,7 +334,9 @@ def same_side(fit: Fit, readings: Readings) -> float:
     weight = precision(fit, readings)
     gram = np.eye(columns.shape[1]) + columns.T @ (weight[:, None] * columns)
     deviation = float(np.sqrt(np.linalg.inv(gram)[-1, -1]))
-    mean = float(solve_columns(fit, readings)[-1]) * float(np.sign(fit.forces[0]))
+    base = np.zeros(1)
+    side = float(np.sign(contact_readings(fit, base, base)[0]))
+    mean = float(solve_columns(fit, readings)[-1]) * side
     return math.log(max(math.erfc(-mean / deviation / math.sqrt(2.0)), 1e-30))
 
 
@@ -311,23 +348,33 @@ def precision(fit: Fit, readings: Readings) -> Array:
     return out
 
 
-def bent_shape(fit: Fit, readings: Readings) -> Array:
-    """(G, 5) shape of the body under a fit: free curvature, contacts and loads at the tip."""
+def contact_readings(fit: Fit, low: Array, high: Array) -> Array:
+    """(N,) readings that a fit's contacts cause in sensors from `low` to `high`."""
     table = fit.setting.table
-    edges = sensor_edges(table, GRID, GRID)
-    curvature = np.full(len(GRID), readings.bend)
+    edges = sensor_edges(table, low, high)
+    out: Array = np.zeros(len(low))
     for arc, force in zip(fit.arcs, fit.forces, strict=True):
-        curvature += force * _lever(float(arc), GRID, GRID, table, edges, fit.stretch)
-    coefficients = solve_columns(fit, readings)
+        out += force * _lever(float(arc), low, high, table, edges, fit.stretch)
+    if fit.end is not None:
+        parts, _ = end_influence(table, low, high, fit.end.radius)
+        out += fit.end.tangential * parts[1] + fit.end.couple * parts[2]
+    return out
+
+
+def contact_curvature(fit: Fit, readings: Readings) -> Array:
+    """(G,) curvature over GRID that contacts and loads at the tip cause, without a base fold."""
+    out = contact_readings(fit, GRID, GRID)
     for label, scale, value in zip(
-        fit.setting.labels, fit.setting.scales, coefficients, strict=True
+        fit.setting.labels, fit.setting.scales, solve_columns(fit, readings), strict=True
     ):
         if label == "tip_moment":
-            curvature += scale * value
-        elif label == "tangential_force":
-            side = float(np.sign(fit.forces[-1]))
-            curvature += scale * value * tangential_column(table, GRID, GRID, side)
-    return shape_table(curvature)
+            out += scale * value
+    return out
+
+
+def bent_shape(fit: Fit, readings: Readings) -> Array:
+    """(G, 5) shape of the body under a fit: free curvature, contacts and loads at the tip."""
+    return shape_table(readings.bend + contact_curvature(fit, readings))
 
 
 def fold_column(readings: Readings, radius: float) -> Array:
@@ -341,24 +388,12 @@ def fold_column(readings: Readings, radius: float) -> Array:
     return np.asarray(share / end)
 
 
-def tangential_column(
-    table: Array, low: Array, high: Array, side: float, radius: float = prior.TUBE_RADIUS
-) -> Array:
-    """(N,) readings for a unit force along the tip's tangent, bearing on its corner.
-
-    Lever: integral of sin(theta(L) - theta(u)) from s to the tip, and the tube's radius, on the
-    side opposite to the normal force's direction `side`.
-    """
-    if len(table) == 0:
-        return np.full(len(low), radius * side)
-    edges = sensor_edges(table, low, high)
-    heading, x, y = table[-1, 0], table[-1, 1], table[-1, 2]
-    lever = (x - edges[:, 0]) * np.sin(heading) - (y - edges[:, 1]) * np.cos(heading)
-    return np.asarray(lever + radius * side)
-
-
 def mix(fits: list[Fit]) -> Fit:
-    """Average several one-contact posteriors by their scores; the best one names the model."""
+    """Average several one-contact posteriors by their scores.
+
+    Where they differ on whether the contact is on the side or on the end, the median of all
+    decides, for it errs least on average; the best fit of that kind names the model.
+    """
     best = max(fits, key=lambda fit: fit.score)
     close = [fit for fit in fits if fit.score > best.score - 4.0]
     if len(close) == 1:
@@ -370,13 +405,54 @@ def mix(fits: list[Fit]) -> Fit:
         total = np.logaddexp(total, part + fit.score - best.score)
     total = np.maximum(total, -700.0)
     arc, low, high, pieces = mixed(nodes, total, prior.LEVEL)
+    kinds = {fit.end is None for fit in close}
+    if len(kinds) > 1:
+        arc = median(nodes, total)
+        side = arc < 1.0 - prior.CORNER_WIDTH
+        best = max((fit for fit in close if (fit.end is None) == side), key=lambda fit: fit.score)
     out = replace_fit(best, nodes, total)
-    # The best model's own place, unless the others move the mass away from it.
-    if not low <= best.arcs[0] <= high:
+    if (len(kinds) > 1 and out.end is None) or not low <= best.arcs[0] <= high:
         out.arcs = np.array([arc])
     out.intervals = np.array([[low, high]])
     out.pieces = [pieces]
     return out
+
+
+# With less of the posterior than this in a range that is known to hold the contact, the readings
+# and the models disagree about it: the place is then open within the range.
+LEAST_MASS = 0.05
+
+
+def restrict(fits: list[Fit], low: float, high: float) -> list[Fit]:
+    """One-contact posteriors, given that the contact lies between two arcs."""
+    out = []
+    for fit in fits:
+        ends = np.array([low - 1e-9, low, high, high + 1e-9])
+        nodes = np.unique(np.concatenate([fit.nodes, ends]))
+        logp = np.interp(nodes, fit.nodes, fit.logp, left=-700.0, right=-700.0)
+        logp[(nodes < low) | (nodes > high)] = -700.0
+        before = float(logp.max())
+        arc, start, end, pieces = mixed(nodes, logp, prior.LEVEL)
+        part = replace_fit(fit, nodes, logp)
+        part.score += before - float(logp.max())
+        part.arcs = np.array([arc]) if fit.end is None else fit.arcs
+        # Few sensors see the difference, so what stays is the moment at the base.
+        part.forces = fit.forces * fit.arcs / part.arcs
+        part.intervals = np.array([[start, end]])
+        part.pieces = [pieces]
+        out.append(part)
+    top = max(fit.score for fit in fits)
+    held = sum(math.exp(fit.score - top) for fit in out)
+    if held >= LEAST_MASS * sum(math.exp(fit.score - top) for fit in fits):
+        return out
+    best = max((fit for fit in fits if fit.end is None), key=lambda fit: fit.score)
+    nodes = np.array([low, high])
+    flat = replace_fit(best, nodes, np.full(2, -math.log(high - low)))
+    flat.arcs = np.array([0.5 * (low + high)])
+    flat.forces = best.forces * best.arcs / flat.arcs
+    flat.intervals = nodes[None, :]
+    flat.pieces = [np.array([[low, high, 1.0]])]
+    return [flat]
 
 
 def replace_fit(fit: Fit, nodes: Array, logp: Array) -> Fit:
@@ -399,23 +475,19 @@ def replace_fit(fit: Fit, nodes: Array, logp: Array) -> Fit:
         fit.stretch,
         fit.penalty,
         None,
-        dict(fit.parameters),
+        fit.end,
     )
 
 
-def not_beyond(fit: Fit, critical: float, free: float) -> Fit:
-    """A one-contact posterior without the forces that would fold the base.
-
-    Args:
-        fit: posterior of a body that is not folded.
-        critical: moment over EI at the base at which it folds, times the length.
-        free: curvature that counts towards it.
-    """
+def not_beyond(fit: Fit, limit: MomentLimit) -> Fit:
+    """A one-contact posterior without the forces that would fold the base."""
     if fit.node_forces is None:
         return fit
-    moment = np.abs(fit.node_forces * fit.nodes + free)
-    excess = np.maximum(moment - critical, 0.0) / (prior.CRITICAL_SPREAD * critical)
-    logp = np.maximum(fit.logp - 0.5 * np.minimum(excess, 35.0) ** 2, -700.0)
+    levers = fit.nodes
+    if len(fit.setting.table):
+        heading, x, y = (np.interp(fit.nodes, GRID, fit.setting.table[:, c]) for c in range(3))
+        levers = np.cos(heading) * x + np.sin(heading) * y
+    logp = np.maximum(fit.logp + limit.log_weight(fit.node_forces * levers), -700.0)
     top = logp.max()
     width = np.diff(fit.nodes)
     mass = np.sum(width * 0.5 * (np.exp(logp[1:] - top) + np.exp(logp[:-1] - top)))
@@ -428,46 +500,3 @@ def not_beyond(fit: Fit, critical: float, free: float) -> Fit:
     out.pieces = [pieces]
     out.node_forces = fit.node_forces
     return out
-
-
-def at_corner(
-    readings: Readings, setting: Setting, fit: Fit, radius: float, penalty: float
-) -> Fit | None:
-    """An oblique force at the tip's corner; None if its normal part is on the other side."""
-    side = float(np.sign(fit.forces[0])) or 1.0
-    column = tangential_column(setting.table, readings.low, readings.high, side, radius)
-    # The force's direction is anything: its tangential part is of the size of the normal one.
-    deviation = prior.TANGENTIAL * abs(float(fit.forces[0]))
-    oblique = setting.with_column(
-        column, deviation, "tangential_force", "oblique force on the tip's corner"
-    )
-    out = fit_one(readings, oblique, penalty)
-    # The arc is known here: the likelihood at the tip is the evidence.
-    at_tip = float(out.logp[-1])
-    out.score += at_tip - prior.CORNER_PENALTY
-    out.arcs = np.array([1.0])
-    out.nodes = np.array([1.0 - prior.CORNER_WIDTH, 1.0])
-    # All but flat: denser at the tip itself, so that intervals close there.
-    out.logp = -np.log(prior.CORNER_WIDTH) + np.array([-0.05, 0.05])
-    out.intervals = np.array([[1.0 - prior.CORNER_WIDTH, 1.0]])
-    out.pieces = [np.array([[1.0 - prior.CORNER_WIDTH, 1.0, 1.0]])]
-    tip = unit_force(1.0, oblique, readings)
-    design = np.column_stack([tip, oblique.columns])
-    weight = precision(out, readings)
-    ridge = np.eye(design.shape[1])
-    ridge[0, 0] = 1e-6
-    normal = ridge + design.T @ (weight[:, None] * design)
-    solution = np.asarray(
-        np.linalg.solve(normal, design.T @ (weight * readings.y)), dtype=np.float64
-    )
-    out.forces = solution[:1]
-    out.misfit = float(np.sum(weight * (readings.y - design @ solution) ** 2))
-    along = float(solution[-1]) * deviation
-    out.node_forces = np.full(2, solution[0])
-    out.parameters["tangential_force"] = along
-    # Its line passes beside the centreline: a moment at the tip.
-    out.parameters["tip_moment"] = along * radius * side
-    # A peg can only push the tip back; what pulls is attached to it, which is rare.
-    if along > 0.0:
-        out.score -= prior.PULL_PENALTY
-    return out if solution[0] * side > 0.0 else None

@@ -112,12 +112,9 @@ def prepare_levels(
 
 
 @compiled
-def evaluate(
-    arc: float,
-    low: Array,
-    high: Array,
-    table: Array,
-    edges: Array,
+def weigh(
+    lever: float,
+    phi: Array,
     y: Array,
     flagged: Flags,
     odds: float,
@@ -129,13 +126,13 @@ def evaluate(
     moment: Array,
     spread: Array,
     log_weight: Array,
-    phi: Array,
     t: Array,
     flips: Array,
     want_flips: bool,
 ) -> tuple[float, float, float]:
-    """Log marginal likelihood of a contact at `arc`, with force mean and mean square.
+    """Log marginal likelihood of a force of known influence, with the force's mean and variance.
 
+    `lever` is its moment at the base, `phi` (N,) its readings, both for a unit force.
     The base moment of the contact has the prior sum_k exp(log_weight_k) N(moment_k, spread_k^2).
     With `want_flips`, `flips` (N + 1,) gets the log weights of the present outlier pattern (last)
     and of each pattern that differs in one reading.
@@ -146,7 +143,6 @@ def evaluate(
     n = y.shape[0]
     q = white.shape[2]
     components = moment.shape[0]
-    lever = influence(arc, low, high, table, edges, phi)
     scale = 1.0 / max(abs(lever), LEAST_LEVER)
     top = -1e300
     total = 0.0
@@ -246,6 +242,51 @@ def evaluate(
             square += share * ff
     mean /= total
     return top + np.log(total), mean, max(square / total - mean * mean, 0.0)
+
+
+@compiled
+def evaluate(
+    arc: float,
+    low: Array,
+    high: Array,
+    table: Array,
+    edges: Array,
+    y: Array,
+    flagged: Flags,
+    odds: float,
+    kappa2: float,
+    W: Array,
+    white: Array,
+    fit: Array,
+    const: Array,
+    moment: Array,
+    spread: Array,
+    log_weight: Array,
+    phi: Array,
+    t: Array,
+    flips: Array,
+    want_flips: bool,
+) -> tuple[float, float, float]:
+    """As `weigh`, of a normal force at `arc`; `phi` (N,) receives its influence."""
+    lever = influence(arc, low, high, table, edges, phi)
+    return weigh(
+        lever,
+        phi,
+        y,
+        flagged,
+        odds,
+        kappa2,
+        W,
+        white,
+        fit,
+        const,
+        moment,
+        spread,
+        log_weight,
+        t,
+        flips,
+        want_flips,
+    )
 
 
 @compiled
@@ -1252,6 +1293,15 @@ def mixed(arcs: Array, logp: Array, level: float) -> tuple[float, float, float, 
     cumulative = np.empty(arcs.shape[0])
     logp -= masses(arcs, logp, arcs.shape[0], cumulative)
     return summary(arcs, logp, arcs.shape[0], cumulative, level)
+
+
+@compiled
+def median(arcs: Array, logp: Array) -> float:
+    """Median of any density on sorted nodes."""
+    count = arcs.shape[0]
+    cumulative = np.empty(count)
+    masses(arcs, logp, count, cumulative)
+    return median_between(arcs, logp, count, cumulative, 0.0, 1.0)
 
 
 @compiled

@@ -26,6 +26,9 @@ class Contact:
             `below detection` (a contact that was asked for, but is not in the readings).
         intervals: the 95 % highest-density set; more than one piece if there are several modes.
         force_deviation: posterior standard deviation of the force.
+        end_offset: where a contact on the end of the body bears, left of the centreline (its force
+            pushes the end back as well: `tangential_force` of the result's parameters); None for a
+            contact on the side.
     """
 
     arc: float
@@ -34,6 +37,7 @@ class Contact:
     status: Status
     intervals: tuple[Range, ...] = ()
     force_deviation: float = 0.0
+    end_offset: float | None = None
 
 
 @dataclass(slots=True)
@@ -51,6 +55,8 @@ class LocalizeResult:
         density: (M,) posterior density at them (1/length).
         outliers: indices of readings taken for outliers.
         parameters: further parameters of the model, e.g. `fold_angle` or `tip_moment`.
+        bend: (K, 2) arc, and curvature above the free one that the contacts cause there, without
+            the fold: the body's shape under the model.
     """
 
     status: Status
@@ -63,6 +69,7 @@ class LocalizeResult:
     density: Array
     outliers: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
+    bend: Array = field(default_factory=lambda: np.zeros((0, 2)))
     _solve: Callable[[], tuple[float, tuple[tuple[Range, ...], ...]]] | None = None
     _solved: tuple[float, tuple[tuple[Range, ...], ...]] | None = None
 

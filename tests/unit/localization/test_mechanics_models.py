@@ -7,6 +7,8 @@ import pytest
 
 import thigmo
 from thigmo.bench.truth import readings as true_readings
+from thigmo.errors import DataError
+from thigmo.mechanics import Peg, Tube, solve
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
@@ -50,7 +52,7 @@ def test_an_oblique_force_on_the_tips_corner_is_recognised():
         result = thigmo.localize(
             curvature, COLUMN, length=LENGTH, span=SPAN, free_curvature=free, noise=1e-5
         )
-        assert "corner" in result.model
+        assert "contact on the tip" in result.model
         assert result.contacts[0].arc == pytest.approx(LENGTH, abs=0.3)
         assert result.parameters["tangential_force"] == pytest.approx(along, rel=0.2)
 
@@ -111,3 +113,60 @@ def test_a_spread_load_is_told_from_a_point_by_dense_sensors():
     assert "distributed" in result.model
     assert result.contacts[0].arc == pytest.approx(30.0, abs=1.0)
     assert result.parameters["half_width"] == pytest.approx(6.0, abs=1.0)
+
+
+def on_the_end(pressure_curvature, peg_radius, place):
+    """A body that has bent against a peg just off its tip, by the large-deflection rod."""
+    touch = 0.021
+    heading = touch * place
+    reach = 1.75 + peg_radius
+    peg = Peg(
+        float(np.sin(heading)) / touch - reach * float(np.sin(heading)),
+        float(1 - np.cos(heading)) / touch + reach * float(np.cos(heading)),
+        peg_radius,
+    )
+    return solve(pressure_curvature, LENGTH, tube=Tube(3.5, CRITICAL), pegs=[peg])
+
+
+@pytest.mark.parametrize("free", [0.0287, 0.0305, 0.0333])
+@pytest.mark.parametrize("peg_radius", [0.6, 2.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_contact_on_the_end_is_not_pulled_inwards(free, peg_radius, sign):
+    body = on_the_end(free, peg_radius, LENGTH)
+    (truth,) = body.contacts
+    assert truth.kind in ("corner", "face")
+    result = thigmo.localize(
+        sign * body.averages(COLUMN, SPAN),
+        COLUMN,
+        length=LENGTH,
+        span=SPAN,
+        free_curvature=sign * free,
+        noise=2e-4,
+        critical_curvature=CRITICAL,
+        tube_radius=1.75,
+    )
+    (contact,) = result.contacts
+    assert contact.arc == pytest.approx(LENGTH, abs=0.1)
+    assert contact.end_offset == pytest.approx(-sign * truth.couple / truth.tangential, abs=1.2)
+    assert result.parameters["tangential_force"] == pytest.approx(truth.tangential, rel=0.25)
+
+
+def test_a_known_range_holds_the_place_and_keeps_the_moment_at_the_base():
+    readings = felt(49.0, 2e-4, COLUMN)
+    options = {"length": LENGTH, "span": SPAN, "noise": 1e-3}
+    free = thigmo.localize(readings, COLUMN, **options).contacts[0]
+    result = thigmo.localize(readings, COLUMN, within=(48.25, LENGTH), **options)
+    (contact,) = result.contacts
+    assert 48.25 <= contact.interval[0] < contact.arc < contact.interval[1] <= LENGTH
+    assert contact.interval[1] - contact.interval[0] < free.interval[1] - free.interval[0]
+    assert contact.force * contact.arc == pytest.approx(free.force * free.arc, rel=1e-6)
+    assert result.status == "localized"
+
+
+def test_readings_that_contradict_a_known_range_leave_the_place_open():
+    readings = felt(22.0, 4e-4, COLUMN)
+    options = {"length": LENGTH, "span": SPAN, "noise": 2e-4}
+    (contact,) = thigmo.localize(readings, COLUMN, within=(48.25, LENGTH), **options).contacts
+    assert contact.interval == pytest.approx((48.25, LENGTH), abs=1e-6)
+    with pytest.raises(DataError, match="within"):
+        thigmo.localize(readings, COLUMN, within=(30.0, 20.0), **options)
