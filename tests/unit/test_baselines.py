@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,3 +112,20 @@ def test_too_few_places_are_an_error_that_names_the_cure() -> None:
     for name in ("pwlf", "ruptures"):
         with pytest.raises(DataError, match="exact"):
             BASELINES[name](few)
+
+
+def test_methods_that_need_a_starting_point_start_where_the_problem_says() -> None:
+    """From the base the descent stalls far from a contact that it finds from nearby."""
+    position = np.tile(np.arange(5.0, 50.0, 10.0), 2)
+    span = np.full(10, 5.5)
+    clean = Problem(np.zeros(10), position, span, 53.0)
+    curvature = 2e-4 * influence(clean, np.array([40.0]))[:, 0]
+    for method in ("alternating", "clamped", "slsqp", "trust-constr", "nelder-mead"):
+        near, far = (
+            abs(
+                float(BASELINES[method](replace(clean, curvature=curvature, start=start))[0][0])
+                - 40
+            )
+            for start in (np.array([38.0]), np.array([5.0]))
+        )
+        assert near < 5.0 < far, method

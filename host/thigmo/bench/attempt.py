@@ -14,6 +14,7 @@ import numpy as np
 from thigmo.bench.scenes import LENGTH, SIGMA, SPAN, Case
 from thigmo.errors import ThigmoError
 from thigmo.localization import localize
+from thigmo.localization.baselines import BASELINES, Problem
 
 FAILURE_CM = 10.0
 
@@ -41,6 +42,19 @@ def attempt(case: Case, method: str, *, noise: float = SIGMA) -> tuple[float, fl
     if len(found) != len(case.arcs):
         return float("inf"), elapsed
     return float(np.mean(np.abs(np.subtract(found, sorted(case.arcs))))), elapsed
+
+
+def attempt_from(case: Case, method: str, start: float) -> float:
+    """Error (cm) of a baseline that starts at arc `start`; other methods take none, and none."""
+    if method not in BASELINES:
+        return attempt(case, method)[0]
+    span = np.full(case.position.size, SPAN)
+    first = np.full(len(case.arcs), start)
+    problem = Problem(
+        case.curvature - case.free, case.position, span, LENGTH, len(case.arcs), SIGMA, start=first
+    )
+    arcs, _ = BASELINES[method](problem)
+    return float(np.mean(np.abs(np.subtract(sorted(arcs), sorted(case.arcs)))))
 
 
 def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:

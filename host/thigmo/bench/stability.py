@@ -1,8 +1,9 @@
 """Where methods fail: mean error and failure rate as one thing after another gets harder.
 
-Maps over two conditions (force x place, noise x number of sensors, separation x force) and curves
-over one (sensor layout, outliers, wrong free curvature, wrong calibration, lost sensors,
-quantisation). Every method sees the same readings.
+Maps over two conditions (force x place, noise x number of sensors, separation x force, starting
+point x place) and curves over one (sensor layout, outliers, wrong free curvature, wrong
+calibration, lost sensors, quantisation). Every method sees the same readings; the map over starting
+points has the same readings in every row, and the methods that need a starting point.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.bench.attempt import FAILURE_CM, attempt, mean_and_failures
-from thigmo.bench.scenes import CRITICAL, LENGTH, SIGMA, Case, one_contact, read
+from thigmo.bench.attempt import FAILURE_CM, attempt, attempt_from, mean_and_failures
+from thigmo.bench.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read
 from thigmo.bench.study import Context, Outcome, Table
 from thigmo.localization import METHODS
 
@@ -27,6 +28,18 @@ Draw = Callable[[np.random.Generator, Condition, Condition], tuple[Case, float]]
 
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.
 MAPPED = ("exact", "l1", "l2", "alternating", "coordinate", "grid", "slsqp", "pwlf")
+# Methods that start somewhere, beside two that do not.
+STARTED = (
+    "exact",
+    "l1",
+    "alternating",
+    "clamped",
+    "coupled",
+    "slsqp",
+    "trust-constr",
+    "nelder-mead",
+)
+FOLD_CM = 3.5  # the fold at the base is spread over one body diameter
 
 
 def _sign(rng: np.random.Generator) -> float:
@@ -88,9 +101,25 @@ def _quantised(rng: np.random.Generator, step: float, _: float) -> tuple[Case, f
     return replace(case, curvature=np.round(case.curvature / step) * step), SIGMA
 
 
+def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:
+    """Half of the cases are folded at the base, which is what `clamped` and `coupled` are for."""
+    folded = rng.random() < 0.5
+    sign = _sign(rng)
+    case = read(rng, (arc,), (sign * (1.0 if folded else 0.7) * CRITICAL / arc,))
+    if folded:
+        near = np.clip(case.position - SPAN / 2, 0.0, FOLD_CM)
+        far = np.clip(case.position + SPAN / 2, 0.0, FOLD_CM)
+        fold = sign * rng.uniform(0.1, 0.4) / FOLD_CM * (far - near) / SPAN
+        case = replace(case, curvature=case.curvature + fold)
+    return case, SIGMA
+
+
 @dataclass(frozen=True)
 class Stress:
-    """One way of making it hard: a draw over one or two conditions with their labels."""
+    """One way of making it hard: a draw over one or two conditions with their labels.
+
+    With `starts` the rows are arcs (cm) at which the methods start, on the same cases.
+    """
 
     name: str
     draw: Draw
@@ -98,6 +127,8 @@ class Stress:
     rows: tuple[float, ...]
     column_label: str = ""
     columns: tuple[float, ...] = (0.0,)
+    methods: tuple[str, ...] = MAPPED
+    starts: bool = False
 
 
 STRESSES: tuple[Stress, ...] = (
@@ -124,6 +155,16 @@ STRESSES: tuple[Stress, ...] = (
         (13.0, 18.5, 23.5, 29.0, 34.0, 39.0),
         "distal base moment / critical",
         (0.3, 0.6, 1.0, 1.5),
+    ),
+    Stress(
+        "starting-point",
+        _start_place,
+        "starting point (cm)",
+        (5.0, 15.0, 26.5, 40.0, 53.0),
+        "arc of the contact (cm)",
+        (15.0, 20.0, 26.5, 33.0, 39.75, 46.0, 53.0),
+        STARTED,
+        starts=True,
     ),
     Stress("layout", _layout, "centre of the first sensor (cm)", (1.0, 2.75, 5.0, 7.25)),
     Stress("outliers", _outliers, "share of outliers (6..20 sigma)", (0.0, 0.05, 0.1, 0.2, 0.3)),
@@ -152,7 +193,10 @@ def _cell(task: tuple[int, int, float, float, int, int, tuple[str, ...]]) -> np.
     for index in range(cases):
         case, noise = STRESSES[which].draw(rng, row, column)
         for m, method in enumerate(methods):
-            errors[index, m] = attempt(case, method, noise=max(noise, 1e-6))[0]
+            if STRESSES[which].starts:
+                errors[index, m] = attempt_from(case, method, row)
+            else:
+                errors[index, m] = attempt(case, method, noise=max(noise, 1e-6))[0]
     return errors
 
 
@@ -205,20 +249,56 @@ def _figure(
     return figure
 
 
+def _by_start(stress: Stress, methods: tuple[str, ...], errors: list[np.ndarray]) -> Figure:
+    """Mean error and failures over the starting point, all places together.
+
+    Args:
+        errors: for each starting point (cases, methods).
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for m, method in enumerate(methods):
+        width = 2.4 if method in ("exact", "l1") else 1.0
+        scores = [mean_and_failures(some[:, m]) for some in errors]
+        left.plot(stress.rows, [s[0] for s in scores], marker="o", label=method, linewidth=width)
+        right.plot(stress.rows, [100 * s[1] for s in scores], marker="o", linewidth=width)
+    left.set(xlabel=stress.row_label, ylabel="mean error of the arc (cm)", ylim=(0, None))
+    right.set(
+        xlabel=stress.row_label, ylabel=f"more than {FAILURE_CM:g} cm off (%)", ylim=(-2, 102)
+    )
+    left.legend(fontsize=8)
+    for axis in (left, right):
+        axis.grid(alpha=0.2)
+    figure.suptitle(
+        "The same readings (half of them with a folded base) from each starting point; "
+        "exact and l1 take none"
+    )
+    return figure
+
+
+def _usable(stress: Stress) -> tuple[str, ...]:
+    """Its methods, without those whose packages are missing."""
+    return tuple(method for method in stress.methods if method in METHODS)
+
+
 def run(context: Context) -> Outcome:
     """The study: all stresses, all mapped methods."""
-    methods = tuple(method for method in MAPPED if method in METHODS)
     cases = context.count(4, 40)
     outcome = Outcome()
     tasks, shape = [], []
     for which, stress in enumerate(STRESSES):
         for r, row in enumerate(stress.rows):
             for c, column in enumerate(stress.columns):
-                key = r * len(stress.columns) + c
-                tasks.append((which, cases, row, column, context.seed, key, methods))
+                key = c if stress.starts else r * len(stress.columns) + c
+                # A general optimiser takes up to a second from a bad start.
+                here = max(cases // 4, 1) if stress.starts else cases
+                tasks.append((which, here, row, column, context.seed, key, _usable(stress)))
                 shape.append((which, r, c))
     cells = dict(zip(shape, context.map(_cell, tasks), strict=True))
     for which, stress in enumerate(STRESSES):
+        methods = _usable(stress)
         means = np.empty((len(stress.rows), len(stress.columns), len(methods)))
         fails = np.empty_like(means)
         rows: list[tuple[float | str, ...]] = []
@@ -231,4 +311,11 @@ def run(context: Context) -> Outcome:
         names = ("method", stress.row_label, stress.column_label or "-", "mean_cm", "failures")
         outcome.tables.append(Table(stress.name, names, list(rows)))
         outcome.figures[stress.name] = _figure(stress, methods, means, fails)
+        if stress.starts:
+            columns = range(len(stress.columns))
+            rows_of_cells = [
+                np.concatenate([cells[which, r, c] for c in columns])
+                for r in range(len(stress.rows))
+            ]
+            outcome.figures["by-start"] = _by_start(stress, methods, rows_of_cells)
     return outcome

@@ -20,9 +20,9 @@ from thigmo.localization.baselines.problem import (
     Array,
     Problem,
     best_forces,
-    even_start,
     objective,
     residual,
+    starting_arcs,
 )
 
 _TOLERANCE_CM = 0.5
@@ -94,9 +94,9 @@ def _follow(
         mu *= shrink
 
 
-def alternating(problem: Problem, start: Array | None = None) -> tuple[Array, Array]:
+def alternating(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver: log-barrier interior point over a, in mm, alternated with exact f."""
-    arcs = even_start(problem) if start is None else np.array(start, dtype=np.float64)
+    arcs = starting_arcs(problem)
     in_mm = replace(
         problem,
         curvature=problem.curvature / _MM,
@@ -140,7 +140,7 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
 
     from scipy.optimize import Bounds, minimize
 
-    arcs = even_start(problem)
+    arcs = starting_arcs(problem)
     forces = np.zeros(arcs.size)
     bounds = Bounds(np.zeros(arcs.size), np.full(arcs.size, problem.length))
     for _ in range(_MOST_ROUNDS):
@@ -181,9 +181,9 @@ def _best_arc(
     return float(best)
 
 
-def coordinate(problem: Problem, start: Array | None = None) -> tuple[Array, Array]:
+def coordinate(problem: Problem) -> tuple[Array, Array]:
     """Exact coordinate descent: the best f, then the globally best a, until nothing moves."""
-    arcs = even_start(problem) if start is None else np.array(start, dtype=np.float64)
+    arcs = starting_arcs(problem)
     forces = np.zeros(arcs.size)
     for _ in range(_MOST_ROUNDS):
         forces = best_forces(problem, arcs)
@@ -232,11 +232,8 @@ def coupled(problem: Problem) -> tuple[Array, Array]:
             return 1e3
         return objective(cut, np.array([arc]), np.array([moment / arc]))
 
-    found = minimize(
-        cost,
-        [0.999 * problem.length],
-        method="Nelder-Mead",
-        options={"initial_simplex": [[0.999 * problem.length], [0.9 * problem.length]]},
-    )
+    first = float(starting_arcs(problem)[0])
+    simplex = [[0.999 * first], [0.9 * first]]
+    found = minimize(cost, simplex[0], method="Nelder-Mead", options={"initial_simplex": simplex})
     arc = float(found.x[0])
     return np.array([arc]), np.array([moment / arc])

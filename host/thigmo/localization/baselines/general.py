@@ -1,7 +1,8 @@
 """What a user would reach for first: general optimisers on the thesis's objective, and a grid.
 
 Variables are scaled as a competent user would (a / L, f L^2 over the readings' size); the joint
-optimisers start where the thesis does, at the tip, with the best force there.
+optimisers start where the problem says (by default where the thesis does, at the tip), with the
+best force there.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from thigmo.localization.baselines.problem import (
     Problem,
     best_force,
     best_forces,
-    even_start,
     influence,
     objective,
     residual,
+    starting_arcs,
 )
 
 if TYPE_CHECKING:
@@ -43,9 +44,10 @@ def _joint(problem: Problem) -> tuple[Callable[[Array], float], Array, float]:
         half = x.size // 2
         return objective(problem, x[:half] * problem.length, x[half:] * unit) / unit
 
-    arcs = even_start(problem)
+    arcs = starting_arcs(problem)
+    bounds = _bounds(problem)
     start = np.concatenate([arcs / problem.length, best_forces(problem, arcs) / unit])
-    return cost, start, unit
+    return cost, np.clip(start, bounds.lb, bounds.ub), unit
 
 
 def _answer(problem: Problem, x: Array, unit: float) -> tuple[Array, Array]:
@@ -133,7 +135,7 @@ def grid(problem: Problem) -> tuple[Array, Array]:
         arcs = np.array([arc])
         return arcs, best_forces(problem, arcs)
     nodes = np.linspace(0.0, problem.length, int(problem.length / _PAIR_GRID_CM) + 1)[1:]
-    best: Array = even_start(problem)
+    best: Array = starting_arcs(problem)
     least = np.inf
     for chosen in combinations(nodes, problem.contacts):
         arcs = np.array(chosen)

@@ -30,6 +30,8 @@ class Problem:
         contacts: how many to find, 1 to 3.
         noise: standard deviation of a reading, 1/cm; what the trained baselines are trained at.
         critical_curvature: contact curvature at which the base folds, 1/cm.
+        start: (contacts,) arcs from which the methods that need it start, cm; the thesis's (even
+            fractions of the length, the last one at the tip) if not given.
     """
 
     curvature: Array
@@ -39,6 +41,7 @@ class Problem:
     contacts: int = 1
     noise: float = 6e-4
     critical_curvature: float = 0.01108
+    start: Array | None = None
 
 
 @compiled
@@ -128,6 +131,8 @@ def objective(problem: Problem, arcs: Array, forces: Array) -> float:
     return float(residual(problem.curvature, problem.position, problem.span, arcs, forces))
 
 
-def even_start(problem: Problem) -> Array:
-    """The thesis's starting arcs: even fractions of the length, the last one at the tip."""
+def starting_arcs(problem: Problem) -> Array:
+    """A copy of the problem's start, or the thesis's."""
+    if problem.start is not None:
+        return np.array(problem.start, dtype=np.float64)
     return problem.length * np.arange(1, problem.contacts + 1) / problem.contacts
