@@ -1,64 +1,77 @@
-"""A hand that holds the robot's tip aside, as the operator does in a calibration.
+"""Hands that hold the robot aside, as the operator does in a calibration and in the experiments.
 
-The force stays normal to the body at its tip (a finger or a dowel that slides along the wall), and
-the base folds when the contact moment there passes the critical one.
+A finger or a dowel is held at a lateral place beside a point of the body; its force stays normal to
+the body there (it slides along the wall), and the base folds when the contact moment there passes
+the critical one.
 """
 
 from __future__ import annotations
 
-from scipy.optimize import brentq
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import root
 
 from thigmo.errors import DataError
 from thigmo.mechanics import Solution, Tube, push
 
+Floats = NDArray[np.float64]
+
 _FOLD_MOST = 1.2  # rad
+_MISS_CM = 1e-4
 
 
-def hold_tip(y_cm: float, free_curvature: float, length_cm: float, tube: Tube) -> Solution:
-    """Shape of the body with its tip held at a lateral place.
+def hold(
+    pushes: Sequence[tuple[float, float]], free_curvature: float, length_cm: float, tube: Tube
+) -> Solution:
+    """Shape of the body with points of its centreline held at lateral places.
 
     Args:
-        y_cm: where the tip is.
+        pushes: (arc, y) of each point held, cm, base first.
         free_curvature: 1/cm.
         length_cm: everted length.
         tube: with its critical moment.
 
     Raises:
-        DataError: a place that the tip cannot reach.
+        DataError: a place that the body cannot reach.
     """
+    arcs = np.array([arc for arc, _ in pushes])
+    wanted = np.array([y for _, y in pushes])
+    unit = 3 / length_cm**3  # force that moves a straight tip by about 1 cm
 
-    def bent(force: float, fold: float = 0.0) -> Solution:
-        return push(force, length_cm, free_curvature=free_curvature, length=length_cm, tube=tube,
-                    fold_angle=fold)  # fmt: skip
+    def bent(forces: Floats, fold: float) -> Solution:
+        return push(forces * unit, arcs, free_curvature=free_curvature, length=length_cm,
+                    tube=tube, fold_angle=fold)  # fmt: skip
 
-    def miss(force: float) -> float:
-        return bent(force).pose(length_cm)[1] - y_cm
+    def miss(body: Solution) -> Floats:
+        away: Floats = np.array([body.pose(float(arc))[1] for arc in arcs]) - wanted
+        return away
 
-    scale = 3 * length_cm**-2
-    try:
-        force = float(brentq(miss, -scale, scale, xtol=1e-12))
-    except ValueError as error:
-        raise DataError(
-            f"the tip cannot be held at y = {y_cm:.1f} cm", "choose a place nearer the axis"
-        ) from error
-    free = bent(force)
+    # A straight cantilever's flexibility gives the start.
+    near, far = np.minimum.outer(arcs, arcs), np.maximum.outer(arcs, arcs)
+    flexibility = near**2 * (3 * far - near) / 6 * unit
+    start = np.linalg.solve(flexibility, -miss(bent(np.zeros(len(arcs)), 0.0)))
+
+    def unfolded(forces: Floats) -> Floats:
+        return miss(bent(forces, 0.0))
+
+    found = root(unfolded, start, tol=1e-10)
+    body = bent(found.x, 0.0)
     critical = tube.critical_moment
-    if critical is None or abs(free.base_moment) <= critical:
-        return free
-    sign = 1.0 if force > 0 else -1.0
+    if critical is not None and abs(body.base_moment) > critical:
+        limit = float(np.copysign(critical, body.base_moment))
 
-    def at_limit(fold: float) -> Solution:
-        def over(size: float) -> float:
-            return abs(bent(sign * size, fold).base_moment) - critical
+        def folded(unknown: Floats) -> Floats:
+            held = bent(unknown[:-1], float(unknown[-1]))
+            return np.append(miss(held), (held.base_moment - limit) / critical)
 
-        return bent(sign * float(brentq(over, 0.0, 4 * scale, xtol=1e-13)), fold)
-
-    def still(fold: float) -> float:
-        return at_limit(sign * fold).pose(length_cm)[1] * sign - y_cm * sign
-
-    try:
-        return at_limit(sign * float(brentq(still, 0.0, _FOLD_MOST, xtol=1e-9)))
-    except ValueError as error:
+        first = np.append(found.x * limit / body.base_moment, 0.0)
+        found = root(folded, first, tol=1e-10)
+        body = bent(found.x[:-1], float(found.x[-1]))
+    if not np.abs(miss(body)).max() < _MISS_CM or abs(body.fold_angle) > _FOLD_MOST:
+        places = ", ".join(f"y = {y:.1f} cm at {arc:.1f} cm" for arc, y in pushes)
         raise DataError(
-            f"the tip cannot be held at y = {y_cm:.1f} cm", "choose a place nearer the axis"
-        ) from error
+            f"the body cannot be held at {places}", "choose places nearer to the free body"
+        )
+    return body

@@ -19,10 +19,10 @@ import numpy.typing as npt
 from thigmo.config import SIDES, RobotConfig, TanhMap
 from thigmo.emulator import plant_kernel as k
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
-from thigmo.emulator.hand import hold_tip
+from thigmo.emulator.hand import hold
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
-from thigmo.mechanics import Body, Peg, PegContact, Solution, Tube, critical_moment
+from thigmo.mechanics import Body, Peg, PegContact, Solution, Tube, critical_moment, peg_for
 
 Floats = npt.NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class Truth:
 
     Attributes:
         robot: the true constants.
-        pegs: the room.
+        pegs: the room; while dowels hold the body, those.
         now: the present moment.
         history: moments, at most one every 0.1 s while anything moves, and one at every change of
             the set of touching pegs.
@@ -112,7 +112,7 @@ class Plant:
         slip_cm_s: line speed with which the body pulls the braked spool.
         cut, shorted: flex sensors with a broken or shorted circuit (left base first).
         pressure_cut: pressure sensors with a broken wire.
-        hand_y_cm: where a hand holds the tip (set through `hold_tip`); None = nobody does.
+        pushes: (arc, y) of points of the body that are held (set through `hold`); () = none.
     """
 
     def __init__(self, scene: Scene, seed: int | None = None) -> None:
@@ -131,7 +131,8 @@ class Plant:
         self.cut: set[int] = set()
         self.shorted: set[int] = set()
         self.pressure_cut: set[int] = set()
-        self.hand_y_cm: float | None = None
+        self.pushes: tuple[tuple[float, float], ...] = ()
+        self._dowel_cm = 0.0
         self._held: Solution | None = None
 
         self._muscles = np.zeros((2, k.MUSCLE_STATE))
@@ -237,11 +238,28 @@ class Plant:
                     values = [getattr(curve, key) for curve in curves]
                     self._maps[s, b, c] = np.interp(pressure_psi, at, values)
 
-    def hold_tip(self, y_cm: float | None) -> None:
-        """A hand holds the tip aside at y (pegs are out of reach meanwhile); None lets go."""
-        self.hand_y_cm = y_cm
+    def hold(self, pushes: Sequence[tuple[float, float]], dowel_cm: float = 0.0) -> None:
+        """Hold points of the centreline aside; the room's pegs are out of reach meanwhile.
+
+        Args:
+            pushes: (arc, y) of each point, cm, base first; none lets go.
+            dowel_cm: radius of the dowels that hold them; 0 = fingers, which nobody sees.
+
+        Raises:
+            DataError: a place that the body cannot reach, or an arc beyond its end.
+        """
+        for arc, _ in pushes:
+            if not 0 < arc <= self.length_cm + 1e-6:
+                raise DataError(
+                    f"nothing can be held at {arc:.1f} cm of {self.length_cm:.1f} cm of robot",
+                    "grow it first, or hold it nearer to its base",
+                )
+        self.pushes = tuple(pushes)
+        self._dowel_cm = dowel_cm
         self._held = None
         self._solved_g = nan
+        if self.pushes:
+            self._solve(self.length_cm)
 
     def place_pegs(self, pegs: Sequence[Peg]) -> None:
         """Clear the room and put these pegs into it.
@@ -281,10 +299,19 @@ class Plant:
 
     def truth(self) -> Truth:
         """All of it, now and over time."""
+        pegs = self.pegs
+        if self._held is not None:
+            pegs = tuple(peg_for(c, self._dowel_cm) for c in self._held_contacts())
         return Truth(
-            robot=self._robot, pegs=self.pegs, now=self._moment(), history=tuple(self._history),
+            robot=self._robot, pegs=pegs, now=self._moment(), history=tuple(self._history),
             models=dict(Counter(self.body.counts)),
         )  # fmt: skip
+
+    def _held_contacts(self) -> tuple[PegContact, ...]:
+        """Of the dowels that hold the body; fingers are none."""
+        if self._held is None or self._dowel_cm == 0:
+            return ()
+        return self._held.contacts
 
     def _moment(self) -> Moment:
         if (held := self._held) is not None:
@@ -295,7 +322,7 @@ class Plant:
                 free_curvature=self.free_curvature,
                 body_psi=self.body_psi,
                 muscle_psi=self.muscle_psi,
-                contacts=(),
+                contacts=self._held_contacts(),
                 fold_angle=held.fold_angle,
                 centreline=line,
                 model="elastica",
@@ -360,8 +387,9 @@ class Plant:
     def _solve(self, length: float) -> None:
         """Find the body's shape; a tip that is pushed back too hard does not grow."""
         g = float(self._swing[0])
-        if self.hand_y_cm is not None:
-            self._held = hold_tip(self.hand_y_cm, g, length, self.body.tube)
+        if self.pushes:
+            held = [(min(arc, length), y) for arc, y in self.pushes]
+            self._held = hold(held, g, length, self.body.tube)
         grown = length > self.length_cm
         if length >= _SMALLEST_CM:
             if grown and self.pegs:

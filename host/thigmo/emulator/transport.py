@@ -59,7 +59,21 @@ class EmulatedOperator:
 
     def push_tip(self, y_cm: float | None) -> None:
         """Push the tip aside to y and hold it there; None lets go."""
-        self._transport.lockstep.plant.hold_tip(y_cm)
+        plant = self._transport.lockstep.plant
+        plant.hold([] if y_cm is None else [(plant.length_cm, y_cm)])
+
+    def push_aside(self, pushes: Sequence[tuple[float, float]], radius_cm: float) -> None:
+        """Push points of the body aside with dowels, and hold them; takes `operator.takes_s`.
+
+        Args:
+            pushes: (arc, y) of each point of the centreline, cm, base first; none lets go.
+            radius_cm: of the dowels.
+
+        Raises:
+            DataError: a place that the body cannot reach.
+        """
+        self._transport.pass_time(self._transport.scene.operator.takes_s)
+        self._transport.lockstep.plant.hold(pushes, radius_cm)
 
 
 class EmulatorTransport:

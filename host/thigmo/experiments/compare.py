@@ -1,26 +1,32 @@
 """Three columns: the thesis, the thesis's method here, ours; with the Cramer-Rao bound beside them.
 
-All methods see the same trials. Two errors are reported: the thesis's measure |a - x of the
-obstacle|, which mixes arc length and x, and the workspace's |x of the estimated contact point - x
-of the true one|, through the shape that each method's own answer implies.
+All methods see the same trials, and each trial is solved once by each. Three errors are reported:
+the thesis's measure |a - x of the obstacle|, which mixes arc length and x, with contacts ordered
+along the arc; the same with the closest contact and obstacle paired first; and the workspace's
+|x of the estimated contact point - x of the true one|, through the shape that each method's own
+answer implies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.experiments import thesis
-from thigmo.experiments.specimen import Trial
+from thigmo.experiments.trial import Trial
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
 from thigmo.localization import localize
 from thigmo.localization.baselines import BASELINES, Problem
-from thigmo.mechanics import phi
+from thigmo.localization.influence import STRAIGHT
+from thigmo.localization.readings import normalise
+from thigmo.localization.several import arc_bounds
 
 Floats = NDArray[np.float64]
+
+OURS = "ours"
 
 
 @dataclass(frozen=True)
@@ -41,26 +47,23 @@ class Answer:
     end_offset_cm: float | None = None
 
 
-Method = Callable[[Trial], Answer]
+def thesis_method(trial: Trial, name: str = "alternating") -> Answer:
+    """The thesis's solver or one of its variants, told the number of contacts as the thesis was.
 
-
-def baseline(name: str) -> Method:
-    """A baseline of the localizer, told the number of contacts as the thesis was."""
-
-    def solve(trial: Trial) -> Answer:
-        problem = Problem(
-            trial.curvature - trial.free,
-            trial.position,
-            trial.span,
-            thesis.LENGTH_CM,
-            contacts=len(trial.arcs_cm),
-            noise=max(trial.noise, 1e-6),
-            critical_curvature=thesis.CRITICAL,
-        )
-        arcs, forces = BASELINES[name](problem)
-        return Answer(tuple(arcs.tolist()), tuple(forces.tolist()))
-
-    return solve
+    Its model has no spans: equation 2.10 compares a reading with the curvature at the sensor's
+    centre.
+    """
+    problem = Problem(
+        trial.curvature - trial.free,
+        trial.position,
+        np.zeros_like(trial.span),
+        trial.length_cm,
+        contacts=len(trial.arcs_cm),
+        noise=max(trial.noise, 1e-6),
+        critical_curvature=trial.critical,
+    )
+    arcs, forces = BASELINES[name](problem)
+    return Answer(tuple(arcs.tolist()), tuple(forces.tolist()))
 
 
 def ours(trial: Trial) -> Answer:
@@ -68,13 +71,14 @@ def ours(trial: Trial) -> Answer:
     result = localize(
         trial.curvature,
         trial.position,
-        length=thesis.LENGTH_CM,
+        length=trial.length_cm,
         span=trial.span,
         free_curvature=trial.free,
         noise=trial.sigma,
+        offset_sigma=trial.offset_sigma,
         contacts=len(trial.arcs_cm),
-        critical_curvature=thesis.CRITICAL,
-        tube_radius=thesis.DIAMETER_CM / 2,
+        critical_curvature=trial.critical,
+        tube_radius=trial.radius_cm,
     )
     return Answer(
         tuple(contact.arc for contact in result.contacts),
@@ -88,6 +92,27 @@ def ours(trial: Trial) -> Answer:
     )
 
 
+@dataclass(frozen=True)
+class Solved:
+    """A trial with every method's answer, by name (`OURS` and the baselines'), and its bound."""
+
+    trial: Trial
+    answers: dict[str, Answer]
+    bound_cm: Floats
+
+
+def solve(trials: Iterable[Trial], methods: Sequence[str] = ("alternating",)) -> list[Solved]:
+    """Answer each trial with ours and with the named baselines."""
+    return [
+        Solved(
+            trial,
+            {OURS: ours(trial), **{name: thesis_method(trial, name) for name in methods}},
+            bound_cm(trial),
+        )
+        for trial in trials
+    ]
+
+
 def camera_errors(trial: Trial, answer: Answer) -> Floats:
     """|a - x of the obstacle|, contacts ordered along the arc (cm; infinite without an answer)."""
     if len(answer.arcs_cm) != len(trial.arcs_cm):
@@ -96,134 +121,187 @@ def camera_errors(trial: Trial, answer: Answer) -> Floats:
 
 
 def assigned_errors(trial: Trial, answer: Answer) -> Floats:
-    """As `camera_errors`, with the assignment of estimates to obstacles that errs least."""
-    from itertools import permutations
+    """As `camera_errors`, with the closest pair of contact and obstacle matched first.
 
+    Along a line no assignment has a smaller sum than the ordered one; this one tells how well the
+    best-found contact was found, whatever its label. So the first entry is that contact's error,
+    and the last what is left for the others (cm; infinite without an answer).
+    """
     if len(answer.arcs_cm) != len(trial.arcs_cm):
         return np.full(len(trial.arcs_cm), np.inf)
-    options = [
-        np.abs(np.subtract(order, trial.obstacle_x_cm)) for order in permutations(answer.arcs_cm)
-    ]
-    return min(options, key=lambda errors: float(errors.sum()))
+    found, true = list(answer.arcs_cm), list(trial.obstacle_x_cm)
+    errors = []
+    while found:
+        gap, i, j = min((abs(a - x), i, j) for i, a in enumerate(found) for j, x in enumerate(true))
+        errors.append(gap)
+        del found[i], true[j]
+    return np.array(errors)
 
 
 def workspace_errors(trial: Trial, answer: Answer) -> Floats:
-    """|x of the contact point| error through the answer's own shape (cm)."""
+    """|x of the contact point| error through the answer's own shape (cm).
+
+    On a real robot the contact point is not known; there it is the error of the dowel's x.
+    """
     if len(answer.arcs_cm) != len(trial.arcs_cm):
         return np.full(len(trial.arcs_cm), np.inf)
     curve = centreline(
         Bend(
-            thesis.LENGTH_CM,
+            trial.length_cm,
             trial.free,
             answer.bend or ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True)),
             answer.fold_rad,
         )
     )
-    radius = thesis.DIAMETER_CM / 2
+    point_known = bool(np.isfinite(trial.contact_x_cm).all())
+    radius = trial.radius_cm + (0.0 if point_known else trial.dowel_cm)
     found = [
         skin_point(curve, arc, force, radius, answer.end_offset_cm)[0]
         for arc, force in sorted(zip(answer.arcs_cm, answer.forces, strict=True))
     ]
-    return np.abs(np.subtract(found, trial.contact_x_cm))
+    truth = trial.contact_x_cm if point_known else trial.obstacle_x_cm
+    return np.abs(np.subtract(found, truth))
 
 
 def bound_cm(trial: Trial) -> Floats:
     """Mean absolute error of the arc at the Cramer-Rao bound of the beam model, per contact (cm).
 
+    Of the readings' own spread over robots (white noise, gains, places), nothing else unknown.
+
     A Gaussian estimator at the bound has the mean absolute error sqrt(2 / pi) of its deviation;
-    infinite where the information matrix is singular.
+    infinite where the information matrix is singular, NaN where forces are not known.
     """
-    arcs = np.array(trial.arcs_cm)
-    forces = np.array(trial.forces)
-    step = 1e-3
+    if not np.isfinite(trial.forces).all():
+        return np.full(len(trial.arcs_cm), np.nan)
+    noise = np.maximum(trial.spread, 1e-9)
+    readings = normalise(
+        trial.curvature, trial.position, trial.length_cm, trial.span, trial.free, noise
+    )
+    scale = readings.length
+    count = readings.y.size
+    deviation = arc_bounds(
+        np.array(trial.arcs_cm) / scale,
+        np.array(trial.forces) * scale**2,
+        readings.low,
+        readings.high,
+        STRAIGHT,
+        np.empty((count, 4)),
+        (noise[readings.index] * scale) ** -2,
+        np.empty((count, 0)),
+    )
+    return np.asarray(np.sqrt(2 / np.pi) * deviation * scale)
 
-    def lever(at: Floats) -> Floats:
-        return np.column_stack([phi(a, trial.position, trial.span) for a in at])
 
-    slope = (lever(arcs) - lever(arcs - step)) / step * forces
-    jacobian = np.hstack([slope, lever(arcs)]) / max(trial.noise, 1e-9)
-    scale = np.linalg.norm(jacobian, axis=0)
-    if np.any(scale == 0):
-        return np.full(arcs.size, np.inf)
-    information = (jacobian / scale).T @ (jacobian / scale)
-    if np.linalg.cond(information) > 1e10:
-        return np.full(arcs.size, np.inf)
-    variance = np.diag(np.linalg.inv(information)) / scale**2
-    result: Floats = np.sqrt(2 / np.pi * variance[: arcs.size])
-    return result
+@dataclass(frozen=True)
+class Errors:
+    """Mean and spread of a method's errors over the trials of a row, cm.
+
+    Attributes:
+        mean, std: the thesis's measure, contacts ordered along the arc.
+        nearest, other: means with the closest pair of contact and obstacle matched first: of that
+            pair, and of the others (equal for one contact).
+        workspace: mean x error in the workspace.
+    """
+
+    mean: float
+    std: float
+    nearest: float
+    other: float
+    workspace: float
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the three-column table (cm)."""
+    """One line of the three-column table (cm).
+
+    Attributes:
+        perfect: the thesis's measure of a perfect arc: the foreshortening that it contains.
+        bound: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
+        ambiguous: number of our answers that say so.
+    """
 
     experiment: str
     condition: str
     trials: int
     thesis_mean: float
     thesis_std: float
-    here_mean: float
-    here_std: float
-    ours_mean: float
-    ours_std: float
-    here_workspace_mean: float
-    ours_workspace_mean: float
-    bound_mean: float
+    here: Errors
+    ours: Errors
+    perfect: float
+    bound: float
     ambiguous: int
 
-    @property
-    def allowed(self) -> float:
+    def allowed(self, workspace: bool) -> float:
         """What ours may be: the larger of half the thesis's method's error and 1.2 bounds."""
-        bound = self.bound_mean if np.isfinite(self.bound_mean) else 0.0
-        return max(0.5 * self.here_workspace_mean, 1.2 * bound)
+        bound = self.bound if np.isfinite(self.bound) else 0.0
+        theirs = self.here.workspace if workspace else self.here.mean
+        return max(0.5 * theirs, 1.2 * bound)
 
-    @property
-    def beaten(self) -> bool:
-        """Whether ours is within what is allowed, in the workspace."""
-        return self.ours_workspace_mean <= self.allowed
+    def beaten(self, workspace: bool) -> bool:
+        """Whether ours is within what is allowed, in the workspace or in the thesis's measure."""
+        return (self.ours.workspace if workspace else self.ours.mean) <= self.allowed(workspace)
+
+    def record(self) -> dict[str, float | int | str | bool]:
+        """As plain data: for CSV, JSON and README's table."""
+        return {
+            "experiment": self.experiment,
+            "condition": self.condition,
+            "trials": self.trials,
+            "thesis_mean": self.thesis_mean,
+            "thesis_std": self.thesis_std,
+            "here_mean": self.here.mean,
+            "here_std": self.here.std,
+            "ours_mean": self.ours.mean,
+            "ours_std": self.ours.std,
+            "perfect_arc_mean": self.perfect,
+            "allowed_mean": self.allowed(False),
+            "mean_beaten": self.beaten(False),
+            "here_nearest_mean": self.here.nearest,
+            "here_other_mean": self.here.other,
+            "ours_nearest_mean": self.ours.nearest,
+            "ours_other_mean": self.ours.other,
+            "here_workspace_mean": self.here.workspace,
+            "ours_workspace_mean": self.ours.workspace,
+            "bound_mean": self.bound,
+            "ambiguous": self.ambiguous,
+            "allowed": self.allowed(True),
+            "beaten": self.beaten(True),
+        }
 
 
-def row(
-    experiment: str,
-    condition: str,
-    trials: Sequence[Trial],
-    here: Method,
-    own: Method = ours,
-) -> Row:
-    """Run both methods over the trials of one condition."""
+def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -> Row:
+    """The line of one condition: the baseline `here` and ours over its trials."""
     told = thesis.published(experiment, condition)
-    theirs = [here(trial) for trial in trials]
-    mine = [own(trial) for trial in trials]
-    camera_here = np.concatenate([camera_errors(t, a) for t, a in zip(trials, theirs, strict=True)])
-    camera_own = np.concatenate([camera_errors(t, a) for t, a in zip(trials, mine, strict=True)])
-    room_here = np.concatenate(
-        [workspace_errors(t, a) for t, a in zip(trials, theirs, strict=True)]
-    )
-    room_own = np.concatenate([workspace_errors(t, a) for t, a in zip(trials, mine, strict=True)])
-    bounds = np.concatenate([bound_cm(trial) for trial in trials])
+    bounds = np.concatenate([one.bound_cm for one in solved])
     finite = bounds[np.isfinite(bounds)]
+    perfect = [np.abs(np.subtract(one.trial.arcs_cm, one.trial.obstacle_x_cm)) for one in solved]
     return Row(
         experiment,
         condition,
-        len(trials),
+        len(solved),
         told.mean_cm,
         told.std_cm,
-        _mean(camera_here),
-        _std(camera_here),
-        _mean(camera_own),
-        _std(camera_own),
-        _mean(room_here),
-        _mean(room_own),
+        errors(solved, here),
+        errors(solved, OURS),
+        float(np.concatenate(perfect).mean()),
         float(finite.mean()) if finite.size else float("inf"),
-        sum(answer.status == "ambiguous" for answer in mine),
+        sum(one.answers[OURS].status == "ambiguous" for one in solved),
     )
 
 
-def _mean(errors: Floats) -> float:
-    answered = errors[np.isfinite(errors)]
-    return float(answered.mean()) if answered.size else float("nan")
-
-
-def _std(errors: Floats) -> float:
-    answered = errors[np.isfinite(errors)]
-    return float(answered.std()) if answered.size else float("nan")
+def errors(solved: Sequence[Solved], method: str) -> Errors:
+    """A method's errors over trials; trials without an answer are left out."""
+    camera, assigned, room = (
+        np.array([measure(one.trial, one.answers[method]) for one in solved])
+        for measure in (camera_errors, assigned_errors, workspace_errors)
+    )
+    answered = np.isfinite(camera).all(axis=1)
+    if not answered.any():
+        return Errors(*(float("nan"),) * 5)
+    return Errors(
+        float(camera[answered].mean()),
+        float(camera[answered].std()),
+        float(assigned[answered, 0].mean()),
+        float(assigned[answered, -1].mean()),
+        float(room[answered].mean()),
+    )

@@ -1,85 +1,122 @@
-"""The thesis's three static experiments as trials on a specimen."""
+"""The thesis's three static experiments as trials on a simulated robot (`specimen.py`)."""
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
-from thigmo.config import RobotConfig
+from thigmo.config import RobotConfig, TanhMap
+from thigmo.emulator.scene import Scene
 from thigmo.experiments import thesis
-from thigmo.experiments.specimen import DOWEL_CM, Specimen, Trial
-from thigmo.mechanics import Peg, Tube, solve
+from thigmo.experiments.specimen import Specimen
+from thigmo.experiments.trial import Trial
+from thigmo.mechanics import Peg, Solution, Tube, solve
 
-_SEED_SIGN = (-1.0, 1.0)
+_SIGNS = (-1.0, 1.0)  # a dowel on the left pushes to the right, one on the right to the left
+
+
+@cache
+def emulated_robot() -> RobotConfig:
+    """The robot of the emulator's default scene: the thesis publishes no map of its muscles."""
+    return Scene.load("default").robot
 
 
 def single_contact(specimen: Specimen, trials: int, rng: np.random.Generator) -> list[Trial]:
     """Section 3.2: one contact at L, 3L/4, L/2; high force (the base folds) and low force."""
     found = []
-    for level in ("high force", "low force"):
-        for arc in thesis.SINGLE_ARCS_CM:
+    for level in thesis.LEVELS:
+        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True):
             for _ in range(trials):
-                sign = float(rng.choice(_SEED_SIGN))
-                moment = thesis.CRITICAL * (1.0 if level == "high force" else thesis.LOW_LEVEL)
-                # Hands do not press twice alike: five per cent.
-                moment *= 1.0 if level == "high force" else 1.0 + 0.05 * rng.standard_normal()
-                fold = sign * specimen.constants.fold_rad if level == "high force" else 0.0
-                found.append(specimen.press(level, (arc,), (sign * moment / arc,), fold_rad=fold))
+                sign = float(rng.choice(_SIGNS))
+                high = level == "high force"
+                # Hands do not press twice alike: five per cent. A folded base presses evenly.
+                share = 1.0 if high else thesis.LOW_LEVEL * (1.0 + 0.05 * rng.standard_normal())
+                force = sign * share * thesis.CRITICAL / arc
+                fold = sign * specimen.constants.fold_rad if high else 0.0
+                found.append(specimen.press(level, place, (arc,), (force,), fold_rad=fold))
     return found
 
 
 def two_contacts(specimen: Specimen, trials: int, rng: np.random.Generator) -> list[Trial]:
-    """Section 3.3: a distal contact at the tip, an opposed one a gap away from it.
+    """Section 3.3: a distal contact at the tip, an opposed one a gap away from it."""
+    return [
+        specimen.press(
+            thesis.separation(gap),
+            f"{gap:g} cm apart",
+            (thesis.LENGTH_CM - gap, thesis.LENGTH_CM),
+            opposed_forces(gap, float(rng.choice(_SIGNS))),
+        )
+        for gap in thesis.GAPS_CM
+        for _ in range(trials)
+    ]
 
-    The forces are unstated. Here the distal one bends the body by three quarters of the critical
-    moment at the proximal contact, and the proximal one pushes the base back to as much of the
-    other sign: both are then well visible, and nothing folds.
+
+def opposed_forces(
+    gap_cm: float,
+    sign: float,
+    length_cm: float = thesis.LENGTH_CM,
+    critical: float = thesis.CRITICAL,
+) -> tuple[float, float]:
+    """Forces (1/cm^2) of a proximal contact and of an opposed distal one at the tip.
+
+    The thesis does not state them. Here the distal one bends the body by three quarters of the
+    critical moment at the proximal contact, and the proximal one pushes the base back to as much
+    of the other sign: both are then well visible, and nothing folds.
     """
-    found = []
-    for gap in thesis.GAPS_CM:
-        proximal = thesis.LENGTH_CM - gap
-        for _ in range(trials):
-            sign = float(rng.choice(_SEED_SIGN))
-            distal = sign * 0.75 * thesis.CRITICAL / gap
-            base = distal * thesis.LENGTH_CM
-            wanted = -sign * 0.75 * thesis.CRITICAL
-            found.append(
-                specimen.press(
-                    f"{gap:g} cm apart",
-                    (proximal, thesis.LENGTH_CM),
-                    ((wanted - base) / proximal, distal),
-                )
-            )
-    return found
+    distal = sign * 0.75 * critical / gap_cm
+    wanted = -sign * 0.75 * critical
+    return (wanted - distal * length_cm) / (length_cm - gap_cm), distal
 
 
-def actuated(specimen: Specimen, trials: int) -> list[Trial]:
+def actuated(
+    specimen: Specimen, trials: int, muscle: TanhMap | None = None, map_error: float = 0.0
+) -> list[Trial]:
     """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
     Only the right column reads. Where along the body the dowel bears at 10 and 14 psi, and whether
-    on the side or on the tip's corner, is for the mechanics to say.
+    on the side or on the tip's end, is for the mechanics to say.
+
+    Args:
+        specimen: the robot.
+        trials: for each place and pressure.
+        muscle: its map; None takes the emulated robot's.
+        map_error: relative error of the free curvature that the lab believes.
     """
-    tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
-    muscle = RobotConfig().actuators.left.maps[-1].inflate
-    touch = muscle.curvature(thesis.TOUCH_PSI)
     found = []
     for level, pressure in thesis.ACTUATED_PSI.items():
-        free = muscle.curvature(pressure)
-        for arc in thesis.ACTUATED_ARCS_CM:
-            heading = touch * arc
-            reach = tube.radius_cm + DOWEL_CM
-            peg = Peg(
-                float(np.sin(heading)) / touch - reach * float(np.sin(heading)),
-                float(1 - np.cos(heading)) / touch + reach * float(np.cos(heading)),
-                DOWEL_CM,
-            )
-            body = solve(free, thesis.LENGTH_CM, tube=tube, pegs=[peg])
+        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True):
+            body, _ = actuated_body(arc, pressure, muscle)
+            free = float(body.free_curvature[0]) * (1 + map_error)
             found += [
-                specimen.observe(f"{level} force", body, free=free, one_side=True)
+                specimen.observe(level, place, body, free=free, one_side=True)
                 for _ in range(trials)
             ]
     return found
 
 
-def gap_of(trial: Trial) -> float:
-    """Distance of a two-contact trial's contacts, cm."""
-    return trial.arcs_cm[1] - trial.arcs_cm[0]
+def actuated_body(
+    arc_cm: float, pressure_psi: float, muscle: TanhMap | None = None
+) -> tuple[Solution, Peg]:
+    """The body bent into a dowel that it just touches with its side at 6 psi, and the dowel.
+
+    Args:
+        arc_cm: where it touches at 6 psi.
+        pressure_psi: of the left muscle.
+        muscle: its map; None takes the emulated robot's.
+    """
+    curve = muscle or emulated_robot().actuators.left.maps[-1].inflate
+    return _bent(arc_cm, curve.curvature(thesis.TOUCH_PSI), curve.curvature(pressure_psi))
+
+
+@cache
+def _bent(arc_cm: float, touch: float, free: float) -> tuple[Solution, Peg]:
+    tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
+    heading = touch * arc_cm
+    reach = tube.radius_cm + thesis.DOWEL_CM
+    peg = Peg(
+        float(np.sin(heading)) / touch - reach * float(np.sin(heading)),
+        float(1 - np.cos(heading)) / touch + reach * float(np.cos(heading)),
+        thesis.DOWEL_CM,
+    )
+    return solve(free, thesis.LENGTH_CM, tube=tube, pegs=[peg]), peg

@@ -148,3 +148,46 @@ def figure(runs: list[Run]) -> Figure:
     axis.legend(fontsize=8)
     axis.set_title(f"Exploration of the default room, {len(runs)} seeds")
     return picture
+
+
+def stages(seed: int) -> Figure:
+    """The robot growing and bending until it meets the peg, stage by stage (figure 3.9)."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    with tempfile.TemporaryDirectory() as folder:
+        found = explore(_URL, seed=seed, out=folder, name="stages", protocol="thesis").document
+    shown = [stage for stage in found.stages if stage.shapes]
+    columns = 3
+    rows = -(-len(shown) // columns)
+    picture = Figure(figsize=(4.2 * columns, 3.9 * rows), layout="constrained")
+    axes = np.atleast_2d(picture.subplots(rows, columns, sharex=True, sharey=True)).ravel()
+    for axis in axes[len(shown) :]:
+        axis.axis("off")
+    for letter, axis, stage in zip("abcdefghij", axes, shown, strict=False):
+        for shape in stage.shapes:
+            x, y, _ = np.array(shape.poses).T
+            color = "tab:blue" if shape.side == "left" else "tab:orange"
+            label = f"{shape.side} muscle, {shape.pressure_psi:.0f} psi"
+            axis.plot(x, y, color=color, linewidth=3, alpha=0.7, label=label)
+        for number, peg in enumerate(found.truth.pegs if found.truth else ()):
+            circle = Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k")
+            circle.set_label("dowel" if number == 0 else "")
+            axis.add_patch(circle)
+        felt = bool(stage.triggers)
+        for contact in found.contacts:
+            if felt and contact.everted_length_cm == stage.everted_length_cm:
+                axis.plot(
+                    contact.x_cm, contact.y_cm, "rx", markersize=10, markeredgewidth=2,
+                    label="contact, localized",
+                )  # fmt: skip
+        title = f"({letter}) {stage.everted_length_cm:.0f} cm out"
+        axis.set_title(title + (", contact felt" if felt else ""), fontsize=10)
+        axis.set(aspect="equal", xlabel="x (cm)", ylabel="y (cm)")
+        axis.grid(alpha=0.2)
+        axis.legend(fontsize=7, loc="lower left")
+    error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
+    picture.suptitle(
+        f"Exploring with an obstacle at an unknown place (thesis, figure 3.9); |x error| {error}"
+    )
+    return picture

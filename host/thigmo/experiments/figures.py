@@ -1,4 +1,8 @@
-"""Figures of the experiments, in the places of the thesis's own (3.2a/c, 3.3, 3.5c, 3.6, 3.7c)."""
+"""Figures of the experiments' results, in the places of the thesis's own.
+
+Errors by condition (3.2c, 3.5c, 3.7c), readings and fits (3.3, 3.6) and the residual surface (2.7).
+What is pressed where (3.2a, 3.4, 3.5a, 3.7a) is drawn by `schematics.py`.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.experiments import conditions, thesis
+from thigmo.experiments import schematics, thesis
 from thigmo.experiments.compare import (
+    OURS,
     Answer,
-    Method,
     Row,
-    baseline,
-    bound_cm,
+    Solved,
     camera_errors,
-    ours,
     workspace_errors,
 )
-from thigmo.experiments.specimen import Trial
 from thigmo.mechanics import phi
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
+Groups = Sequence[tuple[str, list[Solved]]]
+_HERE = "alternating"
 _THEIRS = "tab:orange"
 _OURS = "tab:blue"
 
@@ -49,16 +52,13 @@ def _box(axis: Axes, at: float, errors: Floats, color: str, label: str | None) -
         axis.plot([], [], "s", color=color, alpha=0.6, label=label)
 
 
-def _compare(
-    axis: Axes, groups: Sequence[tuple[str, list[Trial]]], here: Method, contact: int
-) -> None:
-    for at, (_, trials) in enumerate(groups):
+def _compare(axis: Axes, groups: Groups, contact: int) -> None:
+    for at, (_, solved) in enumerate(groups):
         first = at == 0
-        theirs = np.array([workspace_errors(t, here(t))[contact] for t in trials])
-        mine = np.array([workspace_errors(t, ours(t))[contact] for t in trials])
+        theirs = _room(solved, _HERE, contact)
         _box(axis, at - 0.2, theirs, _THEIRS, "thesis's method, here" if first else None)
-        _box(axis, at + 0.2, mine, _OURS, "ours" if first else None)
-        bound = np.array([bound_cm(t)[contact] for t in trials])
+        _box(axis, at + 0.2, _room(solved, OURS, contact), _OURS, "ours" if first else None)
+        bound = np.array([one.bound_cm[contact] for one in solved])
         if np.isfinite(bound).any():
             axis.plot(
                 [at - 0.4, at + 0.4],
@@ -72,55 +72,76 @@ def _compare(
     axis.grid(axis="y", alpha=0.2)
 
 
-def _readings(axis: Axes, trial: Trial, theirs: Answer, mine: Answer) -> None:
+def _room(solved: Sequence[Solved], method: str, contact: int) -> Floats:
+    return np.array([workspace_errors(s.trial, s.answers[method])[contact] for s in solved])
+
+
+def _readings(axis: Axes, one: Solved) -> None:
     """One trial: readings, and both methods' curvature along the body (thesis, figure 3.3)."""
-    s = np.linspace(0.0, thesis.LENGTH_CM, 400)
+    trial = one.trial
+    theirs, mine = one.answers[_HERE], one.answers[OURS]
+    s = np.linspace(0.0, trial.length_cm, 400)
     axis.plot(trial.position, trial.curvature, "ko", markersize=5, label="readings")
     for answer, color, name in ((theirs, _THEIRS, "thesis's method"), (mine, _OURS, "ours")):
         if not answer.arcs_cm:
             continue
-        levers = [phi(arc, s, 0.0) for arc in answer.arcs_cm]
-        curve = trial.free + np.column_stack(levers) @ np.array(answer.forces)
-        axis.plot(s, curve, color=color, label=name)
+        axis.plot(s, trial.free + _ramps(answer, s), color=color, label=name)
         for arc in answer.arcs_cm:
             axis.axvline(arc, color=color, linestyle=":", linewidth=1)
     for index, arc in enumerate(trial.arcs_cm):
         axis.axvline(arc, color="k", linewidth=1, label="true contact" if index == 0 else None)
     for low, high in mine.intervals_cm:
         axis.axvspan(low, high, color=_OURS, alpha=0.08)
-    axis.set(xlabel="arc length (cm)", ylabel="curvature (1/cm)", xlim=(0, thesis.LENGTH_CM + 1))
+    axis.set(xlabel="arc length (cm)", ylabel="curvature (1/cm)", xlim=(0, trial.length_cm + 1))
     axis.grid(alpha=0.2)
 
 
-def _by_arc(trials: Sequence[Trial]) -> list[tuple[str, list[Trial]]]:
-    names = {53.0: "L", 0.75 * 53.0: "3L/4", 0.5 * 53.0: "L/2"}
-    nearest = [min(names, key=lambda arc: abs(arc - t.arcs_cm[0])) for t in trials]
-    return [
-        (names[arc], [t for t, n in zip(trials, nearest, strict=True) if n == arc])
-        for arc in sorted(set(nearest), reverse=True)
-    ]
+def _ramps(answer: Answer, s: Floats) -> Floats:
+    levers = np.column_stack([phi(arc, s, 0.0) for arc in answer.arcs_cm])
+    ramps: Floats = levers @ np.array(answer.forces)
+    return ramps
 
 
-def single_contact(trials: list[Trial], rows: list[Row]) -> dict[str, Figure]:
+def _of(solved: Sequence[Solved], condition: str) -> list[Solved]:
+    return [one for one in solved if one.trial.condition == condition]
+
+
+def _by_place(solved: Sequence[Solved]) -> list[tuple[str, list[Solved]]]:
+    places = dict.fromkeys(one.trial.place for one in solved)
+    return [(p, [one for one in solved if one.trial.place == p]) for p in places]
+
+
+def _levels(solved: Sequence[Solved], rows: Sequence[Row]) -> Figure:
+    """A panel a condition of one contact: errors by place, and the thesis's mean."""
+    from matplotlib.figure import Figure
+
+    conditions = list(dict.fromkeys(one.trial.condition for one in solved))
+    figure = Figure(figsize=(5.2 * len(conditions), 4.2), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(conditions)))
+    for axis, condition in zip(axes, conditions, strict=True):
+        _compare(axis, _by_place(_of(solved, condition)), 0)
+        told = next(r for r in rows if r.condition == condition)
+        mean = told.thesis_mean
+        axis.axhline(mean, color="gray", linestyle="--", label="thesis, mean over places")
+        axis.set_title(f"{condition} (thesis {mean} +- {told.thesis_std} cm)", fontsize=10)
+        axis.set_xlabel("where the dowel stands")
+        axis.legend(fontsize=7)
+    return figure
+
+
+def single_contact(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
     """Errors by place and force (3.2c), fits (3.3), and the residual surface (2.7)."""
     from matplotlib.figure import Figure
 
-    here = baseline("alternating")
-    errors = Figure(figsize=(10, 4.2), layout="constrained")
-    for axis, level in zip(errors.subplots(1, 2), ("high force", "low force"), strict=True):
-        some = [t for t in trials if t.condition == level]
-        _compare(axis, _by_arc(some), here, 0)
-        told = thesis.published("single-contact", level)
-        axis.axhline(told.mean_cm, color="gray", linestyle="--", label="thesis, mean")
-        axis.set_title(f"{level} (thesis {told.mean_cm} +- {told.std_cm} cm)")
-        axis.legend(fontsize=7)
+    errors = _levels(solved, rows)
     errors.suptitle("Single contact, unactuated (thesis, figure 3.2c)")
+    levels = list(dict.fromkeys(one.trial.condition for one in solved))
 
-    fits = Figure(figsize=(10, 4.0), layout="constrained")
-    for axis, level in zip(fits.subplots(1, 2), ("high force", "low force"), strict=True):
-        trial = _by_arc([t for t in trials if t.condition == level])[-1][1][0]
-        _readings(axis, trial, here(trial), ours(trial))
-        axis.set_title(f"{level} at L/2")
+    fits = Figure(figsize=(5.2 * len(levels), 4.0), layout="constrained")
+    for axis, level in zip(np.atleast_1d(fits.subplots(1, len(levels))), levels, strict=True):
+        nearest = min(_of(solved, level), key=lambda one: one.trial.arcs_cm[0])
+        _readings(axis, nearest)
+        axis.set_title(f"{level} at {nearest.trial.place}")
         axis.legend(fontsize=7)
     fits.suptitle("Readings and fits (thesis, figure 3.3; shaded: our 95 % interval)")
 
@@ -128,33 +149,41 @@ def single_contact(trials: list[Trial], rows: list[Row]) -> dict[str, Figure]:
     axis = methods.subplots()
     at = np.arange(len(rows))
     axis.bar(at - 0.3, [r.thesis_mean for r in rows], 0.2, color="lightgray", label="thesis")
-    axis.bar(at - 0.1, [r.here_mean for r in rows], 0.2, color=_THEIRS, label="its method, here")
-    axis.bar(at + 0.1, [r.ours_mean for r in rows], 0.2, color=_OURS, label="ours")
-    axis.bar(at + 0.3, [r.bound_mean for r in rows], 0.2, color="tab:green", label="bound")
+    axis.bar(at - 0.1, [r.here.mean for r in rows], 0.2, color=_THEIRS, label="its method, here")
+    axis.bar(at + 0.1, [r.ours.mean for r in rows], 0.2, color=_OURS, label="ours")
+    bounds = [r.bound if np.isfinite(r.bound) else 0.0 for r in rows]
+    axis.bar(at + 0.3, bounds, 0.2, color="tab:green", label="bound")
     axis.set_xticks(at, [r.condition.replace(", ", ",\n") for r in rows], fontsize=8)
     axis.set(ylabel="mean |a - x of the obstacle| (cm)")
     axis.legend(fontsize=8)
     axis.set_title("Single contact: the thesis's measure")
     return {
+        "schematic": schematics.single_contact(),
+        "fold": schematics.fold(),
         "errors": errors,
         "fits": fits,
         "methods": methods,
-        "residual-surface": _surface(trials),
+        "residual-surface": _surface(solved),
     }
 
 
-def _surface(trials: list[Trial]) -> Figure:
+def _surface(solved: Sequence[Solved]) -> Figure:
     """The thesis's objective over place and force for a high force at 3L/4 (its figure 2.7)."""
     from matplotlib.figure import Figure
 
-    high = [t for t in trials if t.condition == "high force"]
-    trial = min(high, key=lambda t: abs(t.arcs_cm[0] - 0.75 * thesis.LENGTH_CM))
-    arcs = np.linspace(1.0, thesis.LENGTH_CM, 261)
-    moments = np.linspace(0.1, 3.0, 240) * trial.forces[0] * trial.arcs_cm[0]
+    one = min(
+        solved,
+        key=lambda s: (s.trial.condition != thesis.LEVELS[0], s.trial.place != "3L/4"),
+    )
+    trial, answer = one.trial, one.answers[_HERE]
+    # On a real robot the force is known only as the method's own.
+    force = trial.forces[0] if np.isfinite(trial.forces[0]) else answer.forces[0]
+    arcs = np.linspace(1.0, trial.length_cm, 261)
+    moments = np.linspace(0.1, 3.0, 240) * force * trial.arcs_cm[0]
     value = np.empty((moments.size, arcs.size))
     for column, arc in enumerate(arcs):
-        lever = phi(arc, trial.position, trial.span)
-        left = trial.curvature[:, None] - np.outer(lever, moments / arc)
+        lever = phi(arc, trial.position, 0.0)
+        left = (trial.curvature - trial.free)[:, None] - np.outer(lever, moments / arc)
         value[:, column] = np.abs(left).sum(axis=0)
     figure = Figure(figsize=(7, 4.6), layout="constrained")
     axis = figure.subplots()
@@ -167,61 +196,63 @@ def _surface(trials: list[Trial]) -> Figure:
         arcs[inner], moments[value.argmin(axis=0)][inner], "wv", label="local minima along it"
     )
     axis.axvline(trial.arcs_cm[0], color="r", linewidth=1, label="true contact")
+    axis.axvline(answer.arcs_cm[0], color=_THEIRS, linewidth=1, label="thesis's method, here")
     axis.set(xlabel="arc of the contact (cm)", ylabel="base moment f a (1/cm)")
-    axis.legend(fontsize=8, labelcolor="black")
-    axis.set_title("Residuals over place and force (thesis, figure 2.7)")
+    axis.legend(fontsize=8, labelcolor="white", facecolor="0.25")
+    axis.set_title(
+        f"Residuals over place and force, {trial.condition} at {trial.place} (thesis, figure 2.7)",
+        fontsize=10,
+    )
     return figure
 
 
-def two_contacts(trials: list[Trial]) -> dict[str, Figure]:
+def two_contacts(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
     """Errors of both contacts by separation (3.5c), and one fit at 18.5 cm (3.6)."""
     from matplotlib.figure import Figure
 
-    here = baseline("alternating")
-    groups = [
-        (f"{gap:g}", [t for t in trials if abs(conditions.gap_of(t) - gap) < 0.1])
-        for gap in thesis.GAPS_CM
-    ]
+    groups = [(name.removesuffix(" cm apart"), some) for name, some in _by_place(solved)]
     errors = Figure(figsize=(11, 4.4), layout="constrained")
     for axis, contact, name in zip(
-        errors.subplots(1, 2), (0, 1), ("proximal", "distal"), strict=True
+        errors.subplots(1, 2, sharey=True), (0, 1), ("proximal", "distal"), strict=True
     ):
-        _compare(axis, groups, here, contact)
+        _compare(axis, groups, contact)
+        for r in rows:
+            mine = [one.trial.place for one in _of(solved, r.condition)]
+            at = [n for n, (place, _) in enumerate(groups) if f"{place} cm apart" in mine]
+            ends = (min(at) - 0.45, max(at) + 0.45)
+            axis.plot(ends, [r.thesis_mean] * 2, "--", color="gray")
+        axis.plot([], [], "--", color="gray", label="thesis, mean over both contacts")
         axis.set_title(f"{name} contact")
         axis.set_xlabel("separation (cm)")
         axis.legend(fontsize=7)
-    errors.suptitle("Two opposed contacts (thesis, figure 3.5c)")
+    errors.suptitle("Two opposed contacts, ordered along the arc (thesis, figure 3.5c)")
     fits = Figure(figsize=(7, 4.2), layout="constrained")
     axis = fits.subplots()
-    trial = next(g for name, g in groups if name == "18.5")[0]
-    _readings(axis, trial, here(trial), ours(trial))
+    name, some = min(groups, key=lambda group: abs(float(group[0]) - 18.5))
+    _readings(axis, some[0])
     axis.legend(fontsize=8)
-    axis.set_title("Two contacts 18.5 cm apart (thesis, figure 3.6)")
-    return {"errors": errors, "fit": fits}
+    axis.set_title(f"Two contacts {name} cm apart (thesis, figure 3.6)")
+    return {"schematic": schematics.two_contacts(), "errors": errors, "fit": fits}
 
 
-def actuated(trials: list[Trial]) -> dict[str, Figure]:
+def actuated(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
     """Errors by place and pressure (3.7c), as the thesis measures and in the workspace."""
     from matplotlib.figure import Figure
 
-    here = baseline("alternating")
-    errors = Figure(figsize=(11, 4.4), layout="constrained")
-    for axis, level in zip(errors.subplots(1, 2), ("high force", "low force"), strict=True):
-        _compare(axis, _by_arc([t for t in trials if t.condition == level]), here, 0)
-        psi = thesis.ACTUATED_PSI[level.split()[0]]
-        axis.set_title(f"{level} ({psi:g} psi)")
-        axis.set_xlabel("where the dowel touches at 6 psi")
-        axis.legend(fontsize=7)
+    errors = _levels(solved, rows)
     errors.suptitle("Single contact with active bending (thesis, figure 3.7c)")
 
     mixture = Figure(figsize=(7, 4.2), layout="constrained")
     axis = mixture.subplots()
-    true = [t.arcs_cm[0] - t.obstacle_x_cm[0] for t in trials]
-    theirs = [float(camera_errors(t, here(t))[0]) for t in trials]
-    mine = [float(camera_errors(t, ours(t))[0]) for t in trials]
-    axis.plot(true, theirs, "o", color=_THEIRS, alpha=0.4, label="thesis's method, here")
-    axis.plot(true, mine, "o", color=_OURS, alpha=0.4, label="ours")
-    top = max(true) * 1.1
+    true = np.array([one.trial.arcs_cm[0] - one.trial.obstacle_x_cm[0] for one in solved])
+    jitter = np.random.default_rng(0).uniform(-0.15, 0.15, true.size)
+    for method, color, label in (
+        (_HERE, _THEIRS, "thesis's method, here"),
+        (OURS, _OURS, "ours"),
+    ):
+        found = [float(camera_errors(one.trial, one.answers[method])[0]) for one in solved]
+        axis.plot(true + jitter, found, "o", color=color, alpha=0.3, markersize=4, label=label)
+    top = float(true.max()) * 1.1
     axis.plot([0, top], [0, top], "k--", linewidth=1, label="a perfect arc, by this measure")
     axis.set(
         xlabel="arc - x of the obstacle: foreshortening (cm)", ylabel="|a - x of the obstacle| (cm)"
@@ -229,4 +260,4 @@ def actuated(trials: list[Trial]) -> dict[str, Figure]:
     axis.grid(alpha=0.2)
     axis.legend(fontsize=8)
     axis.set_title("The thesis's measure holds the bent robot's foreshortening")
-    return {"errors": errors, "measure": mixture}
+    return {"schematic": schematics.actuated(), "errors": errors, "measure": mixture}

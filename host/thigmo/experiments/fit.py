@@ -1,7 +1,7 @@
 """The emulated robot's free constants, fitted once to the thesis's section 3.2, then frozen.
 
 The thesis's own solver (`alternating`, and its clamped and coupled variants) is run on simulated
-robots, and the four constants are moved until its errors are the thesis's: four means and three
+robots, and the four constants are moved until its errors are the thesis's: four means and four
 spreads, each weighted by what five trials at three places leave uncertain. Sections 3.3 to 3.5 are
 not looked at: with the constants frozen they are predictions.
 `thigmo experiment fit` repeats this and rewrites `constants.json`.
@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.experiments import thesis
+from thigmo.experiments.compare import camera_errors, thesis_method
 from thigmo.experiments.conditions import single_contact
-from thigmo.experiments.specimen import Constants, Specimen, Trial
-from thigmo.localization.baselines import BASELINES, Problem
+from thigmo.experiments.specimen import Constants, Specimen
+from thigmo.experiments.trial import Trial
 
 Floats = NDArray[np.float64]
 
@@ -44,19 +45,7 @@ def frozen() -> Constants:
 
 def thesis_errors(trials: list[Trial], method: str) -> Floats:
     """|a - x of the obstacle| of a baseline on single-contact trials, the thesis's measure, cm."""
-    errors = []
-    for trial in trials:
-        problem = Problem(
-            trial.curvature - trial.free,
-            trial.position,
-            trial.span,
-            thesis.LENGTH_CM,
-            noise=max(trial.noise, 1e-6),
-            critical_curvature=thesis.CRITICAL,
-        )
-        arcs, _ = BASELINES[method](problem)
-        errors.append(abs(float(arcs[0]) - trial.obstacle_x_cm[0]))
-    return np.array(errors)
+    return np.array([camera_errors(t, thesis_method(t, method))[0] for t in trials])
 
 
 def table(constants: Constants, robots: int, seed: int = 0) -> dict[str, tuple[float, float]]:

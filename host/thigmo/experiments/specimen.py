@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.experiments import thesis
+from thigmo.experiments.trial import Trial
 from thigmo.mechanics import Solution, Tube, peg_for, push
 
 Floats = NDArray[np.float64]
 
-DOWEL_CM = 0.6  # radius; the thesis's dowels are of metal, their size is not stated
+_STEP_CM = 1e-3
 
 
 @dataclass(frozen=True)
@@ -37,35 +38,6 @@ class Constants:
     gain_spread: float
     position_cm: float
     fold_rad: float
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One set of readings and its truth.
-
-    Attributes:
-        condition: what was asked for, in words.
-        curvature, position, span: (N,) readings (1/cm), believed centres and spans (cm).
-        free: believed free curvature, 1/cm.
-        noise: white noise of a reading, 1/cm.
-        sigma: (N,) what a lab states as each reading's standard deviation: white noise and the
-            stated uncertainty of its gain together.
-        arcs_cm, forces: true contacts, base first.
-        obstacle_x_cm: x of each dowel as a camera sees it, base first.
-        contact_x_cm: x of each contact point on the skin.
-    """
-
-    condition: str
-    curvature: Floats
-    position: Floats
-    span: Floats
-    free: float
-    noise: float
-    sigma: Floats
-    arcs_cm: tuple[float, ...]
-    forces: tuple[float, ...]
-    obstacle_x_cm: tuple[float, ...]
-    contact_x_cm: tuple[float, ...]
 
 
 class Specimen:
@@ -95,6 +67,7 @@ class Specimen:
     def press(
         self,
         condition: str,
+        place: str,
         arcs_cm: Sequence[float],
         forces: Sequence[float],
         *,
@@ -105,7 +78,7 @@ class Specimen:
         """Readings while contacts press with given normal forces at given arcs.
 
         Args:
-            condition: label.
+            condition, place: labels.
             arcs_cm, forces: the contacts (1/cm^2), base first.
             free: free curvature, 1/cm.
             fold_rad: fold of the base.
@@ -119,28 +92,52 @@ class Specimen:
             tube=Tube(thesis.DIAMETER_CM),
             fold_angle=fold_rad,
         )
-        return self.observe(condition, body, free=free, one_side=one_side)
+        return self.observe(condition, place, body, free=free, one_side=one_side)
 
     def observe(
-        self, condition: str, body: Solution, *, free: float = 0.0, one_side: bool = False
+        self,
+        condition: str,
+        place: str,
+        body: Solution,
+        *,
+        free: float = 0.0,
+        one_side: bool = False,
     ) -> Trial:
         """Readings of a body in a known equilibrium (arguments as in `press`)."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
         count = self.believed.size // 2 if one_side else self.believed.size
-        clean = body.averages(self._true[:count], thesis.SPAN_CM)
+        at = self._true[:count]
+        clean = body.averages(at, thesis.SPAN_CM)
         # Zeroing takes the straight robot as zero, so a gain error scales the reading only.
         noisy = self._gain[:count] * clean + self.constants.noise * self._rng.standard_normal(count)
+        slope = (body.averages(at + _STEP_CM, thesis.SPAN_CM) - clean) / _STEP_CM
         return Trial(
             condition,
+            place,
             noisy,
             self.believed[:count],
             np.full(count, thesis.SPAN_CM),
             free,
             self.constants.noise,
-            # A lab knows how well it calibrated, not the gain errors themselves.
-            np.hypot(self.constants.noise, self.constants.gain_spread * np.abs(noisy)),
+            # A lab knows how well it calibrated, not the errors themselves.
+            self._deviation(noisy, _slope(self.believed[:count], noisy)),
+            self._deviation(clean, slope),
             tuple(contact.arc for contact in contacts),
             tuple(contact.normal for contact in contacts),
-            tuple(peg_for(contact, DOWEL_CM).x for contact in contacts),
+            tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
             tuple(contact.x for contact in contacts),
         )
+
+    def _deviation(self, curvature: Floats, slope: Floats) -> Floats:
+        """Standard deviation of readings over robots: noise, gain and place together."""
+        c = self.constants
+        variance = c.noise**2 + (c.gain_spread * curvature) ** 2 + (c.position_cm * slope) ** 2
+        return np.asarray(np.sqrt(variance))
+
+
+def _slope(position: Floats, curvature: Floats) -> Floats:
+    """Change of the readings along the body (1/cm^2) at each sensor, both columns together."""
+    places, index = np.unique(position, return_inverse=True)
+    mean = np.bincount(index, curvature) / np.bincount(index)
+    slope: Floats = np.gradient(mean, places)[index]
+    return slope

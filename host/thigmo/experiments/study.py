@@ -1,48 +1,27 @@
-"""The thesis's static experiments, run: trials, three columns, figures.
+"""The thesis's experiments on simulated robots: trials, three columns, figures.
 
 Called by `thigmo experiment`. Robots are simulated with the frozen constants (`fit.py`); the
-exploration row comes from whole explorations on the emulator (`explored.py`).
+exploration comes from whole explorations on the emulator (`explored.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.bench.study import Claim, Outcome, Table, write
-from thigmo.experiments import conditions, explored, figures, sensitivity, thesis
-from thigmo.experiments.compare import Row, baseline, row
+from thigmo.bench.study import Table
+from thigmo.experiments import conditions, explored, flow, muscle, predictions, sensitivity
+from thigmo.experiments.evaluate import Results, evaluate, save
 from thigmo.experiments.fit import frozen
-from thigmo.experiments.specimen import Constants, Specimen, Trial
+from thigmo.experiments.specimen import Constants, Specimen
+from thigmo.experiments.trial import Trial
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Progress = Callable[[int, int], None]
+Draw = Callable[[Specimen, int, np.random.Generator], list[Trial]]
 
 
-@dataclass
-class Results:
-    """What an experiment gave: rows of the comparison, trials, figures by name, claims, tables."""
-
-    rows: list[Row]
-    trials: list[Trial]
-    figures: dict[str, Figure] = field(default_factory=dict)
-    claims: list[Claim] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)
-
-
-def collect(
-    draw: Callable[[Specimen, int, np.random.Generator], list[Trial]],
-    constants: Constants,
-    robots: int,
-    trials: int,
-    seed: int,
-) -> list[Trial]:
+def collect(draw: Draw, constants: Constants, robots: int, trials: int, seed: int) -> list[Trial]:
     """Trials of an experiment over freshly drawn robots."""
     found = []
     for robot in range(robots):
@@ -51,81 +30,73 @@ def collect(
     return found
 
 
-def single_contact(constants: Constants, robots: int, trials: int, seed: int) -> Results:
+def single_contact(robots: int, trials: int, seed: int) -> Results:
     """Section 3.2, with the clamped and the coupled solver."""
-    found = collect(conditions.single_contact, constants, robots, trials, seed)
-    high = [t for t in found if t.condition == "high force"]
-    low = [t for t in found if t.condition == "low force"]
-    rows = [
-        row("single-contact", "high force", high, baseline("alternating")),
-        row("single-contact", "low force", low, baseline("alternating")),
-        row("single-contact", "high force, base clamped", high, baseline("clamped")),
-        row("single-contact", "high force, coupled", high, baseline("coupled")),
-    ]
-    return Results(rows, found, figures.single_contact(found, rows))
+    found = collect(conditions.single_contact, frozen(), robots, trials, seed)
+    return evaluate("single-contact", found)
 
 
-def two_contacts(constants: Constants, robots: int, trials: int, seed: int) -> Results:
+def two_contacts(robots: int, trials: int, seed: int) -> Results:
     """Section 3.3."""
-    found = collect(conditions.two_contacts, constants, robots, trials, seed)
-    far = [t for t in found if conditions.gap_of(t) >= thesis.DISCRIMINATION_CM]
-    near = [t for t in found if conditions.gap_of(t) < thesis.DISCRIMINATION_CM]
-    here = baseline("alternating")
-    rows = [
-        row("two-contacts", "23.5 cm or more apart", far, here),
-        row("two-contacts", "closer than 23.5 cm", near, here),
-    ]
-    return Results(rows, found, figures.two_contacts(found))
-
-
-def actuated(constants: Constants, robots: int, trials: int, seed: int) -> Results:
-    """Section 3.4."""
-    found = collect(
-        lambda specimen, count, _: conditions.actuated(specimen, count),
-        constants,
-        robots,
-        trials,
-        seed,
+    return evaluate(
+        "two-contacts", collect(conditions.two_contacts, frozen(), robots, trials, seed)
     )
-    here = baseline("alternating")
-    rows = [
-        row("actuated", name, [t for t in found if t.condition == level], here)
-        for name, level in (
-            ("high force (14 psi)", "high force"),
-            ("low force (10 psi)", "low force"),
-        )
-    ]
-    return Results(rows, found, figures.actuated(found))
 
 
-def sensitivity_study(constants: Constants, robots: int, trials: int, seed: int) -> Results:
-    """Noise x sensors x norm; `constants` are not used, the noise is the study's own."""
-    found = sensitivity.cells(robots * trials, seed)
-    table = Table("cells", tuple(vars(found[0])), [tuple(vars(cell).values()) for cell in found])
+def actuated(robots: int, trials: int, seed: int) -> Results:
+    """Section 3.4, and the muscle's map (figure 2.4c)."""
+
+    def draw(specimen: Specimen, count: int, _: np.random.Generator) -> list[Trial]:
+        return conditions.actuated(specimen, count)
+
+    results = evaluate("actuated", collect(draw, frozen(), robots, trials, seed))
+    results.figures["muscle-map"] = muscle.figure(seed)
+    return results
+
+
+def predicted(robots: int, trials: int, seed: int) -> Results:
+    """How well the frozen constants predict sections 3.3 and 3.4, and how that hangs on each."""
+    found = predictions.cells(robots, trials, seed)
     return Results(
-        [], [], {"sensitivity": sensitivity.figure(found)}, sensitivity.claims(found), [table]
+        figures={"constants": predictions.figure(found)},
+        tables=[Table("cells", tuple(vars(found[0])), [tuple(vars(c).values()) for c in found])],
+        notes=predictions.remarks(found),
     )
 
 
-def exploration(constants: Constants, robots: int, trials: int, seed: int) -> Results:
+def sensitivity_study(robots: int, trials: int, seed: int) -> Results:
+    """Noise x sensors x norm; the noise is the study's own."""
+    found = sensitivity.cells(robots * trials, seed)
+    return Results(
+        figures={"sensitivity": sensitivity.figure(found)},
+        claims=sensitivity.claims(found),
+        tables=[Table("cells", tuple(vars(found[0])), [tuple(vars(c).values()) for c in found])],
+        notes=sensitivity.remarks(found),
+    )
+
+
+def exploration(robots: int, trials: int, seed: int) -> Results:
     """Section 3.5 on the emulator, one run of each protocol a robot; `trials` is not used.
 
-    The emulator's own scene says how imperfect its robot is, so `constants` are not used either.
+    The emulator's own scene says how imperfect its robot is, so the frozen constants are not used.
     """
     runs = [explored.run_seed(seed + robot) for robot in range(robots)]
     return Results(
-        [],
-        [],
-        {"exploration": explored.figure(runs)},
-        explored.claims(runs),
-        [explored.table(runs)],
+        figures={
+            "errors": explored.figure(runs),
+            "stages": explored.stages(seed),
+            "flow": flow.figure(),
+        },
+        claims=explored.claims(runs),
+        tables=[explored.table(runs)],
     )
 
 
-EXPERIMENTS: dict[str, Callable[[Constants, int, int, int], Results]] = {
+EXPERIMENTS: dict[str, Callable[[int, int, int], Results]] = {
     "single-contact": single_contact,
     "two-contacts": two_contacts,
     "actuated": actuated,
+    "predictions": predicted,
     "exploration": exploration,
     "sensitivity": sensitivity_study,
 }
@@ -144,19 +115,6 @@ def run(name: str, out: Path, *, robots: int, trials: int, seed: int) -> Results
     Raises:
         RunFolderError: the folder cannot be written.
     """
-    results = EXPERIMENTS[name](frozen(), robots, trials, seed)
-    if results.rows:
-        columns = (*vars(results.rows[0]), "allowed", "beaten")
-        lines = [(*vars(r).values(), r.allowed, r.beaten) for r in results.rows]
-        results.tables.append(Table("rows", columns, lines))
-    for r in results.rows:
-        results.claims.append(
-            Claim(
-                f"{r.experiment}, {r.condition}: workspace x error",
-                r.ours_workspace_mean,
-                r.allowed,
-                unit="cm",
-            )
-        )
-    write(Outcome(results.tables, results.figures, results.claims), name, out)
+    results = EXPERIMENTS[name](robots, trials, seed)
+    save(results, name, out)
     return results

@@ -15,18 +15,26 @@ SPAN_CM = 5.5
 DIAMETER_CM = 3.5
 CRITICAL = 0.01108  # 1/cm, contact curvature at which the base folds, at 0.49 psi
 TRIALS = 5
+DOWEL_CM = 0.6  # radius; the dowels are of metal, their size is not stated
 # Sensor centres are stated nowhere; pouches of 10 cm suggest 5, 15, ..
 CENTERS_CM = (5.0, 15.0, 25.0, 35.0, 45.0)
 
+LEVELS = ("high force", "low force")
+PLACES = ("L", "3L/4", "L/2")
 SINGLE_ARCS_CM = (LENGTH_CM, 0.75 * LENGTH_CM, 0.5 * LENGTH_CM)
 # "High" folds the base (section 3.2); "low" is unstated: about a third of the critical moment
 # brings the thesis's solver to the thesis's error (see `fit.py`).
 LOW_LEVEL = 0.35
 GAPS_CM = (39.0, 34.0, 29.0, 23.5, 18.5, 13.0)
 DISCRIMINATION_CM = 23.5
-ACTUATED_ARCS_CM = (0.5 * LENGTH_CM, 0.75 * LENGTH_CM, LENGTH_CM)
 TOUCH_PSI = 6.0
-ACTUATED_PSI = {"low": 10.0, "high": 14.0}
+ACTUATED_PSI = {"high force (14 psi)": 14.0, "low force (10 psi)": 10.0}
+SEPARATIONS = ("23.5 cm or more apart", "closer than 23.5 cm")
+
+
+def separation(gap_cm: float) -> str:
+    """The condition of section 3.3 that a gap belongs to."""
+    return SEPARATIONS[0] if gap_cm >= DISCRIMINATION_CM else SEPARATIONS[1]
 
 
 @dataclass(frozen=True)
