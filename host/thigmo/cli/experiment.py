@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from thigmo.cli.output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from thigmo.cli.console import Console
+    from thigmo.experiments import Results
+    from thigmo.experiments.attendant import Attendant, Place
+    from thigmo.robot import Robot
 
 
 def register(app: typer.Typer) -> None:
@@ -19,51 +25,191 @@ def experiment(
     name: Annotated[
         str,
         typer.Argument(
-            help="single-contact, two-contacts, actuated, exploration, sensitivity, all; "
-            "or fit, which fits the emulated robot's constants again."
+            help="single-contact, two-contacts, actuated, predictions, exploration, sensitivity, "
+            "all; or fit, which fits the simulated robots' constants again."
         ),
     ],
     robots: Annotated[int, typer.Option(help="Simulated robots, each built anew.")] = 20,
     trials: Annotated[int, typer.Option(help="Trials a condition and robot; the thesis: 5.")] = 5,
-    seed: Annotated[int, typer.Option(help="Every random number comes from it.")] = 1,
-    out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path(
+    seed: Annotated[int, typer.Option(help="Every random number comes from it.", min=0)] = 1,
+    out: Annotated[Path, typer.Option(help="Folder for trials, tables and figures.")] = Path(
         "experiment-out"
     ),
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            help="Take the trials with this robot: /dev/ttyACM0, COM3, socket://, emulator://SCENE."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Measures the dowels: camera:0, a folder of pictures. Else they are typed in."
+        ),
+    ] = None,
+    sheet_file: Annotated[Path, typer.Option("--sheet", help="Sheet file.")] = Path("sheet.toml"),
+    camera_file: Annotated[
+        Path, typer.Option("--camera-file", help="Camera file of `thigmo camera locate`.")
+    ] = Path("camera.json"),
+    rehearse: Annotated[
+        bool, typer.Option("--rehearse", help="On the emulator: ask as on a real robot.")
+    ] = False,
+    recorded: Annotated[
+        Path | None, typer.Option(help="Evaluate the trials of this folder again; no robot.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Repeat the thesis's experiments: the thesis, its method here, ours, and the bound."""
+    """Repeat the thesis's experiments: the thesis, its method here, ours, and the bound.
+
+    Without --robot, readings are computed from the emulator's mechanics and the fitted errors
+    (fast: thousands of trials); explorations run on the whole emulator. With --robot the trials of
+    single-contact, two-contacts or actuated are taken one by one, on a bench with prompts, on
+    emulator:// by its own operator, and kept in OUT/NAME/trials.csv; the same command goes on
+    after a stop.
+    """
     from thigmo.errors import DataError
     from thigmo.experiments import EXPERIMENTS, run
 
     names = list(EXPERIMENTS) if name == "all" else [name]
-    if name == "fit":
-        _fit(seed, out, as_json)
-        return
-    if name not in (*EXPERIMENTS, "all"):
+    if name not in (*EXPERIMENTS, "all", "fit"):
         raise DataError(
             f"there is no experiment {name!r}", f"choose from {', '.join(EXPERIMENTS)}, all, fit"
         )
     if robots < 1 or trials < 1:
         raise DataError("--robots and --trials must be at least 1", "give larger numbers")
-    found = []
+    if robot is None and (rehearse or camera or config):
+        raise DataError("--rehearse, --camera and --config need a robot", "give --robot URL")
+    if robot is not None or recorded is not None:
+        if robot is not None and recorded is not None:
+            raise DataError("--robot and --recorded are both given", "give one of them")
+        found = _with_robot(
+            name, robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file,
+            rehearse, as_json,
+        )  # fmt: skip
+        _tell([found], out, as_json)
+        return
+    if name == "fit":
+        _fit(seed, out, as_json)
+        return
+    results = []
     for one in names:
         if not as_json:
             typer.echo(f"{one}: {robots} robots, {trials} trials a condition ..")
-        found.append(run(one, out, robots=robots, trials=trials, seed=seed))
+        results.append(run(one, out, robots=robots, trials=trials, seed=seed))
+    _tell(results, out, as_json)
+
+
+def _with_robot(
+    name: str,
+    robot: str | None,
+    recorded: Path | None,
+    trials: int,
+    seed: int,
+    out: Path,
+    config: Path | None,
+    camera: str | None,
+    sheet_file: Path,
+    camera_file: Path,
+    rehearse: bool,
+    quiet: bool,
+) -> Results:
+    """Take the trials, or read them, and evaluate what there is."""
+    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.config import RobotConfig
+    from thigmo.errors import DataError
+    from thigmo.experiments.evaluate import evaluate, save
+    from thigmo.experiments.procedure import STATIC
+    from thigmo.experiments.recorded import TrialFolder, run_trials
+    from thigmo.robot import connect
+
+    if name not in STATIC:
+        cure = "explore with `thigmo explore --robot`" if name == "exploration" else "name one"
+        raise DataError(f"{name!r} is not taken trial by trial, as {', '.join(STATIC)} are", cure)
+    if recorded is not None:
+        folder = TrialFolder(recorded)
+    else:
+        assert robot is not None
+        console = Console(quiet=quiet)
+        given = RobotConfig.load(config) if config else None
+        person = TerminalOperator(console)
+        with console.interruptible(), connect(robot, seed=seed, operator=person) as machine:
+            known = given or machine.known_config
+            if known is None:
+                raise DataError("the robot's constants are not known", "give --config robot.toml")
+            folder = TrialFolder(out / name, known)
+            attendant = _attendant(console, machine, camera, sheet_file, camera_file, rehearse)
+            say = (lambda text: None) if quiet else _say
+            if not run_trials(machine, attendant, folder, name, trials, say):
+                say("stopped; the same command goes on")
+    results = evaluate(name, folder.trials())
+    save(results, name, folder.path)
+    return results
+
+
+def _attendant(
+    console: Console,
+    machine: Robot,
+    camera: str | None,
+    sheet_file: Path,
+    camera_file: Path,
+    rehearse: bool,
+) -> Attendant:
+    from thigmo.cli.experiment_prompts import TerminalAttendant
+    from thigmo.errors import DataError
+    from thigmo.experiments.attendant import EmulatedAttendant
+
+    if machine.scenery() is not None:
+        if camera is not None:
+            raise DataError("--camera is for a real robot", "the emulator knows its dowels")
+        behind = EmulatedAttendant(machine)
+        return TerminalAttendant(console, behind=behind) if rehearse else behind
+    if rehearse:
+        raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
+    if camera is None:
+        return TerminalAttendant(console)
+    from thigmo.calibrate.eyes import Eyes
+    from thigmo.camera import CameraModel, Sheet, open_source
+    from thigmo.experiments import thesis
+
+    sheet = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
+    eyes = Eyes(
+        open_source(camera), CameraModel.load(camera_file), sheet,
+        machine.config.body.diameter_cm, thesis.DOWEL_CM,
+    )  # fmt: skip
+
+    def look() -> list[Place]:
+        found = eyes.everything().obstacles
+        return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
+
+    return TerminalAttendant(console, look)
+
+
+def _say(text: str) -> None:
+    typer.echo(text)
+
+
+def _tell(results: list[Results], out: Path, as_json: bool) -> None:
     if as_json:
-        print_json([_plain(result) for result in found])
+        print_json([_plain(result) for result in results])
         return
-    _show([row for result in found for row in result.rows])
-    for result in found:
+    _show([row for result in results for row in result.rows])
+    for result in results:
         for claim in result.claims:
             typer.echo(f"  {claim}")
+        for note in result.notes:
+            typer.echo(f"  {note}")
     typer.echo(f"tables and figures are in {out}/")
 
 
-def _plain(result: Any) -> dict[str, Any]:
-    rows = [{**vars(row), "allowed": row.allowed, "beaten": row.beaten} for row in result.rows]
-    claims = [claim.record() for claim in result.claims]
-    return {"rows": rows, "claims": claims}
+def _plain(result: Results) -> dict[str, Any]:
+    return {
+        "rows": [row.record() for row in result.rows],
+        "claims": [claim.record() for claim in result.claims],
+        "notes": result.notes,
+    }
 
 
 def _fit(seed: int, out: Path, as_json: bool) -> None:
@@ -86,30 +232,30 @@ def _show(rows: list[Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    if not rows:
+        return
     table = Table(
-        "experiment",
-        "condition",
+        "",
         "trials",
         "thesis",
         "its method, here",
         "ours",
-        "in the workspace: its",
+        "perfect arc",
+        "workspace: its",
         "ours",
         "bound",
-        "beaten",
-        title="mean +- standard deviation of |a - x of the obstacle|, and workspace x error (cm)",
+        title="mean +- standard deviation of |a - x of the obstacle|; mean workspace x error; cm",
     )
     for row in rows:
         table.add_row(
-            row.experiment,
-            row.condition,
+            f"{row.experiment}, {row.condition}",
             str(row.trials),
             f"{row.thesis_mean:.2f} +- {row.thesis_std:.2f}",
-            f"{row.here_mean:.2f} +- {row.here_std:.2f}",
-            f"{row.ours_mean:.2f} +- {row.ours_std:.2f}",
-            f"{row.here_workspace_mean:.2f}",
-            f"{row.ours_workspace_mean:.2f}",
-            f"{row.bound_mean:.2f}",
-            "yes" if row.beaten else f"no ({row.allowed:.2f})",
+            f"{row.here.mean:.2f} +- {row.here.std:.2f}",
+            f"{row.ours.mean:.2f} +- {row.ours.std:.2f}",
+            f"{row.perfect:.2f}",
+            f"{row.here.workspace:.2f}",
+            f"{row.ours.workspace:.2f}",
+            f"{row.bound:.2f}",
         )
     Console(width=150).print(table)

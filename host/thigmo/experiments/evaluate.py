@@ -62,7 +62,25 @@ def evaluate(name: str, trials: Sequence[Trial]) -> Results:
             value = r.ours.workspace if workspace else r.ours.mean
             text = f"{r.experiment}, {r.condition}: {measure}"
             results.claims.append(Claim(text, value, r.allowed(workspace), unit="cm"))
+        results.notes += _remarks(r)
     return results
+
+
+def _remarks(r: Row) -> list[str]:
+    """What the row's numbers do not say by themselves."""
+    told = []
+    if r.experiment == "two-contacts":
+        told.append(
+            f"{r.experiment}, {r.condition}, closest contact and obstacle paired first (that pair "
+            f"/ the other): its method {r.here.nearest:.2f} / {r.here.other:.2f} cm, ours "
+            f"{r.ours.nearest:.2f} / {r.ours.other:.2f}"
+        )
+    if r.perfect > r.allowed(False):
+        told.append(
+            f"{r.experiment}, {r.condition}: |a - x of the obstacle| of a perfect arc is "
+            f"{r.perfect:.2f} cm, for a bent robot's arc is longer than its x"
+        )
+    return told
 
 
 _FIGURES = {
