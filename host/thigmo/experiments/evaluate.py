@@ -109,7 +109,7 @@ def _answers(solved: Sequence[Solved]) -> Table:
         for one in solved
         for method, answer in one.answers.items()
     ]
-    return Table("trials", columns, lines)
+    return Table("answers", columns, lines)
 
 
 def save(results: Results, name: str, folder: Path) -> None:

@@ -49,7 +49,10 @@ def _errors(result: ExplorationResult) -> tuple[float, float]:
 
 
 def _thesis_solver(result: ExplorationResult) -> float:
-    """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm."""
+    """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm.
+
+    Stages with fewer readings than the thesis's solver needs are passed over, as the thesis does.
+    """
     truth = result.document.truth
     config: RobotConfig = RunFolder(result.folder).read_config()
     table = SensorTable.of(config)
@@ -59,11 +62,13 @@ def _thesis_solver(result: ExplorationResult) -> float:
             if peak is None or truth is None or not truth.pegs:
                 continue
             use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+            if use.sum() < thesis.LEAST_READINGS:
+                continue
             arcs, _ = BASELINES["alternating"](
                 Problem(
                     peak.curvature[use] - peak.free_curvature,
                     table.center_cm[use],
-                    table.span_cm[use],
+                    np.zeros(int(use.sum())),
                     peak.length_cm,
                 )
             )
@@ -143,7 +148,12 @@ def figure(runs: list[Run]) -> Figure:
         )
     told = thesis.published("exploration", "obstacle at the farthest place").mean_cm
     axis.axhline(told, color="gray", linestyle="--", label=f"thesis, one run: {told} cm")
-    axis.set(xlabel="robot time (s)", ylabel="|x error| (cm)", xlim=(0, None), ylim=(0, None))
+    axis.set(
+        xlabel="robot time (s)",
+        ylabel="|x error| of the mapped contact (cm)",
+        xlim=(0, None),
+        ylim=(0, None),
+    )
     axis.grid(alpha=0.2)
     axis.legend(fontsize=8)
     axis.set_title(f"Exploration of the default room, {len(runs)} seeds")
@@ -160,32 +170,32 @@ def stages(seed: int) -> Figure:
     shown = [stage for stage in found.stages if stage.shapes]
     columns = 3
     rows = -(-len(shown) // columns)
-    picture = Figure(figsize=(4.2 * columns, 3.9 * rows), layout="constrained")
+    picture = Figure(figsize=(3.6 * columns, 4.2 * rows), layout="constrained")
     axes = np.atleast_2d(picture.subplots(rows, columns, sharex=True, sharey=True)).ravel()
     for axis in axes[len(shown) :]:
         axis.axis("off")
     for letter, axis, stage in zip("abcdefghij", axes, shown, strict=False):
-        for shape in stage.shapes:
-            x, y, _ = np.array(shape.poses).T
-            color = "tab:blue" if shape.side == "left" else "tab:orange"
-            label = f"{shape.side} muscle, {shape.pressure_psi:.0f} psi"
-            axis.plot(x, y, color=color, linewidth=3, alpha=0.7, label=label)
+        for side, color in (("left", "tab:blue"), ("right", "tab:orange")):
+            shapes = [shape for shape in stage.shapes if shape.side == side]
+            for number, shape in enumerate(shapes):
+                x, y, _ = np.array(shape.poses).T
+                label = f"{side} muscle, 0 to 18 psi" if number == 0 else None
+                axis.plot(x, y, color=color, linewidth=1, label=label)
         for number, peg in enumerate(found.truth.pegs if found.truth else ()):
             circle = Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k")
             circle.set_label("dowel" if number == 0 else "")
             axis.add_patch(circle)
-        felt = bool(stage.triggers)
-        for contact in found.contacts:
-            if felt and contact.everted_length_cm == stage.everted_length_cm:
-                axis.plot(
-                    contact.x_cm, contact.y_cm, "rx", markersize=10, markeredgewidth=2,
-                    label="contact, localized",
-                )  # fmt: skip
+        felt = [c for c in found.contacts if c.everted_length_cm == stage.everted_length_cm]
+        for contact in felt:
+            axis.plot(
+                contact.x_cm, contact.y_cm, "rx", markersize=9, markeredgewidth=2,
+                label="contact, localized",
+            )  # fmt: skip
         title = f"({letter}) {stage.everted_length_cm:.0f} cm out"
-        axis.set_title(title + (", contact felt" if felt else ""), fontsize=10)
+        axis.set_title(title + (", contact" if felt else ""), fontsize=10)
         axis.set(aspect="equal", xlabel="x (cm)", ylabel="y (cm)")
         axis.grid(alpha=0.2)
-        axis.legend(fontsize=7, loc="lower left")
+    axes[len(shown) - 1].legend(fontsize=7, loc="lower left")
     error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
     picture.suptitle(
         f"Exploring with an obstacle at an unknown place (thesis, figure 3.9); |x error| {error}"

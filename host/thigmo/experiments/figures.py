@@ -68,7 +68,7 @@ def _compare(axis: Axes, groups: Groups, contact: int) -> None:
                 label="Cramer-Rao bound (mean absolute error)" if first else None,
             )
     axis.set_xticks(range(len(groups)), [name for name, _ in groups])
-    axis.set(ylabel="|x error| in the workspace (cm)", ylim=(0, None))
+    axis.set(ylabel="|x error| in the workspace (cm)")
     axis.grid(axis="y", alpha=0.2)
 
 
@@ -125,6 +125,7 @@ def _levels(solved: Sequence[Solved], rows: Sequence[Row]) -> Figure:
         axis.axhline(mean, color="gray", linestyle="--", label="thesis, mean over places")
         axis.set_title(f"{condition} (thesis {mean} +- {told.thesis_std} cm)", fontsize=10)
         axis.set_xlabel("where the dowel stands")
+        axis.set_ylim(bottom=0)
         axis.legend(fontsize=7)
     return figure
 
@@ -225,6 +226,7 @@ def two_contacts(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Fig
         axis.set_title(f"{name} contact")
         axis.set_xlabel("separation (cm)")
         axis.legend(fontsize=7)
+    errors.axes[0].set_ylim(bottom=0)
     errors.suptitle("Two opposed contacts, ordered along the arc (thesis, figure 3.5c)")
     fits = Figure(figsize=(7, 4.2), layout="constrained")
     axis = fits.subplots()

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 _TALL = 1.0  # between states
 _HALF_WIDTH = 2.1
+_HALF_TALL = 0.27
 _LANE = 1.15  # between arrows beside the column
 _INK = ("0.15", "tab:blue", "tab:red", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
 
@@ -23,6 +24,7 @@ def figure() -> Figure:
     lanes at its left.
     """
     from matplotlib.figure import Figure
+    from matplotlib.patches import FancyBboxPatch
 
     order = list(State)
     at = {state: -_TALL * number for number, state in enumerate(order)}
@@ -32,10 +34,13 @@ def figure() -> Figure:
     picture = Figure(figsize=(12.5, 14), layout="constrained")
     axis = picture.subplots()
     for state in order:
-        axis.text(
-            0.0, at[state], state.value, ha="center", va="center", fontsize=9, zorder=3,
-            bbox={"boxstyle": "round,pad=0.45", "facecolor": "#eef3fa", "edgecolor": "0.3"},
+        axis.add_patch(
+            FancyBboxPatch(
+                (-_HALF_WIDTH, at[state] - _HALF_TALL), 2 * _HALF_WIDTH, 2 * _HALF_TALL,
+                boxstyle="round,pad=0,rounding_size=0.12", facecolor="#eef3fa", edgecolor="0.3",
+            )
         )  # fmt: skip
+        axis.text(0.0, at[state], state.value, ha="center", va="center", fontsize=9, zorder=3)
     lanes = {1: _lanes(order, outcomes, down=True), -1: _lanes(order, outcomes, down=False)}
     arrow = {"arrowstyle": "-|>", "color": "0.15", "shrinkA": 0, "shrinkB": 0}
     for number, (pair, words) in enumerate(outcomes.items()):
@@ -44,7 +49,7 @@ def figure() -> Figure:
         color = _INK[number % len(_INK)]
         if order.index(target) - order.index(source) == 1:
             axis.annotate(
-                "", (0.0, at[target] + 0.27), (0.0, at[source] - 0.27),
+                "", (0.0, at[target] + _HALF_TALL), (0.0, at[source] - _HALF_TALL),
                 arrowprops={**arrow, "color": color},
             )  # fmt: skip
             axis.text(0.1, at[source] - _TALL / 2, text, fontsize=8, va="center", color=color)
@@ -59,8 +64,8 @@ def figure() -> Figure:
             "", (side * _HALF_WIDTH, end), (lane, end), arrowprops={**arrow, "color": color}
         )
         axis.text(
-            lane + side * 0.08, (begin + end) / 2, text, fontsize=8, color=color, va="center",
-            ha="center", rotation=90 if source != target else 0,
+            lane, (begin + end) / 2, text, fontsize=8, color=color, va="center",
+            ha="center" if source != target else "right", rotation=90 if source != target else 0,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
         )  # fmt: skip
     reach = [max(lane.values(), default=0) + 2 for lane in (lanes[-1], lanes[1])]

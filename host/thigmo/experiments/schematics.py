@@ -26,7 +26,7 @@ _COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:
 
 def single_contact() -> Figure:
     """Where one contact presses, high force and low (figure 3.2a)."""
-    figure, axes = _panels(2, "Single contact, unactuated (thesis, figure 3.2a)")
+    figure, axes = _panels(2, "Single contact, unactuated (thesis, figure 3.2a)", 3.4)
     for axis, level in zip(axes, thesis.LEVELS, strict=True):
         high = level == thesis.LEVELS[0]
         moment = thesis.CRITICAL * (1.0 if high else thesis.LOW_LEVEL)
@@ -40,25 +40,30 @@ def single_contact() -> Figure:
 
 def fold() -> Figure:
     """At the critical moment, and beyond it: only the fold's angle grows (figure 3.4)."""
-    figure, axes = _panels(1, "Tip force at the base's critical moment (thesis, figure 3.4)")
+    figure, axes = _panels(
+        1, "Tip force at the critical moment of the base (thesis, figure 3.4)", 5.2
+    )
     force = thesis.CRITICAL / thesis.LENGTH_CM
     angle = frozen().fold_rad
     for color, factor in zip(_COLORS, (0.0, 1.0, 3.0), strict=False):
         label = f"fold {np.degrees(factor * angle):.1f} degrees"
         body = _pushed((thesis.LENGTH_CM,), (force,), factor * angle)
         _body(axes[0], body, color, label)
-    axes[0].set_title(f"base curvature stays at {thesis.CRITICAL} 1/cm; the fold turns the rest")
+    axes[0].set_title(
+        f"base curvature stays at {thesis.CRITICAL} 1/cm; the fold turns the rest", fontsize=9
+    )
     axes[0].legend(fontsize=8, loc="upper left")
     return figure
 
 
 def two_contacts() -> Figure:
     """Two opposed contacts, the distal one at the tip (figure 3.5a)."""
-    figure, axes = _panels(1, "Two opposed contacts (thesis, figure 3.5a)")
+    figure, axes = _panels(1, "Two opposed contacts (thesis, figure 3.5a)", 2.9)
     for color, gap in zip(_COLORS, thesis.GAPS_CM, strict=True):
         arcs = (thesis.LENGTH_CM - gap, thesis.LENGTH_CM)
         _body(axes[0], _pushed(arcs, opposed_forces(gap, 1.0), 0.0), color, f"{gap:g} cm apart")
-    axes[0].legend(fontsize=8, ncols=2)
+    axes[0].set_ylim(-7, 14)
+    axes[0].legend(fontsize=8, ncols=3, loc="upper left")
     return figure
 
 
@@ -87,10 +92,10 @@ def _pushed(arcs: Sequence[float], forces: Sequence[float], fold_rad: float) -> 
     )
 
 
-def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
+def _panels(count: int, title: str, height: float = 4.2) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.0 * count + 1.5, 4.2), layout="constrained")
+    figure = Figure(figsize=(5.0 * count + 1.5, height), layout="constrained")
     axes = list(np.atleast_1d(figure.subplots(1, count, sharey=True)))
     for axis in axes:
         axis.set(xlabel="x (cm)", aspect="equal")

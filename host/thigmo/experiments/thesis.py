@@ -27,6 +27,7 @@ SINGLE_ARCS_CM = (LENGTH_CM, 0.75 * LENGTH_CM, 0.5 * LENGTH_CM)
 LOW_LEVEL = 0.35
 GAPS_CM = (39.0, 34.0, 29.0, 23.5, 18.5, 13.0)
 DISCRIMINATION_CM = 23.5
+LEAST_READINGS = 5  # that its solver needs
 TOUCH_PSI = 6.0
 ACTUATED_PSI = {"high force (14 psi)": 14.0, "low force (10 psi)": 10.0}
 SEPARATIONS = ("23.5 cm or more apart", "closer than 23.5 cm")

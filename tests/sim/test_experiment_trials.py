@@ -1,0 +1,221 @@
+"""The thesis's trials with a robot: taken on the emulator, kept through every end, evaluated again.
+
+Prompts are answered through a pseudo-terminal, as an operator does.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import pty
+import select
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thigmo.errors import DataError
+from thigmo.experiments.attendant import EmulatedAttendant, Verdict
+from thigmo.experiments.evaluate import evaluate
+from thigmo.experiments.procedure import Planned, plan
+from thigmo.experiments.recorded import TrialFolder, run_trials
+from thigmo.record.log import read_log
+from thigmo.robot import Robot, connect
+
+pytestmark = pytest.mark.timeout(300)
+
+_PATIENCE_S = 100.0  # of a test, with a command that compiles
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> str:
+    """The default robot, fully out, its sensors rested: growth is tested elsewhere."""
+    path = tmp_path / "out.toml"
+    path.write_text('extends = "default"\nstart_length_cm = 53.0\npegs = []\n')
+    return f"emulator://{path}"
+
+
+class Stops(EmulatedAttendant):
+    """Answers with the given verdicts, then stops."""
+
+    def __init__(self, robot: Robot, *verdicts: Verdict) -> None:
+        super().__init__(robot)
+        self.verdicts = list(verdicts)
+
+    def verdict(self, trial: Planned, summary: str) -> Verdict:
+        return self.verdicts.pop(0) if self.verdicts else "quit"
+
+
+def taken(folder: Path) -> list[dict[str, str]]:
+    with (folder / "trials.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_trials_are_taken_where_they_were_planned_and_evaluated(scene: str, tmp_path: Path) -> None:
+    errors = {}
+    for experiment in ("single-contact", "two-contacts", "actuated"):
+        with connect(scene, seed=1) as robot:
+            assert robot.known_config is not None
+            folder = TrialFolder(tmp_path / experiment, robot.known_config)
+            assert run_trials(robot, EmulatedAttendant(robot), folder, experiment, 1)
+            assert robot.status().left_psi < 0.5
+        planned = plan(experiment, folder.config, 1)
+        rows = taken(folder.path)
+        assert [row["key"] for row in rows] == [trial.key for trial in planned]
+        for trial, row in zip(planned, rows, strict=True):
+            arcs = [float(arc) for arc in row["true_arcs_cm"].split(";")]
+            assert arcs == pytest.approx(trial.arcs_cm, abs=1.6)
+            forces = [float(force) for force in row["true_forces"].split(";")]
+            assert np.sign(forces[-1]) <= 0  # the first of each is on the left side
+        # Without the truth: what a lab has.
+        results = evaluate(experiment, TrialFolder(folder.path).trials())
+        errors[experiment] = {row.condition: row for row in results.rows}
+        assert all(row.trials == len(planned) / 2 or row.trials in (4, 2) for row in results.rows)
+        notes = read_log(folder.path / "run-1.mcap").notes
+        assert [note["key"] for _, note in notes] == [trial.key for trial in planned]
+    assert errors["single-contact"]["high force"].ours.workspace < 3.0
+    assert errors["two-contacts"]["closer than 23.5 cm"].ours.workspace < 3.0
+
+
+def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
+    scene: str, tmp_path: Path
+) -> None:
+    with connect(scene, seed=1) as robot:
+        assert robot.known_config is not None
+        folder = TrialFolder(tmp_path / "one", robot.known_config)
+        attendant = Stops(robot, "keep", "redo", "skip")
+        assert not run_trials(robot, attendant, folder, "single-contact", 1)
+    assert [row["state"] for row in taken(folder.path)] == ["kept", "skipped"]
+    assert len(folder.trials()) == 1
+    # As a kill in the middle of a write leaves it.
+    with (folder.path / "trials.csv").open("a") as file:
+        file.write("high force | L/2 | 1,single")
+    with connect(scene, seed=2) as robot:
+        said: list[str] = []
+        again = TrialFolder(folder.path, folder.config)
+        attendant = EmulatedAttendant(robot)
+        assert run_trials(robot, attendant, again, "single-contact", 1, said.append)
+    assert said[0] == "single-contact: 2 of 6 trials are there"
+    assert [row["state"] for row in taken(folder.path)].count("kept") == 5
+    assert len({row["key"] for row in taken(folder.path)}) == 6
+    assert (folder.path / "run-2.mcap").exists()
+
+
+def test_another_robot_may_not_add_to_a_folder(scene: str, tmp_path: Path) -> None:
+    with connect(scene, seed=1) as robot:
+        assert robot.known_config is not None
+        folder = TrialFolder(tmp_path / "one", robot.known_config)
+        assert not run_trials(robot, Stops(robot, "keep"), folder, "single-contact", 1)
+    other = folder.config.model_copy(deep=True)
+    other.body.critical_curvature = 0.02
+    with pytest.raises(DataError, match="another robot"):
+        TrialFolder(folder.path, other)
+
+
+class Terminal:
+    """A command on a pseudo-terminal: wait for a prompt, then answer it."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._master, slave = pty.openpty()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "thigmo", *arguments],
+            stdin=slave, stdout=slave, stderr=slave, start_new_session=True,
+            preexec_fn=_take_terminal, env={**os.environ, "COLUMNS": "400", "TERM": "dumb"},
+        )  # fmt: skip
+        os.close(slave)
+        self.seen = ""
+        self._told = 0
+
+    def wait_for(self, text: str) -> None:
+        """Read until the text comes, after what was waited for before."""
+        while (at := self.seen.find(text, self._told)) < 0:
+            if not self._read():
+                raise AssertionError(f"ended before {text!r}:\n{self.seen[-3000:]}")
+        self._told = at + len(text)
+
+    def answer(self, text: str, prompt: str) -> None:
+        """Wait for a prompt and type."""
+        self.wait_for(prompt)
+        os.write(self._master, f"{text}\n".encode())
+
+    def interrupt(self, prompt: str) -> None:
+        """Wait for a prompt and press Ctrl-C."""
+        self.wait_for(prompt)
+        os.write(self._master, b"\x03")
+
+    def end(self) -> int:
+        """Read to the end; the exit status."""
+        while self._read():
+            pass
+        os.close(self._master)
+        return self.process.wait()
+
+    def _read(self) -> bool:
+        if not select.select([self._master], [], [], _PATIENCE_S)[0]:
+            raise AssertionError(f"silent after:\n{self.seen[-3000:]}")
+        try:
+            data = os.read(self._master, 65536)
+        except OSError:  # the other end is closed
+            return False
+        self.seen += data.decode(errors="replace")
+        return bool(data)
+
+
+def _take_terminal() -> None:
+    """Make the pseudo-terminal the controlling one, so that Ctrl-C reaches the command."""
+    import fcntl
+    import termios
+
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+def command(scene: str, out: Path) -> tuple[str, ...]:
+    return (
+        "experiment", "actuated", "--robot", scene, "--rehearse", "--trials", "1",
+        "--out", str(out),
+    )  # fmt: skip
+
+
+def test_the_prompts_lead_an_operator_through_trials(scene: str, tmp_path: Path) -> None:
+    clear, touch, place, keep = "lay the robot straight", "just touches", "centre by", "= keep"
+    terminal = Terminal(*command(scene, tmp_path))
+    terminal.answer("", clear)
+    terminal.wait_for("high force (14 psi), L, trial 1")
+    terminal.answer("", touch)
+    terminal.answer("somewhere", place)
+    terminal.answer("", "Give two numbers")  # takes what the camera sees
+    terminal.answer("r", keep)
+    terminal.answer("", clear)
+    terminal.answer("", touch)
+    terminal.answer("43.0, 24.5", place)
+    terminal.answer("", keep)
+    terminal.answer("", clear)
+    terminal.wait_for("3L/4, trial 1")
+    terminal.answer("", touch)
+    terminal.answer("", place)
+    terminal.answer("s", keep)
+    terminal.answer("", clear)
+    terminal.answer("", touch)
+    terminal.answer("", place)
+    terminal.answer("q", keep)
+    terminal.wait_for("the same command goes on")
+    assert terminal.end() == 0
+    rows = taken(tmp_path / "actuated")
+    assert [row["state"] for row in rows] == ["kept", "skipped"]
+    assert (rows[0]["dowel_x_cm"], rows[0]["dowel_y_cm"]) == ("43", "24.5")
+    assert (tmp_path / "actuated" / "actuated-rows.csv").exists()
+
+
+def test_ctrl_c_keeps_what_was_measured(scene: str, tmp_path: Path) -> None:
+    terminal = Terminal(*command(scene, tmp_path))
+    terminal.answer("", "lay the robot straight")
+    terminal.answer("", "just touches")
+    terminal.answer("", "centre by")
+    terminal.answer("", "= keep")
+    terminal.interrupt("lay the robot straight")
+    assert terminal.end() == 130
+    assert "1 trials are in" in terminal.seen
+    assert "vented and braked" in terminal.seen
+    assert len(taken(tmp_path / "actuated")) == 1
