@@ -199,7 +199,7 @@ def _surface(solved: Sequence[Solved]) -> Figure:
     axis.axvline(trial.arcs_cm[0], color="r", linewidth=1, label="true contact")
     axis.axvline(answer.arcs_cm[0], color=_THEIRS, linewidth=1, label="thesis's method, here")
     axis.set(xlabel="arc of the contact (cm)", ylabel="base moment f a (1/cm)")
-    axis.legend(fontsize=8, labelcolor="white", facecolor="0.25")
+    axis.legend(fontsize=8, labelcolor="white", facecolor="0.25", loc="upper right")
     axis.set_title(
         f"Residuals over place and force, {trial.condition} at {trial.place} (thesis, figure 2.7)",
         fontsize=10,
