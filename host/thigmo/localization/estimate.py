@@ -405,7 +405,7 @@ def _contacts(
         modes = len(pieces)
         if len(fit.arcs) == 1:
             # The end is a place of its own: no second mode, if the interval reaches it.
-            modes = int(np.count_nonzero(pieces[:, 0] < 1.0 - 1.01 * prior.CORNER_WIDTH))
+            modes = sum(near < 1.0 - 1.01 * prior.CORNER_WIDTH for near in pieces[:, 0].tolist())
         if modes > 1 or high - low > options.width or _open(readings, fit, options):
             own = "ambiguous"
         out.append(
@@ -414,7 +414,7 @@ def _contacts(
                 float(force) / scale**2,
                 (float(low) * scale, float(high) * scale),
                 status or own,
-                tuple((float(p[0]) * scale, float(p[1]) * scale) for p in pieces),
+                tuple((near * scale, far * scale) for near, far, _ in pieces.tolist()),
                 fit.deviation / scale**2,
                 None if fit.end is None else fit.end.offset * scale,
             )
@@ -472,7 +472,8 @@ def _answer(
         np.exp(fit.logp) / scale,
         tuple(int(i) for i in readings.index[fit.flagged]) if fit.flagged.any() else (),
         _parameters(readings, fit) if contacts else {},
-        _bend(readings, fit) if contacts else np.zeros((0, 2)),
+        partial(_bend, readings, fit) if contacts else None,
+        None,
         partial(solve, count=len(contacts)),
     )
 

@@ -342,6 +342,8 @@ def same_side(fit: Fit, readings: Readings) -> float:
 
 def precision(fit: Fit, readings: Readings) -> Array:
     """(N,) of the readings under a fit, its outliers widened."""
+    if readings.known and not fit.flagged.any():
+        return 1.0 / readings.variance
     level = 1.0 if readings.known else fit.noise**2 / readings.variance.mean()
     variance = readings.variance * level
     out: Array = 1.0 / np.where(fit.flagged, prior.OUTLIER_VARIANCE * variance, variance)

@@ -55,8 +55,6 @@ class LocalizeResult:
         density: (M,) posterior density at them (1/length).
         outliers: indices of readings taken for outliers.
         parameters: further parameters of the model, e.g. `fold_angle` or `tip_moment`.
-        bend: (K, 2) arc, and curvature above the free one that the contacts cause there, without
-            the fold: the body's shape under the model.
     """
 
     status: Status
@@ -69,7 +67,8 @@ class LocalizeResult:
     density: Array
     outliers: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
-    bend: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    _shape: Callable[[], Array] | None = None
+    _bend: Array | None = None
     _solve: Callable[[], tuple[float, tuple[tuple[Range, ...], ...]]] | None = None
     _solved: tuple[float, tuple[tuple[Range, ...], ...]] | None = None
 
@@ -77,6 +76,15 @@ class LocalizeResult:
         if self._solved is None:
             self._solved = self._solve() if self._solve is not None else (0.0, ())
         return self._solved
+
+    @property
+    def bend(self) -> Array:
+        """(K, 2) arc, and curvature above the free one that the contacts cause there, without the
+        fold: the body's shape under the model; (0, 2) where nothing was found.
+        """
+        if self._bend is None:
+            self._bend = np.zeros((0, 2)) if self._shape is None else self._shape()
+        return self._bend
 
     @property
     def objective(self) -> float:
