@@ -79,6 +79,26 @@ def test_trials_are_taken_where_they_were_planned_and_evaluated(scene: str, tmp_
     assert errors["two-contacts"]["closer than 23.5 cm"].ours.workspace < 3.0
 
 
+def test_a_lab_without_the_truth_gets_the_same_table(scene: str, tmp_path: Path) -> None:
+    with connect(scene, seed=1) as robot:
+        assert robot.known_config is not None
+        folder = TrialFolder(tmp_path / "one", robot.known_config)
+        assert run_trials(robot, EmulatedAttendant(robot), folder, "single-contact", 1)
+    known = evaluate("single-contact", folder.trials()).rows
+    rows = taken(folder.path)
+    with (folder.path / "trials.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        hidden = ("true_arcs_cm", "true_forces", "true_contact_x_cm")
+        writer.writerows({k: "" if k in hidden else v for k, v in row.items()} for row in rows)
+    blind = evaluate("single-contact", folder.trials()).rows
+    for with_truth, without in zip(known, blind, strict=True):
+        assert without.ours.mean == pytest.approx(with_truth.ours.mean)
+        # The dowel's place instead of the contact point's.
+        assert without.ours.workspace == pytest.approx(with_truth.ours.workspace, abs=0.3)
+        assert np.isfinite(without.allowed(workspace=True))
+
+
 def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
     scene: str, tmp_path: Path
 ) -> None:

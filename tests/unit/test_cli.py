@@ -133,6 +133,12 @@ def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
         (["params", "emulator://default", "no_such_parameter"], "no_such_parameter"),
         (["retract", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["emulate", "no-such-scene"], "no-such-scene"),
+        (["experiment", "magic"], "no experiment 'magic'"),
+        (["experiment", "single-contact", "--trials", "0"], "--trials"),
+        (["experiment", "actuated", "--rehearse"], "need a robot"),
+        (["experiment", "actuated", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
+        (["experiment", "sensitivity", "--robot", "emulator://default"], "not taken trial by"),
+        (["experiment", "single-contact", "--recorded", "empty"], "robot.toml"),
     ],
 )
 def test_every_bad_argument_is_one_clear_line(  # type: ignore[no-untyped-def]

@@ -217,6 +217,8 @@ class Row:
     Attributes:
         perfect: the thesis's measure of a perfect arc: the foreshortening that it contains.
         bound: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
+        unbounded: number of contacts for which it is not: a force on the face of the tip has no
+            lever that a place could be read from.
         ambiguous: number of our answers that say so.
     """
 
@@ -229,6 +231,7 @@ class Row:
     ours: Errors
     perfect: float
     bound: float
+    unbounded: int
     ambiguous: int
 
     def allowed(self, workspace: bool) -> float:
@@ -263,6 +266,7 @@ class Row:
             "here_workspace_mean": self.here.workspace,
             "ours_workspace_mean": self.ours.workspace,
             "bound_mean": self.bound,
+            "unbounded": self.unbounded,
             "ambiguous": self.ambiguous,
             "allowed": self.allowed(True),
             "beaten": self.beaten(True),
@@ -285,6 +289,7 @@ def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) ->
         errors(solved, OURS),
         float(np.concatenate(perfect).mean()),
         float(finite.mean()) if finite.size else float("inf"),
+        int(bounds.size - finite.size),
         sum(one.answers[OURS].status == "ambiguous" for one in solved),
     )
 

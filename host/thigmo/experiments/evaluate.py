@@ -75,6 +75,11 @@ def _remarks(r: Row) -> list[str]:
             f"/ the other): its method {r.here.nearest:.2f} / {r.here.other:.2f} cm, ours "
             f"{r.ours.nearest:.2f} / {r.ours.other:.2f}"
         )
+    if r.unbounded:
+        told.append(
+            f"{r.experiment}, {r.condition}: no finite bound for {r.unbounded} contacts, which its "
+            "mean leaves out"
+        )
     if r.perfect > r.allowed(False):
         told.append(
             f"{r.experiment}, {r.condition}: |a - x of the obstacle| of a perfect arc is "
