@@ -138,6 +138,7 @@ SOURCES: dict[str, Source] = {
             "exploration": {},
             "plant-models": {},
             "camera": {},
+            "trigger": {"trigger-chart.png": "trigger.png"},
         }.items()
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),

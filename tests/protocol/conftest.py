@@ -40,7 +40,10 @@ SIMULATED = {"virtual": virtual_board, "mega-sim": simulated_mega}
 @pytest.fixture(scope="module")
 def desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
     make = SIMULATED.get(request.param)
-    desk = Desk(request.param, make() if make else None)
+    try:
+        desk = Desk(request.param, make() if make else None)
+    except PortError as error:  # one line, not a traceback for each test
+        pytest.exit(f"--robot: {error}", returncode=pytest.ExitCode.USAGE_ERROR)
     yield desk
     desk.put_back()
     desk.transport.close()

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xFB4237FEu;
+constexpr uint32_t kSchemaHash = 0x46461430u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -1179,29 +1179,30 @@ enum class Param : uint16_t {
       64,  // Pressure change over which the inflate map turns into the deflate map. (0.01 psi) [2]
   kTriggerE5 = 66,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back,
                     // or a vented one pushed. (1e-5/cm)
-  kTriggerDebounceMs =
-      67,  // The threshold must be passed for so long, counted in samples of 1 ms. (ms)
-  kTriggerFilterLog2 =
-      68,  // Samples of 1 ms averaged in the trigger's base reading, as a power of two.
-  kPeakSpacingMs = 69,     // Between the ten readings around a sweep's peak. (ms)
-  kFullLengthUm = 70,      // Deployable length. (um)
-  kPitchUm = 71,           // Sensor pitch. (um)
-  kCountsPerM = 72,        // Encoder counts per metre of line. (count/m)
-  kPayoutQ8 = 73,          // Line paid out per length grown (base-fed eversion: 2). (1/256)
-  kSpoolSpeedUmS = 74,     // Tip speed of growth. (um/s)
-  kSpoolAccelUmS2 = 75,    // Acceleration of the trapezoid profile. (um/s2)
-  kSpoolKp = 76,           // Position gain. (1/256 duty per count)
-  kSpoolKi = 77,           // Integral gain. (1/256 duty per count s)
-  kSpoolKd = 78,           // Derivative gain. (1/256 duty s per count)
-  kSpoolKff = 79,          // Feed-forward of speed. (1/256 duty s per count)
-  kSpoolDeadZone = 80,     // Duty at which the motor begins to turn. (1/800 of full)
-  kSpoolToleranceUm = 81,  // At the target within this. (um)
-  kStallMs = 82,           // Driven and still for so long is a stall. (ms)
-  kSlipUm = 83,            // Movement with the motor off that is a slip. (um)
-  kHomeSpeedUmS = 84,      // Tip speed of homing. (um/s)
-  kHeartbeatMs = 85,       // Host silence, with an output energised, that is a fault. (ms)
-  kSupplyMinMv = 86,       // Supply below this is a brown-out. (mV)
-  kTelemetryMs = 87,       // Telemetry period; 0 = off. (ms)
+  kTriggerDebounceMs = 67,  // The threshold must be passed for so long, counted in samples of 1 ms.
+                            // Default: see trigger_filter_log2. (ms)
+  kTriggerFilterLog2 = 68,  // Samples of 1 ms averaged in the trigger's base reading, as a power of
+                            // two. Default: the fastest with at most 1 false alarm in 100 empty
+                            // sweeps at twice the noise (`thigmo bench trigger`).
+  kPeakSpacingMs = 69,      // Between the ten readings around a sweep's peak. (ms)
+  kFullLengthUm = 70,       // Deployable length. (um)
+  kPitchUm = 71,            // Sensor pitch. (um)
+  kCountsPerM = 72,         // Encoder counts per metre of line. (count/m)
+  kPayoutQ8 = 73,           // Line paid out per length grown (base-fed eversion: 2). (1/256)
+  kSpoolSpeedUmS = 74,      // Tip speed of growth. (um/s)
+  kSpoolAccelUmS2 = 75,     // Acceleration of the trapezoid profile. (um/s2)
+  kSpoolKp = 76,            // Position gain. (1/256 duty per count)
+  kSpoolKi = 77,            // Integral gain. (1/256 duty per count s)
+  kSpoolKd = 78,            // Derivative gain. (1/256 duty s per count)
+  kSpoolKff = 79,           // Feed-forward of speed. (1/256 duty s per count)
+  kSpoolDeadZone = 80,      // Duty at which the motor begins to turn. (1/800 of full)
+  kSpoolToleranceUm = 81,   // At the target within this. (um)
+  kStallMs = 82,            // Driven and still for so long is a stall. (ms)
+  kSlipUm = 83,             // Movement with the motor off that is a slip. (um)
+  kHomeSpeedUmS = 84,       // Tip speed of homing. (um/s)
+  kHeartbeatMs = 85,        // Host silence, with an output energised, that is a fault. (ms)
+  kSupplyMinMv = 86,        // Supply below this is a brown-out. (mV)
+  kTelemetryMs = 87,        // Telemetry period; 0 = off. (ms)
 };
 constexpr uint16_t kParamCount = 88;
 struct ParamRow {
@@ -1275,7 +1276,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {1, 1000, 100},              // reversal_cpsi
     {1, 1000, 100},              // reversal_cpsi
     {10, 10000, 500},            // trigger_e5
-    {1, 1000, 3},                // trigger_debounce_ms
+    {1, 1000, 6},                // trigger_debounce_ms
     {0, 8, 4},                   // trigger_filter_log2
     {5, 1000, 50},               // peak_spacing_ms
     {10000, 5000000, 530000},    // full_length_um

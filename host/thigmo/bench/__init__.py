@@ -17,6 +17,7 @@ STUDIES: dict[str, str] = {
     "scaling": "time over sensors, contacts and batch size",
     "camera": "errors of the overhead camera over painted rooms",
     "exploration": "random pegs found, empty rooms silent, over noise",
+    "trigger": "contact trigger's latency against its false alarms",
     "plant-models": "time against error of the plant's mechanics",
 }
 

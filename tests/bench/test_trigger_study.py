@@ -1,0 +1,85 @@
+"""The trigger's study measures the firmware's trigger, and its rule chooses what it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thigmo.bench.trigger import (
+    THRESHOLD,
+    chosen,
+    default_setting,
+    quantile,
+    room,
+    settings,
+)
+from thigmo.bench.trigger_sessions import (
+    Session,
+    Setting,
+    false_alarms,
+    halves_of,
+    latencies,
+    record,
+    replay,
+)
+
+FAST, SLOW = Setting(0, 1, 500), Setting(6, 12, 500)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Session:
+    return record(room("white", 2.0), 1, halves_of([0, 1, 0, 1]), threshold=THRESHOLD)
+
+
+def test_noise_alarms_a_trigger_of_single_samples_and_not_one_that_averages(noisy: Session) -> None:
+    assert false_alarms(noisy, replay(noisy, FAST)) == 4
+    assert false_alarms(noisy, replay(noisy, SLOW)) == 0
+
+
+def test_a_replay_repeats_itself(noisy: Session) -> None:
+    setting = Setting(2, 3, 500)
+    first = replay(noisy, setting)
+    assert len(first)
+    assert first.tolist() == replay(noisy, setting).tolist()
+
+
+@pytest.mark.parametrize("setting", [Setting(0, 3, 500), Setting(4, 6, 500), Setting(6, 1, 500)])
+def test_a_step_of_two_thresholds_takes_half_the_window_and_the_debounce(setting: Setting) -> None:
+    quiet = room("white", 0.0)
+    session = record(
+        quiet, 1, halves_of([0, 1], [2000, 2500]), step=2 * THRESHOLD, threshold=THRESHOLD
+    )
+    half_window = 2**setting.filter_log2 / 2
+    # The free body's own error (lag, map) stands beside the step: a tenth of the threshold.
+    assert latencies(session, replay(session, setting)) == pytest.approx(
+        half_window + setting.debounce_ms, abs=1 + 0.25 * half_window
+    )
+
+
+def test_a_step_below_the_threshold_is_not_reported() -> None:
+    session = record(
+        room("white", 0.0), 1, halves_of([0], [2000]), step=0.5 * THRESHOLD, threshold=THRESHOLD
+    )
+    assert latencies(session, replay(session, default_setting())).tolist() == [np.inf]
+
+
+def test_the_rule_takes_the_shortest_latency_of_what_is_allowed() -> None:
+    #        too many alarms, late at pegs, as early but slow to steps, chosen
+    alarms = [3.0, 0.0, 0.5, 1.0]
+    pegs = [10.0, 90.0, 40.0, 49.0]
+    steps = [5.0, 8.0, 20.0, 18.0]
+    assert chosen(alarms, steps, pegs) == 3
+    assert chosen(alarms, steps, [10.0, 90.0, 40.0, 51.0]) == 2
+
+
+def test_a_missed_contact_is_infinitely_late_and_an_alarm_before_a_step_is_none() -> None:
+    values = np.array([-3.0, 4.0, 6.0, np.inf])
+    assert quantile(values, 0.5, early=False) == 6.0
+    assert quantile(values, 0.5, early=True) == 4.0
+    assert quantile(values, 0.9, early=True) == np.inf
+    assert np.isnan(quantile(np.array([-3.0]), 0.9, early=False))
+
+
+def test_the_default_is_among_the_settings_tried() -> None:
+    assert default_setting() in settings()
+    assert len(set(settings())) == len(settings())

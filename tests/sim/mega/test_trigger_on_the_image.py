@@ -1,0 +1,48 @@
+"""The trigger's study, checked on the image: the same contacts at the same microseconds."""
+
+from __future__ import annotations
+
+import pytest
+
+from thigmo.bench.scripted_host import ScriptedHost
+from thigmo.bench.trigger import THRESHOLD, default_setting, room
+from thigmo.bench.trigger_sessions import (
+    OTHERS,
+    Session,
+    Setting,
+    contacts,
+    halves_of,
+    latencies,
+    record,
+    replay,
+    with_setting,
+)
+from thigmo.emulator.mega_sim import SimulatedMega
+from thigmo.emulator.plant import STEP_MS
+
+
+@pytest.fixture(scope="module")
+def stepped() -> Session:
+    """A sweep to each side with all of the noise, and a contact of 1.5 thresholds in both."""
+    halves = halves_of([0, 1], [2000, 2500])
+    return record(room("all three", 1.0), 5, halves, step=1.5 * THRESHOLD, threshold=THRESHOLD)
+
+
+@pytest.mark.timeout(100)
+@pytest.mark.parametrize("setting", [default_setting(), Setting(2, 12, 500)])
+def test_the_image_reports_the_contacts_of_the_virtual_board_at_its_times(
+    stepped: Session, setting: Setting
+) -> None:
+    mega = SimulatedMega(stepped.seed, stepped.eeprom)
+    mega.set_analog(OTHERS)
+    mega.feed_trace(stepped.conversions)
+    mega.run_to_tick()
+    mega.step(1)
+    host = ScriptedHost(mega, with_setting(stepped.script, setting))
+    while host.t_ms < stepped.end_ms:
+        host.exchange()
+        mega.step(STEP_MS)
+    here, there = contacts(host), replay(stepped, setting)
+    assert len(here) >= 2
+    assert here.tolist() == there.tolist()
+    assert all(0 < ms < 30 for ms in latencies(stepped, here))
