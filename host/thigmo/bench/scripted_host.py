@@ -9,8 +9,8 @@ compare the virtual board with the simulated Mega.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
+from thigmo.emulator.board import Board
 from thigmo.emulator.plant import STEP_MS
 from thigmo.errors import LinkError
 from thigmo.link import protocol as wire
@@ -22,13 +22,6 @@ Script = Sequence[tuple[int, wire.Message]]
 
 
 _HELLO_MS = 50
-
-
-class Line(Protocol):
-    """The part of a board that a host sees."""
-
-    def write(self, data: bytes, /) -> None: ...
-    def read(self) -> bytes: ...
 
 
 class ScriptedHost:
@@ -44,7 +37,7 @@ class ScriptedHost:
         events: of the board, each once, in their order.
     """
 
-    def __init__(self, board: Line, script: Script, step_ms: int = STEP_MS) -> None:
+    def __init__(self, board: Board, script: Script, step_ms: int = STEP_MS) -> None:
         self.t_ms = 0
         self.step_ms = step_ms
         self.events: list[wire.Event] = []

@@ -107,12 +107,13 @@ def room(part: str, level: float) -> Scene:
     return scene
 
 
-def sweep_empty(task: Empty) -> list[int]:
-    """False alarms of each setting in a session of sweeps."""
+def sweep_empty(task: Empty) -> Floats:
+    """False alarms of each setting in a session of sweeps: (settings,)."""
     session = record(
         room(task.part, task.level), task.seed, halves_of([0, 1] * _SWEEPS), threshold=THRESHOLD
     )
-    return [false_alarms(session, replay(session, setting)) for setting in settings()]
+    counts = [false_alarms(session, replay(session, setting)) for setting in settings()]
+    return np.array(counts, dtype=np.float64)
 
 
 def touch(task: Touch) -> Floats:
@@ -134,32 +135,28 @@ def touch(task: Touch) -> Floats:
 def run(context: Context) -> Outcome:
     """False alarms, latencies, the chart of one against the other, and what the rule chooses."""
     few, many = context.count(1, 2), context.count(2, 15)
-    empties = [
+    tasks: list[Empty | Touch] = [
         Empty(part, level, seed)
         for part in PARTS
         for level in LEVELS
         for seed in range(1, 1 + (many if (part, level) == DECIDING else few))
     ]
-    touches = [
-        Touch(step, seed) for step in STEPS for seed in range(1, 1 + context.count(1, 4))
-    ] + [Touch(PEGS, seed) for seed in range(1, 1 + context.count(3, 30))]
-    found = context.map(_do, [*empties, *touches])
+    tasks += [Touch(s, seed) for s in STEPS for seed in range(1, 1 + context.count(1, 4))]
+    tasks += [Touch(PEGS, seed) for seed in range(1, 1 + context.count(3, 30))]
+    by_task = list(zip(tasks, context.map(_do, tasks), strict=True))
     alarms: dict[tuple[str, float], Floats] = {}
     for part in PARTS:
         for level in LEVELS:
             sessions = [
-                f
-                for task, f in zip(empties, found, strict=False)
-                if (task.part, task.level) == (part, level)
+                rates
+                for task, rates in by_task
+                if isinstance(task, Empty) and (task.part, task.level) == (part, level)
             ]
             alarms[part, level] = 100 * np.mean(sessions, axis=0) / _SWEEPS
-    late = {
-        step: np.concatenate(
-            [f for task, f in zip(touches, found[len(empties) :], strict=True) if task.step == step],
-            axis=1,
-        )
-        for step in (*STEPS, PEGS)
-    }
+    late = {}
+    for step in (*STEPS, PEGS):
+        touched = [ms for task, ms in by_task if isinstance(task, Touch) and task.step == step]
+        late[step] = np.concatenate(touched, axis=1)
     return Outcome(
         tables=[_alarm_table(alarms, few, many), _latency_table(late)],
         figures={"chart": _figure(alarms, late)},
@@ -167,7 +164,7 @@ def run(context: Context) -> Outcome:
     )
 
 
-def _do(task: Empty | Touch) -> list[int] | Floats:
+def _do(task: Empty | Touch) -> Floats:
     return sweep_empty(task) if isinstance(task, Empty) else touch(task)
 
 

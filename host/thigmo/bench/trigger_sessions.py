@@ -209,9 +209,7 @@ def record(
     # By the firmware's clock, 1 ms of which was over when the host began.
     timed = tuple(Half(h.side, h.start_ms + 1, h.vent_ms + 1, h.touch_ms + 1) for h in halves)
     trace = board.recorded_trace()
-    return Session(
-        seed, eeprom, script, timed, trace[np.isin(trace[:, 1], _LOOKED_AT)], end_ms
-    )
+    return Session(seed, eeprom, script, timed, trace[np.isin(trace[:, 1], _LOOKED_AT)], end_ms)
 
 
 def _passed(half: Half, excess: Floats, threshold: float) -> Half:
