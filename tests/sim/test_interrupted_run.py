@@ -1,7 +1,8 @@
-"""An exploration that is interrupted or killed in mid-sweep, in real time over a pseudo-terminal.
+"""An exploration that is cut short in mid-sweep or growth, in real time over a pseudo-terminal.
 
 A host in a process of its own explores the emulated robot on a port, as it would a real one. When
-the valve is open it is interrupted or killed: the robot must be vented, and the folder readable.
+the valve is open or the motor runs, it is interrupted or killed, or its cable is pulled: the robot
+must be vented and braked, and the folder readable.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ from thigmo.cli.main import app
 from thigmo.cli import console
 
 class Operator(console.TerminalOperator):
-    def everted_length_cm(self): return 20.0
+    def everted_length_cm(self): return float(self.length)
     def set_body_pressure(self, pressure_psi): pass
 
 console.TerminalOperator = Operator
 from thigmo.cli.main import main
+Operator.length = sys.argv[4]
 sys.argv = ["thigmo", "explore", "--robot", sys.argv[1], "--config", sys.argv[2], "--out",
             sys.argv[3], "--name", "cut short", "--json"]
 main()
@@ -53,22 +55,55 @@ def room() -> Scene:
     return scene
 
 
+class Served:
+    """A robot that answers on a port."""
+
+    def __init__(self, room: Scene) -> None:
+        self.board = VirtualBoard(1)
+        self.lockstep = Lockstep(room, self.board, seed=1)
+        self.length_cm = room.start_length_cm
+        for _ in range(100):
+            self.lockstep.advance()  # compiled before real time begins
+        self._server = PtyServer(self.lockstep)
+        self.port = self._server.path
+        self._on = threading.Event()
+        self._on.set()
+        self._thread = threading.Thread(target=lambda: self._server.run(self._on.is_set))
+        self._thread.start()
+
+    def pull(self) -> None:
+        """Pull the cable: the port is gone, and time stands still for the robot."""
+        self._on.clear()
+        self._thread.join()
+        self._server.close()
+
+    def explore(self, folder: Path, room: Scene) -> subprocess.Popen[bytes]:
+        """A host that explores it, in a process of its own."""
+        room.robot.save(folder / "robot.toml")
+        command = [sys.executable, "-c", HOST, self.port, str(folder / "robot.toml")]
+        command += [str(folder), str(self.length_cm)]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+    @property
+    def off(self) -> bool:
+        return not any(self.board.drive_enabled) and self.board.motor == 0 and self.board.braked
+
+
+Serve = Callable[[Scene], Served]
+
+
 @pytest.fixture
-def served(room: Scene) -> Iterator[tuple[str, VirtualBoard]]:
-    """A port on which the robot answers, and its board."""
-    board = VirtualBoard(1)
-    lockstep = Lockstep(room, board, seed=1)
-    for _ in range(100):
-        lockstep.advance()  # compiled before real time begins
-    server = PtyServer(lockstep)
-    on = threading.Event()
-    on.set()
-    thread = threading.Thread(target=lambda: server.run(on.is_set))
-    thread.start()
-    yield server.path, board
-    on.clear()
-    thread.join()
-    server.close()
+def serve() -> Iterator[Serve]:
+    """Serves a room until the test is over."""
+    running: list[Served] = []
+
+    def start(room: Scene) -> Served:
+        running.append(Served(room))
+        return running[-1]
+
+    yield start
+    for served in running:
+        served.pull()
 
 
 def _within(condition: Callable[[], bool], seconds: float) -> bool:
@@ -90,22 +125,14 @@ def _within(condition: Callable[[], bool], seconds: float) -> bool:
     ],
 )
 def test_a_run_cut_short_in_mid_sweep_leaves_a_vented_robot_and_a_readable_folder(
-    tmp_path: Path,
-    room: Scene,
-    served: tuple[str, VirtualBoard],
-    number: signal.Signals,
-    outcome: str,
+    tmp_path: Path, room: Scene, serve: Serve, number: signal.Signals, outcome: str
 ) -> None:
-    port, board = served
-    room.robot.save(tmp_path / "robot.toml")
-    command = [sys.executable, "-c", HOST, port, str(tmp_path / "robot.toml"), str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as host:
-        swept = _within(lambda: any(board.drive_enabled) or host.poll() is not None, 60.0)
-        assert swept, "the sweep never opened a valve"
-        assert host.poll() is None, host.stderr and host.stderr.read()
+    served = serve(room)
+    with served.explore(tmp_path, room) as host:
+        _await(host, lambda: any(served.board.drive_enabled), "the sweep never opened a valve")
         host.send_signal(number)
         limit = HEARTBEAT_LIMIT_S + SLACK_S
-        assert _within(lambda: not any(board.drive_enabled), limit), "a valve is still open"
+        assert _within(lambda: served.off, limit), "a valve is still open"
         _, said = host.communicate(timeout=20)
     if number == signal.SIGKILL:
         assert host.returncode == -signal.SIGKILL
@@ -114,17 +141,62 @@ def test_a_run_cut_short_in_mid_sweep_leaves_a_vented_robot_and_a_readable_folde
         (line,) = said.decode().splitlines()
         assert line.startswith("thigmo: interrupted; the robot is vented")
         assert "cut-short" in line
-    assert board.motor == 0
-    assert board.braked
-    (path,) = tmp_path.glob("*-cut-short")
-    folder = RunFolder(path)
-    assert folder.read_document().outcome == outcome
+    folder = _folder(tmp_path, outcome)
     if number != signal.SIGKILL:
-        assert read_obstacles(path / OBSTACLES_FILE).outcome == outcome
-        assert read_ros_map(path / "map.yaml").cells.size
-    log = folder.read_log()
-    assert log.truncated == (number == signal.SIGKILL)
-    assert len(log.entries) > 500
-    again = replay(path)
+        assert read_obstacles(folder.path / OBSTACLES_FILE).outcome == outcome
+        assert read_ros_map(folder.path / "map.yaml").cells.size
+    assert folder.read_log().truncated == (number == signal.SIGKILL)
+    again = replay(folder.path)
     assert again.sweeps <= 1
     assert again.document.contacts == []
+
+
+def test_an_interrupt_during_growth_stops_the_motor_and_leaves_a_readable_folder(
+    tmp_path: Path, room: Scene, serve: Serve
+) -> None:
+    room.start_length_cm = 12.0  # it must grow before it may sweep
+    served = serve(room)
+    with served.explore(tmp_path, room) as host:
+        _await(host, lambda: served.board.motor != 0, "the spool never turned")
+        host.send_signal(signal.SIGINT)
+        assert _within(lambda: served.off, HEARTBEAT_LIMIT_S + SLACK_S), "the motor still runs"
+        _, said = host.communicate(timeout=20)
+    assert host.returncode == 128 + signal.SIGINT
+    (line,) = said.decode().splitlines()
+    assert line.startswith("thigmo: interrupted; the robot is vented")
+    assert served.lockstep.plant.length_cm < 19.9
+    folder = _folder(tmp_path, "aborted: interrupted by the operator")
+    assert not folder.read_log().truncated
+
+
+def test_a_cable_pulled_in_mid_sweep_vents_the_robot_and_leaves_a_readable_folder(
+    tmp_path: Path, room: Scene, serve: Serve
+) -> None:
+    served = serve(room)
+    with served.explore(tmp_path, room) as host:
+        _await(host, lambda: any(served.board.drive_enabled), "the sweep never opened a valve")
+        served.pull()
+        assert not served.off
+        for _ in range(round((HEARTBEAT_LIMIT_S + 0.1) * 100)):  # of the robot's own time
+            served.lockstep.advance()
+        assert served.off
+        _, said = host.communicate(timeout=60)
+    assert host.returncode not in (0, -signal.SIGKILL)
+    (line,) = said.decode().splitlines()
+    assert line.startswith("thigmo: ")
+    assert "cable" in line
+    _folder(tmp_path, "aborted")
+
+
+def _await(host: subprocess.Popen[bytes], condition: Callable[[], bool], otherwise: str) -> None:
+    assert _within(lambda: condition() or host.poll() is not None, 60.0), otherwise
+    assert host.poll() is None, host.stderr and host.stderr.read()
+
+
+def _folder(where: Path, outcome: str) -> RunFolder:
+    """The run's folder, whose record can be read and whose outcome begins so."""
+    (path,) = where.glob("*-cut-short")
+    folder = RunFolder(path)
+    assert folder.read_document().outcome.startswith(outcome)
+    assert len(folder.read_log().entries) > 200
+    return folder
