@@ -68,6 +68,7 @@ def result_object(result: LocalizeResult) -> dict[str, Any]:
             {
                 "arc": contact.arc,
                 "force": contact.force,
+                "end_offset": contact.end_offset,
                 "interval": list(contact.interval),
                 "intervals": [list(piece) for piece in contact.intervals],
                 "status": contact.status,
