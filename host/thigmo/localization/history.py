@@ -16,9 +16,10 @@ from thigmo.compiled import compiled
 from thigmo.errors import DataError
 from thigmo.localization import prior
 from thigmo.localization.influence import STRAIGHT, sensor_edges, shape_table
+from thigmo.localization.intervals import mixed
 from thigmo.localization.models import GRID, unit_force
 from thigmo.localization.models import start as plain_beam
-from thigmo.localization.posterior import mixed, search_pattern
+from thigmo.localization.outlier_search import search_pattern
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import Contact, LocalizeResult, Status
 

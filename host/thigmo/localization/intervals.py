@@ -172,3 +172,45 @@ def median_between(
     share = min(max(share, 0.0), 1.0)
     place: float = arcs[j] + (arcs[j + 1] - arcs[j]) * within(share, logp[j], logp[j + 1])
     return place
+
+
+@compiled
+def summary(
+    arcs: Array, logp: Array, count: int, cumulative: Array, level: float
+) -> tuple[float, float, float, Array]:
+    """Median (of the heaviest mode), shortest interval and modes of a density on nodes.
+
+    Returns:
+        arc; interval low and high; (M, 3) modes.
+    """
+    start, end = shortest(arcs, logp, count, cumulative, level)
+    pieces = np.empty((12, 3))
+    found = modes(arcs, logp, count, cumulative, level, pieces)
+    first = 0.0
+    last = 1.0
+    if found > 1:
+        best = 0
+        for m in range(found):
+            if pieces[m, 2] > pieces[best, 2]:
+                best = m
+        first = pieces[best, 0]
+        last = pieces[best, 1]
+    arc = median_between(arcs, logp, count, cumulative, first, last)
+    return arc, start, end, pieces[:found].copy()
+
+
+@compiled
+def mixed(arcs: Array, logp: Array, level: float) -> tuple[float, float, float, Array]:
+    """Summary of any density on sorted nodes; `logp` is normalised in place."""
+    cumulative = np.empty(arcs.shape[0])
+    logp -= masses(arcs, logp, arcs.shape[0], cumulative)
+    return summary(arcs, logp, arcs.shape[0], cumulative, level)
+
+
+@compiled
+def median(arcs: Array, logp: Array) -> float:
+    """Median of any density on sorted nodes."""
+    count = arcs.shape[0]
+    cumulative = np.empty(count)
+    masses(arcs, logp, count, cumulative)
+    return median_between(arcs, logp, count, cumulative, 0.0, 1.0)

@@ -21,7 +21,8 @@ from thigmo.localization.influence import (
     sensor_edges,
     shape_table,
 )
-from thigmo.localization.posterior import median, mixed, one_contact
+from thigmo.localization.intervals import median, mixed
+from thigmo.localization.posterior import one_contact
 from thigmo.localization.readings import Readings
 from thigmo.localization.several import PASSES, several
 

@@ -13,7 +13,9 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.localization.influence import influence
 from thigmo.localization.intervals import median_between, modes, shortest
-from thigmo.localization.posterior import coarse_error, finer_levels, noise_levels, prepare_levels
+from thigmo.localization.marginal import prepare_levels
+from thigmo.localization.noise_levels import finer_levels, noise_levels
+from thigmo.localization.outlier_search import coarse_error
 from thigmo.localization.prior import LEAST_LEVER, WIDTH_SHARE
 
 Array = npt.NDArray[np.float64]

@@ -26,6 +26,7 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.localization import prior
 from thigmo.localization.influence import end_influence
+from thigmo.localization.marginal import prepare_levels, weigh
 from thigmo.localization.models import (
     End,
     Fit,
@@ -36,13 +37,7 @@ from thigmo.localization.models import (
     precision,
     solve_columns,
 )
-from thigmo.localization.posterior import (
-    level_step,
-    levels_between,
-    noise_levels,
-    prepare_levels,
-    weigh,
-)
+from thigmo.localization.noise_levels import level_step, levels_between, noise_levels
 from thigmo.localization.readings import Readings
 
 Array = npt.NDArray[np.float64]
