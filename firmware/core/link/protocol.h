@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x46461430u;
+constexpr uint32_t kSchemaHash = 0xE4D44695u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -1182,8 +1182,8 @@ enum class Param : uint16_t {
   kTriggerDebounceMs = 67,  // The threshold must be passed for so long, counted in samples of 1 ms.
                             // Default: see trigger_filter_log2. (ms)
   kTriggerFilterLog2 = 68,  // Samples of 1 ms averaged in the trigger's base reading, as a power of
-                            // two. Default: the fastest with at most 1 false alarm in 100 empty
-                            // sweeps at twice the noise (`thigmo bench trigger`).
+                            // two. Default: by the rule of `thigmo bench trigger`, at most 1 false
+                            // alarm in 100 empty sweeps at twice the noise, then the fastest.
   kPeakSpacingMs = 69,      // Between the ten readings around a sweep's peak. (ms)
   kFullLengthUm = 70,       // Deployable length. (um)
   kPitchUm = 71,            // Sensor pitch. (um)
@@ -1276,7 +1276,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {1, 1000, 100},              // reversal_cpsi
     {1, 1000, 100},              // reversal_cpsi
     {10, 10000, 500},            // trigger_e5
-    {1, 1000, 6},                // trigger_debounce_ms
+    {1, 1000, 9},                // trigger_debounce_ms
     {0, 8, 4},                   // trigger_filter_log2
     {5, 1000, 50},               // peak_spacing_ms
     {10000, 5000000, 530000},    // full_length_um

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x46461430
+SCHEMA_HASH = 0xE4D44695
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -1920,7 +1920,7 @@ PARAMETERS: dict[str, Parameter] = {
             "ms",
             1,
             1000,
-            (6,),
+            (9,),
             (
                 "The threshold must be passed for so long, counted in samples of 1 ms. Default: "
                 "see trigger_filter_log2."
@@ -1936,8 +1936,8 @@ PARAMETERS: dict[str, Parameter] = {
             (4,),
             (
                 "Samples of 1 ms averaged in the trigger's base reading, as a power of two. "
-                "Default: the fastest with at most 1 false alarm in 100 empty sweeps at twice the"
-                " noise (`thigmo bench trigger`)."
+                "Default: by the rule of `thigmo bench trigger`, at most 1 false alarm in 100 "
+                "empty sweeps at twice the noise, then the fastest."
             ),
         ),
         Parameter(
