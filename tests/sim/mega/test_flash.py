@@ -76,7 +76,7 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
 @pytest.mark.timeout(90)
 def test_another_board_is_told_by_its_signature_and_left_as_it_was(image: Path) -> None:
     with PtyMega() as mega:
-        # In the boot loader's answer to the question for its signature, `ldi r24, 0x98` becomes `ldi r24, 0x95`.
+        # Where the boot loader answers with its signature: `ldi r24, 0x98` becomes 0x95.
         assert mega.chip.read_flash(0x3F330, 2) == b"\x88\xe9"
         mega.chip.write_flash(0x3F330, b"\x85\xe9")
         with pytest.raises(NotARobotError, match=r"no Mega 2560 \(signature 1e9501\); connect"):
