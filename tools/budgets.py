@@ -78,6 +78,7 @@ class Rig(SimulatedMega):
         super().__init__(SEED, eeprom)
         self.wire: list[tuple[bytes, npt.NDArray[np.uint64]]] = []
         self.busy: list[int] = []
+        self._marks: list[npt.NDArray[np.void]] = []
         self._take = self.chip.take
         self.chip.take = self._noting_take  # type: ignore[method-assign]
 
@@ -90,6 +91,13 @@ class Rig(SimulatedMega):
         asleep = self.chip.asleep_cycles
         super().step(ticks)
         self.busy.append(ticks * CYCLES_PER_MS - (self.chip.asleep_cycles - asleep))
+        self._marks.append(self.chip.take_marks())  # the bridge has room for some seconds of them
+
+    def take_marks(self) -> npt.NDArray[np.void]:
+        """Marks of tasks since the last call (`Chip.record_marks`)."""
+        marks = np.concatenate([*self._marks, self.chip.take_marks()])
+        self._marks.clear()
+        return marks[marks["reg"] == 1]
 
     def frames(self) -> list[tuple[wire.Message, int]]:
         """Messages sent so far, each with the cycle at which its last byte was on the wire."""
@@ -153,8 +161,7 @@ def memory() -> list[Figure]:
 
 def tasks(rig: Rig) -> list[Figure]:
     """Cycles from a task's mark to the next, interrupts within included."""
-    marks = rig.chip.take_marks()
-    marks = marks[marks["reg"] == 1]
+    marks = rig.take_marks()
     spent = np.diff(marks["cycle"]).astype(np.int64)
     kind = marks["value"][:-1]
     figures = []

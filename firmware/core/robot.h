@@ -33,7 +33,7 @@ class Robot {
 
   // One pass of the main loop.
   void loop() {
-    const uint32_t begun = board_.micros();
+    const uint16_t begun = static_cast<uint16_t>(board_.micros());
     board_.task(static_cast<uint8_t>(Task::kReceive));
     receive();
     Inputs in;
@@ -45,9 +45,10 @@ class Robot {
     store();
     board_.task(static_cast<uint8_t>(Task::kTransmit));
     transmit();
-    const uint32_t took = board_.micros() - begun;
+    // The watchdog ends what would not fit 16 bits.
+    const uint16_t took = static_cast<uint16_t>(static_cast<uint16_t>(board_.micros()) - begun);
     uint16_t& longest = commands_.timing().loop_max_us;
-    if (took > longest) longest = static_cast<uint16_t>(lesser<uint32_t>(took, 0xFFFF));
+    if (took > longest) longest = took;
   }
 
   const Controller& controller() const { return controller_; }

@@ -48,7 +48,7 @@ class MegaBoard {
   static void idle() {
     for (;;) {
       cli();
-      if (wake::asked() || Serial0::nearly_empty()) break;
+      if (wake::asked()) break;
       sleep_enable();
       sei();
       sleep_cpu();  // the instruction after sei is executed before any interrupt

@@ -8,7 +8,8 @@ namespace thigmo {
 namespace mega {
 namespace wake {
 
-// GPIOR0 lies where sbi and cbi reach; bit 0 is the only one in use.
+// GPIOR0 lies where sbi and cbi reach; bit 0 is the only one in use. GPIOR1 marks tasks
+// (mega_board.h), GPIOR2 is the transmitter's (serial.h).
 inline void ask() { GPIOR0 |= 1; }
 inline void clear() { GPIOR0 &= static_cast<uint8_t>(~1); }
 inline bool asked() { return (GPIOR0 & 1) != 0; }

@@ -18,6 +18,7 @@ constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 // multiplications of 16 bits and lose nothing.
 struct Gain16 {
   uint16_t mantissa;
+  uint16_t half;  // of 2^shift
   uint8_t shift;
 
   void set(uint32_t numerator, uint32_t denominator) {
@@ -29,12 +30,12 @@ struct Gain16 {
     // numerator / denominator is now at least a half, if the gain is not absurdly small.
     const uint64_t scaled = (static_cast<uint64_t>(numerator) << 16) / denominator;
     mantissa = static_cast<uint16_t>(lesser<uint64_t>(scaled, 65535));
+    half = static_cast<uint16_t>((1u << shift) >> 1);
   }
 
   // Rounded to nearest.
   int32_t apply(int32_t value) const {
-    const int32_t product = share_q16(value, mantissa);
-    return shift == 0 ? product : (product + (int32_t{1} << (shift - 1))) >> shift;
+    return (share_q16(value, mantissa) + half) >> shift;
   }
 };
 

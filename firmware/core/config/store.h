@@ -80,7 +80,7 @@ class ConfigStore {
   // Starts a save of the configuration, which must not change until step() ends it.
   void save() {
     next_ = 0;
-    crc_ = kCrcStart;
+    crc_ = Crc{};
     saving_ = true;
     verify_ = false;
   }
@@ -152,14 +152,14 @@ class ConfigStore {
     if (commit == 0xFF) return LoadResult::kBlank;
     if (commit != kCommitted) return LoadResult::kDamaged;
     if (read32(board, at + 1u) != protocol::kSchemaHash) return LoadResult::kOtherSchema;
-    uint16_t crc = kCrcStart;
+    Crc crc;
     for (uint16_t i = 1; i < kSlotSize - 2; ++i) {
-      crc = crc16_add(crc, board.eeprom_read(static_cast<uint16_t>(at + i)));
+      crc.add(board.eeprom_read(static_cast<uint16_t>(at + i)));
     }
     const uint16_t stored = static_cast<uint16_t>(
         board.eeprom_read(static_cast<uint16_t>(at + kSlotSize - 2)) |
         static_cast<uint16_t>(board.eeprom_read(static_cast<uint16_t>(at + kSlotSize - 1))) << 8);
-    if (crc != stored || read32(board, at + 5u) == 0) return LoadResult::kDamaged;
+    if (crc.value() != stored || read32(board, at + 5u) == 0) return LoadResult::kDamaged;
     return LoadResult::kLoaded;
   }
 
@@ -167,7 +167,7 @@ class ConfigStore {
   uint8_t image_byte(const Configuration& configuration, uint16_t offset) {
     uint8_t byte;
     if (offset >= kSlotSize - 2) {
-      return static_cast<uint8_t>(offset == kSlotSize - 2 ? crc_ : crc_ >> 8);
+      return offset == kSlotSize - 2 ? crc_.low : crc_.high;
     }
     if (offset < 5) {
       byte = static_cast<uint8_t>(protocol::kSchemaHash >> (8 * (offset - 1)));
@@ -179,7 +179,7 @@ class ConfigStore {
     } else {
       byte = reinterpret_cast<const uint8_t*>(&configuration)[offset - kSlotHeader];
     }
-    crc_ = crc16_add(crc_, byte);
+    crc_.add(byte);
     return byte;
   }
 
@@ -198,7 +198,7 @@ class ConfigStore {
   uint32_t boot_count_ = 0;
   uint32_t generation_ = 0;
   uint16_t next_ = 0;
-  uint16_t crc_ = 0;
+  Crc crc_;
   uint16_t address_ = 0;
   uint8_t byte_ = 0;
   uint8_t slot_ = 1;

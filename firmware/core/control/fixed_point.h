@@ -32,6 +32,17 @@ constexpr int16_t saturated16(int32_t value) {
   return static_cast<int16_t>(limited<int32_t>(value, -32768, 32767));
 }
 
+// value >> kShift, 8 < kShift < 16, when that fits 16 bits. An AVR shifts by whole bytes for nothing,
+// and by other numbers bit by bit: so the few bits that lack 16 are shifted the other way first.
+template <uint8_t kShift>
+constexpr int16_t shifted16(int32_t value) {
+  static_assert(kShift > 8 && kShift < 16, "other shifts are as quick as they are");
+  return static_cast<int16_t>(value * (int32_t{1} << (16 - kShift)) >> 16);
+}
+
+// A number with 12 fraction bits; shifted by bytes and back, for the same reason.
+constexpr int32_t q12(int16_t value) { return static_cast<int32_t>(value) * 65536 >> 4; }
+
 // a * b / 65536, rounded to nearest; the result must fit 32 bits.
 inline int32_t multiply_q16(int32_t a, int32_t b) {
   return static_cast<int32_t>((static_cast<int64_t>(a) * b + 0x8000) >> 16);
@@ -45,8 +56,11 @@ inline int32_t share_q16(int32_t a, uint16_t b) {
 }
 
 // A sum over control steps of gain (1/256) times error, as an output: sum / (256 * 200). Dividing
-// by 25 is multiplying by 20972 / 2^19, but for 2e-5 of it; good for sums below 2^27.
-inline int32_t integral_output(int32_t sum) { return (sum >> 11) * 20972 >> 19; }
+// by 25 is multiplying by 20972 / 2^19, but for 2e-5 of it; good for sums below 2^26.
+inline int16_t integral_output(int32_t sum) {
+  const int32_t product = static_cast<int32_t>(shifted16<11>(sum)) * int16_t{20972};
+  return static_cast<int16_t>(static_cast<int16_t>(product >> 16) >> 3);
+}
 
 // sin(phase) for phase = 0 .. 2^31 standing for 0 .. pi, in 1/32768. Linear between 64 points a
 // quarter: off by at most 1.1e-4, 0.002 psi of an 18 psi sweep.

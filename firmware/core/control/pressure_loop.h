@@ -95,8 +95,8 @@ class PressureLoop {
     const int16_t set = set_cpsi();
     const bool on = set >= c.get(Param::kLiveZeroCpsi) && set > 0;
     // Twelve fraction bits keep the follower from stopping short of the set point.
-    follower_q12_ += (static_cast<int32_t>(on ? set : 0) * 4096 - follower_q12_) >> kFollowLog2;
-    const int16_t due = static_cast<int16_t>(follower_q12_ >> 12);
+    follower_q12_ += (q12(on ? set : 0) - follower_q12_) * (1 << (8 - kFollowLog2)) >> 8;
+    const int16_t due = shifted16<12>(follower_q12_);
     watch_following(due, measured, c.get(Param::kStuckCpsi), d.stuck_steps);
     if (!on) {
       pid_.idle(measured);

@@ -30,9 +30,11 @@ struct MapPlace {
       return;
     }
     const uint16_t p = static_cast<uint16_t>(cpsi);
-    index = static_cast<uint8_t>((static_cast<uint32_t>(p) * 5243u) >> 20);
+    const uint16_t sixteenths = static_cast<uint16_t>((static_cast<uint32_t>(p) * 5243u) >> 16);
+    index = static_cast<uint8_t>(sixteenths >> 4);
     const uint16_t above = static_cast<uint16_t>(p - index * 200u);
-    share_q14 = static_cast<uint16_t>((static_cast<uint32_t>(above) * 41943u + 256u) >> 9);
+    const uint32_t share_q23 = static_cast<uint32_t>(above) * 41943u + 256u;
+    share_q14 = static_cast<uint16_t>(static_cast<uint16_t>(share_q23 >> 8) >> 1);
   }
 };
 
@@ -41,7 +43,10 @@ inline int16_t map_at(const int16_t* map, const MapPlace& place) {
   const int16_t below = map[place.index];
   if (place.share_q14 == 0) return below;
   const int32_t rise = static_cast<int32_t>(map[place.index + 1]) - below;
-  return static_cast<int16_t>(below + ((rise * place.share_q14 + 0x2000) >> 14));
+  // The way may exceed 16 bits, but not its sum with `below`: what is carried away is never missed.
+  const uint32_t way_q14 = static_cast<uint32_t>(rise * place.share_q14 + 0x2000);
+  return static_cast<int16_t>(static_cast<uint16_t>(below) +
+                              static_cast<uint16_t>((way_q14 << 2) >> 16));
 }
 
 // One muscle's lag filter and play operator; update() once each control step.
@@ -49,14 +54,15 @@ class MuscleState {
  public:
   void update(int16_t measured_cpsi, uint16_t lag_alpha_q16, int16_t reversal_cpsi,
               uint32_t reversal_inverse_q24) {
-    const int32_t input = static_cast<int32_t>(measured_cpsi) * 4096;
+    const int32_t input = q12(measured_cpsi);
     if (!started_) {
       started_ = true;
       lagged_q12_ = input;
       floor_ = measured_cpsi;
     }
     lagged_q12_ += share_q16(input - lagged_q12_, lag_alpha_q16);
-    const int16_t lagged = lagged_cpsi();
+    lagged_cpsi_ = shifted16<12>(lagged_q12_ + 0x800);
+    const int16_t lagged = lagged_cpsi_;
     // Play: the floor trails a rising pressure by the width and is pushed down by a falling one.
     if (lagged < floor_) floor_ = lagged;
     if (static_cast<int32_t>(lagged) - floor_ > reversal_cpsi) {
@@ -66,7 +72,7 @@ class MuscleState {
         (static_cast<uint16_t>(lagged - floor_) * reversal_inverse_q24) >> 16);
   }
 
-  int16_t lagged_cpsi() const { return static_cast<int16_t>((lagged_q12_ + 0x800) >> 12); }
+  int16_t lagged_cpsi() const { return lagged_cpsi_; }
   uint16_t inflating_q8() const { return inflating_q8_; }  // 256 = the inflate map alone
   protocol::Branch branch() const {
     return inflating_q8_ >= 128 ? protocol::Branch::kInflate : protocol::Branch::kDeflate;
@@ -82,6 +88,7 @@ class MuscleState {
 
  private:
   int32_t lagged_q12_ = 0;
+  int16_t lagged_cpsi_ = 0;
   int16_t floor_ = 0;
   uint16_t inflating_q8_ = 0;
   bool started_ = false;

@@ -53,17 +53,17 @@ struct Random {
 };
 
 struct Sum {
-  uint16_t crc = kCrcStart;
+  Crc crc;
   void add(int32_t value) {
     for (uint8_t i = 0; i < 4; ++i) {
-      crc = crc16_add(crc, static_cast<uint8_t>(static_cast<uint32_t>(value) >> (8 * i)));
+      crc.add(static_cast<uint8_t>(static_cast<uint32_t>(value) >> (8 * i)));
     }
   }
   void print(const char* name) {
     while (*name != 0) put(*name++);
     put(' ');
     for (int8_t shift = 12; shift >= 0; shift = static_cast<int8_t>(shift - 4)) {
-      put("0123456789abcdef"[crc >> shift & 15]);
+      put("0123456789abcdef"[crc.value() >> shift & 15]);
     }
     put('\n');
   }
