@@ -54,8 +54,8 @@ constexpr uint8_t adc_channel(bool odd_tick, uint8_t slot) {
 
 // The conversions of one tick, count[slot] of adc_channel(tick & 1, slot), 0..1023 each.
 struct AdcFrame {
-  uint32_t tick;
   uint16_t count[kAdcSlots];
+  uint32_t tick;
 };
 
 // Parts of a main-loop pass, as marked for a stop-watch by BoardPolicy::task(); 0 = none.
@@ -89,10 +89,10 @@ class BoardPolicy {
   uint32_t micros();  // tick * 1000 + microseconds into the tick; wraps
 
   // --- analog ------------------------------------------------------------------------------------
-  // The oldest completed frame not yet taken, or false. Frames come in order of tick; when the core
-  // is late by more than kAdcFrames, the binding drops the newest and the core sees the gap in
-  // `tick`. Frame 0 is that of tick 0.
-  bool take_frame(AdcFrame* frame);
+  // The oldest completed frame not yet taken, or null; it holds until the next call. Frames come in
+  // order of tick; when the core is late by more than kAdcFrames, the binding drops the newest and
+  // the core sees the gap in `tick`. Frame 0 is that of tick 0.
+  const AdcFrame* take_frame();
 
   // --- outputs -----------------------------------------------------------------------------------
   // All outputs are off from reset until the core's first call.

@@ -43,7 +43,7 @@ struct Outcome {
 };
 
 struct Inputs {
-  AdcFrame frame;
+  const AdcFrame* frame;
   int32_t encoder;
   uint16_t supply_mv;
   uint16_t rx_overruns;

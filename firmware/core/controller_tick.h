@@ -17,14 +17,14 @@ inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause) {
 }
 
 inline void Controller::sense(const Inputs& in) {
-  elapsed_ = in.frame.tick - tick_;
-  tick_ = in.frame.tick;
+  elapsed_ = in.frame->tick - tick_;
+  tick_ = in.frame->tick;
   encoder_ = in.encoder;
   supply_mv_ = in.supply_mv;
   rx_overruns_ = in.rx_overruns;
   estop_ = in.estop;
-  const bool odd = (in.frame.tick & 1) != 0;
-  const uint16_t* count = in.frame.count;
+  const bool odd = (in.frame->tick & 1) != 0;
+  const uint16_t* count = in.frame->count;
   for (uint8_t side = 0; side < kSides; ++side) {
     pressure_[side].add(count[side]);
     base_sum_[side].add(count[kSides + side]);

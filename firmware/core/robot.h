@@ -36,9 +36,8 @@ class Robot {
     const uint16_t begun = static_cast<uint16_t>(board_.micros());
     board_.task(static_cast<uint8_t>(Task::kReceive));
     receive();
-    Inputs in;
-    if (board_.take_frame(&in.frame)) {
-      tick(&in);
+    if (const AdcFrame* frame = board_.take_frame()) {
+      tick(frame);
       board_.kick_watchdog();
     }
     board_.task(static_cast<uint8_t>(Task::kStore));
@@ -72,14 +71,12 @@ class Robot {
     }
   }
 
-  void tick(Inputs* in) {
-    in->encoder = board_.encoder_count();
-    in->supply_mv = board_.supply_mv();
-    in->rx_overruns = board_.rx_overruns();
-    in->estop = board_.estop();
-    commands_.timing().rx_overruns = in->rx_overruns;
+  void tick(const AdcFrame* frame) {
+    const Inputs in = {frame, board_.encoder_count(), board_.supply_mv(), board_.rx_overruns(),
+                       board_.estop()};
+    commands_.timing().rx_overruns = in.rx_overruns;
     board_.task(static_cast<uint8_t>(Task::kSense));
-    controller_.sense(*in);
+    controller_.sense(in);
     board_.task(static_cast<uint8_t>(Task::kControl));
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));

@@ -59,7 +59,7 @@ class MegaBoard {
   }
 
   static uint32_t micros() { return Sampler::micros(); }
-  static bool take_frame(AdcFrame* frame) { return Sampler::take(frame); }
+  static const AdcFrame* take_frame() { return Sampler::take(); }
 
   static void drive(uint8_t side, int16_t duty) { Actuators::drive(side, duty); }
   static void drive_off(uint8_t side) { Actuators::drive_off(side); }

@@ -41,7 +41,7 @@ class Sampler {
     ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
     ADCSRB = kByTimer;
     tick_ = 0xFFFFFFFF;
-    step_ = kIdle;
+    wait();
     odd_ = true;  // tick 0 is even
     TCCR1A = 0;
     TCCR1B = _BV(WGM12);
@@ -72,13 +72,12 @@ class Sampler {
     return tick * 1000 + count / 16;
   }
 
-  static bool take(AdcFrame* frame) {
+  static const AdcFrame* take() {
     const uint8_t out = frame_out_;
-    if (frame_in_ == out) return false;
-    *frame = frames_[out % kRoom];
+    if (frame_in_ == out) return nullptr;
     frame_out_ = out + 1;
     if (frame_in_ != frame_out_) wake::ask();  // one a pass
-    return true;
+    return &places_[out % kRoom].frame;
   }
 
   // Sum of 16 bandgap conversions, or 0 before there are as many.
@@ -99,83 +98,71 @@ class Sampler {
   static inline void on_tick() {
     Restart::on_tick();
     tick_ = tick_ + 1;
-    if (step_ != kFirst) {  // the chain was broken: start over before the next tick
-      ADMUX = kReference | kBandgap;
-      ADCSRB = kByTimer;
-      TIFR1 = _BV(OCF1B);
+    // Ready for slot 0, unless the chain was broken: then it starts over before the next tick.
+    if (chained() && static_cast<uint8_t>(low(next_) + kLoop) == end_) return;
+    ADMUX = kReference | kBandgap;
+    ADCSRB = kByTimer;
+    TIFR1 = _BV(OCF1B);
+    OCR1C = kChain;
+    wait();
+    odd_ = (static_cast<uint8_t>(tick_) & 1) != 0;
+  }
+
+  // The ends of the chain; in slots 0..7 the assembly below does it all.
+  static void on_end() {
+    if (!done_) {  // slot 7 is over: the frame is whole
+      *fill_ = ADC;
+      whole_ = whole_ & ADCSRA;
+      ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
       OCR1C = kChain;
-      step_ = kIdle;
-      odd_ = (static_cast<uint8_t>(tick_) & 1) != 0;
-    }
-  }
-
-  // The ends of the chain; in slots 1..6 the assembly below does it all.
-  static void on_other_slot() {
-    const uint16_t result = ADC;
-    whole_ &= ADCSRA;
-    ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
-    switch (step_) {
-      case kFirst:  // in slot 0
-        select();
-        OCR1C = kMiddle + kConversion;
-        take_bandgap(result);
-        step_ = kFirst + 1;
-        break;
-      case kLast:  // in slot 7: nothing follows until compare B
-        ADMUX = kReference | kBandgap;
-        ADCSRB = kByTimer;
-        OCR1C = kEnd;
-        *fill_++ = result;
-        step_ = kDone;
-        break;
-      case kDone: {
-        *fill_ = result;
-        OCR1C = kChain;
-        step_ = kIdle;
-        // When the core is late, the newest frame is dropped.
-        const uint8_t in = frame_in_;
-        if ((whole_ & _BV(ADIF)) != 0 && static_cast<uint8_t>(in - frame_out_) < kAdcFrames) {
-          frames_[in % kRoom].tick = tick_;
-          frame_in_ = in + 1;
-          wake::ask();
-        }
-        break;
+      done_ = true;
+      const uint8_t in = frame_in_;
+      Place& place = places_[in % kRoom];
+      take_bandgap(place.bandgap);
+      // When the core is late, the newest frame is dropped.
+      if ((whole_ & _BV(ADIF)) != 0 && static_cast<uint8_t>(in - frame_out_) < kAdcFrames) {
+        place.frame.tick = tick_;
+        frame_in_ = in + 1;
+        wake::ask();
       }
-      default:  // in the bandgap's conversion: slot 0 follows it at once
-        ADMUX = kReference | (kPressureChannel & 7);
-        ADCSRB = _BV(MUX5);
-        TIFR1 = _BV(OCF1B);
-        OCR1C = kMiddle;
-        whole_ = _BV(ADIF);
-        fill_ = frames_[frame_in_ % kRoom].count;
-        odd_ = !odd_;
-        next_ = odd_ ? kInputs.odd : kInputs.even;
-        step_ = kFirst;
-        break;
+      return;
     }
+    // In the bandgap's conversion: slot 0 follows it at once.
+    ADMUX = kReference | (kPressureChannel & 7);
+    ADCSRB = _BV(MUX5);
+    ADCSRA = kControl | _BV(ADIF) | _BV(ADATE);
+    TIFR1 = _BV(OCF1B);
+    OCR1C = kMiddle;
+    whole_ = _BV(ADIF);
+    fill_ = &places_[frame_in_ % kRoom].bandgap;
+    odd_ = !odd_;
+    next_ = odd_ ? kInputs.odd : kInputs.even;
+    end_ = static_cast<uint8_t>(low(next_) + kLoop);
+    done_ = false;
+    chain();
   }
 
-  // Registers that choose an input.
+  // What an interrupt in a slot sets: the input of the slot that follows, and when the next
+  // interrupt comes.
   struct Input {
     uint8_t mux;      // ADMUX
     uint8_t control;  // ADCSRB; free running
+    uint8_t compare_high;  // OCR1C
+    uint8_t compare_low;
   };
 
   // What the assembly below shares.
-  static constexpr uint16_t kConversion = 13 * 128;
   static constexpr uint8_t kControl = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);  // 125 kHz
-  // Where in the chain the next compare C falls.
-  static constexpr uint8_t kFirst = 0;  // in slot 0
-  static constexpr uint8_t kLast = kFirst + kAdcSlots - 1;
-  static constexpr uint8_t kDone = kLast + 1;  // after slot 7
-  static constexpr uint8_t kIdle = kDone + 1;  // in the bandgap's conversion
-  static volatile uint8_t step_;
+  // Bit of GPIOR0 that is set at the ends of the chain, where the assembly does not suffice.
+  static constexpr uint8_t kEndBit = 1;
   static volatile uint8_t whole_;      // ADIF stays set while each conversion has ended in its time
   static uint16_t* volatile fill_;     // place of the next count
   static const Input* volatile next_;  // in flash
+  static volatile uint8_t end_;        // low byte of next_ after slot 7
 
  private:
   // 13.5 ADC clocks before the tick; the flag rises a cycle after the match.
+  static constexpr uint16_t kConversion = 13 * 128;
   static constexpr uint16_t kTrigger = kTickCycles - 1728 - 1;
   static constexpr uint16_t kChain = kTrigger + 832;    // middle of the bandgap's conversion
   static constexpr uint16_t kMiddle = kConversion / 2;  // middle of slot 0
@@ -194,27 +181,37 @@ class Sampler {
     }
   }
 
-  static inline void select() {
-    const Input* next = next_;
-    ADMUX = pgm_read_byte(&next->mux);
-    ADCSRB = pgm_read_byte(&next->control);
-    next_ = next + 1;
+  // Inside the chain, or waiting for its begin.
+  static bool chained() { return (GPIOR0 & _BV(kEndBit)) == 0; }
+  static void chain() { GPIOR0 &= static_cast<uint8_t>(~_BV(kEndBit)); }
+  static void wait() {
+    GPIOR0 |= _BV(kEndBit);
+    done_ = true;
+  }
+  static uint8_t low(const volatile Input* at) {
+    return static_cast<uint8_t>(reinterpret_cast<uintptr_t>(at));
   }
 
-  // Inputs of slots 1..7, on even and on odd ticks.
+  // By slot 0..7, on even and on odd ticks.
   struct Inputs {
-    Input even[kAdcSlots - 1];
-    Input odd[kAdcSlots - 1];
+    Input even[kAdcSlots];
+    Input odd[kAdcSlots];
   };
-  static constexpr Input input(uint8_t channel) {
+  static constexpr uint8_t kLoop = sizeof(Inputs::even);
+  static constexpr Input input(bool odd, uint8_t slot) {
+    return slot < kAdcSlots ? entry(adc_channel(odd, slot), kMiddle + slot * kConversion)
+                            : Input{kReference | kBandgap, kByTimer, kEnd >> 8, kEnd & 255};
+  }
+  static constexpr Input entry(uint8_t channel, uint16_t compare) {
     return {static_cast<uint8_t>(kReference | (channel & 7)),
-            static_cast<uint8_t>(channel >= 8 ? _BV(MUX5) : 0)};
+            static_cast<uint8_t>(channel >= 8 ? _BV(MUX5) : 0), static_cast<uint8_t>(compare >> 8),
+            static_cast<uint8_t>(compare)};
   }
   static constexpr Inputs inputs() {
     Inputs table{};
-    for (uint8_t slot = 1; slot < kAdcSlots; ++slot) {
-      table.even[slot - 1] = input(adc_channel(false, slot));
-      table.odd[slot - 1] = input(adc_channel(true, slot));
+    for (uint8_t slot = 0; slot < kAdcSlots; ++slot) {
+      table.even[slot] = input(false, static_cast<uint8_t>(slot + 1));
+      table.odd[slot] = input(true, static_cast<uint8_t>(slot + 1));
     }
     return table;
   }
@@ -223,7 +220,13 @@ class Sampler {
   static constexpr uint8_t kRoom = 8;  // kAdcFrames waiting and one being filled; a power of two
   static volatile uint32_t tick_;
   static bool odd_;  // the tick whose frame is being filled
-  static AdcFrame frames_[kRoom];
+  // Conversions are stored in the order in which they come: the bandgap's, which the tick's follow.
+  struct Place {
+    uint16_t bandgap;
+    AdcFrame frame;
+  };
+  static Place places_[kRoom];
+  static bool done_;  // the chain's next end is its begin
   static volatile uint8_t frame_in_, frame_out_;
   static volatile uint16_t bandgap_, bandgap_sum_;
   static uint16_t bandgap_running_;
@@ -232,12 +235,13 @@ class Sampler {
 
 const Sampler::Inputs Sampler::kInputs PROGMEM = Sampler::inputs();
 volatile uint32_t Sampler::tick_;
-volatile uint8_t Sampler::step_;
 volatile uint8_t Sampler::whole_;
 uint16_t* volatile Sampler::fill_;
 const Sampler::Input* volatile Sampler::next_;
 bool Sampler::odd_;
-AdcFrame Sampler::frames_[kRoom];
+Sampler::Place Sampler::places_[kRoom];
+bool Sampler::done_;
+volatile uint8_t Sampler::end_;
 volatile uint8_t Sampler::frame_in_, Sampler::frame_out_;
 volatile uint16_t Sampler::bandgap_, Sampler::bandgap_sum_;
 uint16_t Sampler::bandgap_running_;
@@ -249,62 +253,59 @@ uint8_t Sampler::bandgap_counted_;
 ISR(TIMER1_COMPA_vect, THIGMO_FAST) { thigmo::mega::Sampler::on_tick(); }
 
 // Called from the assembly by its name.
-extern "C" void thigmo_other_slot() __attribute__((used, externally_visible));
-extern "C" void thigmo_other_slot() { thigmo::mega::Sampler::on_other_slot(); }
+extern "C" void thigmo_chain_end() __attribute__((used, externally_visible));
+extern "C" void thigmo_chain_end() { thigmo::mega::Sampler::on_end(); }
 
-// In slots 1..6: keep the last result, choose the next input. Six of the ten interrupts of each
-// millisecond take 98 cycles so, where a compiler's take 136; the others save what a call may
+// In slots 0..7: keep the last result, choose the next input. Eight of the ten interrupts of each
+// millisecond take 83 cycles so, where a compiler's take 136: they touch no flags, so SREG need not
+// be saved, and what changes from slot to slot comes from a table. The others save what a call may
 // change.
 ISR(TIMER1_COMPC_vect, ISR_NAKED) {
   __asm__ volatile(
       "push r24              \n\t"
-      "in   r24, %[sreg]     \n\t"
-      "push r24              \n\t"
-      "push r25              \n\t"
       "push r30              \n\t"
       "push r31              \n\t"
-      "lds  r24, %[step]     \n\t"
-      "dec  r24              \n\t"
-      "cpi  r24, %[slots]    \n\t"
-      "brsh 1f               \n\t"
-      "subi r24, -2          \n\t"
-      "sts  %[step], r24     \n\t"
-      "lds  r24, %[adcsra]   \n\t"  // whole_ &= ADCSRA
-      "lds  r25, %[whole]    \n\t"
-      "and  r25, r24         \n\t"
-      "sts  %[whole], r25    \n\t"
-      "ldi  r24, %[again]    \n\t"
+      "sbic %[gpior0], %[bit] \n\t"
+      "rjmp 4f               \n\t"
+      "lds  r24, %[adcsra]   \n\t"
+      "sbrs r24, %[adif]     \n\t"
+      "rjmp 3f               \n\t"  // no conversion has ended
+      "1: ldi r24, %[again]  \n\t"
       "sts  %[adcsra], r24   \n\t"
       "lds  r30, %[fill]     \n\t"  // *fill_++ = ADC
       "lds  r31, %[fill]+1   \n\t"
       "lds  r24, %[adc]      \n\t"
-      "lds  r25, %[adc]+1    \n\t"
       "st   Z+, r24          \n\t"
-      "st   Z+, r25          \n\t"
-      "sts  %[fill], r30     \n\t"
+      "lds  r24, %[adc]+1    \n\t"
+      "st   Z+, r24          \n\t"
       "sts  %[fill]+1, r31   \n\t"
-      "lds  r30, %[next]     \n\t"  // ADMUX, ADCSRB = *next_++
+      "sts  %[fill], r30     \n\t"
+      "lds  r30, %[next]     \n\t"  // ADMUX, ADCSRB, OCR1C = *next_++
       "lds  r31, %[next]+1   \n\t"
       "lpm  r24, Z+          \n\t"
       "sts  %[admux], r24    \n\t"
       "lpm  r24, Z+          \n\t"
       "sts  %[adcsrb], r24   \n\t"
-      "sts  %[next], r30     \n\t"
-      "sts  %[next]+1, r31   \n\t"
-      "lds  r24, %[ocr]      \n\t"  // OCR1C += kConversion
-      "lds  r25, %[ocr]+1    \n\t"
-      "subi r24, lo8(-%[conversion]) \n\t"
-      "sbci r25, hi8(-%[conversion]) \n\t"
-      "sts  %[ocr]+1, r25    \n\t"
+      "lpm  r24, Z+          \n\t"
+      "sts  %[ocr]+1, r24    \n\t"
+      "lpm  r24, Z+          \n\t"
       "sts  %[ocr], r24      \n\t"
-      "0: pop r31            \n\t"
+      "sts  %[next]+1, r31   \n\t"
+      "sts  %[next], r30     \n\t"
+      "lds  r24, %[end]      \n\t"
+      "cpse r30, r24         \n\t"
+      "rjmp 2f               \n\t"
+      "sbi  %[gpior0], %[bit] \n\t"
+      "2: pop r31            \n\t"
       "pop  r30              \n\t"
-      "pop  r25              \n\t"
-      "pop  r24              \n\t"
-      "out  %[sreg], r24     \n\t"
       "pop  r24              \n\t"
       "reti                  \n\t"
-      "1: push r0            \n\t"
+      "3: ldi r24, 0         \n\t"
+      "sts  %[whole], r24    \n\t"
+      "rjmp 1b               \n\t"
+      "4: in r24, %[sreg]    \n\t"
+      "push r24              \n\t"
+      "push r0               \n\t"
       "push r1               \n\t"
       "push r18              \n\t"
       "push r19              \n\t"
@@ -312,12 +313,14 @@ ISR(TIMER1_COMPC_vect, ISR_NAKED) {
       "push r21              \n\t"
       "push r22              \n\t"
       "push r23              \n\t"
+      "push r25              \n\t"
       "push r26              \n\t"
       "push r27              \n\t"
       "clr  r1               \n\t"
-      "call thigmo_other_slot \n\t"
+      "call thigmo_chain_end \n\t"
       "pop  r27              \n\t"
       "pop  r26              \n\t"
+      "pop  r25              \n\t"
       "pop  r23              \n\t"
       "pop  r22              \n\t"
       "pop  r21              \n\t"
@@ -326,16 +329,18 @@ ISR(TIMER1_COMPC_vect, ISR_NAKED) {
       "pop  r18              \n\t"
       "pop  r1               \n\t"
       "pop  r0               \n\t"
-      "rjmp 0b               \n\t"
+      "pop  r24              \n\t"
+      "out  %[sreg], r24     \n\t"
+      "rjmp 2b               \n\t"
       :
-      : [sreg] "I"(_SFR_IO_ADDR(SREG)), [step] "i"(&thigmo::mega::Sampler::step_),
-        [slots] "n"(thigmo::mega::Sampler::kLast - thigmo::mega::Sampler::kFirst - 1),
+      : [sreg] "I"(_SFR_IO_ADDR(SREG)), [gpior0] "I"(_SFR_IO_ADDR(GPIOR0)),
+        [bit] "n"(thigmo::mega::Sampler::kEndBit), [adif] "I"(ADIF),
         [whole] "i"(&thigmo::mega::Sampler::whole_), [fill] "i"(&thigmo::mega::Sampler::fill_),
-        [next] "i"(&thigmo::mega::Sampler::next_), [adcsra] "i"(_SFR_MEM_ADDR(ADCSRA)),
-        [adcsrb] "i"(_SFR_MEM_ADDR(ADCSRB)), [admux] "i"(_SFR_MEM_ADDR(ADMUX)),
-        [adc] "i"(_SFR_MEM_ADDR(ADCL)), [ocr] "i"(_SFR_MEM_ADDR(OCR1CL)),
-        [again] "n"(thigmo::mega::Sampler::kControl | _BV(ADIF) | _BV(ADATE)),
-        [conversion] "i"(thigmo::mega::Sampler::kConversion));
+        [next] "i"(&thigmo::mega::Sampler::next_), [end] "i"(&thigmo::mega::Sampler::end_),
+        [adcsra] "i"(_SFR_MEM_ADDR(ADCSRA)), [adcsrb] "i"(_SFR_MEM_ADDR(ADCSRB)),
+        [admux] "i"(_SFR_MEM_ADDR(ADMUX)), [adc] "i"(_SFR_MEM_ADDR(ADCL)),
+        [ocr] "i"(_SFR_MEM_ADDR(OCR1CL)),
+        [again] "n"(thigmo::mega::Sampler::kControl | _BV(ADIF) | _BV(ADATE)));
 }
 
 #endif  // THIGMO_MEGA_SAMPLER_H_

@@ -8,7 +8,7 @@ namespace thigmo {
 namespace mega {
 namespace wake {
 
-// GPIOR0 lies where sbi and cbi reach; bit 0 is the only one in use. GPIOR1 marks tasks
+// GPIOR0 lies where sbi and cbi reach; its bit 1 is the sampler's (sampler.h). GPIOR1 marks tasks
 // (mega_board.h), GPIOR2 is the transmitter's (serial.h).
 inline void ask() { GPIOR0 |= 1; }
 inline void clear() { GPIOR0 &= static_cast<uint8_t>(~1); }

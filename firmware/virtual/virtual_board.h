@@ -149,11 +149,11 @@ class VirtualBoard {
 
   uint32_t micros() { return static_cast<uint32_t>(now_us_ - start_us_); }
 
-  bool take_frame(AdcFrame* frame) {
-    if (frames_.empty()) return false;
-    *frame = frames_.front();
+  const AdcFrame* take_frame() {
+    if (frames_.empty()) return nullptr;
+    taken_ = frames_.front();
     frames_.pop_front();
-    return true;
+    return &taken_;
   }
 
   void drive(uint8_t side, int16_t duty) {
@@ -319,6 +319,7 @@ class VirtualBoard {
   std::deque<uint8_t> rx_;
   std::deque<uint8_t> tx_;
   std::deque<AdcFrame> frames_;
+  AdcFrame taken_{};
   std::string to_host_;
   std::unordered_map<uint64_t, uint16_t> fed_;
   std::vector<std::array<int64_t, 3>> recorded_;

@@ -30,11 +30,10 @@ class Board {
   Board() { std::memset(eeprom_, 0xFF, sizeof eeprom_); }
 
   uint32_t micros() { return tick * 1000 + 832; }
-  bool take_frame(AdcFrame* frame) {
-    if (!ready) return false;
+  const AdcFrame* take_frame() {
+    if (!ready) return nullptr;
     ready = false;
-    *frame = conversions;
-    return true;
+    return &conversions;
   }
   void drive(uint8_t side, int16_t duty) {
     require(side < thigmo::kSides && duty >= 0 && duty <= thigmo::kDriveFull);
