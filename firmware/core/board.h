@@ -86,7 +86,8 @@ class BoardPolicy {
   static constexpr protocol::Board kKind = protocol::Board::kMega;  // reported in the hello
 
   // --- clock -------------------------------------------------------------------------------------
-  uint32_t micros();  // tick * 1000 + microseconds into the tick; wraps
+  uint32_t micros();    // tick * 1000 + microseconds into the tick; wraps
+  uint16_t micros16();  // its low half, which an 8-bit chip has for half the time
 
   // --- analog ------------------------------------------------------------------------------------
   // The oldest completed frame not yet taken, or null; it holds until the next call. Frames come in

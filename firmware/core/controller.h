@@ -141,6 +141,7 @@ class Controller {
   void free_step();
   void zeroing_step();
   void trigger_step();
+  void look_at_base(uint8_t side);
   void hold_contact(uint8_t side);
   Reading reading() const;
   uint16_t causes() const;

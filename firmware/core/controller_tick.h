@@ -230,7 +230,7 @@ THIGMO_NOINLINE inline void Controller::zeroing_step() {
       }
     }
     zeros_.begin(mask);
-    for (uint8_t i = 0; i < kSensors; ++i) flex_.restart(i);
+    flex_.restart();
     zeroing_tick_ = tick_;
     averaging_ = true;
     return;
@@ -250,6 +250,13 @@ inline uint8_t Controller::active_side() const {
   return muscle_[1].lagged_cpsi() > muscle_[0].lagged_cpsi() ? 1 : 0;
 }
 
+THIGMO_NOINLINE inline void Controller::look_at_base(uint8_t side) {
+  const uint8_t sensor = static_cast<uint8_t>(side * kSensorsPerSide);
+  const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
+  side_e5_[side] =
+      curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
+}
+
 THIGMO_NOINLINE inline void Controller::trigger_step() {
   const uint16_t usable =
       static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask() & zeros_.valid_mask());
@@ -263,15 +270,10 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
     side_known_[side] = false;
     // The pressurised side wrinkles: its readings are worth nothing.
     if (!vented && side == active) continue;
-    const uint8_t sensor = static_cast<uint8_t>(side * kSensorsPerSide);
     const uint16_t bit = static_cast<uint16_t>(side == 0 ? 1u : 1u << kSensorsPerSide);
     if ((usable & bit) == 0 || !base_sum_[side].full()) continue;
     // When both count, each is looked at on every second tick: the work of one a tick.
-    if (!vented || (tick_ & 1) == side || !known) {
-      const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
-      side_e5_[side] =
-          curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
-    }
+    if (!vented || (tick_ & 1) == side || !known) look_at_base(side);
     side_known_[side] = true;
     sum += side_e5_[side];
     ++count;

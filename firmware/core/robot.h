@@ -33,7 +33,7 @@ class Robot {
 
   // One pass of the main loop.
   void loop() {
-    const uint16_t begun = static_cast<uint16_t>(board_.micros());
+    const uint16_t begun = board_.micros16();
     board_.task(static_cast<uint8_t>(Task::kReceive));
     receive();
     if (const AdcFrame* frame = board_.take_frame()) {
@@ -45,7 +45,7 @@ class Robot {
     board_.task(static_cast<uint8_t>(Task::kTransmit));
     transmit();
     // The watchdog ends what would not fit 16 bits.
-    const uint16_t took = static_cast<uint16_t>(static_cast<uint16_t>(board_.micros()) - begun);
+    const uint16_t took = static_cast<uint16_t>(board_.micros16() - begun);
     uint16_t& longest = commands_.timing().loop_max_us;
     if (took > longest) longest = took;
   }

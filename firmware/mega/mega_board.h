@@ -59,6 +59,7 @@ class MegaBoard {
   }
 
   static uint32_t micros() { return Sampler::micros(); }
+  static uint16_t micros16() { return Sampler::micros16(); }
   static const AdcFrame* take_frame() { return Sampler::take(); }
 
   static void drive(uint8_t side, int16_t duty) { Actuators::drive(side, duty); }

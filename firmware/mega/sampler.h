@@ -72,6 +72,16 @@ class Sampler {
     return tick * 1000 + count / 16;
   }
 
+  static uint16_t micros16() {
+    uint16_t tick, count;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+      tick = static_cast<uint16_t>(tick_);
+      count = TCNT1;
+      if ((TIFR1 & _BV(OCF1A)) != 0 && count < kTickCycles / 2) ++tick;
+    }
+    return tick * 1000u + count / 16;
+  }
+
   static const AdcFrame* take() {
     const uint8_t out = frame_out_;
     if (frame_in_ == out) return nullptr;
@@ -145,8 +155,8 @@ class Sampler {
   // What an interrupt in a slot sets: the input of the slot that follows, and when the next
   // interrupt comes.
   struct Input {
-    uint8_t mux;      // ADMUX
-    uint8_t control;  // ADCSRB; free running
+    uint8_t mux;           // ADMUX
+    uint8_t control;       // ADCSRB; free running
     uint8_t compare_high;  // OCR1C
     uint8_t compare_low;
   };

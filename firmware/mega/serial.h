@@ -1,8 +1,8 @@
 // USART0, the USB bridge's line: two rings of 256 bytes, moved by interrupts.
 //
-// A full line has 25 interrupts a millisecond each way, so both routines are in assembly and touch no
-// flags: SREG need not be saved. Each ring begins at a multiple of 256, so that an index is the low
-// byte of an address and wraps by itself.
+// A full line has 25 interrupts a millisecond each way, so both routines are in assembly and touch
+// no flags: SREG need not be saved. Each ring begins at a multiple of 256, so that an index is the
+// low byte of an address and wraps by itself.
 #ifndef THIGMO_MEGA_SERIAL_H_
 #define THIGMO_MEGA_SERIAL_H_
 

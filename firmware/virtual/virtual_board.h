@@ -148,6 +148,7 @@ class VirtualBoard {
   // --- what the firmware core does (core/board.h) ----------------------------------------------
 
   uint32_t micros() { return static_cast<uint32_t>(now_us_ - start_us_); }
+  uint16_t micros16() { return static_cast<uint16_t>(now_us_ - start_us_); }
 
   const AdcFrame* take_frame() {
     if (frames_.empty()) return nullptr;

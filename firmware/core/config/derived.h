@@ -34,9 +34,7 @@ struct Gain16 {
   }
 
   // Rounded to nearest.
-  int32_t apply(int32_t value) const {
-    return (share_q16(value, mantissa) + half) >> shift;
-  }
+  int32_t apply(int32_t value) const { return (share_q16(value, mantissa) + half) >> shift; }
 };
 
 struct Derived {

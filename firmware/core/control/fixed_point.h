@@ -32,8 +32,9 @@ constexpr int16_t saturated16(int32_t value) {
   return static_cast<int16_t>(limited<int32_t>(value, -32768, 32767));
 }
 
-// value >> kShift, 8 < kShift < 16, when that fits 16 bits. An AVR shifts by whole bytes for nothing,
-// and by other numbers bit by bit: so the few bits that lack 16 are shifted the other way first.
+// value >> kShift, 8 < kShift < 16, when that fits 16 bits. An AVR shifts by whole bytes for
+// nothing, and by other numbers bit by bit: so the few bits that lack 16 are shifted the other way
+// first.
 template <uint8_t kShift>
 constexpr int16_t shifted16(int32_t value) {
   static_assert(kShift > 8 && kShift < 16, "other shifts are as quick as they are");

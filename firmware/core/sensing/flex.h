@@ -16,8 +16,30 @@ namespace thigmo {
 
 // A mean count, half a count added, in 1/64: 32..65504. From a sum of 2^log2 conversions.
 inline uint16_t count_q6(uint32_t sum, uint8_t log2) {
-  const uint32_t scaled = log2 <= 6 ? sum << (6 - log2) : sum >> (log2 - 6);
+  // Up to 64 conversions, 16 bits hold the sum.
+  const uint16_t scaled = log2 <= 6
+                              ? static_cast<uint16_t>(static_cast<uint16_t>(sum) << (6 - log2))
+                              : static_cast<uint16_t>(sum >> (log2 - 6));
   return static_cast<uint16_t>(scaled + 32);
+}
+
+// The next bits of a long division by hand: quotient bits of remainder << bits, remainder <
+// divisor.
+__attribute__((always_inline)) inline uint8_t next_bits(uint16_t* remainder, uint16_t divisor,
+                                                        uint8_t bits) {
+  uint16_t left = *remainder;
+  uint8_t quotient = 0;
+  for (; bits != 0; --bits) {
+    const bool carry = (left & 0x8000u) != 0;
+    left = static_cast<uint16_t>(left << 1);
+    quotient = static_cast<uint8_t>(quotient << 1);
+    if (carry || left >= divisor) {
+      left = static_cast<uint16_t>(left - divisor);
+      ++quotient;
+    }
+  }
+  *remainder = left;
+  return quotient;
 }
 
 // Sensor resistance plus divider in 1/16 ohm: 22 kOhm * 1024 / count, which is 22000 << 20 over a
@@ -28,18 +50,13 @@ THIGMO_NOINLINE inline int32_t total_ohm_q4(uint16_t count) {
   uint16_t remainder = static_cast<uint16_t>(kDividerOhm);
   uint32_t quotient = 0;
   if (remainder >= count) {  // sensors above 43 kOhm
-    quotient = remainder / count;
+    quotient = static_cast<uint32_t>(remainder / count) << 20;
     remainder = static_cast<uint16_t>(remainder % count);
   }
-  for (uint8_t i = 0; i < 20; ++i) {
-    const bool carry = (remainder & 0x8000u) != 0;
-    remainder = static_cast<uint16_t>(remainder << 1);
-    quotient <<= 1;
-    if (carry || remainder >= count) {
-      remainder = static_cast<uint16_t>(remainder - count);
-      quotient |= 1;
-    }
-  }
+  const uint8_t high = next_bits(&remainder, count, 4);
+  const uint8_t middle = next_bits(&remainder, count, 8);
+  const uint8_t low = next_bits(&remainder, count, 8);
+  quotient |= static_cast<uint32_t>(high) << 16 | static_cast<uint16_t>(middle << 8) | low;
   return static_cast<int32_t>(quotient);
 }
 
@@ -47,8 +64,12 @@ THIGMO_NOINLINE inline int32_t total_ohm_q4(uint16_t count) {
 // log2) over twice the zero plus half a count for each conversion.
 THIGMO_NOINLINE inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
   const uint32_t count = zero_sum_q8 * 2 + (static_cast<uint32_t>(256) << log2);
-  uint32_t remainder = kDividerOhm % count;
-  uint32_t quotient = kDividerOhm / count;
+  uint32_t remainder = kDividerOhm;
+  uint32_t quotient = 0;
+  if (remainder >= count) {
+    quotient = remainder / count;
+    remainder %= count;
+  }
   for (uint8_t i = static_cast<uint8_t>(23 + log2); i > 0; --i) {
     remainder <<= 1;  // below 2^26
     quotient <<= 1;
@@ -60,15 +81,20 @@ THIGMO_NOINLINE inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_
   return static_cast<int32_t>(quotient);
 }
 
+// Curvature of unusual bends and gains: 64 bits.
+THIGMO_NOINLINE inline int16_t wide_curvature_e5(int32_t change, int32_t gain_q16) {
+  const int64_t scaled = (static_cast<int64_t>(change) * gain_q16 + 0x8000) >> 16;
+  return static_cast<int16_t>(limited<int64_t>(scaled, -32768, 32767));
+}
+
 // Curvature in 1e-5/cm of two total resistances, saturated.
 inline int16_t curvature_e5(int32_t total, int32_t total_at_zero, int32_t gain_q16) {
   const int32_t change = limited<int32_t>(total - total_at_zero, -2000000, 2000000);
   // Usual bends and gains fit 32 bits, which an AVR multiplies in a third of the time.
   if (change > -65536 && change < 65536 && gain_q16 > -32768 && gain_q16 < 32768) {
-    return saturated16((change * gain_q16 + 0x8000) >> 16);
+    return saturated16((change * static_cast<int16_t>(gain_q16) + 0x8000) >> 16);
   }
-  const int64_t scaled = (static_cast<int64_t>(change) * gain_q16 + 0x8000) >> 16;
-  return static_cast<int16_t>(limited<int64_t>(scaled, -32768, 32767));
+  return wide_curvature_e5(change, gain_q16);
 }
 
 // Sums conversions of the ten sensors into readings, and watches their wires.
@@ -83,32 +109,32 @@ class FlexReadings {
     if (full_ != 0 && log2 == log2_) return;
     log2_ = log2;
     full_ = static_cast<uint8_t>(1u << log2);
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      restart(i);
-      channels_[i].latest = 0;
-    }
+    restart();
+    for (uint8_t i = 0; i < kSensors; ++i) channels_[i].latest = 0;
     ready_ = 0;
   }
 
-  // Drops a half-done sum, so that the next reading begins now.
-  void restart(uint8_t sensor) {
-    channels_[sensor].sum = 0;
-    channels_[sensor].taken = 0;
+  // Drops half-done sums, so that the next readings begin now.
+  void restart() {
+    for (uint8_t i = 0; i < kSensors; ++i) channels_[i].sum = 0;
+    base_taken_ = 0;
+    taken_[0] = taken_[1] = 0;
   }
 
   // Takes a tick's six flex conversions, in the order of adc_channel()'s slots 2 to 7. Returns the
   // sensors whose readings they completed, as bits.
   uint16_t add_tick(bool odd, const uint16_t* count) {
     static_assert(kSensorsPerSide == 5, "the schedule of adc_channel()");
-    uint16_t done = 0;
-    if (add(channels_, count[0])) done = 1u << 0;
-    if (add(channels_ + 5, count[1])) done |= 1u << 5;
+    // The base sensors are converted in each tick, either side's others in every second.
+    const bool base_full = full(&base_taken_);
+    add(channels_, count[0], base_full);
+    add(channels_ + 5, count[1], base_full);
+    const bool side_full = full(&taken_[odd]);
     Channel* channel = channels_ + (odd ? 6 : 1);
-    uint16_t bit = odd ? 1u << 6 : 1u << 1;
-    for (uint8_t i = 2; i < 6; ++i, ++channel, bit = static_cast<uint16_t>(bit << 1)) {
-      if (add(channel, count[i])) done |= bit;
-    }
-    if (done != 0) ready_ |= done;
+    for (uint8_t i = 2; i < 6; ++i, ++channel) add(channel, count[i], side_full);
+    uint16_t done = base_full ? 1u << 0 | 1u << 5 : 0;
+    if (side_full) done |= odd ? 0xFu << 6 : 0xFu << 1;
+    ready_ |= done;
     return done;
   }
 
@@ -123,11 +149,17 @@ class FlexReadings {
   struct Channel {
     uint16_t sum;
     uint16_t latest;
-    uint8_t taken;
     int8_t bad_run;  // conversions: negative below, positive above the plausible band
   };
 
-  bool add(Channel* channel, uint16_t count) {
+  // Counts a conversion; true when it is a reading's last.
+  bool full(uint8_t* taken) const {
+    if (++*taken < full_) return false;
+    *taken = 0;
+    return true;
+  }
+
+  void add(Channel* channel, uint16_t count, bool full) {
     // One comparison for both ends of the band.
     if (static_cast<uint16_t>(count - kOpenBelow) > kShortAbove - kOpenBelow) {
       watch(channel, count < kOpenBelow);
@@ -135,11 +167,9 @@ class FlexReadings {
       recover(channel);
     }
     channel->sum = static_cast<uint16_t>(channel->sum + count);
-    if (++channel->taken < full_) return false;
+    if (!full) return;
     channel->latest = channel->sum;
     channel->sum = 0;
-    channel->taken = 0;
-    return true;
   }
 
   // Extends a run of implausible conversions: downwards for an open circuit, upwards for a short.
@@ -158,6 +188,8 @@ class FlexReadings {
 
   Channel channels_[kSensors] = {};
   uint16_t ready_ = 0;
+  uint8_t base_taken_ = 0;  // conversions in the running sums
+  uint8_t taken_[kSides] = {};
   uint8_t bad_count_ = 0;
   uint8_t full_ = 0;  // conversions in a reading
   uint8_t log2_ = 0;

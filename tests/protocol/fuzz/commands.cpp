@@ -30,6 +30,7 @@ class Board {
   Board() { std::memset(eeprom_, 0xFF, sizeof eeprom_); }
 
   uint32_t micros() { return tick * 1000 + 832; }
+  uint16_t micros16() { return static_cast<uint16_t>(micros()); }
   const AdcFrame* take_frame() {
     if (!ready) return nullptr;
     ready = false;
