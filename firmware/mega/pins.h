@@ -1,21 +1,22 @@
 // Every pin of the robot, in one table. WIRING.md says what hangs on each.
 //
-// | Arduino pin | AVR       | signal                     | direction | idle (reset, boot loader) |
-// | ----------- | --------- | -------------------------- | --------- |
-// ------------------------------ | | A0..A4      | ADC0..4   | flex sensors left, 0 base  | analog
-// | divider 5 V - sensor - 22 kOhm | | A5..A9      | ADC5..9   | flex sensors right, 0 base |
-// analog    | divider 5 V - sensor - 22 kOhm | | A10         | ADC10     | muscle pressure left |
-// analog    | pull-down 100 kOhm             | | A11         | ADC11     | muscle pressure right |
-// analog    | pull-down 100 kOhm             | | A12         | ADC12     | spare | analog    |
-// pull-down 100 kOhm             | | 46          | PL3 OC5A  | transducer current left    | output
-// | pull-down 10 kOhm: 0 mA        | | 45          | PL4 OC5B  | transducer current right   |
-// output    | pull-down 10 kOhm: 0 mA        | | 6           | PH3 OC4A  | motor PWM, 20 kHz |
-// output    | pull-down 10 kOhm: braked      | | 7           | PH4       | motor DIR, high pays out
-// | output    | pull-down 10 kOhm              | | 2           | PE4 INT4  | encoder A | input |
-// pull-up (internal)             | | 3           | PE5 INT5  | encoder B                  | input
-// | pull-up (internal)             | | 22          | PA0       | emergency stop             | input
-// | pull-up; closed to GND = run   | | 0, 1        | RXD0 TXD0 | USB bridge                 |
-// serial    |                                |
+// clang-format off
+// | Arduino pin | AVR       | signal                     | direction | idle (reset, boot loader)      |
+// | ----------- | --------- | -------------------------- | --------- | ------------------------------ |
+// | A0..A4      | ADC0..4   | flex sensors left, 0 base  | analog    | divider 5 V - sensor - 22 kOhm |
+// | A5..A9      | ADC5..9   | flex sensors right, 0 base | analog    | divider 5 V - sensor - 22 kOhm |
+// | A10         | ADC10     | muscle pressure left       | analog    | pull-down 100 kOhm             |
+// | A11         | ADC11     | muscle pressure right      | analog    | pull-down 100 kOhm             |
+// | A12         | ADC12     | spare                      | analog    | pull-down 100 kOhm             |
+// | 46          | PL3 OC5A  | transducer current left    | output    | pull-down 10 kOhm: 0 mA        |
+// | 45          | PL4 OC5B  | transducer current right   | output    | pull-down 10 kOhm: 0 mA        |
+// | 6           | PH3 OC4A  | motor PWM, 20 kHz          | output    | pull-down 10 kOhm: braked      |
+// | 7           | PH4       | motor DIR, high pays out   | output    | pull-down 10 kOhm              |
+// | 2           | PE4 INT4  | encoder A                  | input     | pull-up (internal)             |
+// | 3           | PE5 INT5  | encoder B                  | input     | pull-up (internal)             |
+// | 22          | PA0       | emergency stop             | input     | pull-up; closed to GND = run   |
+// | 0, 1        | RXD0 TXD0 | USB bridge                 | serial    |                                |
+// clang-format on
 //
 // Not used on purpose: 13 blinks in the boot loader; 20 and 21 are I2C; 44 (OC5C) stays free beside
 // the transducers.

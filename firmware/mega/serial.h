@@ -94,7 +94,8 @@ class Serial0 {
   static constexpr uint8_t kNearlyEmpty = 7;
 };
 
-Serial0::Rings Serial0::rings_ __attribute__((aligned(256)));
+// In a section of its own, or the linker would align all of .bss by it, part by part.
+Serial0::Rings Serial0::rings_ __attribute__((aligned(256), section(".bss.rings")));
 volatile uint8_t Serial0::rx_in_, Serial0::rx_out_, Serial0::tx_in_, Serial0::tx_stop_;
 volatile uint16_t Serial0::overruns_;
 
