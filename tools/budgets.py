@@ -14,110 +14,29 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
-import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
+from mega_rig import RAM, Figure, Rig, painted_stack, scene, sections, static_ram
+from soak import Soak
 
-from thigmo.emulator import mega_build
-from thigmo.emulator.chip import CHANNELS, CYCLES_PER_MS, NO_COUNT, SRAM_END, Cause
-from thigmo.emulator.mega_sim import SimulatedMega
-from thigmo.emulator.scene import Scene
+from thigmo.emulator.chip import CHANNELS, CYCLES_PER_MS, NO_COUNT
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
-from thigmo.link.framing import Decoder, encode
-from thigmo.link.image import BUILD
+from thigmo.link.framing import encode
 from thigmo.robot.robot import Robot
 
 RATCHET = Path(__file__).with_suffix(".json")
 FLASH = 253_952
-RAM = 8192
-PAINT = 0xC5
+MIX_S = 90.0  # of the soak's mix, for the deepest stack
 TASKS = ("receive", "sense", "control", "decide", "telemetry", "store", "transmit")
 INTERRUPTS = {
     "encoder A": 5, "encoder B": 6, "tick": 17, "sampling": 19, "receive": 25, "transmit": 26,
 }  # fmt: skip
 US = 16  # cycles
 SEED = 3
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One measured figure.
-
-    Attributes:
-        name, value, unit: what.
-        limit: of the specification, if it sets one.
-        least: the limit is a least value.
-    """
-
-    name: str
-    value: float
-    unit: str
-    limit: float | None = None
-    least: bool = False
-
-    @property
-    def kept(self) -> bool:
-        """The limit is met."""
-        if self.limit is None:
-            return True
-        return self.value >= self.limit if self.least else self.value <= self.limit
-
-
-class Rig(SimulatedMega):
-    """A simulated Mega that notes when each byte leaves, and how busy each millisecond is."""
-
-    def __init__(self, eeprom: bytes = b"") -> None:
-        super().__init__(SEED, eeprom)
-        self.wire: list[tuple[bytes, npt.NDArray[np.uint64]]] = []
-        self.busy: list[int] = []
-        self._marks: list[npt.NDArray[np.void]] = []
-        self._take = self.chip.take
-        self.chip.take = self._noting_take  # type: ignore[method-assign]
-
-    def _noting_take(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
-        data, at = self._take()
-        self.wire.append((data, at))
-        return data, at
-
-    def step(self, ticks: int) -> None:
-        asleep = self.chip.asleep_cycles
-        super().step(ticks)
-        self.busy.append(ticks * CYCLES_PER_MS - (self.chip.asleep_cycles - asleep))
-        self._marks.append(self.chip.take_marks())  # the bridge has room for some seconds of them
-
-    def take_marks(self) -> npt.NDArray[np.void]:
-        """Marks of tasks since the last call (`Chip.record_marks`)."""
-        marks = np.concatenate([*self._marks, self.chip.take_marks()])
-        self._marks.clear()
-        return marks[marks["reg"] == 1]
-
-    def frames(self) -> list[tuple[wire.Message, int]]:
-        """Messages sent so far, each with the cycle at which its last byte was on the wire."""
-        data = b"".join(part for part, _ in self.wire)
-        at = np.concatenate([times for _, times in self.wire])
-        decoder, out, start = Decoder(), [], 0
-        for end in np.flatnonzero(np.frombuffer(data, np.uint8) == 0):
-            found = decoder.feed(data[start : end + 1])
-            out.extend((frame.message(), int(at[end])) for frame in found)
-            start = int(end) + 1
-        return out
-
-
-def scene(*, pegs: bool = False) -> Scene:
-    """The default robot, out to 51.5 cm and rested, in an empty room."""
-    whole = Scene.load("default")
-    changes: dict[str, object] = {"start_length_cm": 51.5}
-    if not pegs:
-        changes["pegs"] = []
-    return whole.model_copy(update=changes)
 
 
 def session(rig: Rig) -> tuple[Robot, Client]:
@@ -136,26 +55,11 @@ def session(rig: Rig) -> tuple[Robot, Client]:
     return robot, client
 
 
-def symbols() -> dict[str, int]:
-    listing = subprocess.run(
-        ["avr-nm", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
-    ).stdout
-    return {
-        p[2]: int(p[0], 16) & 0xFFFF for line in listing.splitlines() if len(p := line.split()) == 3
-    }
-
-
 def memory() -> list[Figure]:
-    image = mega_build.firmware_hex()
-    size = subprocess.run(
-        ["avr-size", "-A", str(image.with_suffix(".elf"))],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    sections = {name: int(count) for name, count in re.findall(r"^(\.\w+)\s+(\d+)", size, re.M)}
-    ram = sum(sections.get(name, 0) for name in (".data", ".bss", ".noinit"))
+    size = sections()
     return [
-        Figure("flash", sections[".text"] + sections.get(".data", 0), "byte", FLASH),
-        Figure("static RAM", ram, "byte"),
+        Figure("flash", size[".text"] + size.get(".data", 0), "byte", FLASH),
+        Figure("static RAM", static_ram(), "byte"),
     ]
 
 
@@ -221,24 +125,6 @@ def busy_robot(rig: Rig) -> list[Figure]:
     return figures
 
 
-def painted_stack() -> tuple[Rig, Callable[[], int]]:
-    """A rig whose free RAM is painted, and how deep the stack has gone since."""
-    rig = Rig()
-    rig.step(2)
-    # Painted before the firmware starts: the boot loader's own stack is above and does not count.
-    end = symbols()["_end"]
-    chip = rig.chip
-    chip.boot_at(0)
-    chip.write_ram(end, bytes([PAINT]) * (SRAM_END + 1 - end))
-    chip.reset(Cause.EXTERNAL)
-
-    def depth() -> int:
-        ram = np.frombuffer(chip.read_ram(end, SRAM_END + 1 - end), np.uint8)
-        return len(ram) - int(np.flatnonzero(ram != PAINT)[0])
-
-    return rig, depth
-
-
 def throughput(rig: Rig) -> list[Figure]:
     """Both directions full at once: telemetry each millisecond, heartbeats back to back."""
     transport = EmulatorTransport(scene(), rig, seed=SEED, exchange_ms=1)
@@ -298,7 +184,7 @@ STEP_COUNTS = 20
 
 def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
     """A sweep in an empty room; the inactive side's base sensor may jump by 20 counts."""
-    rig = Rig()
+    rig = Rig(SEED)
     robot, client = session(rig)
     robot.grow_to(53.0)
     robot.confirm_length(53.0, settled=True)
@@ -355,14 +241,17 @@ def trigger_latency() -> list[Figure]:
 def measure() -> list[Figure]:
     """All figures."""
     figures = memory()
-    rig, depth = painted_stack()
+    rig = Rig(SEED)
+    depth = painted_stack(rig)
     figures += busy_robot(rig)
+    # Every message, saves and faults as well: the mix of tools/soak.py, on the same painted RAM.
+    transport = EmulatorTransport(scene(pegs=True), rig, seed=SEED, exchange_ms=1)
+    Soak(Client(transport), SEED, transport).run(MIX_S)
     stack = depth()
-    static = next(f.value for f in figures if f.name == "static RAM")
     figures.insert(2, Figure("stack, worst", stack, "byte"))
-    figures.insert(3, Figure("RAM with the worst stack", static + stack, "byte", 0.75 * RAM))
-    figures += throughput(Rig(rig.eeprom))
-    figures += commands(Rig(rig.eeprom))
+    figures.insert(3, Figure("RAM with the worst stack", static_ram() + stack, "byte", 0.75 * RAM))
+    figures += throughput(Rig(SEED, rig.eeprom))
+    figures += commands(Rig(SEED, rig.eeprom))
     figures += trigger_latency()
     return figures
 
@@ -400,21 +289,10 @@ def main() -> int:
     options = parser.parse_args()
     figures = measure()
     if options.json:
-        print(
-            json.dumps(
-                {
-                    f.name: asdict(f) | {"value": float(f.value), "kept": bool(f.kept)}
-                    for f in figures
-                },
-                indent=2,
-            )
-        )
+        print(json.dumps({f.name: f.row for f in figures}, indent=2))
     else:
         for f in figures:
-            limit = "" if f.limit is None else f"{'>=' if f.least else '<='} {f.limit:g}"
-            print(
-                f"{f.name:42} {f.value:>10g} {f.unit:8} {limit:10} {'' if f.kept else 'EXCEEDED'}"
-            )
+            print(f.line)
     if options.update:
         RATCHET.write_text(json.dumps({f.name: f.value for f in figures}, indent=2) + "\n")
     if options.check:

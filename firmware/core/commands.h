@@ -101,7 +101,7 @@ class Commands {
         return Handled::kDeferred;
       }
       case protocol::kLoadDefaults:
-        return answer.ack(controller_.load_defaults());
+        return load_defaults(answer);
       case protocol::kGetSnapshot: {
         const auto m = read<protocol::GetSnapshot>(command);
         return snapshot(answer, m.index);
@@ -154,6 +154,11 @@ class Commands {
     }
     m.config_generation = store_.generation();
     return answer.send(m);
+  }
+
+  Handled load_defaults(Reply& answer) {
+    const Outcome outcome = controller_.begin_defaults();
+    return outcome.reason == Reason::kNone ? Handled::kDeferred : answer.ack(outcome);
   }
 
   Handled sensor(Reply& answer, uint8_t index) {

@@ -82,7 +82,8 @@ class Controller {
   Outcome zero_sensors(uint16_t mask);
   Outcome set_parameter(uint16_t index, int32_t value);
   Outcome set_map(const protocol::SetMap& wanted);
-  Outcome load_defaults();
+  Outcome begin_defaults();
+  bool defaults_step();  // once a tick; true when the defaults are loaded
   Outcome begin_save();  // the robot then drives the store, and calls end_save()
   void end_save(bool good, uint8_t slot, uint32_t generation);
 
@@ -113,7 +114,7 @@ class Controller {
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
-  static constexpr uint8_t kZeroPhase = 2;
+  static constexpr uint8_t kSparePhase = 2;         // the spool's, which stands still then
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint16_t kRearmMs = 200;
@@ -220,6 +221,7 @@ class Controller {
   uint8_t over_steps_[kSides] = {};
   uint8_t sweep_options_ = 0;
   uint8_t zeroing_next_ = 0;
+  uint8_t defaults_next_ = Configuration::kItems;
   uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
   uint8_t peak_side_ = 0;
   bool side_known_[kSides] = {};

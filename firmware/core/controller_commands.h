@@ -231,15 +231,35 @@ inline Outcome Controller::set_map(const protocol::SetMap& wanted) {
   return kAccepted;
 }
 
-inline Outcome Controller::load_defaults() {
+// All at once would keep the loop busy for 2 ms: so one item that changes in a control period, as
+// if each were set by a command, and no activity may begin meanwhile.
+inline Outcome Controller::begin_defaults() {
   const Outcome allowed = permit(Permit::kConfigure);
   if (allowed.reason != Reason::kNone) return allowed;
-  config_.load_defaults();
-  config_valid_ = true;
-  const Scales before = scales();
-  derived_.update(config_);
-  take_over(before);
+  activity_ = Activity::kSaving;
+  defaults_next_ = 0;
   return kAccepted;
+}
+
+inline bool Controller::defaults_step() {
+  if (defaults_next_ == Configuration::kItems || phase_ != kSparePhase) return false;
+  for (uint8_t tries = 0; tries < 8; ++tries) {
+    const uint8_t item = defaults_next_++;
+    const bool changed = config_.load_default(item);
+    if (changed && item < protocol::kParamCount) {
+      const Scales before = scales();
+      derived_.update(config_, item);
+      take_over(before);
+    }
+    if (defaults_next_ == Configuration::kItems) {
+      activity_ = Activity::kIdle;
+      config_valid_ = true;
+      assemble_conditions();
+      return true;
+    }
+    if (changed) break;
+  }
+  return false;
 }
 
 inline Outcome Controller::begin_save() {

@@ -211,7 +211,7 @@ THIGMO_NOINLINE inline void Controller::zeroing_step() {
   if (!averaging_) {
     if (zeroing_next_ > 0) {
       // Averages become zeros, one sensor a control period.
-      if (phase_ != kZeroPhase) return;
+      if (phase_ != kSparePhase) return;
       zeros_.finish(static_cast<uint8_t>(zeroing_next_ - 1), flex_.log2());
       if (zeroing_next_++ < kSensors) return;
       zeroing_next_ = 0;

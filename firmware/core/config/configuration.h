@@ -47,18 +47,32 @@ struct Configuration {
     return true;
   }
 
-  void load_defaults() {
-    for (uint16_t i = 0; i < protocol::kParamCount; ++i) value[i] = row(i).initial;
-    for (uint8_t zone = 0; zone < kZones; ++zone) {
-      for (uint8_t side = 0; side < kSides; ++side) {
-        for (uint8_t branch = 0; branch < kBranches; ++branch) {
-          for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
-            const int16_t guess = static_cast<int16_t>(THIGMO_FLASH_U16(kGuessedMap + i));
-            map[zone][side][branch][i] = side == 0 ? guess : static_cast<int16_t>(-guess);
-          }
-        }
-      }
+  // Parameters, then maps.
+  static constexpr uint8_t kItems = protocol::kParamCount + kZones * kSides * kBranches;
+
+  // Puts one item back to its default; true if that changed it.
+  bool load_default(uint8_t item) {
+    if (item < protocol::kParamCount) {
+      const int32_t initial = row(item).initial;
+      const bool differs = value[item] != initial;
+      value[item] = initial;
+      return differs;
     }
+    const uint8_t which = static_cast<uint8_t>(item - protocol::kParamCount);
+    const uint8_t side = static_cast<uint8_t>(which / kBranches % kSides);
+    int16_t* const points = map[which / (kBranches * kSides)][side][which % kBranches];
+    bool differs = false;
+    for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
+      const int16_t guess = static_cast<int16_t>(THIGMO_FLASH_U16(kGuessedMap + i));
+      const int16_t initial = side == 0 ? guess : static_cast<int16_t>(-guess);
+      differs = differs || points[i] != initial;
+      points[i] = initial;
+    }
+    return differs;
+  }
+
+  void load_defaults() {
+    for (uint8_t i = 0; i < kItems; ++i) load_default(i);
   }
 
   // Index of the first parameter that is out of range, or -1: for what comes from the store. set()

@@ -1,0 +1,152 @@
+"""The simulated Mega as tools/budgets.py and tools/soak.py measure it: wire, load, marks, stack."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.emulator import mega_build
+from thigmo.emulator.chip import CYCLES_PER_MS, SRAM_END, Cause
+from thigmo.emulator.mega_sim import SimulatedMega
+from thigmo.emulator.scene import Scene
+from thigmo.link import protocol as wire
+from thigmo.link.framing import Decoder
+from thigmo.link.image import BUILD
+
+RAM = 8192
+PAINT = 0xC5
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure.
+
+    Attributes:
+        name, value, unit: what.
+        limit: of the specification, if it sets one.
+        least: the limit is a least value.
+    """
+
+    name: str
+    value: float
+    unit: str
+    limit: float | None = None
+    least: bool = False
+
+    @property
+    def kept(self) -> bool:
+        """The limit is met."""
+        if self.limit is None:
+            return True
+        return self.value >= self.limit if self.least else self.value <= self.limit
+
+    @property
+    def line(self) -> str:
+        """For a table on the screen."""
+        limit = "" if self.limit is None else f"{'>=' if self.least else '<='} {self.limit:g}"
+        broken = "" if self.kept else "EXCEEDED"
+        return f"{self.name:42} {self.value:>10g} {self.unit:8} {limit:10} {broken}".rstrip()
+
+    @property
+    def row(self) -> dict[str, object]:
+        """For JSON, as tools/figures.py reads it."""
+        return asdict(self) | {"value": float(self.value), "kept": bool(self.kept)}
+
+
+class Rig(SimulatedMega):
+    """A simulated Mega that notes when each byte leaves, and how busy each millisecond is."""
+
+    def __init__(self, seed: int, eeprom: bytes = b"") -> None:
+        super().__init__(seed, eeprom)
+        self.wire: list[tuple[bytes, npt.NDArray[np.uint64]]] = []
+        self.busy: list[int] = []
+        self._marks: list[npt.NDArray[np.void]] = []
+        self._take = self.chip.take
+        self.chip.take = self._noting_take  # type: ignore[method-assign]
+
+    def _noting_take(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
+        data, at = self._take()
+        self.wire.append((data, at))
+        return data, at
+
+    def step(self, ticks: int) -> None:
+        asleep = self.chip.asleep_cycles
+        super().step(ticks)
+        self.busy.append(ticks * CYCLES_PER_MS - (self.chip.asleep_cycles - asleep))
+        self._marks.append(self.chip.take_marks())  # the bridge has room for some seconds of them
+
+    def take_marks(self) -> npt.NDArray[np.void]:
+        """Marks of tasks since the last call (`Chip.record_marks`)."""
+        marks = np.concatenate([*self._marks, self.chip.take_marks()])
+        self._marks.clear()
+        return marks[marks["reg"] == 1]
+
+    def frames(self) -> list[tuple[wire.Message, int]]:
+        """Messages sent so far, each with the cycle at which its last byte was on the wire."""
+        data = b"".join(part for part, _ in self.wire)
+        at = np.concatenate([times for _, times in self.wire])
+        decoder, out, start = Decoder(), [], 0
+        for end in np.flatnonzero(np.frombuffer(data, np.uint8) == 0):
+            found = decoder.feed(data[start : end + 1])
+            out.extend((frame.message(), int(at[end])) for frame in found)
+            start = int(end) + 1
+        return out
+
+
+def scene(*, pegs: bool = False) -> Scene:
+    """The default robot, out to 51.5 cm and rested, in an empty room."""
+    whole = Scene.load("default")
+    changes: dict[str, object] = {"start_length_cm": 51.5}
+    if not pegs:
+        changes["pegs"] = []
+    return whole.model_copy(update=changes)
+
+
+def symbols() -> dict[str, int]:
+    """Addresses in RAM by the linker's names."""
+    listing = subprocess.run(
+        ["avr-nm", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
+    ).stdout
+    return {
+        p[2]: int(p[0], 16) & 0xFFFF for line in listing.splitlines() if len(p := line.split()) == 3
+    }
+
+
+def static_ram() -> int:
+    """Bytes of RAM that the image takes before anything runs."""
+    return sum(sections().get(name, 0) for name in (".data", ".bss", ".noinit"))
+
+
+def sections() -> dict[str, int]:
+    """Sizes of the image's sections, bytes."""
+    image = mega_build.firmware_hex()
+    size = subprocess.run(
+        ["avr-size", "-A", str(image.with_suffix(".elf"))],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    return {name: int(count) for name, count in re.findall(r"^(\.\w+)\s+(\d+)", size, re.M)}
+
+
+def painted_stack(rig: Rig) -> Callable[[], int]:
+    """Paint a rig's free RAM and restart it; returns how deep the stack has gone since, in bytes.
+
+    A figure as large as all free RAM says that something wrote from the other end.
+    """
+    rig.step(2)
+    # Painted before the firmware starts: the boot loader's own stack is above and does not count.
+    end = symbols()["_end"]
+    chip = rig.chip
+    chip.boot_at(0)
+    chip.write_ram(end, bytes([PAINT]) * (SRAM_END + 1 - end))
+    chip.reset(Cause.EXTERNAL)
+
+    def depth() -> int:
+        ram = np.frombuffer(chip.read_ram(end, SRAM_END + 1 - end), np.uint8)
+        return len(ram) - int(np.flatnonzero(ram != PAINT)[0])
+
+    return depth
