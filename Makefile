@@ -5,13 +5,14 @@ BIN    := $(VENV)/bin
 # Rebuild the extension when the firmware core, its schema or the packaging changes.
 CORE   := $(shell find firmware/core firmware/virtual -name '*.h' -o -name '*.cpp' -o -name CMakeLists.txt) pyproject.toml
 
-.PHONY: help install explore test lint bench figures firmware clean
+.PHONY: help install explore test lint bench soak figures firmware clean
 help:
 	@echo "make explore  set up everything, then explore the default room on the emulator"
 	@echo "make test     set up everything, then lint and run every test"
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
+	@echo "make soak     an hour of random commands and faults on the simulated Mega (a quarter of one)"
 	@echo "make figures  run everything behind README's numbers, and write them there"
 	@echo "make firmware the Mega's image, with its size (needs avr-gcc)"
 
@@ -42,6 +43,9 @@ test: lint
 
 bench: install
 	$(BIN)/thigmo bench
+
+soak: install
+	$(BIN)/python tools/soak.py
 
 figures: install
 	$(BIN)/python tools/figures.py

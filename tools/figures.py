@@ -142,6 +142,7 @@ SOURCES: dict[str, Source] = {
         }.items()
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
+    "soak": Source((".venv/bin/python", "tools/soak.py", "--json"), _budgets, {}),
 }
 
 

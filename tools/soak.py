@@ -233,6 +233,7 @@ class Soak:
             self._at_random()
         if chance.random() < 0.7:
             self.client.poll(chance.choice((0.005, 0.02, 0.1)))
+        self.client.events.clear()  # a full inbox acknowledges nothing
 
     def _again(self, name: str, after_s: float) -> None:
         self._next[name] = self.client.now() + after_s

@@ -1,0 +1,30 @@
+"""A minute of the soak on the real image: every promise of `make soak` is kept."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.timeout(300)
+def test_a_minute_of_everything_breaks_no_promise() -> None:
+    done = subprocess.run(
+        [sys.executable, "tools/soak.py", "--hours", "0.016", "--seed", "7", "--json"],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = {name: figure["value"] for name, figure in json.loads(done.stdout).items()}
+    assert found["robot time"] >= 0.016
+    assert found["commands sent"] == found["commands replied"] > 1000
+    assert found["commands refused, as they should be"] > 100
+    assert found["kinds of fault raised"] >= 3
+    assert found["EEPROM bytes written"] > 100
