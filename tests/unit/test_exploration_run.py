@@ -30,6 +30,7 @@ class Script:
         self.young = 0  # sensors that have everted and not settled
         self.aside = 0
         self.clock = 0.0
+        self.oversample = 16
 
     def _call(self, text: str) -> None:
         self.clock += 1.0
@@ -59,7 +60,7 @@ class Script:
     def select_zone(self, zone: int) -> None:
         self._call(f"zone {zone}")
 
-    def grow_to(self, length_cm: float) -> float:
+    def grow_to(self, length_cm: float, watcher: Any = None) -> float:
         self._call(f"grow {length_cm:g}")
         self.length = length_cm + 0.02
         return self.length

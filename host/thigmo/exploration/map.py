@@ -8,6 +8,7 @@ from math import hypot
 import numpy as np
 
 from thigmo.config import RobotConfig
+from thigmo.exploration.eversion import Stall
 from thigmo.exploration.feel import Felt, arc_grid
 from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
 from thigmo.exploration.prior import PriorMap
@@ -54,8 +55,48 @@ class ContactMap:
                 self._pegs[index].append(felt)
                 self._placed[index] = self._place(self._pegs[index])
                 return
+            if self._other_bend(known, alone):
+                if _rank(alone) < _rank(known):
+                    lengths = [*known.merged, known.everted_length_cm]
+                    self._pegs[index] = [felt]
+                    self._placed[index] = replace(alone, merged=lengths)
+                return
         self._pegs.append([felt])
         self._placed.append(alone)
+
+    def add_ahead(self, stall: Stall) -> None:
+        """Take what stopped the tip's growth, unless it is something that was felt before."""
+        radius = self.config.body.radius_cm
+        low, high = stall.interval_cm
+        # Anywhere in the interval along the path, and anywhere across the tip's face.
+        along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
+        ahead = MapContact(
+            arc_cm=stall.tip_cm,
+            x_cm=stall.tip_cm,
+            y_cm=0.0,
+            force_per_cm2=0.0,
+            interval_cm=stall.interval_cm,
+            status="localized" if high - low <= WIDEST_CM else "ambiguous",
+            everted_length_cm=stall.tip_cm,
+            side="",
+            normal_rad=0.0,
+            covariance_cm2=((along, 0.0), (0.0, across)),
+            track=[(low, 0.0), (high, 0.0)],
+            model="stalled growth: sensors that were due did not evert",
+            readings=stall.sensors,
+        )
+        if any(_apart(known, ahead) < _SAME_SIGMA for known in self._placed):
+            return
+        self._pegs.append([])
+        self._placed.append(replace(ahead, known=self.prior.match(ahead)) if self.prior else ahead)
+
+    @staticmethod
+    def _other_bend(known: MapContact, alone: MapContact) -> bool:
+        """Whether a contact is a known peg again, felt on the same side of the body by the other
+        muscle: a peg that touches the straight robot. The bends differ, so the surer one stays.
+        """
+        same_skin = known.force_per_cm2 * alone.force_per_cm2 > 0
+        return known.side != alone.side and same_skin and _apart(known, alone) < _SAME_SIGMA
 
     def _place(self, stages: list[Felt]) -> MapContact:
         newest = stages[-1]

@@ -22,6 +22,7 @@ from thigmo.record import (
     RunDocument,
     Stage,
     TrueContact,
+    TruePeg,
 )
 from thigmo.robot import TRIGGER_PER_CM
 from thigmo.robot.readings import other_side
@@ -61,6 +62,17 @@ def judged(
             for index in gone
         ]
     return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
+
+
+def met_ahead(pegs: Sequence[TruePeg], tip_cm: float) -> list[TrueContact]:
+    """The true contact of a tip that stalled: the near face of the peg that stands before it.
+
+    The emulated tip is stopped just short of the peg, so its body reports no contact.
+    """
+    faces = [
+        TrueContact(p.x_cm - p.radius_cm, p.y_cm, tip_cm, tip_cm, n) for n, p in enumerate(pegs)
+    ]
+    return sorted(faces, key=lambda face: np.hypot(face.x_cm - tip_cm, face.y_cm))[:1]
 
 
 def _missed(

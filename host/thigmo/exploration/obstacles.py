@@ -125,12 +125,18 @@ def _obstacle(contact: MapContact) -> Obstacle:
         source="felt" if contact.known is None else "felt, prior",
         status=contact.status,
         normal_rad=contact.normal_rad,
-        body_side="right" if contact.force_per_cm2 > 0 else "left",
+        body_side=_body_side(contact),
         arc_cm=contact.arc_cm,
         interval_cm=contact.interval_cm,
         felt_at_cm=[*contact.merged, contact.everted_length_cm],
         force_per_cm2=contact.force_per_cm2,
     )
+
+
+def _body_side(contact: MapContact) -> str:
+    if contact.side == "":
+        return "tip"
+    return "right" if contact.force_per_cm2 > 0 else "left"
 
 
 def _empty_grid(document: RunDocument, radius_cm: float, prior: PriorMap | None) -> OccupancyGrid:

@@ -18,6 +18,7 @@ import numpy as np
 from thigmo import __version__
 from thigmo.config import SIDES, Side
 from thigmo.errors import RunFolderError
+from thigmo.exploration.eversion import stall
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.missed import judged
 from thigmo.exploration.obstacles import export_obstacles
@@ -30,6 +31,7 @@ from thigmo.record import Entry, Log, MapContact, RunDocument, RunFolder, Stage
 from thigmo.report import draw_map
 from thigmo.robot import (
     SENSORS,
+    GrowthWatcher,
     SensorTable,
     SnapshotReading,
     SweepResult,
@@ -100,13 +102,16 @@ class _Reader:
     def __init__(self) -> None:
         self._clock = DeviceClock()
         self._zero_sum = np.full(SENSORS, np.nan)
-        self._oversample = 16
+        self.oversample = 16
         self._zone = 0
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SnapshotReading] = []
         self._events: set[int] = set()
         self._last_sweep = (0, 0)
         self._swept = True  # the last sweep came to its end
+        self._growing = False
+        self.growth = GrowthWatcher()  # since the last sweep
+        self.backed_off = False
         self.sweeps: list[_Sweep] = []
         self.bad = 0
 
@@ -119,8 +124,16 @@ class _Reader:
             self.bad += 1
             return
         match message:
-            case wire.Telemetry() if self.sweeps:
-                self.sweeps[-1].watcher.telemetry(self._device_s(message.t_us), lambda: message)
+            case wire.Telemetry():
+                device_s = self._device_s(message.t_us)
+                if self._growing:
+                    self.growth.telemetry(device_s, lambda: message)
+                elif self.sweeps:
+                    self.sweeps[-1].watcher.telemetry(device_s, lambda: message)
+            case wire.GrowTo():
+                self._growing = True
+            case wire.RetractTo():
+                self.backed_off = True
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
@@ -128,7 +141,7 @@ class _Reader:
             case wire.StatusReport():
                 self._status = message
             case wire.ParameterValue() if message.index == _OVERSAMPLE:
-                self._oversample = 1 << message.value
+                self.oversample = 1 << message.value
             case wire.SensorReport() if message.flags & _ZEROED:
                 self._zero_sum[message.sensor] = message.zero_sum_q8 / 256
             case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
@@ -141,6 +154,7 @@ class _Reader:
                     self.sweeps[-1].watcher.event(message)
                 if message.code == wire.EventCode.ACTIVITY_DONE:
                     self._swept = True
+                    self._growing = False
             case wire.Vent() if self.sweeps and not self._swept:
                 self.sweeps[-1].watcher.rising = True  # cut short after its peak
             case wire.Snapshot() if message.index < message.count and self.sweeps:
@@ -150,7 +164,8 @@ class _Reader:
         return self._clock.unwrap(t_us) * 1e-6
 
     def _begin(self, command: wire.Sweep, t_s: float) -> None:
-        self._swept = False
+        self._swept = self._growing = False
+        self.growth = GrowthWatcher()
         status = self._status
         mask, length = 0, 0.0
         if status:
@@ -161,7 +176,7 @@ class _Reader:
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
         self.sweeps.append(
-            _Sweep(length, self._zone, sides, mask, t_s, watcher, zeros, self._oversample)
+            _Sweep(length, self._zone, sides, mask, t_s, watcher, zeros, self.oversample)
         )
 
     def _snapshot(self, message: wire.Snapshot) -> None:
@@ -205,6 +220,10 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
                 found.add(contact)
         pressure = config.body.zones[sweep.zone].pressure_psi
         stages.append(stage_entry(sweep.length_cm, pressure, sweep.t_s, result, felt))
+    if reader.backed_off:
+        stalled = stall(*reader.growth.profile(table, reader.oversample), table)
+        if stalled is not None:
+            found.add_ahead(stalled)
     document = judged(_document(folder, log, found.contacts, stages), config, prior)
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")

@@ -13,17 +13,26 @@ from typing import Literal
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError
+from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.map import ContactMap, peg_ahead
 from thigmo.exploration.measuring import measuring_pressure, opposed_sides
-from thigmo.exploration.missed import judged
+from thigmo.exploration.missed import judged, met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.exploration.states import State, next_state
 from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
-from thigmo.robot import SENSORS, Robot, SweepResult, rising_period_s, sweep_period_s
+from thigmo.robot import (
+    SENSORS,
+    GrowthWatcher,
+    Robot,
+    SensorTable,
+    SweepResult,
+    rising_period_s,
+    sweep_period_s,
+)
 
 _MOST_ZERO_TRIES = 5
 _ALL = (1 << SENSORS) - 1
@@ -80,6 +89,9 @@ class Exploration:
         self.sweep: SweepResult | None = None
         self.measuring: SweepResult | None = None
         self.feelings: list[Feeling] = []
+        self._start_cm = 0.0  # length at which the stage's growth began
+        self._growth = GrowthWatcher()
+        self._stall: Stall | None = None
         self._zero_tries = 0
         self._lengths = stage_lengths(config)
         self._actions: dict[State, Callable[[], str]] = {
@@ -89,6 +101,7 @@ class Exploration:
             State.PLAN: self._plan,
             State.PRESSURIZE: self._pressurize,
             State.GROW: self._grow,
+            State.BACK_OFF: self._back_off,
             State.SETTLE: self._settle,
             State.ZERO: self._zero,
             State.SWEEP: self._sweep,
@@ -151,6 +164,7 @@ class Exploration:
             self.document = replace(self.document, outcome="peg ahead")
             return "peg ahead"
         self.stage_cm, self.swept, self._zero_tries = stage, False, 0
+        self._start_cm, self._growth = self.length_cm, GrowthWatcher()
         return "grow" if grows else "sweep here"
 
     def _pressurize(self) -> str:
@@ -165,8 +179,30 @@ class Exploration:
     def _grow(self) -> str:
         target = growth_target(self.config, self.length_cm, self.stage_cm)
         if target > self.length_cm + 0.1:
-            self.length_cm = self.robot.grow_to(target)
+            self.length_cm = self.robot.grow_to(target, self._growth)
+            profile = self._growth.profile(SensorTable.of(self.config), self.robot.oversample)
+            self._stall = stall(*profile, SensorTable.of(self.config))
+            if self._stall is not None:
+                return "no eversion"
         return "whole pitch" if target == self.stage_cm else "pressure boundary"
+
+    def _back_off(self) -> str:
+        """Put what stopped the tip on the map, and wind the slack in, to the stage before.
+
+        There every sensor is where the encoder says, and the tip is clear of the peg.
+        """
+        assert self._stall is not None
+        truth = self.robot.truth()
+        if truth is not None:
+            known = self.document.truth.contacts if self.document.truth else []
+            met = met_ahead(truth.pegs, self._stall.tip_cm)
+            self.document = replace(self.document, truth=Truth(truth.pegs, [*known, *met]))
+        self.map.add_ahead(self._stall)
+        self.length_cm = self.robot.retract_to(self._start_cm)
+        document = replace(self.document, contacts=self.map.contacts, outcome="peg ahead")
+        self.document = judged(document, self.config, self.prior)
+        self.keep()
+        return "peg ahead"
 
     def _settle(self) -> str:
         if self.protocol == "thesis":

@@ -20,6 +20,7 @@ class State(StrEnum):
     PLAN = "planning the next stage"
     PRESSURIZE = "setting the body pressure"
     GROW = "growing"
+    BACK_OFF = "winding back from a peg ahead"
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping left and right"
@@ -52,6 +53,8 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.PRESSURIZE, "pressure set", State.GROW),
     Transition(State.GROW, "pressure boundary", State.PRESSURIZE),
     Transition(State.GROW, "whole pitch", State.SETTLE),
+    Transition(State.GROW, "no eversion", State.BACK_OFF),
+    Transition(State.BACK_OFF, "peg ahead", State.FINISH),
     Transition(State.SETTLE, "settled", State.ZERO),
     Transition(State.ZERO, "drifting", State.SETTLE),
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),

@@ -57,7 +57,7 @@ class MapContact:
         interval_cm: 95 % interval of the arc.
         status: "localized" or "ambiguous".
         everted_length_cm: stage at which it was felt.
-        side: active muscle.
+        side: active muscle; empty for a peg that stopped the tip's growth.
         normal_rad: direction from the centreline to the contact point.
         covariance_cm2: of (x, y), from the interval along the body and the shape's uncertainty.
         track: the interval drawn along the skin, low end to high end.
@@ -170,7 +170,8 @@ class RunDocument:
     """The whole of contacts.json.
 
     Attributes:
-        outcome: "running", "full length", "peg ahead", or "aborted: why".
+        outcome: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or
+            "aborted: why".
         contacts: merged contacts, in the order of their discovery.
         error_x_cm: |x error| of the best contact against the true contact point (the thesis's
             measure), null without truth or contact.

@@ -54,7 +54,7 @@ class Obstacle:
             "prior, not felt", where the robot swept through its place.
         status: "localized" or "ambiguous".
         normal_rad: direction from the body into the obstacle; None for a grid's obstacle.
-        body_side: side of the robot that it touched, "left" or "right"; empty for a grid's.
+        body_side: part of the robot that it touched: "left", "right" or "tip"; empty for a grid's.
         arc_cm, interval_cm: along the body when it was last measured.
         felt_at_cm: everted lengths at which it was felt, the last measured one last.
         force_per_cm2: F/EI at the last measurement.

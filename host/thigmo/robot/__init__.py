@@ -3,6 +3,7 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
+from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import Operator
 from thigmo.robot.peaks import average_peak, snapshot_reading
 from thigmo.robot.readings import SensorTable, other_side
@@ -23,6 +24,7 @@ __all__ = [
     "SENSORS",
     "TRIGGER_PER_CM",
     "ContactTrigger",
+    "GrowthWatcher",
     "Operator",
     "Peak",
     "Reading",

@@ -9,7 +9,7 @@ as `RobotFaultError` with the schema's sentence.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -22,6 +22,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.configuration import get_parameter, send_config, set_parameter
+from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.peaks import snapshot_reading
 from thigmo.robot.readings import Floats, SensorTable
@@ -353,15 +354,20 @@ class Robot:
         """Tell the board which body pressure holds (index of robot.toml's body.zones)."""
         self._request(wire.SelectZone(zone))
 
-    def grow_to(self, length_cm: float) -> float:
+    def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
+
+        Args:
+            length_cm: target.
+            watcher: given the telemetry meanwhile.
 
         Raises:
             CommandRefusedError: the length is unknown, or a muscle is under pressure.
             RobotFaultError: the spool stalled.
         """
-        self._start(wire.GrowTo(round(length_cm * 1e4), 0))
-        return self._watch.finish(wire.Activity.GROWING, self._travel_s()) / 1e4
+        with self._telemetry_to(watcher) if watcher else nullcontext():
+            self._start(wire.GrowTo(round(length_cm * 1e4), 0))
+            return self._watch.finish(wire.Activity.GROWING, self._travel_s()) / 1e4
 
     def retract_to(self, length_cm: float) -> float:
         """Vent, then wind in to an everted length; returns the length reached, cm.
@@ -395,6 +401,11 @@ class Robot:
         return 3 * (self.config.body.length_cm / spool.max_speed_cm_s) + 10
 
     # Sensing.
+
+    @property
+    def oversample(self) -> int:
+        """Conversions that a raw reading sums."""
+        return self._oversample
 
     def wait(self, seconds: float) -> None:
         """Let time pass, with the link alive.
@@ -629,7 +640,7 @@ class Robot:
         )
 
     @contextmanager
-    def _telemetry_to(self, watcher: SweepWatcher) -> Iterator[None]:
+    def _telemetry_to(self, watcher: SweepWatcher | GrowthWatcher) -> Iterator[None]:
         def take(frame: TelemetryFrame) -> None:
             watcher.telemetry(frame.device_us * 1e-6, lambda: frame.message)
 

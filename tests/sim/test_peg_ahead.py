@@ -1,0 +1,36 @@
+"""A dowel that stops the tip: the run notices that sensors do not evert, and does not grow on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import tomlkit
+
+from thigmo.emulator.scene import PegTable, Scene
+from thigmo.exploration import explore, replay
+from thigmo.record import OBSTACLES_FILE, read_obstacles
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
+    tmp_path: Path, seed: int
+) -> None:
+    scene = Scene.load("default")
+    scene.start_length_cm = 38.0
+    scene.pegs = [PegTable(x=44.0, y=0.3, radius=0.8)]
+    file = tmp_path / "room.toml"
+    file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    result = explore(f"emulator://{file}", seed=seed, out=tmp_path)
+    document = result.document
+    assert document.outcome == "peg ahead"
+    (contact,) = document.contacts
+    assert contact.x_cm == pytest.approx(44.0 - 0.8, abs=1.0)
+    assert abs(contact.y_cm) < 1.75
+    assert document.missed == document.false == []
+    assert result.length_cm == pytest.approx(40.0, abs=0.1)  # the slack is wound in again
+    (obstacle,) = read_obstacles(result.folder / OBSTACLES_FILE).obstacles
+    assert obstacle.body_side == "tip"
+    again = replay(result.folder).document
+    assert again.contacts == document.contacts
+    assert again.error_x_cm == document.error_x_cm

@@ -1,0 +1,71 @@
+"""A tip that stalls while the line pays out: seen by the sensors that do not evert."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from thigmo.config import RobotConfig
+from thigmo.exploration.eversion import stall
+from thigmo.robot import SensorTable
+from thigmo.robot.readings import Floats
+
+CONFIG = RobotConfig()
+TABLE = SensorTable.of(CONFIG)
+
+
+def _growth(
+    start: float, stop: float, tip: float = 99.0, seed: int = 0, noise: float = 8e-4
+) -> tuple[Floats, Floats]:
+    """Readings of a growth whose tip stalls at `tip`: fold, creep after it, stowed offsets."""
+    rng = np.random.default_rng(seed)
+    length = np.linspace(start, stop, 120)
+    true = np.minimum(length, tip)[:, None]
+    low, high = TABLE.center_cm - TABLE.span_cm / 2, TABLE.center_cm + TABLE.span_cm / 2
+    out = np.clip((true - low) / (high - low), 0, 1)
+    sign = np.where(np.arange(10) < 5, -1.0, 1.0)
+    since = np.maximum(true - high, 0) / 2.0  # s, at 2 cm/s
+    creep = np.where(out >= 1, 0.02 * np.abs(rng.standard_normal(10)) * np.exp(-since / 8.0), 0.0)
+    bend = sign * (0.15 * (1 - np.cos(2 * np.pi * out)) / 2 + creep)
+    bend += (1 - out) * 0.01 * rng.standard_normal(10) + noise * rng.standard_normal((120, 10))
+    return length, bend + 0.3  # any zero
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 4), st.integers(0, 2**31))
+def test_a_growth_that_went_well_is_no_stall(pitch: int, seed: int) -> None:
+    assert stall(*_growth(10.0 * pitch, 10.0 * pitch + 10, seed=seed), TABLE) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(33.5, 36.0), st.integers(0, 2**31))
+def test_a_tip_that_stalls_within_a_sensor_is_placed_within_a_centimetre(
+    tip: float, seed: int
+) -> None:
+    found = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
+    assert found is not None
+    assert found.sensors == 2
+    assert found.tip_cm == pytest.approx(tip, abs=1.0)
+    assert found.interval_cm[0] <= tip <= found.interval_cm[1]
+    assert found.believed_cm == 40.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(30.2, 32.5), st.integers(0, 2**31))
+def test_a_tip_that_stalls_before_the_sensor_has_an_interval(tip: float, seed: int) -> None:
+    found = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
+    assert found is not None
+    assert found.interval_cm[0] <= tip <= found.interval_cm[1]
+
+
+def test_one_sensor_that_is_silent_is_a_sensor_that_is_broken() -> None:
+    length, bend = _growth(30.0, 40.0)
+    bend[:, 3] = 0.3
+    assert stall(length, bend, TABLE) is None
+
+
+def test_where_no_sensor_was_due_nothing_can_be_said() -> None:
+    assert stall(*_growth(50.0, 53.0, 51.0), TABLE) is None
+    assert stall(np.zeros(0), np.zeros((0, 10)), TABLE) is None
