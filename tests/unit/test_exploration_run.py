@@ -31,6 +31,7 @@ class Script:
         self.aside = 0
         self.clock = 0.0
         self.oversample = 16
+        self.doubt = 0.0  # about what young sensors rest at, 1/cm
 
     def _call(self, text: str) -> None:
         self.clock += 1.0
@@ -102,6 +103,12 @@ class Script:
         ]
         unread = np.full((len(frames), 10), np.nan)
         return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames, unread)
+
+    def follow_settling(self) -> None:
+        pass
+
+    def young_noise(self) -> np.ndarray:
+        return np.full(10, self.doubt)
 
     def vent(self) -> None:
         self._call("vent")

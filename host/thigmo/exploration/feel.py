@@ -96,7 +96,7 @@ def feel(
         length=peak.length_cm,
         span=table.span_cm[use],
         free_curvature=free[use],
-        noise=np.hypot(table.noise, error)[use],
+        noise=np.sqrt(table.noise**2 + error**2 + peak.added_noise**2)[use],
         offset_sigma=muscle.offset_se,
         critical_curvature=fold_moment(config, zone),
         tube_radius=config.body.radius_cm,

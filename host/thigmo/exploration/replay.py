@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from thigmo import __version__
-from thigmo.config import SIDES, Side
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.eversion import stall
 from thigmo.exploration.map import ContactMap
@@ -34,6 +34,7 @@ from thigmo.robot import (
     GrowthWatcher,
     SensorTable,
     SnapshotReading,
+    StandingWatch,
     SweepResult,
     SweepWatcher,
     snapshot_reading,
@@ -41,6 +42,7 @@ from thigmo.robot import (
 from thigmo.robot.readings import Floats
 
 _OVERSAMPLE = wire.PARAMETERS["oversample_log2"].index
+_ENABLED = wire.PARAMETERS["flex_enabled"].index
 _ZEROED = 1 << 2  # of sensor_report.flags
 
 
@@ -85,6 +87,8 @@ class _Sweep:
     watcher: SweepWatcher
     zero_sum: Floats
     oversample: int
+    young: int
+    standing: StandingWatch | None
 
     def result(self, table: SensorTable) -> SweepResult:
         return self.watcher.result(
@@ -93,13 +97,19 @@ class _Sweep:
             oversample=self.oversample,
             sensors=self.sensors,
             length_cm=self.length_cm,
+            young=self.young,
+            standing=self.standing,
         )
 
 
 class _Reader:
     """Reads the board's state off its frames, as the robot object does live."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self._healthy = SensorTable.of(config).healthy
+        self._enabled = self._healthy.copy()
+        self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._zero_sum = np.full(SENSORS, np.nan)
         self.oversample = 16
@@ -126,6 +136,8 @@ class _Reader:
         match message:
             case wire.Telemetry():
                 device_s = self._device_s(message.t_us)
+                if self._standing is not None:
+                    self._standing.telemetry(device_s, lambda: message)
                 if self._growing:
                     self.growth.telemetry(device_s, lambda: message)
                 elif self.sweeps:
@@ -140,6 +152,10 @@ class _Reader:
                 self._zone = message.zone
             case wire.StatusReport():
                 self._status = message
+            case wire.Arm():
+                self._standing = StandingWatch(self._config, self.oversample)
+            case wire.ParameterValue() if 0 <= message.index - _ENABLED < SENSORS:
+                self._enabled[message.index - _ENABLED] = message.value
             case wire.ParameterValue() if message.index == _OVERSAMPLE:
                 self.oversample = 1 << message.value
             case wire.SensorReport() if message.flags & _ZEROED:
@@ -167,8 +183,10 @@ class _Reader:
         self._swept = self._growing = False
         self.growth = GrowthWatcher()
         status = self._status
-        mask, length = 0, 0.0
+        mask, young, length = 0, 0, 0.0
         if status:
+            aside = np.flatnonzero(self._healthy & ~self._enabled)
+            young = status.everted_mask & int(sum(1 << int(sensor) for sensor in aside))
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
         watcher = SweepWatcher(self._device_s, lambda side: [])
@@ -176,7 +194,18 @@ class _Reader:
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
         self.sweeps.append(
-            _Sweep(length, self._zone, sides, mask, t_s, watcher, zeros, self.oversample)
+            _Sweep(
+                length,
+                self._zone,
+                sides,
+                mask,
+                t_s,
+                watcher,
+                zeros,
+                self.oversample,
+                young,
+                self._standing,
+            )
         )
 
     def _snapshot(self, message: wire.Snapshot) -> None:
@@ -203,7 +232,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     folder = RunFolder(run)
     config = folder.read_config()
     log = folder.read_log()
-    reader = _read(folder, log)
+    reader = _read(folder, config, log)
     prior = kept_prior(folder)
     found = ContactMap(config, prior)
     stages = []
@@ -241,11 +270,12 @@ def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
         ConfigError: its robot.toml cannot be read.
     """
     folder = RunFolder(run)
-    table = SensorTable.of(folder.read_config())
-    return [sweep.result(table) for sweep in _read(folder, folder.read_log()).sweeps]
+    config = folder.read_config()
+    table = SensorTable.of(config)
+    return [sweep.result(table) for sweep in _read(folder, config, folder.read_log()).sweeps]
 
 
-def _read(folder: RunFolder, log: Log) -> _Reader:
+def _read(folder: RunFolder, config: RobotConfig, log: Log) -> _Reader:
     schema = log.metadata.get("schema_hash", "")
     if schema != f"{wire.SCHEMA_HASH:08x}":
         raise RunFolderError(
@@ -253,7 +283,7 @@ def _read(folder: RunFolder, log: Log) -> _Reader:
             f"{wire.SCHEMA_HASH:08x}",
             f"replay it with thigmo {log.metadata.get('thigmo', 'of its time')}",
         )
-    reader = _Reader()
+    reader = _Reader(config)
     for entry in log.entries:
         reader.take(entry)
     return reader

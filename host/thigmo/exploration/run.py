@@ -38,6 +38,10 @@ _MOST_ZERO_TRIES = 5
 _ALL = (1 << SENSORS) - 1
 _BASE = 1 | 1 << SENSORS // 2  # the first sensor of each side: what the trigger works on
 
+# A young sensor counts once its rest is known to so many times its noise.
+_YOUNG_NOISE = 1.0
+_STAND_S = 0.5  # between two looks at that
+
 # "measure" sweeps a side with a contact again, to the pressure at which it is felt best; "thesis"
 # takes the readings at the full sweep's peak.
 Protocol = Literal["measure", "thesis"]
@@ -149,6 +153,8 @@ class Exploration:
 
     def _arm(self) -> str:
         self.robot.arm()
+        if self.protocol == "measure":
+            self.robot.follow_settling()
         return "ready"
 
     # Each stage.
@@ -254,15 +260,23 @@ class Exploration:
         return "contact" if self.protocol == "measure" else "contact, thesis protocol"
 
     def _rest(self) -> str:
-        if self.robot.aside:
-            self.robot.vent()
-            self._wait_settled()
-            late = self.robot.aside
-            self.robot.set_aside(0)
-            if not self._zeroed():
-                self.robot.set_aside(late)
-                return "drifting"
-        return "all sensors zeroed"
+        """Let the young sensors stand still until what they rest at is known well enough."""
+        aside = self.robot.aside
+        if not aside:
+            return "every sensor known"
+        self.robot.vent()
+        noise = SensorTable.of(self.config).noise
+        young = [n for n in range(SENSORS) if aside >> n & 1]
+        if (self.robot.young_noise()[young] <= _YOUNG_NOISE * noise[young]).all():
+            return "every sensor known"
+        if aside & ~self.robot.status().settled:
+            self.robot.wait(_STAND_S)
+            return "young"
+        self.robot.set_aside(0)  # settled meanwhile: zeroed like any other
+        if not self._zeroed():
+            self.robot.set_aside(aside)
+            return "young"
+        return "every sensor known"
 
     def _measure(self) -> str:
         assert self.sweep is not None

@@ -24,7 +24,7 @@ class State(StrEnum):
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping left and right"
-    REST = "letting every sensor settle for the measurement"
+    REST = "standing still to know how young sensors creep"
     MEASURE = "sweeping again to measure a contact"
     LOCALIZE = "localizing"
     MAP = "mapping"
@@ -62,8 +62,8 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.SWEEP, "contact", State.REST),
     Transition(State.SWEEP, "contact, thesis protocol", State.LOCALIZE),
     Transition(State.SWEEP, "no contact", State.LOCALIZE),
-    Transition(State.REST, "drifting", State.REST),
-    Transition(State.REST, "all sensors zeroed", State.MEASURE),
+    Transition(State.REST, "young", State.REST),
+    Transition(State.REST, "every sensor known", State.MEASURE),
     Transition(State.MEASURE, "measured", State.LOCALIZE),
     Transition(State.LOCALIZE, "contact", State.MAP),
     Transition(State.LOCALIZE, "none", State.VENT),

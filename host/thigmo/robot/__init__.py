@@ -8,6 +8,7 @@ from thigmo.robot.operator import Operator
 from thigmo.robot.peaks import average_peak, snapshot_reading
 from thigmo.robot.readings import SensorTable, other_side
 from thigmo.robot.robot import SENSORS, Robot, connect
+from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import (
     ContactTrigger,
     Peak,
@@ -31,6 +32,7 @@ __all__ = [
     "Robot",
     "SensorTable",
     "SnapshotReading",
+    "StandingWatch",
     "Status",
     "SweepFrame",
     "SweepResult",

@@ -12,6 +12,7 @@ import numpy as np
 from thigmo.config import SIDES
 from thigmo.link import protocol as wire
 from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Peak, SnapshotReading
 
 
@@ -36,16 +37,39 @@ def average_peak(
     oversample: int,
     sensors: int,
     length_cm: float,
+    young: int = 0,
+    standing: StandingWatch | None = None,
 ) -> Peak:
-    """Average a peak's snapshots (thesis: ten of them), of the side that was inflated."""
+    """Average a peak's snapshots (thesis: ten of them), of the side that was inflated.
+
+    Args:
+        snapshots: of the peak.
+        zero_sum: of sensors zeroed.
+        table: the sensors' constants.
+        oversample: conversions that a sum holds.
+        sensors: mask of those everted, settled and zeroed.
+        length_cm: everted length.
+        young: mask of those everted and not settled, to be used as far as `standing` knows them.
+        standing: what they rest at.
+    """
     sums: Floats = np.asarray([s.flex_sum for s in snapshots], dtype=np.float64).mean(axis=0)
+    at_s = float(np.mean([s.t_s for s in snapshots]))
+    curvature = table.curvature(sums, zero_sum, oversample)
+    added = np.zeros(len(curvature))
+    if standing is not None and young:
+        late, sigma = standing.curvature(sums, at_s, young)
+        known = np.isfinite(late)
+        curvature = np.where(known, late, curvature)
+        added = np.where(known, sigma, added)
+        sensors |= int(sum(1 << int(i) for i in np.flatnonzero(known)))
     return Peak(
         side=snapshots[0].side,
-        t_s=float(np.mean([s.t_s for s in snapshots])),
+        t_s=at_s,
         length_cm=length_cm,
-        curvature=table.curvature(sums, zero_sum, oversample),
+        curvature=curvature,
         free_curvature=float(np.mean([s.free_curvature for s in snapshots])),
         pressure_psi=float(np.mean([s.lagged_psi for s in snapshots])),
         sensors=sensors,
         count=len(snapshots),
+        added_noise=added,
     )

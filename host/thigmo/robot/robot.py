@@ -26,6 +26,7 @@ from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.peaks import snapshot_reading
 from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SnapshotReading, Status, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.truth import truth_now
@@ -109,6 +110,7 @@ class Robot:
         self._oversample = 16
         self._started = client.now()
         self._aside = 0
+        self._standing: StandingWatch | None = None
         self._closed = False
 
     # Life.
@@ -415,6 +417,20 @@ class Robot:
         """
         self._watch.wait(seconds)
 
+    def follow_settling(self) -> None:
+        """Watch young sensors from now on, so that sweeps can use those that are set aside."""
+        if self._standing is None:
+            self._standing = StandingWatch(self.config, self._oversample)
+            self._follow(self._standing)
+
+    def young_noise(self) -> Floats:
+        """Standard error of what sensors set aside rest at, (10,), 1/cm; infinite if unknown."""
+        if self._standing is None:
+            return np.full(SENSORS, np.inf)
+        at_s = self.status().t_s
+        _, sigma = self._standing.rest(at_s, self._aside)
+        return np.where(np.isnan(sigma), np.inf, sigma)
+
     def set_aside(self, mask: int) -> None:
         """Have the board leave everted sensors out, as if they were dead; 0 takes all in again.
 
@@ -637,14 +653,22 @@ class Robot:
             sensors=before.everted & before.settled & before.zeroed,
             length_cm=before.length_cm or 0.0,
             truth=_joined(truths),
+            young=self._aside,
+            standing=self._standing,
         )
 
-    @contextmanager
-    def _telemetry_to(self, watcher: SweepWatcher | GrowthWatcher) -> Iterator[None]:
+    def _follow(
+        self, watcher: SweepWatcher | GrowthWatcher | StandingWatch
+    ) -> Callable[[TelemetryFrame], None]:
         def take(frame: TelemetryFrame) -> None:
             watcher.telemetry(frame.device_us * 1e-6, lambda: frame.message)
 
         self._client.on_telemetry.append(take)
+        return take
+
+    @contextmanager
+    def _telemetry_to(self, watcher: SweepWatcher | GrowthWatcher) -> Iterator[None]:
+        take = self._follow(watcher)
         try:
             yield
         finally:

@@ -107,8 +107,9 @@ class Peak:
         curvature: of each sensor, shape (10,), 1/cm.
         free_curvature: by the map, at the lag-filtered pressure, signed, 1/cm.
         pressure_psi: lag-filtered pressure of the active muscle.
-        sensors: mask of sensors everted, settled and zeroed.
+        sensors: mask of sensors everted and settled and zeroed, or young with a known rest.
         count: readings averaged.
+        added_noise: of young sensors, the standard error of that rest; 0 for others; (10,), 1/cm.
     """
 
     side: Side
@@ -119,6 +120,7 @@ class Peak:
     pressure_psi: float
     sensors: int
     count: int
+    added_noise: Floats = field(default_factory=lambda: np.zeros(10))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from thigmo.link import protocol as wire
 from thigmo.record import Truth
 from thigmo.robot.peaks import average_peak
 from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame, SweepResult
 
 _FRAME_SPACING_S = 0.05
@@ -55,6 +56,8 @@ class SweepWatcher:
         sensors: int,
         length_cm: float,
         truth: Truth | None = None,
+        young: int = 0,
+        standing: StandingWatch | None = None,
     ) -> SweepResult:
         """What was collected, in curvature.
 
@@ -65,6 +68,8 @@ class SweepWatcher:
             sensors: mask of sensors everted, settled and zeroed.
             length_cm: everted length.
             truth: what the emulator knew at the peaks.
+            young: mask of sensors everted and not settled.
+            standing: what they rest at.
         """
         end_s = self._end_s()
         frames = [frame for frame in self.frames if frame.t_s <= end_s]
@@ -77,6 +82,8 @@ class SweepWatcher:
                 oversample=oversample,
                 sensors=sensors,
                 length_cm=length_cm,
+                young=young,
+                standing=standing,
             )
             for snapshots in self.peaks
             if snapshots

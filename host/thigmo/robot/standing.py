@@ -1,0 +1,129 @@
+"""Young sensors watched while the robot stands still: what they will rest at, and how surely.
+
+A sensor that has just everted creeps back to its straight reading. Readings of the vented robot
+tell its creep long before it has died away (`mechanics.settling`), so that a measurement need not
+wait: the young sensor counts, from the rest that is predicted for the moment of the measurement,
+with the prediction's standard error added to its noise. Shared by the live robot and the replay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from thigmo.config import SIDES, RobotConfig
+from thigmo.link import protocol as wire
+from thigmo.mechanics.settling import Settling
+from thigmo.robot.readings import Floats, SensorTable
+
+_SPACING_S = 0.05
+_BIN_S = 0.25
+_IDLE_CPSI = 50  # vented, as the board has it
+_STILL_S = 1.5  # after a motion or a bend the body swings for so long
+_FIRST_S = 0.5  # after eversion: the fold is still near
+_FEWEST = 8  # bins, two seconds
+# What calibration leaves open of the decay: its time (relative), and the amplitude of an eversion
+# (1/cm; METHODS: most sensors start within some 0.02 of their rest).
+_TAU_SE = 0.15
+_AMPLITUDE_SD = 0.03
+
+
+class StandingWatch:
+    """Follows telemetry through a run.
+
+    Args:
+        config: robot.toml.
+        oversample: conversions that a raw reading sums.
+    """
+
+    def __init__(self, config: RobotConfig, oversample: int) -> None:
+        self._table = SensorTable.of(config)
+        self._oversample = oversample
+        self._laws = [
+            Settling(s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD)
+            for side in SIDES
+            for s in config.sensors.column(side)
+        ]
+        self._ends = self._table.center_cm + self._table.span_cm / 2
+        self._everted_s = np.full(len(self._ends), np.nan)
+        self._out = np.ones(len(self._ends), dtype=np.bool_)  # at the start: rested long ago
+        self._moved_s = -np.inf
+        self._slot = -1
+        self._times: list[float] = []
+        self._sums: list[tuple[int, ...]] = []
+
+    def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
+        """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
+        slot = int(t_s / _SPACING_S)
+        if slot == self._slot:
+            return
+        self._slot = slot
+        frame = decode()
+        out = self._ends <= frame.length_um / 1e4
+        self._everted_s[out & ~self._out] = t_s
+        self._out = out
+        if frame.motor != 0 or max(frame.left_cpsi, frame.right_cpsi) > _IDLE_CPSI:
+            self._moved_s = t_s
+        if t_s - self._moved_s > _STILL_S:
+            self._times.append(t_s)
+            self._sums.append(tuple(frame.flex_sum))
+
+    def rest(self, at_s: float, sensors: int) -> tuple[Floats, Floats]:
+        """What young sensors would read of the straight robot, and its standard error.
+
+        Args:
+            at_s: device time.
+            sensors: mask of those wanted, bit 0 = left base.
+
+        Returns:
+            (10,) each: scale times resistance, 1/cm, as `SensorTable` has them; NaN where nothing
+            is known.
+        """
+        size = len(self._ends)
+        value, sigma = np.full(size, np.nan), np.full(size, np.nan)
+        times = np.asarray(self._times)
+        for i in range(size):
+            if not sensors >> i & 1 or np.isnan(self._everted_s[i]):
+                continue
+            since = times - self._everted_s[i]
+            use = np.flatnonzero((since > _FIRST_S) & (times < at_s))
+            bins = np.unique((since[use] / _BIN_S).astype(int), return_inverse=True)[1]
+            if not use.size or bins[-1] + 1 < _FEWEST:
+                continue
+            sums: Floats = np.array([self._sums[k][i] for k in use], dtype=np.float64)
+            raw = self._read(i, sums)
+            count = np.bincount(bins)
+            level = float(raw[-1])
+            told = np.bincount(bins, raw - level) / count
+            when = np.bincount(bins, since[use]) / count
+            noise = float(self._table.noise[i])
+            # A second pass lets this eversion's own amplitude carry the doubt about tau.
+            _, own = self._laws[i].observe(when, told, noise)
+            law = self._laws[i]
+            again = Settling(law.tau_s, law.tau_se_s, own.amplitude, law.amplitude_sd)
+            settled, own = again.observe(when, told, noise)
+            left, left_sd = own.left(at_s - self._everted_s[i])
+            value[i] = level + settled.value + float(left)
+            sigma[i] = np.hypot(settled.sigma, float(left_sd))
+        return value, sigma
+
+    def _read(self, sensor: int, sums: Floats) -> Floats:
+        every = np.zeros((len(sums), len(self._ends)))
+        every[:, sensor] = sums
+        read: Floats = (
+            self._table.scale_per_ohm * self._table.resistance(every, self._oversample)
+        )[:, sensor]
+        return read
+
+    def curvature(self, flex_sum: Floats, at_s: float, sensors: int) -> tuple[Floats, Floats]:
+        """Young sensors' curvature (10,) at a measurement and its added noise; NaN where unknown.
+
+        Args:
+            flex_sum: (10,) mean raw readings.
+            at_s: device time of the measurement.
+            sensors: mask of those wanted.
+        """
+        value, sigma = self.rest(at_s, sensors)
+        now = self._table.scale_per_ohm * self._table.resistance(flex_sum, self._oversample)
+        return now - value, sigma
