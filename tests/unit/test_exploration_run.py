@@ -31,6 +31,8 @@ class Script:
         self.aside = 0
         self.clock = 0.0
         self.oversample = 16
+        self.settles_at = np.inf
+        self.clear = False  # ask whether the sweep is enough already
         self.doubt = 0.0  # about what young sensors rest at, 1/cm
 
     def _call(self, text: str) -> None:
@@ -80,7 +82,8 @@ class Script:
         return 0
 
     def status(self) -> Any:
-        return SimpleNamespace(everted=self.young, settled=0)
+        settled = self.young if self.clock > self.settles_at else 0
+        return SimpleNamespace(everted=self.young, settled=settled)
 
     def set_aside(self, mask: int) -> None:
         if mask != self.aside:
@@ -88,7 +91,13 @@ class Script:
         self.aside = mask
 
     def sweep(
-        self, *, left_psi: float, right_psi: float, period_s: float, rising_only: bool = False
+        self,
+        *,
+        left_psi: float,
+        right_psi: float,
+        period_s: float,
+        rising_only: bool = False,
+        enough: Any = None,
     ) -> SweepResult:
         self._call(f"sweep {left_psi:g} {right_psi:g}")
         if self.touches_at is None or abs(self.length - self.touches_at) > 0.1:
@@ -102,7 +111,10 @@ class Script:
             for n, psi in enumerate(np.linspace(0.0, left_psi, 100))
         ]
         unread = np.full((len(frames), 10), np.nan)
-        return SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames, unread)
+        result = SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames, unread)
+        if self.clear and enough:
+            assert enough(result)
+        return result
 
     def follow_settling(self) -> None:
         pass
@@ -154,21 +166,40 @@ def test_an_empty_room_is_explored_to_the_full_length(tmp_path: Path) -> None:
     ]
 
 
-def test_young_sensors_are_set_aside_until_a_contact_needs_them(tmp_path: Path) -> None:
+def test_young_sensors_are_set_aside_and_measure_once_their_rest_is_known(tmp_path: Path) -> None:
     robot = Script(touches_at=50)
     robot.young = 0x210
     _explore(tmp_path, robot)
     calls = robot.calls
     assert calls.index("aside 0x210") < calls.index("sweep 18 18")
-    contact = calls.index("aside 0x0")  # first taken in again where the contact is
-    assert calls[contact - 3 : contact + 2] == [
-        "sweep 18 18",
-        "vent",
-        "settle",
-        "aside 0x0",
-        "zero",
-    ]
-    assert robot.aside == 0
+    contact = max(n for n, call in enumerate(calls[:-1]) if call == "sweep 18 18")
+    measured = [n for n, call in enumerate(calls) if call.startswith("sweep") and n < contact][-1]
+    assert calls[measured].split()[2] == "0"  # the side that touched
+    assert calls[measured - 3 : measured] == ["sweep 18 18", "vent", "vent"]  # and no waiting
+    assert robot.aside == 0  # at the end all are in use again
+
+
+def test_young_sensors_are_waited_for_and_zeroed_if_their_rest_stays_unknown(
+    tmp_path: Path,
+) -> None:
+    robot = Script(touches_at=50)
+    robot.young, robot.doubt = 0x210, np.inf
+    robot.settles_at = 200.0
+    _explore(tmp_path, robot)
+    contact = robot.calls.index("aside 0x0")  # first taken in again where the contact is
+    assert robot.calls[contact - 1] == "vent"
+    assert robot.calls[contact + 1] == "zero"
+
+
+def test_a_sweep_that_placed_its_contact_is_not_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH_CM", 20.0)
+    robot = Script(touches_at=50)
+    robot.clear = True
+    run = _explore(tmp_path, robot)
+    assert [c for c in robot.calls if c.startswith("sweep")] == ["sweep 18 18"] * 6
+    assert len(run.document.contacts) == 1
 
 
 def test_the_thesis_protocol_zeroes_before_and_after_every_sweep(tmp_path: Path) -> None:

@@ -66,6 +66,18 @@ def _smooth(values: Sequence[float]) -> Floats:
     return median
 
 
+def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
+    """By how much a side's last quarter of a second holds the base back, 1/cm; 0 before that."""
+    against = -1.0 if side == "left" else 1.0
+    last = [against * f.excess for f in frames if f.side == side][-_SMOOTH:]
+    return float(np.median(last)) if len(last) == _SMOOTH else 0.0
+
+
+def pressed_enough(held_per_cm: float, config: RobotConfig, zone: int) -> bool:
+    """Whether the base is so near its fold that further bending would add nothing but the fold."""
+    return held_per_cm >= _SHARE * fold_moment(config, zone)
+
+
 def measuring_pressure(
     frames: Sequence[SweepFrame], side: Side, config: RobotConfig, zone: int
 ) -> float:

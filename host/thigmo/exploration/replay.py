@@ -119,7 +119,7 @@ class _Reader:
         self._events: set[int] = set()
         self._last_sweep = (0, 0)
         self._swept = True  # the last sweep came to its end
-        self._growing = False
+        self._growing = self._peaked = False
         self.growth = GrowthWatcher()  # since the last sweep
         self.backed_off = False
         self.sweeps: list[_Sweep] = []
@@ -168,11 +168,17 @@ class _Reader:
                 self._events.add(message.number)
                 if message.code == wire.EventCode.CONTACT and self.sweeps:
                     self.sweeps[-1].watcher.event(message)
+                if message.code == wire.EventCode.PEAK:
+                    self._peaked = True
                 if message.code == wire.EventCode.ACTIVITY_DONE:
                     self._swept = True
                     self._growing = False
             case wire.Vent() if self.sweeps and not self._swept:
-                self.sweeps[-1].watcher.rising = True  # cut short after its peak
+                watcher = self.sweeps[-1].watcher
+                watcher.rising = True  # cut short after its peak, or on the way up
+                if not self._peaked:
+                    watcher.stopped = True
+                self._swept = True
             case wire.Snapshot() if message.index < message.count and self.sweeps:
                 self._snapshot(message)
 
@@ -180,7 +186,7 @@ class _Reader:
         return self._clock.unwrap(t_us) * 1e-6
 
     def _begin(self, command: wire.Sweep, t_s: float) -> None:
-        self._swept = self._growing = False
+        self._swept = self._growing = self._peaked = False
         self.growth = GrowthWatcher()
         status = self._status
         mask, young, length = 0, 0, 0.0

@@ -11,12 +11,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError
 from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.map import ContactMap, peg_ahead
-from thigmo.exploration.measuring import measuring_pressure, opposed_sides
+from thigmo.exploration.measuring import (
+    held_now,
+    measuring_pressure,
+    opposed_sides,
+    pressed_enough,
+)
 from thigmo.exploration.missed import judged, met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
@@ -26,6 +31,7 @@ from thigmo.exploration.states import State, next_state
 from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
 from thigmo.robot import (
     SENSORS,
+    TRIGGER_PER_CM,
     GrowthWatcher,
     Robot,
     SensorTable,
@@ -96,6 +102,7 @@ class Exploration:
         self._start_cm = 0.0  # length at which the stage's growth began
         self._growth = GrowthWatcher()
         self._stall: Stall | None = None
+        self._known: set[Side] = set()  # sides whose contact the sweep that found it has placed
         self._zero_tries = 0
         self._lengths = stage_lengths(config)
         self._actions: dict[State, Callable[[], str]] = {
@@ -245,6 +252,7 @@ class Exploration:
     def _sweep(self) -> str:
         actuators = self.config.actuators
         thesis = self.protocol == "thesis"
+        self._known = set()
         self.sweep = self.robot.sweep(
             left_psi=actuators.left.max_pressure_psi,
             right_psi=actuators.right.max_pressure_psi,
@@ -252,12 +260,30 @@ class Exploration:
             if thesis
             else rising_period_s(self.config, self.zone),
             rising_only=not thesis,
+            enough=None if thesis else self._enough,
         )
         self.swept = True
         self.measuring = None
-        if not opposed_sides(self.sweep):
+        fired = opposed_sides(self.sweep)
+        if not fired:
             return "no contact"
-        return "contact" if self.protocol == "measure" else "contact, thesis protocol"
+        if thesis:
+            return "contact, thesis protocol"
+        return "contact" if fired - self._known else "contact, and its place"
+
+    def _enough(self, so_far: SweepResult) -> bool:
+        """Whether a side's sweep can stop: its contact's place is known, or the base near its fold.
+
+        The latter is measured again, slowly, with every sensor.
+        """
+        side = so_far.peaks[-1].side
+        held = held_now(so_far.frames, side)
+        if held <= TRIGGER_PER_CM:
+            return False
+        if self.interpreter.known(so_far, self.zone):
+            self._known.add(side)
+            return True
+        return pressed_enough(held, self.config, self.zone)
 
     def _rest(self) -> str:
         """Let the young sensors stand still until what they rest at is known well enough."""
@@ -280,7 +306,7 @@ class Exploration:
 
     def _measure(self) -> str:
         assert self.sweep is not None
-        fired = opposed_sides(self.sweep)
+        fired = opposed_sides(self.sweep) - self._known
         left, right = (
             measuring_pressure(self.sweep.frames, side, self.config, self.zone)
             if side in fired
@@ -291,7 +317,7 @@ class Exploration:
         self.measuring = self.robot.sweep(
             left_psi=left,
             right_psi=right,
-            period_s=sweep_period_s(self.config, self.zone),
+            period_s=sweep_period_s(self.config, self.zone, top_psi=max(left, right)),
             rising_only=True,
         )
         return "measured"

@@ -14,6 +14,7 @@ from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import Bend, centreline
+from thigmo.localization import Contact
 from thigmo.record import Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
 
@@ -21,6 +22,8 @@ _SHAPES_A_SIDE = 12
 # The trigger fires when the base is held back by its threshold, so the body was touched before:
 # by so much less free curvature (1/cm), for the base gives up about as much as the map goes on.
 _TOUCH_MARGIN = 1.3 * TRIGGER_PER_CM
+# A 95 % interval this narrow ends a sweep: half of what counts as localized at all.
+ENOUGH_CM = 5.0
 _BENT_FURTHER = "the base bent further than the map says: an error of the map, and no peg"
 
 
@@ -74,11 +77,25 @@ class Interpreter:
                 self._swept.remember(peak.side, peak.length_cm, peak.free_curvature)
         return feelings
 
+    def known(self, so_far: SweepResult, zone: int) -> bool:
+        """Whether a sweep that is on its way up has told a contact's place well enough."""
+        peak = so_far.peaks[-1]
+        if not SensorTable.of(self._config).usable(peak.side, peak.sensors).any():
+            return False
+        nearest = self._nearest(so_far, peak)
+        told = feel(peak, self._config, zone, self._response, nearest, self._prior)
+        return len(told.felt) == 1 and _narrow(told.felt[0].contact)
+
     def _nearest(self, sweep: SweepResult, peak: Peak) -> float:
         touch = touch_curvature(sweep.frames, peak.side)
         if touch is None:
             return 0.0
         return self._swept.nearest_arc(peak.side, peak.length_cm, touch)
+
+
+def _narrow(contact: Contact) -> bool:
+    low, high = contact.interval
+    return contact.status == "localized" and high - low <= ENOUGH_CM
 
 
 def stage_entry(

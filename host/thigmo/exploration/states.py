@@ -60,6 +60,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),
     Transition(State.ZERO, "zeroed after sweep", State.PLAN),
     Transition(State.SWEEP, "contact", State.REST),
+    Transition(State.SWEEP, "contact, and its place", State.LOCALIZE),
     Transition(State.SWEEP, "contact, thesis protocol", State.LOCALIZE),
     Transition(State.SWEEP, "no contact", State.LOCALIZE),
     Transition(State.REST, "young", State.REST),

@@ -590,6 +590,7 @@ class Robot:
         cycles: int = 1,
         hold_on_contact: bool = False,
         rising_only: bool = False,
+        enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
         """Bend to the left, then to the right, along a sine of pressure, and feel.
 
@@ -600,6 +601,8 @@ class Robot:
             hold_on_contact: keep the pressure when the trigger fires, until `vent` or `stop`.
             rising_only: vent each side after its peak: what the way back would feel, the way up
                 has felt. One cycle.
+            enough: with `rising_only`, shown what a side gave so far, about ten times a second once
+                its trigger has fired, with its last half second as its peak; true vents it at once.
 
         Raises:
             CommandRefusedError: a sensor is half everted, the length or the zone is unknown.
@@ -609,10 +612,12 @@ class Robot:
             halves = []
             for left, right in ((left_psi, 0.0), (0.0, right_psi)):
                 if max(left, right) > 0:
-                    halves.append(self._sweep(left, right, period_s, 1, hold_on_contact, True))
+                    halves.append(
+                        self._sweep(left, right, period_s, 1, hold_on_contact, True, enough)
+                    )
                     self.vent()
             return SweepResult.joined(halves)
-        return self._sweep(left_psi, right_psi, period_s, cycles, hold_on_contact, False)
+        return self._sweep(left_psi, right_psi, period_s, cycles, hold_on_contact, False, None)
 
     def _sweep(
         self,
@@ -622,6 +627,7 @@ class Robot:
         cycles: int,
         hold_on_contact: bool,
         rising: bool,
+        enough: Callable[[SweepResult], bool] | None,
     ) -> SweepResult:
         before = self.status()
         options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
@@ -639,23 +645,38 @@ class Robot:
                     options,
                 )
             )
+
+            def told(so_far: bool = False) -> SweepResult:
+                return watcher.result(
+                    self._table,
+                    self._zero_sum,
+                    oversample=self._oversample,
+                    sensors=before.everted & before.settled & before.zeroed,
+                    length_cm=before.length_cm or 0.0,
+                    truth=_joined(truths),
+                    young=self._aside,
+                    standing=self._standing,
+                    so_far=so_far,
+                )
+
+            def until() -> bool:
+                if enough is None or not watcher.triggers or watcher.peaks:
+                    return False
+                watcher.stopped = enough(told(so_far=True))
+                return watcher.stopped
+
             for event in self._watch.activity(
-                wire.Activity.SWEEPING, period_s * cycles + _SWEEP_EXTRA_S
+                wire.Activity.SWEEPING, period_s * cycles + _SWEEP_EXTRA_S, until
             ):
                 watcher.event(event)
                 if rising and event.code == wire.EventCode.PEAK:
                     self._request(wire.Vent())
                     break
-        return watcher.result(
-            self._table,
-            self._zero_sum,
-            oversample=self._oversample,
-            sensors=before.everted & before.settled & before.zeroed,
-            length_cm=before.length_cm or 0.0,
-            truth=_joined(truths),
-            young=self._aside,
-            standing=self._standing,
-        )
+            if watcher.stopped:
+                truth = truth_now(self._client.transport.truth(), watcher.frames[-1].side)
+                truths += [truth] if truth else []
+                self._request(wire.Vent())
+        return told()
 
     def _follow(
         self, watcher: SweepWatcher | GrowthWatcher | StandingWatch

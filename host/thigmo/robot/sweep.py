@@ -19,7 +19,8 @@ TRIGGER_PER_CM = 0.005  # the contact threshold of the thesis, and the board's d
 RESIDUAL_LAG = 0.5
 # Of the threshold, the share that this error may take: the rest is for noise, zero and hysteresis.
 ALLOWED_FRACTION = 0.25
-# Faster than this the pressure loop no longer follows 18 psi (0.15 s of transducer, 15 psi/s).
+# Faster than this the pressure loop no longer follows 18 psi (0.15 s of transducer, 15 psi/s); a
+# lower pressure is reached as steeply in less time.
 SHORTEST_PERIOD_S = 15.0
 
 # On the way up only, with the muscle's inflating lag alone, less of it is unknown.
@@ -38,6 +39,7 @@ def sweep_period_s(
     trigger_per_cm: float = TRIGGER_PER_CM,
     residual_lag: float = RESIDUAL_LAG,
     allowed_fraction: float = ALLOWED_FRACTION,
+    top_psi: float | None = None,
 ) -> float:
     """Period (s) of a whole sweep, both directions, at a body-pressure zone.
 
@@ -47,13 +49,15 @@ def sweep_period_s(
         trigger_per_cm: the trigger's threshold, 1/cm.
         residual_lag: share of the calibrated lag that is not compensated.
         allowed_fraction: share of the threshold that the error may take.
+        top_psi: to which it goes; as high as the muscles hold if not given.
     """
-    worst = 0.0
+    worst = share = 0.0
     for side in SIDES:
         muscle = config.actuators.side(side)
         maps = muscle.maps[zone]
-        g_max = max(
-            curve.curvature(muscle.max_pressure_psi) for curve in (maps.inflate, maps.deflate)
-        )
+        top = muscle.max_pressure_psi if top_psi is None else top_psi
+        g_max = max(curve.curvature(top) for curve in (maps.inflate, maps.deflate))
         worst = max(worst, g_max * muscle.lag_s * residual_lag)
-    return max(2 * pi * worst / (allowed_fraction * trigger_per_cm), SHORTEST_PERIOD_S)
+        share = max(share, top / muscle.max_pressure_psi)
+    slowest = 2 * pi * worst / (allowed_fraction * trigger_per_cm)
+    return max(slowest, SHORTEST_PERIOD_S * min(share, 1.0))

@@ -17,6 +17,7 @@ from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame, Swee
 
 _FRAME_SPACING_S = 0.05
 _IDLE_CPSI = 10
+_PEAK_READINGS = 10  # thesis: ten
 
 
 @dataclass
@@ -28,6 +29,7 @@ class SweepWatcher:
         fetch: reads the captured peak from the board.
         triggers, peaks, frames: what was collected.
         rising: the sweep is cut short after its first peak; what comes later does not count.
+        stopped: the sweep was stopped on the way up; its last half second is its peak.
     """
 
     device_s: Callable[[int], float]
@@ -36,10 +38,13 @@ class SweepWatcher:
     peaks: list[list[SnapshotReading]] = field(default_factory=list)
     frames: list[SweepFrame] = field(default_factory=list)
     rising: bool = False
+    stopped: bool = False
     _next_s: float = 0.0
 
     def event(self, event: wire.Event) -> None:
         """Take one event of the sweep."""
+        if self.stopped:
+            return
         if event.code == wire.EventCode.CONTACT:
             self.triggers.append(
                 ContactTrigger(SIDES[event.arg], self.device_s(event.t_us), event.value / 1e5)
@@ -58,6 +63,7 @@ class SweepWatcher:
         truth: Truth | None = None,
         young: int = 0,
         standing: StandingWatch | None = None,
+        so_far: bool = False,
     ) -> SweepResult:
         """What was collected, in curvature.
 
@@ -70,6 +76,7 @@ class SweepWatcher:
             truth: what the emulator knew at the peaks.
             young: mask of sensors everted and not settled.
             standing: what they rest at.
+            so_far: the sweep goes on, and its peak is taken to be now.
         """
         end_s = self._end_s()
         frames = [frame for frame in self.frames if frame.t_s <= end_s]
@@ -85,12 +92,29 @@ class SweepWatcher:
                 young=young,
                 standing=standing,
             )
-            for snapshots in self.peaks
+            for snapshots in (
+                self.peaks or [self._last()] if so_far or self.stopped else self.peaks
+            )
             if snapshots
         ]
         sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
         curvature = table.curvature(sums.reshape(-1, len(zero_sum)), zero_sum, oversample)
         return SweepResult(triggers, peaks, frames, curvature, sensors, truth)
+
+    def _last(self) -> list[SnapshotReading]:
+        """The last frames as readings, as many as a peak has, and as far apart."""
+        return [
+            SnapshotReading(
+                f.side,
+                f.t_s,
+                f.flex_sum,
+                f.pressure_psi,
+                f.pressure_psi,
+                f.free_curvature + f.excess,
+                f.free_curvature,
+            )
+            for f in self.frames[-_PEAK_READINGS:]
+        ]
 
     def _end_s(self) -> float:
         """Device time of the last instant that counts."""
@@ -100,7 +124,7 @@ class SweepWatcher:
 
     def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
         """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
-        if t_s < self._next_s:
+        if self.stopped or t_s < self._next_s:
             return
         self._next_s = t_s + _FRAME_SPACING_S
         frame = decode()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _SLICE_S = 0.25
+_PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 
 
 def fault_error(faults: tuple[str, ...]) -> RobotFaultError:
@@ -32,16 +33,24 @@ class Watch:
     def __init__(self, client: Client) -> None:
         self._client = client
 
-    def events(self, seconds: float) -> Iterator[wire.Event]:
+    def events(
+        self, seconds: float, until: Callable[[], bool] | None = None
+    ) -> Iterator[wire.Event]:
         """Events of the next seconds, as they come.
+
+        Args:
+            seconds: at most.
+            until: asked ten times a second, after the events; true ends it.
 
         Raises:
             RobotFaultError: the board latched a fault.
         """
         end = self._client.now() + seconds
         while (left := end - self._client.now()) > 0:
-            self._client.poll(min(left, _SLICE_S))
+            self._client.poll(min(left, _PROMPT_S if until else _SLICE_S))
             yield from self._taken()
+            if until is not None and until():
+                return
 
     def _taken(self) -> Iterator[wire.Event]:
         while self._client.events:
@@ -73,15 +82,29 @@ class Watch:
         for _ in self.events(seconds):
             pass
 
-    def activity(self, activity: wire.Activity, within_s: float) -> Iterator[wire.Event]:
+    def activity(
+        self, activity: wire.Activity, within_s: float, until: Callable[[], bool] | None = None
+    ) -> Iterator[wire.Event]:
         """Events of an activity that was started, its last one (done, or zeroed) included.
+
+        Args:
+            activity: its kind.
+            within_s: it has to end.
+            until: as `events`; who ends it so has to stop the activity.
 
         Raises:
             CommandRefusedError: the board ended it early; `reason` says why.
             RobotFaultError: the board latched a fault.
             CommandTimeoutError: it has not ended in time.
         """
-        for event in self.events(within_s):
+        ended = False
+
+        def enough() -> bool:
+            nonlocal ended
+            ended = until is not None and until()
+            return ended
+
+        for event in self.events(within_s, enough if until else None):
             if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
                 reason = wire.Reason(event.value)
                 what, _, cure = reason.doc.partition("; ")
@@ -93,6 +116,8 @@ class Watch:
                 return
             if event.code == wire.EventCode.ZEROED and activity == wire.Activity.ZEROING:
                 return
+        if ended:
+            return
         raise CommandTimeoutError(
             f"{activity.key} has not ended within {within_s:.0f} s",
             "check the robot, then stop it and start again",
