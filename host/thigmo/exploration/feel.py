@@ -112,7 +112,8 @@ def feel(
         centers, spans, config.body.diameter_cm
     )
     last = max((contact.arc for contact in found), default=0.0)
-    bend = Bend(peak.length_cm, peak.free_curvature, excess_knots(centers, unfolded, last), fold)
+    bent = peak.free_curvature + _common((free - peak.free_curvature)[use])
+    bend = Bend(peak.length_cm, bent, excess_knots(centers, unfolded, last), fold)
     if prior is not None and len(found) == 1:
         result = _expected(result, prior, bend, config.body.radius_cm)
         found = list(result.contacts)
@@ -130,6 +131,15 @@ def feel(
     ]
     shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
     return Feeling(result, felt, shape)
+
+
+def _common(departure: Floats) -> float:
+    """The part of the sensors' learnt departures from the map (1/cm) that is the body's own bend.
+
+    What all of them show is the map's error, or the lag's, and the body does bend so; a sensor's
+    own part is its scale's error. Before learning, both are taken as equally large.
+    """
+    return float(departure.sum() / (len(departure) + 1))
 
 
 def _expected(

@@ -20,7 +20,6 @@ class State(StrEnum):
     PLAN = "planning the next stage"
     PRESSURIZE = "setting the body pressure"
     GROW = "growing"
-    BACK_OFF = "winding back from a peg ahead"
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping left and right"
@@ -29,6 +28,7 @@ class State(StrEnum):
     LOCALIZE = "localizing"
     MAP = "mapping"
     VENT = "venting"
+    BACK_OFF = "winding back from a peg ahead"
     FINISH = "venting, keeping the length"
     DONE = "done"
 
