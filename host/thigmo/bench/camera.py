@@ -126,7 +126,7 @@ def glimpse(seed: int, way: str = "height measured", lens: Lens | None = None) -
     free = bool(rng.random() < 0.4)
     s, heading, x, y = _body(rng, free)
     pegs = _pegs(rng, heading, x, y)
-    patches = [*card_decals(laid), tip_decal(sheet, x[-1], y[-1], heading[-1], 3.5)]
+    patches = [*card_decals(laid), tip_decal(sheet, x, y, 3.5)]
     view = render.View(render.BodyShape(x, y), pegs, patches)
     picture = render.render(camera, view, render.random_look(rng), rng)
     model = locate(picture, sheet, lens)

@@ -85,7 +85,7 @@ class BendReadings:
             table.numbers("pressure_psi"),
             table.numbers("curvature"),
             table.numbers("curvature_se", 2e-4),
-            table.numbers("trial", 0.0).astype(np.int64),
+            table.whole("trial", 0),
         )
         found = []
         for s in ("left", "right"):
@@ -278,7 +278,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
             used = kept
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     grid = np.linspace(0.0, 18.0, 37)
-    g_se, built = 0.0, {}
+    fit_se, built = 0.0, {}
     for j, b in enumerate(present):
         x = best[3 * j : 3 * j + 3]
         step = 1e-5
@@ -287,13 +287,15 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
              for e in np.eye(3)]
         )  # fmt: skip
         block = covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]
-        g_se = max(g_se, float(np.sqrt(np.einsum("pg,pq,qg->g", slopes, block, slopes)).max()))
+        fit_se = max(fit_se, float(np.sqrt(np.einsum("pg,pq,qg->g", slopes, block, slopes)).max()))
         built[BRANCHES[b]] = TanhMap(
             amplitude=float(np.exp(x[0])),
             scale_psi=float(np.exp(x[1])),
             offset_psi=float(x[2]),
             amplitude_se=float(np.exp(x[0]) * np.sqrt(block[0, 0])),
         )
+    # A camera errs alike in all pictures of a place: its error does not average out.
+    g_se = float(np.hypot(fit_se, np.median(readings.curvature_se[finite])))
     if len(present) == 1:
         notes.append(f"only the {BRANCHES[present[0]]} branch was measured; used for both")
     inflate = built.get("inflate") or built["deflate"]

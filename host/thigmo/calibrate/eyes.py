@@ -118,14 +118,7 @@ def emulated_source(
         body = None
         if len(line) > 1 and line[-1, 0] > 2.0:
             body = painter.BodyShape(line[:, 3], line[:, 4], diameter_cm / 2)
-            # The heading from the drawn axis: a fold turns it, and the table leaves that out.
-            ahead = line[-1, 3:5] - line[-2, 3:5]
-            patches.append(
-                tip_decal(
-                    sheet, line[-1, 3], line[-1, 4], float(np.arctan2(ahead[1], ahead[0])),
-                    diameter_cm,
-                )
-            )  # fmt: skip
+            patches.append(tip_decal(sheet, line[:, 3], line[:, 4], diameter_cm))
         pegs = [painter.PegShape(float(p.x), float(p.y), float(p.radius)) for p in truth.pegs]
         taken = spoil(camera) if spoil is not None else camera
         # The room stays, the sensor's noise does not.

@@ -15,7 +15,7 @@ from thigmo.calibrate.guided import ActuatorResults, summary
 from thigmo.calibrate.hysteresis import CreepRecord, fit_hysteresis
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
-from thigmo.calibrate.table import Table
+from thigmo.calibrate.table import MissingColumnError, Table
 from thigmo.calibrate.verdict import StepResult
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
@@ -26,7 +26,7 @@ Path = str | os.PathLike[str]
 def _actuator(path: Path, config: RobotConfig) -> StepResult:
     found = tuple(fit_actuator(readings) for readings in BendReadings.read_all(path))
     if not found:
-        raise DataError(f"{path} holds no bends", "see the columns in `thigmo calibrate --help`")
+        raise DataError(f"{path} holds no bends", "give one line for each bend")
     return ActuatorResults(found, summary(found))
 
 
@@ -82,4 +82,8 @@ def fit_csv(step: str, path: Path, config: RobotConfig) -> StepResult:
         raise DataError(
             f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(FITS))}"
         )
-    return FITS[step](path, config)
+    try:
+        return FITS[step](path, config)
+    except MissingColumnError as error:
+        error.add_note(f"columns of {step}: {COLUMNS[step]}; those in brackets may be left out")
+        raise

@@ -317,6 +317,8 @@ STEPS: dict[str, Callable[[Bench], StepResult]] = {
     "noise": noise,
     "check": check,
 }
+# Without these, later steps would measure nonsense; a bad one of the others spoils nothing else.
+NEEDED = ("pressure", "encoder", "actuator", "flex")
 ROWS_OF = {
     "encoder": ("growth",),
     "hysteresis": ("growth",),

@@ -46,8 +46,8 @@ class CreepRecord:
         """From a CSV: side, index, eversion, t_s, curvature."""
         table = Table.read(path)
         sides = table.words("side")
-        index = table.numbers("index").astype(int)
-        eversion = table.numbers("eversion", 0.0)
+        index = table.whole("index")
+        eversion = table.whole("eversion", 0)
         t, k = table.numbers("t_s"), table.numbers("curvature")
         keys = sorted(set(zip(sides, index.tolist(), eversion.tolist(), strict=True)))
         found = []
@@ -179,7 +179,7 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
     groups: dict[tuple[Side, int], list[CreepRecord]] = {}
     for record in records:
-        if record.index >= len(config.sensors.column(record.side)):
+        if not 0 <= record.index < len(config.sensors.column(record.side)):
             raise DataError(
                 f"no sensor {record.side} {record.index} in robot.toml", "use this robot's file"
             )

@@ -42,12 +42,13 @@ class AxisPoints:
     def read_all(cls, path: str | os.PathLike[str]) -> list[AxisPoints]:
         """From a CSV: picture, x_cm, y_cm, force_arc_cm."""
         table = Table.read(path)
-        picture = table.numbers("picture")
+        picture = table.whole("picture")
         points = np.column_stack([table.numbers("x_cm"), table.numbers("y_cm")])
         arc = table.numbers("force_arc_cm")
+        seen = np.isfinite(points).all(axis=1) & np.isfinite(arc)
         return [
-            cls(points[picture == number], float(arc[picture == number][0]))
-            for number in sorted(set(picture.tolist()))
+            cls(points[seen & (picture == number)], float(arc[seen & (picture == number)][0]))
+            for number in sorted(set(picture[seen].tolist()))
         ]
 
 
@@ -136,7 +137,10 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     alike = abs(ratio - 1) < 3 * error
     if error > 0.15:
         verdict = Verdict(
-            False, f"ratio {ratio:.2f} +- {error:.2f}: too uncertain, add pictures", tuple(notes)
+            False,
+            f"ratio {ratio:.2f} +- {error:.2f}: too uncertain, take more pictures (`thigmo "
+            f"calibrate stiffness --places {3 * len(pictures)} --again`); nothing else needs it",
+            tuple(notes),
         )
     else:
         words = (

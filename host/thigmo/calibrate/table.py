@@ -15,6 +15,10 @@ from thigmo.errors import DataError
 Array = NDArray[np.float64]
 
 
+class MissingColumnError(DataError):
+    """A column that is needed is not there."""
+
+
 class Table:
     """Columns by name; empty cells are nan, words stay words."""
 
@@ -59,12 +63,13 @@ class Table:
         """A column of numbers (n,); empty cells are nan.
 
         Raises:
-            DataError: missing column without a default, or a word where a number belongs.
+            MissingColumnError: there is no such column, and no default.
+            DataError: a word where a number belongs.
         """
         if column not in self.columns:
             if default is not None:
                 return np.full(self.rows, default)
-            raise DataError(f"{self.name}: no column '{column}'", "add it")
+            raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
         found = np.empty(self.rows)
         for number, cell in enumerate(self.columns[column]):
             try:
@@ -74,18 +79,39 @@ class Table:
                     f"{self.name}, line {number + 2}: '{cell}' in column '{column}' is no number",
                     "mend that cell, or leave it empty",
                 ) from error
+            if np.isinf(found[number]):
+                raise DataError(
+                    f"{self.name}, line {number + 2}: '{cell}' in column '{column}' is not finite",
+                    "mend that cell, or leave it empty",
+                )
         return found
+
+    def whole(self, column: str, default: int | None = None) -> NDArray[np.int64]:
+        """A column of whole numbers (n,), none of them empty.
+
+        Raises:
+            MissingColumnError: there is no such column, and no default.
+            DataError: an empty cell, or a number that is not whole.
+        """
+        values = self.numbers(column, None if default is None else float(default))
+        odd = np.nonzero(~(values == np.round(values)))[0]
+        if len(odd):
+            raise DataError(
+                f"{self.name}, line {odd[0] + 2}: column '{column}' needs a whole number",
+                "mend that cell",
+            )
+        return values.astype(np.int64)
 
     def words(self, column: str, default: str | None = None) -> list[str]:
         """A column of words.
 
         Raises:
-            DataError: missing column without a default.
+            MissingColumnError: there is no such column, and no default.
         """
         if column not in self.columns:
             if default is not None:
                 return [default] * self.rows
-            raise DataError(f"{self.name}: no column '{column}'", "add it")
+            raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
         return list(self.columns[column])
 
     def block(self, prefix: str, count: int) -> Array:

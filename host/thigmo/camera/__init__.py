@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from thigmo.camera.body import Centerline, fit_centerline
+    from thigmo.camera.centerline import Centerline, fit_centerline
     from thigmo.camera.clicks import Clicks, click
     from thigmo.camera.errors import (
         BodyNotSeenError,
@@ -33,7 +33,7 @@ _HOME = {
     "CameraModel": "model",
     "CameraMovedError": "errors",
     "Card": "sheet",
-    "Centerline": "body",
+    "Centerline": "centerline",
     "Clicks": "clicks",
     "Lens": "model",
     "MarkerMissingError": "errors",
@@ -51,7 +51,7 @@ _HOME = {
     "check_still": "model",
     "click": "clicks",
     "draw": "sight",
-    "fit_centerline": "body",
+    "fit_centerline": "centerline",
     "locate": "pose",
     "look": "sight",
     "open_source": "source",

@@ -15,19 +15,19 @@ from math import ceil
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 
 from thigmo.camera.errors import BodyNotSeenError
 from thigmo.camera.model import CameraModel, Picture
-from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
 BODY_PX_CM = 12  # enough for a tube that is 40 px wide
 _STEP_CM = 0.5
+_WIDTH_CM = 0.05  # a change of width that wrinkles make
 _CLASH = 0.5  # bodyness at a flank
+_EDGE_CM = 0.4  # to either side of a flank, looked at for its edge
+_EDGE_GRAY = 15.0  # an edge of less contrast tells nothing
 
 
 @dataclass(frozen=True)
@@ -223,6 +223,8 @@ def follow(
 
     point, heading = np.asarray(start, float), 0.0
     middles: list[Array] = []
+    headings: list[float] = []
+    widths: list[float] = []
     good: list[bool] = []
     lost = 0
     while len(middles) * _STEP_CM < longest_cm:
@@ -244,6 +246,8 @@ def follow(
         normal = np.array([-np.sin(heading), np.cos(heading)])
         point = point + float(np.clip(shift, -0.35 * radius_cm, 0.35 * radius_cm)) * normal
         middles.append(point)
+        headings.append(heading)
+        widths.append(left - right)
         good.append(whole)
         recent = np.array(middles[-12:])
         if len(recent) >= 4:
@@ -260,7 +264,13 @@ def follow(
             "no tube of the configured diameter starts at the base",
             "check body.diameter_cm and the cards' places, or click its axis by hand (`--click`)",
         )
-    middle = np.array(middles)
+    middle, way = np.array(middles), np.array(headings)
+    # Things of the body's colour beside it make it look wide: where its width is unlike the rest's,
+    # the middle is not to be trusted.
+    width, sound = np.array(widths), np.array(good)
+    usual = float(np.median(width[sound]))
+    scatter = 1.4826 * float(np.median(np.abs(width[sound] - usual)))
+    sound &= np.abs(width - usual) < max(3 * scatter, _WIDTH_CM)
     # The end: where bodyness along the axis (mean over its width) falls through a half.
     end_heading = heading
     forward = np.array([np.cos(end_heading), np.sin(end_heading)])
@@ -272,196 +282,40 @@ def follow(
     fade = gaussian_filter1d(np.median(sample(grid), axis=1).astype(float), 2)
     falls = np.nonzero((fade[:-1] >= 0.5) & (fade[1:] < 0.5))[0]
     overshoot = float(ahead_cm[falls[-1]] + 0.025) if len(falls) else 0.0
-    return Track(middle, np.array(good), base + overshoot * forward)
+    refined = _between_edges(flat, middle, way, np.where(sound, width, 2 * radius_cm))
+    middle = np.where((sound & np.isfinite(refined[:, 0]))[:, None], refined, middle)
+    return Track(middle, sound, base + overshoot * forward)
 
 
-@dataclass(frozen=True)
-class Centerline:
-    """The fitted axis, with the uncertainty of its curvature.
+def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> Array:
+    """Points (n, 2) halfway between the body's two edges; nan where an edge is not clear.
 
-    Attributes:
-        arc_cm: (n,) from the base's plane to the tip.
-        x_cm: (n,).
-        y_cm: (n,).
-        heading: (n,) rad.
-        curvature: (n,) 1/cm.
-        curvature_se: (n,) one sigma.
-        residual_cm: rms distance of the flanks' middles from the curve.
-        constant: whether a single curvature was fitted.
-        coefficients: (m,) lateral start, heading start, curvature coefficients.
-        covariance: (m, m) of them.
-        average: (n, m-2) cumulative integrals of the basis, for `mean_curvature`.
-        points_cm: (p, 2) what was fitted.
+    An edge is where the light is halfway between what it is just inside and just outside. Bodyness
+    knows colours, and colours alone put the edge of a flank in shade too far in.
     """
-
-    arc_cm: Array
-    x_cm: Array
-    y_cm: Array
-    heading: Array
-    curvature: Array
-    curvature_se: Array
-    residual_cm: float
-    constant: bool
-    coefficients: Array
-    covariance: Array
-    average: Array
-    points_cm: Array
-
-    @property
-    def length_cm(self) -> float:
-        """Arc length from the base to the tip."""
-        return float(self.arc_cm[-1])
-
-    @property
-    def tip_cm(self) -> tuple[float, float]:
-        """Tip's place."""
-        return float(self.x_cm[-1]), float(self.y_cm[-1])
-
-    def mean_curvature(self, center_cm: float, span_cm: float) -> tuple[float, float]:
-        """Average curvature over a sensor's span, and its one sigma (1/cm).
-
-        Raises:
-            DataError: the span is not on the body.
-        """
-        low, high = center_cm - span_cm / 2, center_cm + span_cm / 2
-        if low < self.arc_cm[0] - 0.5 or high > self.arc_cm[-1] + 0.5 or span_cm <= 0:
-            raise DataError(
-                f"the span {low:.1f}..{high:.1f} cm is not on the seen body", "grow the robot first"
-            )
-        ends = np.array(
-            [
-                [np.interp(at, self.arc_cm, column) for column in self.average.T]
-                for at in (low, high)
-            ]
+    away = np.arange(-_EDGE_CM, _EDGE_CM + 1e-9, 0.02)
+    normal = np.column_stack([-np.sin(heading), np.cos(heading)])
+    found = []
+    for side in (1.0, -1.0):
+        out = side * (width / 2)[:, None] + side * away
+        at = flat.pixels(middle[:, None, :] + out[..., None] * normal[:, None, :])
+        light = cv2.remap(flat.image, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(float)
+        inside = light[:, away < -0.4 * _EDGE_CM].mean(axis=1)
+        outside = light[:, away > 0.4 * _EDGE_CM].mean(axis=1)
+        step = inside - outside
+        clear = np.linalg.norm(step, axis=1) > _EDGE_GRAY
+        share = (
+            np.einsum("nmc,nc->nm", light - outside[:, None], step)
+            / np.maximum((step**2).sum(axis=1), 1.0)[:, None]
         )
-        weights = (ends[1] - ends[0]) / span_cm
-        value = float(weights @ self.coefficients[2:])
-        return value, float(np.sqrt(weights @ self.covariance[2:, 2:] @ weights))
-
-
-def fit_centerline(
-    points_cm: Array,
-    tip_cm: Array | None = None,
-    *,
-    constant: bool = False,
-    good: NDArray[np.bool_] | None = None,
-    knot_cm: float = 7.0,
-    point_se_cm: float = 0.02,
-) -> Centerline:
-    """Smooth axis through points along the body.
-
-    The curve starts at x = 0 with a free lateral place and heading; its curvature is one number
-    (`constant`) or a cubic spline. Huber loss; the covariance is scaled by the residuals and by
-    their correlation along the arc, which is what neighbouring points of a picture have.
-
-    Args:
-        points_cm: (n, 2) base to tip.
-        tip_cm: (2,) where the body ends (default: the last point).
-        constant: fit one curvature (a free bend).
-        good: (n,) points to use.
-        knot_cm: distance of the spline's knots.
-        point_se_cm: least standard error of a point.
-
-    Raises:
-        DataError: fewer than six points, or points that are not finite.
-    """
-    points = np.asarray(points_cm, float)
-    if points.ndim != 2 or len(points) < 6 or not np.isfinite(points).all():
-        raise DataError("the axis needs six or more finite points", "click more points")
-    end = points[-1] if tip_cm is None else np.asarray(tip_cm, float)
-    weights = np.ones(len(points))
-    if good is not None and good.sum() >= 6:
-        weights[~good] = 0.05
-    # Arc of each point: along the chain at first (the body leaves the base along +x, so the first
-    # one's is its x), which noise lengthens; then by projection onto the fitted curve.
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
-    last = points[-1] - points[-2]
-    total = at[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
-    fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
-    for _ in range(2):
-        at = _project(points, at, fitted)
-        total = float(_project(end[None], np.array([total]), fitted)[0])
-        fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
-    return fitted
-
-
-def _project(points: Array, at: Array, line: Centerline) -> Array:
-    """Arcs of points, moved along the curve's tangent to the foot of each point."""
-    inside = np.clip(at, 0.0, line.arc_cm[-1])
-    turn = np.interp(inside, line.arc_cm, line.heading)
-    x, y = (np.interp(inside, line.arc_cm, c) for c in (line.x_cm, line.y_cm))
-    ahead = np.cos(turn) * (points[:, 0] - x) + np.sin(turn) * (points[:, 1] - y)
-    return np.asarray(inside + ahead)
-
-
-def _fit(
-    points: Array,
-    at: Array,
-    total: float,
-    weights: Array,
-    constant: bool,
-    knot_cm: float,
-    point_se_cm: float,
-) -> Centerline:
-    """One fit with the points' arcs held."""
-    n = 1 if constant else max(4, int(total / knot_cm) + 3)
-    fine = np.linspace(0.0, total, max(60, int(total / 0.1)))
-    basis = np.ones((len(fine), 1)) if n == 1 else _spline_basis(fine, total, n)
-    step = fine[1] - fine[0]
-    integral = np.vstack([np.zeros(n), np.cumsum((basis[1:] + basis[:-1]) / 2 * step, axis=0)])
-
-    def curve(p: Array) -> tuple[Array, Array, Array]:
-        heading = p[1] + integral @ p[2:]
-        middle = (heading[1:] + heading[:-1]) / 2
-        x = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)])
-        y = p[0] + np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)])
-        return x, y, heading
-
-    # Second differences of the spline's coefficients are held down, so that noise between
-    # knots is not taken for bends; 2e-3 1/cm per knot squared is more than a loaded body shows.
-    roughness = np.diff(np.eye(n), 2, axis=0) / 4e-3 if n > 3 else np.zeros((0, n))
-
-    def residuals(p: Array) -> Array:
-        x, y, heading = curve(p)
-        away = points - np.column_stack([np.interp(at, fine, x), np.interp(at, fine, y)])
-        turn = np.interp(at, fine, heading)
-        normal = -np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1]
-        return np.concatenate([weights * normal / point_se_cm, roughness @ p[2:]])
-
-    chord = float(np.arctan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0]))
-    first = np.concatenate([[points[0, 1], 0.0], np.full(n, 2 * chord / total)])
-    fit = least_squares(residuals, first, loss="huber", f_scale=2.5, x_scale="jac", max_nfev=60)
-    raw = residuals(fit.x)[: len(points)]
-    used = weights > 0.5
-    errors = np.clip(raw[used], -4 * np.std(raw[used]), 4 * np.std(raw[used]))
-    scale = max(1.0, float(np.sqrt(np.sum(errors**2) / max(1, len(errors) - n - 2))))
-    lagged = float(np.corrcoef(errors[1:], errors[:-1])[0, 1]) if len(errors) > 8 else 0.0
-    lagged = min(0.9, max(0.0, lagged)) if np.isfinite(lagged) else 0.0
-    inflation = scale**2 * (1 + lagged) / (1 - lagged)
-    slopes = np.asarray(fit.jac, float)
-    inverse = np.linalg.pinv(slopes.T @ slopes)
-    covariance = inverse * inflation
-    x, y, heading = curve(fit.x)
-    spread = np.einsum("ij,jk,ik->i", basis, covariance[2:, 2:], basis)
-    return Centerline(
-        fine,
-        x,
-        y,
-        heading,
-        basis @ fit.x[2:],
-        np.sqrt(np.maximum(spread, 0)),
-        float(np.sqrt(np.mean(errors**2)) * point_se_cm),
-        constant,
-        fit.x,
-        covariance,
-        integral,
-        points[used],
-    )
-
-
-def _spline_basis(at: Array, total: float, n: int) -> Array:
-    """Clamped cubic B-splines (len(at), n) over 0..total."""
-    inner = np.linspace(0, total, n - 2)
-    knots = np.concatenate([[0.0] * 3, inner, [total] * 3])
-    return np.asarray(BSpline.design_matrix(np.clip(at, 0, total), knots, 3).toarray(), float)
+        falls = (share[:, :-1] >= 0.5) & (share[:, 1:] < 0.5)
+        # Of several, the one nearest to where bodyness had it.
+        rank = np.where(falls, np.abs(away[:-1]), np.inf)
+        first = np.argmin(rank, axis=1)
+        rows = np.arange(len(middle))
+        high, low = share[rows, first], share[rows, first + 1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = away[first] + (high - 0.5) / (high - low) * 0.02
+        place[~clear | ~np.isfinite(rank[rows, first])] = np.nan
+        found.append(side * (width / 2 + place))
+    return np.asarray(middle + ((found[0] + found[1]) / 2)[:, None] * normal)

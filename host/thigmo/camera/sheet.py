@@ -227,11 +227,17 @@ def card_decals(sheet: Sheet) -> list[Decal]:
     return decals
 
 
-def tip_decal(sheet: Sheet, x_cm: float, y_cm: float, heading: float, height_cm: float) -> Decal:
-    """The tip marker as it rides on a robot whose tip is at (x, y) with that heading (rad)."""
+def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Decal:
+    """The tip marker as it rides on a robot's axis (n,) and (n,), base to tip, at that height."""
     side = sheet.tip_marker_cm * (1 + 2 / _MODULES) * sheet.print_scale
-    rotation = np.array([[cos(heading), -sin(heading)], [sin(heading), cos(heading)]])
-    center = np.array([x_cm, y_cm]) - sheet.tip_offset_cm * rotation[:, 0]
+    axis = np.column_stack([x_cm, y_cm])
+    back = np.cumsum(np.linalg.norm(np.diff(axis[::-1], axis=0), axis=1))
+    place = len(axis) - 2 - int(np.searchsorted(back[:-1], sheet.tip_offset_cm))
+    ahead = axis[place + 1] - axis[place]
+    ahead /= np.linalg.norm(ahead)
+    over = sheet.tip_offset_cm - (back[len(axis) - 3 - place] if place < len(axis) - 2 else 0.0)
+    center = axis[place + 1] - over * ahead
+    rotation = np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
     flat = _square(side) @ rotation.T + center
     return Decal(tip_image(sheet), np.column_stack([flat, np.full(4, height_cm)]), "tip marker")
 

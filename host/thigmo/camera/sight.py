@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.camera.body import Centerline, Flat, bodyness, fit_centerline, flatten, follow
+from thigmo.camera.body import Flat, bodyness, flatten, follow
+from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.clicks import Clicks
 from thigmo.camera.errors import BodyNotSeenError, CameraError, MarkerMissingError
 from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still

@@ -55,9 +55,36 @@ def calibrate(
     seed: Annotated[int, typer.Option(help="Of the emulator.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the robot's constants; good results go into FOLDER/robot.toml, with a backup.
+    """Measure the robot's constants, with an overhead camera; good ones go into FOLDER/robot.toml.
 
-    A stopped step goes on after its last reading. Order on a new robot: as listed; `all` runs it.
+    First the camera: see `thigmo camera --help`. Then, with the robot straight on the table:
+
+    `thigmo calibrate all --robot /dev/ttyACM0 --config robot.toml`
+
+    or step by step, each of which needs those before it:
+
+    pressure: zeros of the pressure sensors, vented.
+
+    encoder: the robot grows; counts against the length seen.
+
+    actuator: free bends of both muscles at every body pressure; maps, and the lag.
+
+    flex: the tip is pushed aside by hand to ten places; every sensor's scale, zero and noise.
+
+    hysteresis: how each sensor creeps after it was everted (from the encoder's stops).
+
+    buckling: hard pushes at the tip, until the base folds.
+
+    stiffness: whether sensors stiffen the body (told only; nothing needs it).
+
+    noise, check: the robot at rest; later, whether it is still what robot.toml says.
+
+    Each draws its fit (FOLDER/STEP.png) and says good or bad and why. Only good
+    results are kept, the file before them as robot.toml.1.bak and so on. A
+    stopped step goes on after its last reading; `status` tells what is done.
+
+    `--csv FILE` fits readings that a lab already has; a file that lacks a column
+    is told all of them. Try it without a robot: `--robot emulator://empty`.
     """
     from thigmo.calibrate.session import Session, blank
     from thigmo.config import RobotConfig
@@ -99,12 +126,14 @@ def calibrate(
                 say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
                 continue
             found[name] = guided.run(bench, name, again=again)
-            if not found[name].verdict.good:
+            if not found[name].verdict.good and name in guided.NEEDED:
                 break
     if as_json:
         print_json({name: result.as_data() for name, result in found.items()})
     bad = [name for name, result in found.items() if not result.verdict.good]
     if bad:
+        if step == "all":
+            say(f"not good: {', '.join(bad)}; see why above, mend it, and run this again")
         raise typer.Exit(2)
     say(f"constants so far: {session.robot_file}")
 

@@ -42,7 +42,14 @@ def save(scene: Scene, path: Path) -> str:
     return f"emulator://{path}"
 
 
-@pytest.mark.timeout(240)
+def test_calibration_begins_without_any_of_the_truth():
+    begun = blank(unknown_robot(11).robot)
+    assert begun == blank(unknown_robot(12).robot)
+    assert begun.body.critical_curvature != 0.0118
+    assert begun.spool.counts_per_cm != 71.0
+
+
+@pytest.mark.timeout(480)
 def test_from_pixels_to_the_map(tmp_path):
     scene = unknown_robot(11)
     room = save(scene, tmp_path / "room.toml")
@@ -90,8 +97,9 @@ def test_from_pixels_to_the_map(tmp_path):
     (peg,) = scene.pegs
     with thigmo.connect(room, seed=4) as robot:
         source, _ = emulated_source(robot, sheet, seed=8)
-        seen = Eyes(source, camera, sheet, dowel_radius_cm=peg.radius).everything().obstacles
-    where = min(seen, key=lambda o: np.hypot(o.x_cm - peg.x, o.y_cm - peg.y))
+        # The operator has measured the dowels' thickness, not their places.
+        seen = Eyes(source, camera, sheet, dowel_radius_cm=0.6).everything().obstacles
+    where = seen[0]
     assert (where.x_cm, where.y_cm) == pytest.approx((peg.x, peg.y), abs=0.3)
 
     explored = thigmo.explore(room, config=found, seed=4, out=tmp_path)

@@ -44,7 +44,7 @@ class Room:
     def picture(self, *, cards=(0, 1, 2, 3), tip=True, body=True, camera=None, look=None):
         patches = [d for n, d in enumerate(card_decals(SHEET)) if n in cards]
         if tip:
-            patches.append(tip_decal(SHEET, self.x[-1], self.y[-1], self.heading[-1], 3.5))
+            patches.append(tip_decal(SHEET, self.x, self.y, 3.5))
         shape = BodyShape(self.x, self.y) if body else None
         return render(
             camera or self.camera, View(shape, self.pegs, patches), look or Look(),

@@ -37,6 +37,30 @@ def test_scales_are_right_within_their_errors():
     assert np.sqrt(np.mean(np.square(relative))) < 0.02
 
 
+@pytest.mark.timeout(300)
+def test_stated_errors_cover_the_true_ones_over_many_labs():
+    """Scales and zeros of 24 labs, ten sensors each: their z-scores spread as they say.
+
+    A lab's ten sensors share the places of the camera, so the 240 scores count as fewer.
+    """
+    scales, zeros = [], []
+    for seed in range(100, 124):
+        lab = Lab(seed)
+        result = fit_flex(lab.flex(), lab.config)
+        fits = [f for f in result.sensors if f.healthy]
+        true = [(s, z) for f, s, z in zip(result.sensors, lab.scale, lab.zero, strict=True)
+                if f.healthy]  # fmt: skip
+        assert len(fits) == 10
+        scales += [
+            (f.scale_per_ohm / s - 1) / f.scale_se for f, (s, _) in zip(fits, true, strict=True)
+        ]
+        zeros += [(f.zero_ohm - z) / f.zero_se_ohm for f, (_, z) in zip(fits, true, strict=True)]
+    for scores in (scales, zeros):
+        assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
+        assert np.mean(np.abs(scores) > 3) < 0.02
+    assert abs(np.mean(scales)) < 0.25  # no bias
+
+
 def test_ten_tip_places_alone_leave_distal_sensors_uncertain_and_say_so():
     lab = Lab(0)
     result = fit_flex(lab.flex(bends=0, straight=3), lab.config)

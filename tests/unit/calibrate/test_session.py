@@ -10,7 +10,7 @@ from thigmo.calibrate.actuator import fit_actuator
 from thigmo.calibrate.from_csv import COLUMNS, FITS, fit_csv
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.session import Session, blank
-from thigmo.calibrate.table import Table
+from thigmo.calibrate.table import MissingColumnError, Table
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 
@@ -96,6 +96,26 @@ def test_malformed_tables_name_the_line(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(DataError, match=message):
         Table.read(path).numbers("a")
+
+
+def test_infinite_and_fractional_cells_name_the_line(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("a\n1\ninf\n")
+    with pytest.raises(DataError, match="line 3: 'inf' in column 'a' is not finite"):
+        Table.read(path).numbers("a")
+    for text in ("a\n1\n2.5\n", "a,b\n1,1\n,1\n"):
+        path.write_text(text)
+        with pytest.raises(DataError, match="line 3: column 'a' needs a whole number"):
+            Table.read(path).whole("a")
+
+
+@pytest.mark.parametrize("step", sorted(FITS))
+def test_a_csv_of_something_else_is_told_the_columns_of_the_step(tmp_path, step):
+    path = tmp_path / "t.csv"
+    path.write_text("colour\nred\n")
+    with pytest.raises(MissingColumnError, match="no column") as caught:
+        fit_csv(step, path, RobotConfig())
+    assert COLUMNS[step] in caught.value.__notes__[0]
 
 
 def test_regression_coverage_with_known_and_unknown_errors():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import exp
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -304,6 +305,32 @@ def test_contact_moves_the_base_sensor_of_the_passive_side() -> None:
     base = plant.sensor_curvature[5]
     assert base - plant.free_curvature < -0.005
     assert moment.model == "elastica"
+
+
+@pytest.mark.parametrize("model", ["auto", "arc", "beam", "elastica"])
+def test_a_scene_file_chooses_its_mechanics_or_leaves_the_choice(
+    tmp_path: Path, model: str
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(f'extends = "default"\nstart_length_cm = 53.0\n[plant]\nmodel = "{model}"\n')
+    plant = Plant(Scene.load(file))
+    ramp(plant, 14.0)
+    used = {name for name, steps in plant.truth().models.items() if steps > 0}
+    assert used == ({"arc", "elastica"} if model == "auto" else {model})
+    assert (len(plant.truth().now.contacts) > 0) == (model != "arc")
+
+
+def test_a_scenes_tolerance_decides_between_beam_and_elastica() -> None:
+    def last_model(tolerance: float) -> str:
+        scene = quiet(start_length_cm=53.0, pegs=[PegTable(x=30.0, y=2.6, radius=0.6)])
+        scene.plant.tolerance_cm = tolerance
+        plant = Plant(scene)
+        ramp(plant, 2.4)
+        assert plant.truth().now.contacts
+        return str(plant.truth().now.model)
+
+    assert last_model(5.0) == "beam"
+    assert last_model(1e-3) == "elastica"
 
 
 def test_truth_keeps_a_history_of_what_moved() -> None:

@@ -1,0 +1,210 @@
+"""The body's axis: a smooth curve through points along it, with the uncertainty of its curvature.
+
+The points come from `thigmo.camera.body`, or from clicks. Curvature is what calibration lives on,
+so its error is stated with care: neighbouring points of a picture err together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.optimize import least_squares
+
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Centerline:
+    """The fitted axis, with the uncertainty of its curvature.
+
+    Attributes:
+        arc_cm: (n,) from the base's plane to the tip.
+        x_cm: (n,).
+        y_cm: (n,).
+        heading: (n,) rad.
+        curvature: (n,) 1/cm.
+        curvature_se: (n,) one sigma.
+        residual_cm: rms distance of the flanks' middles from the curve.
+        constant: whether a single curvature was fitted.
+        coefficients: (m,) lateral start, heading start, curvature coefficients.
+        covariance: (m, m) of them.
+        average: (n, m-2) cumulative integrals of the basis, for `mean_curvature`.
+        points_cm: (p, 2) what was fitted.
+    """
+
+    arc_cm: Array
+    x_cm: Array
+    y_cm: Array
+    heading: Array
+    curvature: Array
+    curvature_se: Array
+    residual_cm: float
+    constant: bool
+    coefficients: Array
+    covariance: Array
+    average: Array
+    points_cm: Array
+
+    @property
+    def length_cm(self) -> float:
+        """Arc length from the base to the tip."""
+        return float(self.arc_cm[-1])
+
+    @property
+    def tip_cm(self) -> tuple[float, float]:
+        """Tip's place."""
+        return float(self.x_cm[-1]), float(self.y_cm[-1])
+
+    def mean_curvature(self, center_cm: float, span_cm: float) -> tuple[float, float]:
+        """Average curvature over a sensor's span, and its one sigma (1/cm).
+
+        Raises:
+            DataError: the span is not on the body.
+        """
+        low, high = center_cm - span_cm / 2, center_cm + span_cm / 2
+        if low < self.arc_cm[0] - 0.5 or high > self.arc_cm[-1] + 0.5 or span_cm <= 0:
+            raise DataError(
+                f"the span {low:.1f}..{high:.1f} cm is not on the seen body", "grow the robot first"
+            )
+        ends = np.array(
+            [
+                [np.interp(at, self.arc_cm, column) for column in self.average.T]
+                for at in (low, high)
+            ]
+        )
+        weights = (ends[1] - ends[0]) / span_cm
+        value = float(weights @ self.coefficients[2:])
+        return value, float(np.sqrt(weights @ self.covariance[2:, 2:] @ weights))
+
+
+def fit_centerline(
+    points_cm: Array,
+    tip_cm: Array | None = None,
+    *,
+    constant: bool = False,
+    good: NDArray[np.bool_] | None = None,
+    knot_cm: float = 7.0,
+    point_se_cm: float = 0.02,
+) -> Centerline:
+    """Smooth axis through points along the body.
+
+    The curve starts at x = 0 with a free lateral place and heading; its curvature is one number
+    (`constant`) or a cubic spline. Huber loss; the covariance is scaled by the residuals and by
+    their correlation along the arc, which is what neighbouring points of a picture have.
+
+    Args:
+        points_cm: (n, 2) base to tip.
+        tip_cm: (2,) where the body ends (default: the last point).
+        constant: fit one curvature (a free bend).
+        good: (n,) points to use.
+        knot_cm: distance of the spline's knots.
+        point_se_cm: least standard error of a point.
+
+    Raises:
+        DataError: fewer than six points, or points that are not finite.
+    """
+    points = np.asarray(points_cm, float)
+    if points.ndim != 2 or len(points) < 6 or not np.isfinite(points).all():
+        raise DataError("the axis needs six or more finite points", "click more points")
+    end = points[-1] if tip_cm is None else np.asarray(tip_cm, float)
+    weights = np.ones(len(points))
+    if good is not None and good.sum() >= 6:
+        weights[~good] = 0.05
+    # Arc of each point: along the chain at first (the body leaves the base along +x, so the first
+    # one's is its x), which noise lengthens; then by projection onto the fitted curve.
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
+    last = points[-1] - points[-2]
+    total = at[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
+    fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
+    for _ in range(2):
+        at = _project(points, at, fitted)
+        total = float(_project(end[None], np.array([total]), fitted)[0])
+        fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
+    return fitted
+
+
+def _project(points: Array, at: Array, line: Centerline) -> Array:
+    """Arcs of points, moved along the curve's tangent to the foot of each point."""
+    inside = np.clip(at, 0.0, line.arc_cm[-1])
+    turn = np.interp(inside, line.arc_cm, line.heading)
+    x, y = (np.interp(inside, line.arc_cm, c) for c in (line.x_cm, line.y_cm))
+    ahead = np.cos(turn) * (points[:, 0] - x) + np.sin(turn) * (points[:, 1] - y)
+    return np.asarray(inside + ahead)
+
+
+def _fit(
+    points: Array,
+    at: Array,
+    total: float,
+    weights: Array,
+    constant: bool,
+    knot_cm: float,
+    point_se_cm: float,
+) -> Centerline:
+    """One fit with the points' arcs held."""
+    n = 1 if constant else max(4, int(total / knot_cm) + 3)
+    fine = np.linspace(0.0, total, max(60, int(total / 0.1)))
+    basis = np.ones((len(fine), 1)) if n == 1 else _spline_basis(fine, total, n)
+    step = fine[1] - fine[0]
+    integral = np.vstack([np.zeros(n), np.cumsum((basis[1:] + basis[:-1]) / 2 * step, axis=0)])
+
+    def curve(p: Array) -> tuple[Array, Array, Array]:
+        heading = p[1] + integral @ p[2:]
+        middle = (heading[1:] + heading[:-1]) / 2
+        x = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)])
+        y = p[0] + np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)])
+        return x, y, heading
+
+    # Second differences of the spline's coefficients are held down, so that noise between
+    # knots is not taken for bends; 2e-3 1/cm per knot squared is more than a loaded body shows.
+    roughness = np.diff(np.eye(n), 2, axis=0) / 4e-3 if n > 3 else np.zeros((0, n))
+
+    def residuals(p: Array) -> Array:
+        x, y, heading = curve(p)
+        away = points - np.column_stack([np.interp(at, fine, x), np.interp(at, fine, y)])
+        turn = np.interp(at, fine, heading)
+        normal = -np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1]
+        return np.concatenate([weights * normal / point_se_cm, roughness @ p[2:]])
+
+    chord = float(np.arctan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0]))
+    first = np.concatenate([[points[0, 1], 0.0], np.full(n, 2 * chord / total)])
+    fit = least_squares(residuals, first, loss="huber", f_scale=2.5, x_scale="jac", max_nfev=60)
+    raw = residuals(fit.x)[: len(points)]
+    used = weights > 0.5
+    errors = np.clip(raw[used], -4 * np.std(raw[used]), 4 * np.std(raw[used]))
+    scale = max(1.0, float(np.sqrt(np.sum(errors**2) / max(1, len(errors) - n - 2))))
+    lagged = float(np.corrcoef(errors[1:], errors[:-1])[0, 1]) if len(errors) > 8 else 0.0
+    lagged = min(0.9, max(0.0, lagged)) if np.isfinite(lagged) else 0.0
+    inflation = scale**2 * (1 + lagged) / (1 - lagged)
+    slopes = np.asarray(fit.jac, float)
+    inverse = np.linalg.pinv(slopes.T @ slopes)
+    covariance = inverse * inflation
+    x, y, heading = curve(fit.x)
+    spread = np.einsum("ij,jk,ik->i", basis, covariance[2:, 2:], basis)
+    return Centerline(
+        fine,
+        x,
+        y,
+        heading,
+        basis @ fit.x[2:],
+        np.sqrt(np.maximum(spread, 0)),
+        float(np.sqrt(np.mean(errors**2)) * point_se_cm),
+        constant,
+        fit.x,
+        covariance,
+        integral,
+        points[used],
+    )
+
+
+def _spline_basis(at: Array, total: float, n: int) -> Array:
+    """Clamped cubic B-splines (len(at), n) over 0..total."""
+    inner = np.linspace(0, total, n - 2)
+    knots = np.concatenate([[0.0] * 3, inner, [total] * 3])
+    return np.asarray(BSpline.design_matrix(np.clip(at, 0, total), knots, 3).toarray(), float)
