@@ -51,7 +51,8 @@ class ContactMap:
             once_a_stage = all(
                 abs(f.length_cm - felt.length_cm) > _FLOOR_CM for f in self._pegs[index]
             )
-            if known.side == felt.side and once_a_stage and _apart(known, alone) < _SAME_SIGMA:
+            again = _apart(known, alone) < _SAME_SIGMA or self._agree(index, felt)
+            if known.side == felt.side and once_a_stage and again:
                 self._pegs[index].append(felt)
                 self._placed[index] = self._place(self._pegs[index])
                 return
@@ -89,6 +90,17 @@ class ContactMap:
             return
         self._pegs.append([])
         self._placed.append(replace(ahead, known=self.prior.match(ahead)) if self.prior else ahead)
+
+    def _agree(self, index: int, felt: Felt) -> bool:
+        """Whether one place explains a known peg's posterior and a new one better than two do.
+
+        The Bayes factor of one place against two, each anywhere along the body: a posterior with a
+        mode at the known peg and another elsewhere is the known peg.
+        """
+        if not self._pegs[index]:
+            return False  # what stopped the tip has no posterior along the body
+        mass = fused(arc_grid(self.config.body.length_cm), [f.mass for f in self._pegs[index]])
+        return float(mass @ felt.mass) * len(mass) > 1.0
 
     @staticmethod
     def _other_bend(known: MapContact, alone: MapContact) -> bool:
