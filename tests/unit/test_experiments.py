@@ -68,7 +68,7 @@ def test_actuated_contacts_start_where_the_dowel_just_touches() -> None:
 
 def case(arcs: tuple[float, ...], obstacles: tuple[float, ...]) -> Trial:
     n = np.zeros(2)
-    return Trial("", "", n, n, n, 0.0, 0.0, n, n, arcs, (0.0,) * len(arcs), obstacles, obstacles)
+    return Trial("", "", n, n, n, 0.0, 0.0, n, n, n, arcs, (0.0,) * len(arcs), obstacles, obstacles)
 
 
 def test_errors_are_ordered_along_the_arc_or_closest_pair_first() -> None:
@@ -168,3 +168,16 @@ def test_predictions_say_what_holds_and_what_fails() -> None:
     assert "holds" in near
     assert "noise + 50 %: 5.90" in near
     assert "FAILS" in far
+
+
+def test_the_untouched_robot_shows_its_gains() -> None:
+    """To within the stated deviation, which is below the calibrated gains' own spread."""
+    off = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        robot = Specimen(Constants(5e-4, 0.03, 0.0, 0.0), rng)
+        robot.learn_gains(0.012, 0.012, 30)
+        trial = robot.press("", "", (40.0,), (1e-9,), free=0.025)
+        clean = trial.curvature / 0.025  # the gain, and noise of 2 %
+        off.append((clean / trial.gain - 1) / np.hypot(5e-4 / 0.025, 0.0075))
+    assert 0.8 < np.std(off) < 1.2

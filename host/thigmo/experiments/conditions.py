@@ -74,8 +74,9 @@ def actuated(
 ) -> list[Trial]:
     """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
-    Only the right column reads. Where along the body the dowel bears at 10 and 14 psi, and whether
-    on the side or on the tip's end, is for the mechanics to say.
+    Only the right column reads. Each inflation passes 6 psi untouched: what the sensors say there
+    of themselves counts for all of the robot's trials. Where along the body the dowel bears at 10
+    and 14 psi, and whether on the side or on the tip's end, is for the mechanics to say.
 
     Args:
         specimen: the robot.
@@ -83,6 +84,10 @@ def actuated(
         muscle: its map; None takes the emulated robot's.
         map_error: relative error of the free curvature that the lab believes.
     """
+    curve = muscle or emulated_robot().actuators.left.maps[-1].inflate
+    untouched = curve.curvature(thesis.TOUCH_PSI)
+    inflations = trials * len(thesis.PLACES) * len(thesis.ACTUATED_PSI)
+    specimen.learn_gains(untouched, untouched * (1 + map_error), inflations)
     found = []
     for level, pressure in thesis.ACTUATED_PSI.items():
         for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True):

@@ -264,6 +264,7 @@ def _trial(row: dict[str, str], config: RobotConfig) -> Trial:
         table.span_cm[use],
         free,
         float(np.median(table.noise[use])),
+        np.ones(int(use.sum())),
         sigma[use],
         sigma[use],
         arcs,

@@ -62,7 +62,26 @@ class Specimen:
         true = self.believed + constants.position_cm * rng.standard_normal(count)
         self._true = np.clip(true, min(half, self.believed.min()), thesis.LENGTH_CM - half)
         self._gain = 1.0 + constants.gain_spread * rng.standard_normal(count)
+        self._shown = np.ones(count)
+        self._gain_se = constants.gain_spread
         self._rng = rng
+
+    def learn_gains(self, free: float, believed: float, readings: int) -> None:
+        """Take readings of the untouched robot, bent by its muscle: all sensors bend alike there.
+
+        Args:
+            free: its curvature, 1/cm.
+            believed: what the map says that it is, 1/cm.
+            readings: their number.
+        """
+        noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
+        mean = self._gain * free + noise / np.sqrt(readings) * self._rng.standard_normal(
+            self._gain.size
+        )
+        # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
+        precision = 1 / spread**2 + readings * (believed / noise) ** 2
+        self._shown = 1 + readings * believed / noise**2 * (mean - believed) / precision
+        self._gain_se = float(precision**-0.5)
 
     def press(
         self,
@@ -119,6 +138,7 @@ class Specimen:
             np.full(count, thesis.SPAN_CM),
             free,
             self.constants.noise,
+            self._shown[:count],
             # A lab knows how well it calibrated, not the errors themselves.
             self._deviation(noisy, _slope(self.believed[:count], noisy)),
             self._deviation(clean, slope),
@@ -129,9 +149,12 @@ class Specimen:
         )
 
     def _deviation(self, curvature: Floats, slope: Floats) -> Floats:
-        """Standard deviation of readings over robots: noise, gain and place together."""
+        """Standard deviation of readings over robots: noise, gain and place together.
+
+        Of a gain what is still unknown counts.
+        """
         c = self.constants
-        variance = c.noise**2 + (c.gain_spread * curvature) ** 2 + (c.position_cm * slope) ** 2
+        variance = c.noise**2 + (self._gain_se * curvature) ** 2 + (c.position_cm * slope) ** 2
         return np.asarray(np.sqrt(variance))
 
 

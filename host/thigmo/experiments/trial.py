@@ -26,6 +26,8 @@ class Trial:
         curvature, position, span: (N,) readings (1/cm), believed centres and spans (cm).
         free: believed free curvature, 1/cm.
         noise: white noise of a reading, 1/cm.
+        gain: (N,) each reading's gain, as far as the untouched robot has shown it (1 elsewhere).
+            The thesis's method does not look at it.
         sigma: (N,) what a lab states as each reading's standard deviation: white noise, the
             uncertainty of its gain, and that of its place times the slope of the readings.
         spread: (N,) its true standard deviation over robots, which the bound is made of; the
@@ -49,6 +51,7 @@ class Trial:
     span: Floats
     free: float
     noise: float
+    gain: Floats
     sigma: Floats
     spread: Floats
     arcs_cm: tuple[float, ...]
