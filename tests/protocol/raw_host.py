@@ -12,6 +12,7 @@ from thigmo.link.transport import Transport
 
 M = TypeVar("M", bound=wire.Message)
 ANSWER_S = 0.5
+LONG_S = 15.0  # of commands that answer at their end
 
 
 class RawMessage(wire.Message):
@@ -97,13 +98,19 @@ class RawHost:
         return reply
 
     def ask(self, message: wire.Message, timeout_s: float = ANSWER_S) -> wire.Message:
-        """The reply to the next command, which is repeated once if the line lost it."""
+        """The reply to the next command, which is repeated once if the line lost it.
+
+        A long command says that it is at work when it is repeated, and answers at its end.
+        """
         self.seq = (self.seq + 1) & 0xFFFF
         for _ in range(2):
             self.send(message)
             frame = self.answer(self.seq, self.session, timeout_s)
-            if frame is not None:
-                return frame.message()
+            while frame is not None:
+                reply = frame.message()
+                if not isinstance(reply, wire.Ack) or reply.status is not wire.Status.IN_PROGRESS:
+                    return reply
+                frame = self.answer(self.seq, self.session, LONG_S)
         raise AssertionError(f"no answer to {message}")
 
     def get(self, message: wire.Command[M]) -> M:
@@ -131,7 +138,7 @@ class RawHost:
                 and f.seq == self.seq
                 and f.payload[0] != wire.Status.IN_PROGRESS
             ),
-            15.0,
+            LONG_S,
         )
         assert frame is not None, "a save without an end"
         ack = frame.message()
