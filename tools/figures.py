@@ -61,7 +61,7 @@ def _explore(found: dict[str, Any]) -> list[Row]:
 def _experiments(found: list[dict[str, Any]]) -> list[Row]:
     return [
         (
-            f"{row['experiment']}, {row['condition']}",
+            f"{row['experiment']}, {row['condition']}: x error in the room",
             f"{row['ours_workspace_mean']:.2f} cm",
             f"thesis's method here {row['here_workspace_mean']:.2f}{_above(row['beaten'])}; "
             f"in the thesis's measure {row['ours_mean']:.2f}, its method here "
