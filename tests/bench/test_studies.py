@@ -10,6 +10,7 @@ import pytest
 
 from thigmo.bench import STUDIES, Context, load
 from thigmo.bench.attempt import attempt
+from thigmo.bench.exploration import Room, visit
 from thigmo.bench.scenes import SCENES
 from thigmo.bench.speed_accuracy import Score, pareto
 from thigmo.bench.stability import STRESSES
@@ -92,3 +93,8 @@ def test_work_goes_to_processes_in_order() -> None:
 @pytest.mark.parametrize("name", list(STUDIES))
 def test_every_study_named_can_be_loaded(name: str) -> None:
     assert callable(load(name))
+
+
+def test_a_trigger_before_the_pressure_has_risen_does_not_end_the_run() -> None:
+    """At four times the noise the base fires in this room before the sweep has a frame."""
+    assert visit(Room(16, 4.0)).status == "silent"

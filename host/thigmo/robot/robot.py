@@ -660,7 +660,8 @@ class Robot:
                 )
 
             def until() -> bool:
-                if enough is None or not watcher.triggers or watcher.peaks:
+                # A trigger may come before the pressure has risen: there is nothing to judge yet.
+                if enough is None or not (watcher.triggers and watcher.frames) or watcher.peaks:
                     return False
                 watcher.stopped = enough(told(so_far=True))
                 return watcher.stopped
