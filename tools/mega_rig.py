@@ -86,13 +86,6 @@ class Rig(SimulatedMega):
         self._marks.clear()
         return marks[marks["reg"] == 1]
 
-    def forget(self) -> None:
-        """Forget the frames sent so far; one that is under way stays whole."""
-        data = b"".join(part for part, _ in self.wire)
-        rest = data.rfind(b"\0") + 1
-        at = [times for _, times in self.wire]
-        self.wire = [(data[rest:], np.concatenate(at)[rest:])] if at else []
-
     def frames(self) -> list[tuple[wire.Message, int]]:
         """Messages sent so far, each with the cycle at which its last byte was on the wire."""
         data = b"".join(part for part, _ in self.wire)
