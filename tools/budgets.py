@@ -136,7 +136,7 @@ def throughput(rig: Rig) -> list[Figure]:
     transport.stop_heartbeat()
     before = client.request(wire.GetLinkStats())
     sent, counter = 0, 1_000_000
-    rig.wire.clear()
+    rig.forget_frames()
     start = rig.chip.cycle
     while rig.chip.cycle - start < 1000 * CYCLES_PER_MS:
         room = 200 - rig.chip.line_backlog
@@ -168,7 +168,7 @@ def commands(rig: Rig) -> list[Figure]:
     Robot(client).wait(0.2)
     times = []
     for number in range(60):
-        rig.wire.clear()
+        rig.forget_frames()
         sent = rig.chip.cycle
         client.request(wire.GetParameter(number % wire.PARAMETER_COUNT))
         reply = next(at for message, at in rig.frames() if isinstance(message, wire.ParameterValue))
@@ -203,7 +203,7 @@ def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
         table[:, 5] = level + STEP_COUNTS
         chip.feed_trace(table, first)
     at = chip.tick_origin + first * CYCLES_PER_MS + 3 * 1664 + 192  # slot 3, its sample
-    rig.wire.clear()
+    rig.forget_frames()
     drives = []
     transport = client.transport
     assert isinstance(transport, EmulatorTransport)

@@ -86,10 +86,21 @@ class Rig(SimulatedMega):
         self._marks.clear()
         return marks[marks["reg"] == 1]
 
+    def forget_frames(self) -> None:
+        """Drop the frames sent so far; of one that is under way, its first bytes are kept."""
+        if not self.wire:
+            return
+        data, at = self._sent()
+        rest = data.rfind(0) + 1
+        self.wire = [(data[rest:], at[rest:])]
+
+    def _sent(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
+        data, at = zip(*self.wire, strict=True)
+        return b"".join(data), np.concatenate(at)
+
     def frames(self) -> list[tuple[wire.Message, int]]:
         """Messages sent so far, each with the cycle at which its last byte was on the wire."""
-        data = b"".join(part for part, _ in self.wire)
-        at = np.concatenate([times for _, times in self.wire])
+        data, at = self._sent()
         decoder, out, start = Decoder(), [], 0
         for end in np.flatnonzero(np.frombuffer(data, np.uint8) == 0):
             found = decoder.feed(data[start : end + 1])

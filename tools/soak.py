@@ -164,7 +164,7 @@ class Soak:
             self._sent_s = self.client.now()
             if isinstance(self._rig, Rig):
                 self._sent_cycle = self._rig.chip.cycle
-                self._rig.wire.clear()
+                self._rig.forget_frames()
 
     def _note_latency(self, command: wire.Message) -> None:
         """From handing the command to the line to the reply's last byte on it."""

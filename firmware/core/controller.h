@@ -116,6 +116,7 @@ class Controller {
   static constexpr uint8_t kTelemetryPhase = 3;
   static constexpr uint8_t kSparePhase = 2;         // the spool's, which stands still then
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
+  static constexpr uint8_t kRestSteps = 250;        // 1.25 s: the body has swung back
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint16_t kRearmMs = 200;
   static constexpr uint16_t kHoldSettleMs = 500;  // beyond twice the lag, before a hold is read

@@ -181,10 +181,10 @@ inline void Controller::body_step() {
                    outputs_.drive[0] < 0 && outputs_.drive[1] < 0;
   if (!low) {
     vented_steps_ = 0;
-  } else if (vented_steps_ < kVentedSteps) {
+  } else if (vented_steps_ < kRestSteps) {
     ++vented_steps_;
   }
-  drift_.set_quiet(vented_steps_ == kVentedSteps && outputs_.motor == 0 && !slipping_, tick_);
+  drift_.set_quiet(vented_steps_ >= kVentedSteps && outputs_.motor == 0 && !slipping_, tick_);
 }
 
 inline void Controller::free_step() {
@@ -281,7 +281,8 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
     wrinkled = wrinkled || pressure_[side].cpsi() >= config_.get(Param::kVentCpsi);
   }
   base_e5_ = static_cast<int16_t>(count == 2 ? sum >> 1 : sum);
-  if (count == 0 || wrinkled || zone_ >= kZones || !may_energise(state_)) {
+  const bool swings = vented && vented_steps_ < kRestSteps;
+  if (count == 0 || wrinkled || swings || zone_ >= kZones || !may_energise(state_)) {
     trigger_.interrupt();
     return;
   }
@@ -343,7 +344,7 @@ inline void Controller::assemble_conditions() {
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
   }
   if (zone_ < kZones) c |= mask(Condition::kZoneKnown);
-  if (vented_steps_ == kVentedSteps) c |= mask(Condition::kVented);
+  if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);
   if (beaten_ && tick_ - beat_tick_ <= patience) c |= mask(Condition::kHostAlive);
   if (energised) c |= mask(Condition::kEnergised);
   if (estop_) c |= mask(Condition::kEstop);

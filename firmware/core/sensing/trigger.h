@@ -2,7 +2,7 @@
 //
 // While a muscle bends the body only a base that is held back counts: what stands in the way of a
 // bend takes curvature from it. A base that bends further than the map says is the map's error. A
-// body at rest may be pushed either way.
+// body at rest may be pushed either way; one that still swings back from a bend tells nothing.
 //
 // Works on the base sensors' conversions of every tick, averaged over the last 2^n of them, because
 // one ADC count is a third of the threshold. The average of more than 32 samples moves in blocks of

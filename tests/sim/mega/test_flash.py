@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from thigmo.cli.main import app
 from thigmo.emulator import mega_build
+from thigmo.emulator.chip import Cause, Chip
 from thigmo.errors import (
     ConfigError,
     LinkError,
@@ -82,6 +83,16 @@ def test_another_board_is_told_by_its_signature_and_left_as_it_was(image: Path) 
         with pytest.raises(NotARobotError, match=r"no Mega 2560 \(signature 1e9501\); connect"):
             flasher.flash(mega.path, image)
         assert mega.chip.read_flash(0, 1024) == b"\xff" * 1024
+
+
+@needs_avrdude
+@pytest.mark.timeout(120)
+def test_a_board_without_boot_loader_is_told_apart(image: Path) -> None:
+    chip = Chip(mega_build.bridge_library())
+    chip.write_flash(0, b"\xff\xcf")  # `rjmp .-2`: it runs, and says nothing
+    chip.reset(Cause.POWER_ON)
+    with PtyMega(chip) as mega, pytest.raises(NotARobotError, match="reset button"):
+        flasher.flash(mega.path, image)
 
 
 def test_an_image_of_another_schema_is_refused_before_anything_is_written(

@@ -158,14 +158,15 @@ def test_a_hung_loop_is_ended_by_the_watchdog(
     assert rig.client.connect().reset_cause is wire.ResetCause.EXTERNAL
 
 
-def test_opening_the_port_in_a_sweep_is_safe_and_noticed(
-    full_length: Scene, stored_config: bytes
+@pytest.mark.parametrize("cause", [wire.ResetCause.EXTERNAL, wire.ResetCause.POWER_ON])
+def test_the_port_opened_or_the_power_cycled_in_a_sweep_is_safe_and_noticed(
+    full_length: Scene, stored_config: bytes, cause: wire.ResetCause
 ) -> None:
     rig = sweeping(full_length, stored_config)
-    rig.mega.reset(wire.ResetCause.EXTERNAL)
+    rig.mega.reset(cause)
     assert rig.off, "pins float, and are pulled down"
     notice_reset(rig)
-    assert rig.client.connect().reset_cause is wire.ResetCause.EXTERNAL
+    assert rig.client.connect().reset_cause is cause
     rig.pass_ms(500)
     rig.robot.arm()
     rig.client.request(wire.SelectZone(2))

@@ -321,6 +321,20 @@ def test_only_a_base_that_is_held_back_in_its_bend_fires(
     assert bool(bench.event(wire.EventCode.CONTACT)) == fires
 
 
+def test_a_body_that_swings_back_after_a_vent_fires_only_if_it_stays_bent() -> None:
+    bench = Bench(body=bend)
+    bench.zeroed()
+    bench.do(wire.SetPressure(1500, 0, 0))
+    bench.step(3000)
+    bench.do(wire.Vent())
+    bench.until(lambda: bool(bench.status().conditions & wire.Condition.VENTED.mask), 3000)
+    bench.body = lambda left, right: 0.01
+    bench.step(1000)
+    assert not bench.event(wire.EventCode.CONTACT)
+    bench.step(300)
+    assert bench.event(wire.EventCode.CONTACT)
+
+
 def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None:
     bench = Bench(body=bend)
     bench.zeroed()
