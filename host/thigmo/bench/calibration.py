@@ -63,8 +63,9 @@ def prior_scene(task: tuple[int, int]) -> Trial:
     """A scene of the stated prior: arc uniform, base moment from the mixture, either sign."""
     rng = np.random.default_rng(task)
     arc = float(rng.uniform(0.0, LENGTH))
-    part = rng.choice(len(prior.SPREAD), p=np.exp(prior.LOG_WEIGHT))
-    moment = float(rng.normal(prior.MOMENT[part], prior.SPREAD[part])) / LENGTH
+    mean, spread, log_weight = prior.BASE_MOMENT
+    part = rng.choice(len(spread), p=np.exp(log_weight))
+    moment = float(rng.normal(mean[part], spread[part])) / LENGTH
     clean = _felt(np.array([arc]), np.array([moment / max(arc, 0.5)]), BOTH)
     result = localize(
         clean + draw_noise(rng, "gaussian", 10), BOTH, length=LENGTH, span=SPAN, noise=SIGMA

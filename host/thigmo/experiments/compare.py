@@ -20,9 +20,9 @@ from thigmo.experiments.trial import Trial
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
 from thigmo.localization import localize
 from thigmo.localization.baselines import BASELINES, Problem
-from thigmo.localization.influence import STRAIGHT
+from thigmo.localization.influence import STRAIGHT, Sensors
+from thigmo.localization.information import arc_bounds
 from thigmo.localization.readings import normalise
-from thigmo.localization.several import arc_bounds
 
 Floats = NDArray[np.float64]
 
@@ -186,10 +186,7 @@ def bound_cm(trial: Trial) -> Floats:
     deviation = arc_bounds(
         np.array(trial.arcs_cm) / scale,
         np.array(trial.forces) * scale**2,
-        readings.low,
-        readings.high,
-        STRAIGHT,
-        np.empty((count, 4)),
+        Sensors(readings.low, readings.high, STRAIGHT, np.empty((count, 4))),
         (noise[readings.index] * scale) ** -2,
         np.empty((count, 0)),
     )

@@ -18,8 +18,10 @@ import numpy.typing as npt
 from thigmo.compiled import compiled_parallel
 from thigmo.errors import DataError
 from thigmo.localization import prior
-from thigmo.localization.influence import STRAIGHT
+from thigmo.localization.frame import Frame
+from thigmo.localization.influence import Sensors
 from thigmo.localization.posterior import one_contact
+from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import TRUST, normalise
 from thigmo.localization.result import LocalizeResult, Status
 
@@ -60,13 +62,9 @@ def _posteriors(
     high: Array,
     variance: Array,
     known: bool,
-    moment: Array,
+    mean: Array,
     spread: Array,
     log_weight: Array,
-    odds: float,
-    kappa2: float,
-    level: float,
-    straight: Array,
     out: Array,
 ) -> None:
     """Rows of (arc, force, low, high, log odds, modes) of the plain one-contact posterior."""
@@ -93,28 +91,15 @@ def _posteriors(
         if known:
             for k in range(n):
                 part[3, k] = max(part[3, k], max(TRUST * most, 1e-9) ** 2)
-        found = one_contact(
-            part[0],
-            part[1],
-            part[2],
-            part[3],
-            known,
-            np.empty((n, 0)),
-            straight,
-            np.empty((n, 4)),
-            moment,
-            spread,
-            log_weight,
-            odds,
-            kappa2,
-            level,
-        )
-        out[row, 0] = found[2]
-        out[row, 1] = found[3]
-        out[row, 2] = found[5]
-        out[row, 3] = found[6]
-        out[row, 4] = found[1] - found[0]
-        out[row, 5] = found[9].shape[0]
+        sensors = Sensors(part[1], part[2], np.empty((0, 5)), np.empty((n, 4)))
+        frame = Frame(part[0], part[3], known, np.empty((n, 0)), sensors)
+        found = one_contact(frame, BaseMoment(mean, spread, log_weight))
+        out[row, 0] = found.arc
+        out[row, 1] = found.force
+        out[row, 2] = found.low
+        out[row, 3] = found.high
+        out[row, 4] = found.evidence - found.null
+        out[row, 5] = found.pieces.shape[0]
         out[row, 6] = n
 
 
@@ -201,13 +186,7 @@ def localize_batch(
             checked.high,
             checked.variance,
             checked.known,
-            prior.MOMENT,
-            prior.SPREAD,
-            prior.LOG_WEIGHT,
-            prior.OUTLIER_ODDS,
-            prior.OUTLIER_VARIANCE,
-            prior.LEVEL,
-            STRAIGHT,
+            *prior.BASE_MOMENT,
             out,
         )
     finally:

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.errors import DataError
-from thigmo.localization.influence import STRAIGHT, influence
+from thigmo.localization.influence import STRAIGHT, Sensors, influence
+from thigmo.localization.information import arc_bounds
 from thigmo.localization.readings import normalise
-from thigmo.localization.several import arc_bounds
 
 Array = npt.NDArray[np.float64]
 
@@ -125,24 +125,21 @@ def identifiability(
     n = len(readings.y)
     weight = 1.0 / readings.variance
     columns = np.full((n, 1), offset_sigma * scale) if offset_sigma > 0.0 else np.empty((n, 0))
-    edges = np.empty((n, 4))
+    sensors = Sensors(readings.low, readings.high, STRAIGHT, np.empty((n, 4)))
     bound = np.full((len(strength), len(places)), np.inf)
     signal = np.zeros_like(bound)
     pair = np.full((len(strength), len(gaps), 2), np.inf)
     phi = np.empty(n)
     for a, place in enumerate(places):
         lever = max(float(place), 1e-9)
-        influence(float(place), readings.low, readings.high, STRAIGHT, edges, phi)
+        influence(float(place), sensors, phi)
         felt = float(np.sqrt(np.sum(weight * phi**2))) / lever
         for m, moment in enumerate(strength):
             signal[m, a] = abs(moment) * felt
             bound[m, a] = arc_bounds(
                 np.array([place]),
                 np.array([moment / lever]),
-                readings.low,
-                readings.high,
-                STRAIGHT,
-                edges,
+                sensors,
                 weight,
                 columns,
             )[0]
@@ -152,10 +149,7 @@ def identifiability(
             pair[m, s] = arc_bounds(
                 np.array([near, 1.0]),
                 np.array([-0.8 * moment / near, moment]),
-                readings.low,
-                readings.high,
-                STRAIGHT,
-                edges,
+                sensors,
                 weight,
                 columns,
             )

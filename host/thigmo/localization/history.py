@@ -15,11 +15,13 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.errors import DataError
 from thigmo.localization import prior
-from thigmo.localization.influence import STRAIGHT, sensor_edges, shape_table
+from thigmo.localization.frame import Frame, Nodes, empty_levels
+from thigmo.localization.influence import STRAIGHT, shape_table
 from thigmo.localization.intervals import mixed
-from thigmo.localization.models import GRID, unit_force
+from thigmo.localization.models import GRID
 from thigmo.localization.models import start as plain_beam
 from thigmo.localization.outlier_search import search_pattern
+from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import Contact, LocalizeResult, Status
 
@@ -30,86 +32,12 @@ NODES = 531  # 0.1 cm of the 53 cm body
 
 
 @compiled
-def _frame(
-    nodes: Array,
-    y: Array,
-    low: Array,
-    high: Array,
-    variance: Array,
-    columns: Array,
-    table: Array,
-    edges: Array,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    odds: float,
-    kappa2: float,
-    logp: Array,
-    force: Array,
-) -> float:
+def _fill(nodes: Nodes, frame: Frame, moment: BaseMoment) -> float:
     """Fill log likelihood and force over the nodes for one frame; returns it without contact."""
-    n = y.shape[0]
-    q = columns.shape[1]
-    W = np.empty((1, n))
-    white = np.empty((1, n, q))
-    fit = np.empty((1, q))
-    const = np.empty(1)
-    one = np.ones(1)
-    zero = np.zeros(1)
-    flagged = np.zeros(n, dtype=np.bool_)
-    null = search_pattern(
-        nodes,
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        True,
-        one,
-        zero,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        False,
-        flagged,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
-    flagged[:] = False
-    search_pattern(
-        nodes,
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        True,
-        one,
-        zero,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        True,
-        flagged,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
+    levels = empty_levels(frame, np.ones(1), np.zeros(1))
+    null = search_pattern(nodes, frame, levels, moment, False)
+    levels.flagged[:] = False
+    search_pattern(nodes, frame, levels, moment, True)
     return null
 
 
@@ -201,25 +129,9 @@ class ArcFilter:
         self._belief = np.log(np.maximum(np.convolve(padded, self._blur, "valid"), 1e-300))
 
     def _likelihood(self, readings: Readings, table: Array) -> tuple[Array, Array, float]:
-        setting = plain_beam(readings, self._offset)
+        frame = plain_beam(readings, self._offset).bent(table, readings).frame(readings)
         logp, force = np.empty(NODES), np.empty(NODES)
-        null = _frame(
-            self._nodes,
-            readings.y,
-            readings.low,
-            readings.high,
-            readings.variance,
-            setting.columns,
-            table,
-            sensor_edges(table, readings.low, readings.high),
-            prior.MOMENT,
-            prior.SPREAD,
-            prior.LOG_WEIGHT,
-            prior.OUTLIER_ODDS,
-            prior.OUTLIER_VARIANCE,
-            logp,
-            force,
-        )
+        null = _fill(Nodes(self._nodes, logp, force), frame, prior.BASE_MOMENT)
         return logp, force, null
 
     def _place(self, belief: Array, force: Array) -> tuple[float, float]:
@@ -227,8 +139,7 @@ class ArcFilter:
         return arc, float(np.interp(arc, self._nodes, force))
 
     def _shape(self, readings: Readings, arc: float, force: float) -> Array:
-        grid = Readings(GRID, GRID, GRID, np.ones(len(GRID)), True, 0.0, np.arange(len(GRID)), 1.0)
-        lever = unit_force(arc, plain_beam(grid, 0.0), grid)
+        lever = np.maximum(arc - GRID, 0.0)
         return shape_table(readings.bend + force * lever)
 
     def result(self) -> LocalizeResult:

@@ -9,6 +9,8 @@ compiled here for every estimator of this package; lengths are fractions of the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -18,24 +20,37 @@ Array = npt.NDArray[np.float64]
 
 # A shape is a table over uniform arcs 0..1: heading, x, y and the integrals of x and y.
 STRAIGHT: Array = np.zeros((0, 5))
-NO_EDGES: Array = np.zeros((0, 4))
+
+
+class Sensors(NamedTuple):
+    """Sensors on a body.
+
+    Attributes:
+        low: (N,) near end of each, fraction of the length.
+        high: (N,) far end; equal to `low` for a point sensor.
+        table: (G, 5) shape of the body, or no rows for a straight one.
+        edges: (N, 4) from `sensor_edges`, ignored for a straight body.
+    """
+
+    low: Array
+    high: Array
+    table: Array
+    edges: Array
 
 
 @compiled
-def influence(arc: float, low: Array, high: Array, table: Array, edges: Array, out: Array) -> float:
+def influence(arc: float, sensors: Sensors, out: Array) -> float:
     """Fill `out` (N,) with each sensor's reading for a unit normal force at `arc`.
 
     Args:
         arc: place of the force, fraction of the length.
-        low: (N,) near end of each sensor.
-        high: (N,) far end; equal to `low` for a point sensor.
-        table: (G, 5) shape of the body, or no rows for a straight one.
-        edges: (N, 4) from `sensor_edges`, ignored for a straight body.
+        sensors: N of them.
         out: (N,) written.
 
     Returns:
         The lever at the base, the contact's base moment for a unit force.
     """
+    low, high, table, edges = sensors
     n = low.shape[0]
     if table.shape[0] == 0:
         for i in range(n):
@@ -137,24 +152,28 @@ def sensor_edges(table: Array, low: Array, high: Array) -> Array:
     return edges
 
 
+def sensors_on(table: Array, low: Array, high: Array) -> Sensors:
+    """Sensors from `low` to `high` (N,) on a body of the shape `table`."""
+    return Sensors(low, high, table, sensor_edges(table, low, high))
+
+
 @compiled
-def end_influence(table: Array, low: Array, high: Array, radius: float) -> tuple[Array, Array]:
+def end_influence(sensors: Sensors, radius: float) -> tuple[Array, Array]:
     """Readings for unit loads at the tip of a bent body (see `tip.py`).
 
     Args:
-        table: (G, 5) shape of the body, with rows.
-        low, high: (N,) ends of the sensors; beyond the tip they read nothing.
+        sensors: N of them on a shape with rows; beyond the tip they read nothing.
         radius: of the tube.
 
     Returns:
         (3, N) readings for a unit normal force, a unit tangential force, and the couple of a unit
         tangential force that bears one radius to the left; (3,) their moments at the base.
     """
+    low, high, table, edges = sensors
     n = low.shape[0]
-    edges = sensor_edges(table, low, high)
     out = np.empty((3, n))
     at_base = np.empty(3)
-    at_base[0] = influence(1.0, low, high, table, edges, out[0])
+    at_base[0] = influence(1.0, sensors, out[0])
     last = table.shape[0] - 1
     x = table[last, 1]
     y = table[last, 2]

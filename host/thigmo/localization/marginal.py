@@ -10,44 +10,26 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
+from thigmo.localization.frame import Frame, Levels, Work
 from thigmo.localization.influence import influence
-from thigmo.localization.prior import LEAST_LEVER
+from thigmo.localization.prior import LEAST_LEVER, OUTLIER_ODDS, OUTLIER_VARIANCE, BaseMoment
 
 Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 
 @compiled
-def prepare_levels(
-    y: Array,
-    variance: Array,
-    sigma: Array,
-    log_sigma_prior: Array,
-    columns: Array,
-    flagged: Flags,
-    odds: float,
-    kappa2: float,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-) -> None:
+def prepare_levels(frame: Frame, variance: Array, levels: Levels) -> None:
     """Integrate the nuisance columns out at each noise level, once for all arcs.
 
     Args:
-        y: (N,) readings.
-        variance: (N,) of each reading at noise level one.
-        sigma: (S,) noise levels.
-        log_sigma_prior: (S,) log weight of each.
-        columns: (N, Q) nuisance columns times their prior deviations.
-        flagged: (N,) readings taken for outliers.
-        odds: prior odds of a reading being an outlier.
-        kappa2: variance ratio of outliers.
-        W: (S, N) written: precision of each reading.
-        white: (S, N, Q) written: columns, whitened by their posterior factor.
-        fit: (S, Q) written: whitened best nuisances without a contact.
-        const: (S,) written: log marginal likelihood without a contact.
+        frame: readings and columns.
+        variance: (N,) of each reading at noise level one; the frame's own, or more where a grid of
+            arcs adds an error.
+        levels: `sigma`, `log_prior` and `flagged` are read; the rest is written.
     """
+    y = frame.y
+    columns = frame.columns
+    sigma, log_prior, flagged, W, white, fit, const = levels
     n = y.shape[0]
     q = columns.shape[1]
     gram = np.zeros((q, q))
@@ -56,12 +38,12 @@ def prepare_levels(
         if flagged[i]:
             count += 1
     for s in range(sigma.shape[0]):
-        level = log_sigma_prior[s] + count * np.log(odds)
+        level = log_prior[s] + count * np.log(OUTLIER_ODDS)
         total = 0.0
         for i in range(n):
             w = 1.0 / (variance[i] * sigma[s] * sigma[s])
             if flagged[i]:
-                w /= kappa2
+                w /= OUTLIER_VARIANCE
             W[s, i] = w
             level += 0.5 * np.log(w)
             total += w * y[i] * y[i]
@@ -94,30 +76,24 @@ def weigh(
     lever: float,
     phi: Array,
     y: Array,
-    flagged: Flags,
-    odds: float,
-    kappa2: float,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    t: Array,
-    flips: Array,
+    levels: Levels,
+    prior: BaseMoment,
+    work: Work,
     want_flips: bool,
 ) -> tuple[float, float, float]:
     """Log marginal likelihood of a force of known influence, with the force's mean and variance.
 
-    `lever` is its moment at the base, `phi` (N,) its readings, both for a unit force.
-    The base moment of the contact has the prior sum_k exp(log_weight_k) N(moment_k, spread_k^2).
-    With `want_flips`, `flips` (N + 1,) gets the log weights of the present outlier pattern (last)
-    and of each pattern that differs in one reading.
+    `lever` is its moment at the base, `phi` (N,) its readings, both for a unit force; `y` (N,) what
+    was read. With `want_flips`, the work's `flips` get the log weights of the present outlier
+    pattern and of each that differs in one reading.
 
     Returns:
         log likelihood; posterior mean of the force; its posterior variance.
     """
+    _, _, flagged, W, white, fit, const = levels
+    moment, spread, log_weight = prior
+    t = work.t
+    flips = work.flips
     n = y.shape[0]
     q = white.shape[2]
     components = moment.shape[0]
@@ -189,13 +165,13 @@ def weigh(
                 h += z * z
             u *= w
             h = w - w * w * (h + p * p / best_G)
-            d = ((1.0 / kappa2 - 1.0) if flagged[i] else (kappa2 - 1.0)) / w
+            d = ((1.0 / OUTLIER_VARIANCE - 1.0) if flagged[i] else (OUTLIER_VARIANCE - 1.0)) / w
             grown = max(1.0 + d * h, 1e-12)
             gain = 0.5 * d * u * u / grown
             if flagged[i]:
-                change = np.exp(min(gain, 300.0)) / (np.sqrt(grown) * odds)
+                change = np.exp(min(gain, 300.0)) / (np.sqrt(grown) * OUTLIER_ODDS)
             elif gain > 2.0 or want_flips:
-                change = odds * np.exp(min(gain, 300.0)) / np.sqrt(grown)
+                change = OUTLIER_ODDS * np.exp(min(gain, 300.0)) / np.sqrt(grown)
             else:
                 continue
             extra += change
@@ -224,62 +200,17 @@ def weigh(
 
 @compiled
 def evaluate(
-    arc: float,
-    low: Array,
-    high: Array,
-    table: Array,
-    edges: Array,
-    y: Array,
-    flagged: Flags,
-    odds: float,
-    kappa2: float,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    phi: Array,
-    t: Array,
-    flips: Array,
-    want_flips: bool,
+    arc: float, frame: Frame, levels: Levels, prior: BaseMoment, work: Work, want_flips: bool
 ) -> tuple[float, float, float]:
-    """As `weigh`, of a normal force at `arc`; `phi` (N,) receives its influence."""
-    lever = influence(arc, low, high, table, edges, phi)
-    return weigh(
-        lever,
-        phi,
-        y,
-        flagged,
-        odds,
-        kappa2,
-        W,
-        white,
-        fit,
-        const,
-        moment,
-        spread,
-        log_weight,
-        t,
-        flips,
-        want_flips,
-    )
+    """As `weigh`, of a normal force at `arc`; the work's `phi` receives its influence."""
+    lever = influence(arc, frame.sensors, work.phi)
+    return weigh(lever, work.phi, frame.y, levels, prior, work, want_flips)
 
 
 @compiled
-def null_evidence(
-    y: Array,
-    flagged: Flags,
-    odds: float,
-    kappa2: float,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-    flips: Array,
-) -> float:
-    """Log evidence without a contact; `flips` (N + 1,) as in `evaluate`."""
+def null_evidence(y: Array, levels: Levels, flips: Array) -> float:
+    """Log evidence without a contact; `flips` (N + 1,) as in `weigh`."""
+    _, _, flagged, W, white, fit, const = levels
     n = y.shape[0]
     q = white.shape[2]
     for i in range(n + 1):
@@ -297,9 +228,9 @@ def null_evidence(
                 h += white[s, i, k] ** 2
             u *= w
             h = w - w * w * h
-            d = ((1.0 / kappa2 - 1.0) if flagged[i] else (kappa2 - 1.0)) / w
+            d = ((1.0 / OUTLIER_VARIANCE - 1.0) if flagged[i] else (OUTLIER_VARIANCE - 1.0)) / w
             grown = max(1.0 + d * h, 1e-12)
-            ratio = 1.0 / odds if flagged[i] else odds
+            ratio = 1.0 / OUTLIER_ODDS if flagged[i] else OUTLIER_ODDS
             change = ratio * np.exp(min(0.5 * d * u * u / grown, 300.0)) / np.sqrt(grown)
             extra += change
             value = base + np.log(max(change, 1e-300))

@@ -8,21 +8,23 @@ are called for and compares their evidence. Everything is in units of the length
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from thigmo.localization import prior
+from thigmo.localization.frame import Frame
 from thigmo.localization.influence import (
     STRAIGHT,
+    Sensors,
     end_influence,
     influence,
-    sensor_edges,
+    sensors_on,
     shape_table,
 )
-from thigmo.localization.intervals import median, mixed
 from thigmo.localization.posterior import one_contact
+from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings
 from thigmo.localization.several import PASSES, several
 
@@ -41,20 +43,16 @@ class Setting:
         columns: (N, Q) columns times their prior deviations.
         labels: (Q,) parameter name of each column, "" for one that is not reported.
         scales: (Q,) those prior deviations.
-        table: (G, 5) shape, no rows for a straight body.
-        edges: (N, 4) of the sensors on it.
-        moment, spread, log_weight: (K,) prior mixture of the contact's base moment.
+        sensors: N of them on the assumed shape.
+        moment: prior of the contact's base moment.
     """
 
     name: str
     columns: Array
     labels: tuple[str, ...]
     scales: tuple[float, ...]
-    table: Array
-    edges: Array
-    moment: Array = field(default_factory=lambda: prior.MOMENT)
-    spread: Array = field(default_factory=lambda: prior.SPREAD)
-    log_weight: Array = field(default_factory=lambda: prior.LOG_WEIGHT)
+    sensors: Sensors
+    moment: BaseMoment = prior.BASE_MOMENT
 
     def with_column(self, column: Array, scale: float, label: str, name: str) -> Setting:
         """One more linear unknown."""
@@ -69,8 +67,11 @@ class Setting:
     def bent(self, table: Array, readings: Readings) -> Setting:
         """The same on another shape."""
         name = self.name.replace("plain beam", "bent-shape levers")
-        edges = sensor_edges(table, readings.low, readings.high)
-        return replace(self, name=name, table=table, edges=edges)
+        return replace(self, name=name, sensors=sensors_on(table, readings.low, readings.high))
+
+    def frame(self, readings: Readings) -> Frame:
+        """Readings under these assumptions, as the compiled estimators take them."""
+        return Frame(readings.y, readings.variance, readings.known, self.columns, self.sensors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,60 +158,29 @@ def start(readings: Readings, offset: float) -> Setting:
     n = len(readings.y)
     columns = np.full((n, 1), offset) if offset > 0.0 else np.empty((n, 0))
     labels = ("",) if offset > 0.0 else ()
-    return Setting(
-        "plain beam", columns, labels, (offset,) if labels else (), STRAIGHT, np.empty((n, 4))
-    )
+    sensors = Sensors(readings.low, readings.high, STRAIGHT, np.empty((n, 4)))
+    return Setting("plain beam", columns, labels, (offset,) if labels else (), sensors)
 
 
 def fit_one(readings: Readings, setting: Setting, penalty: float = 0.0) -> Fit:
     """Posterior of one contact."""
-    (
-        null,
-        evidence,
-        arc,
-        force,
-        deviation,
-        low,
-        high,
-        noise,
-        misfit,
-        pieces,
-        nodes,
-        logp,
-        node_forces,
-        flagged,
-    ) = one_contact(
-        readings.y,
-        readings.low,
-        readings.high,
-        readings.variance,
-        readings.known,
-        setting.columns,
-        setting.table,
-        setting.edges,
-        setting.moment,
-        setting.spread,
-        setting.log_weight,
-        prior.OUTLIER_ODDS,
-        prior.OUTLIER_VARIANCE,
-        prior.LEVEL,
-    )
+    found = one_contact(setting.frame(readings), setting.moment)
     return Fit(
         setting,
-        evidence - penalty,
-        null,
-        np.array([arc]),
-        np.array([force]),
-        np.array([[low, high]]),
-        [pieces],
-        nodes,
-        logp,
-        flagged,
-        noise,
-        misfit,
-        deviation,
+        found.evidence - penalty,
+        found.null,
+        np.array([found.arc]),
+        np.array([found.force]),
+        np.array([[found.low, found.high]]),
+        [found.pieces],
+        found.nodes.arcs,
+        found.nodes.logp,
+        found.flagged,
+        found.noise,
+        found.misfit,
+        found.deviation,
         penalty=penalty,
-        node_forces=node_forces,
+        node_forces=found.nodes.force,
     )
 
 
@@ -226,59 +196,30 @@ def fit_several(
 
     Few `passes` over the grid give the evidence within a fraction of a nat, and rough places.
     """
-    (
-        evidence,
-        arcs,
-        forces,
-        intervals,
-        pieces,
-        found,
-        nodes,
-        density,
-        flagged,
-        noise,
-        loose,
-        misfit,
-    ) = several(
-        contacts,
-        readings.y,
-        readings.low,
-        readings.high,
-        readings.variance,
-        readings.known,
-        setting.columns,
-        setting.table,
-        setting.edges,
-        setting.spread,
-        setting.log_weight,
-        prior.OUTLIER_ODDS,
-        prior.OUTLIER_VARIANCE,
-        prior.LEVEL,
-        np.zeros(len(readings.y), dtype=np.bool_),
-        stretch,
-        passes,
-    )
+    found = several(contacts, setting.frame(readings), setting.moment, stretch, passes)
+    nodes, arcs, intervals, pieces = found.nodes, found.arcs, found.intervals, found.pieces
+    density = found.density[-1]
     if stretch > 0.0:
         # Nodes near an end stand for stretches that it cuts: report the middle of what is left.
         slope = np.where((nodes < stretch) | (nodes > 1.0 - stretch), 0.5, 1.0)
-        density[-1] -= np.log(slope)
+        density = density - np.log(slope)
         nodes, arcs = _middle(nodes, stretch), _middle(arcs, stretch)
         intervals = _middle(intervals, stretch)
         pieces[:, :, :2] = _middle(pieces[:, :, :2], stretch)
     return Fit(
         setting,
-        evidence - penalty,
+        found.evidence - penalty,
         np.nan,
         arcs,
-        forces,
+        found.forces,
         intervals,
-        [pieces[j, : found[j]] for j in range(contacts)],
+        [pieces[j, : found.modes[j]] for j in range(contacts)],
         nodes,
-        density[-1],
-        flagged,
-        noise,
-        misfit,
-        loose=loose > LOOSE_SHARE,
+        density,
+        found.flagged,
+        found.noise,
+        found.misfit,
+        loose=found.loose > LOOSE_SHARE,
         stretch=stretch,
         penalty=penalty,
     )
@@ -294,23 +235,17 @@ def _middle(arc: Array, stretch: float) -> Array:
     return np.asarray(0.5 * (np.maximum(arc - stretch, 0.0) + np.minimum(arc + stretch, 1.0)))
 
 
-def unit_force(arc: float, setting: Setting, readings: Readings, stretch: float = 0.0) -> Array:
-    """(N,) readings for a unit force at an arc."""
-    return _lever(arc, readings.low, readings.high, setting.table, setting.edges, stretch)
-
-
-def _lever(
-    arc: float, low: Array, high: Array, table: Array, edges: Array, stretch: float
-) -> Array:
-    out = np.empty(len(low))
+def unit_force(arc: float, sensors: Sensors, stretch: float = 0.0) -> Array:
+    """(N,) readings for a unit force at an arc, or spread evenly over a stretch around it."""
+    out = np.empty(len(sensors.low))
     if stretch <= 0.0:
-        influence(arc, low, high, table, edges, out)
+        influence(arc, sensors, out)
         return out
-    total: Array = np.zeros(len(low))
+    total: Array = np.zeros(len(out))
     half = min(stretch, arc, 1.0 - arc)
     near, far = arc - half, arc + half
     for part in range(8):
-        influence(near + (far - near) * (part + 0.5) / 8, low, high, table, edges, out)
+        influence(near + (far - near) * (part + 0.5) / 8, sensors, out)
         total += out / 8
     return total
 
@@ -353,13 +288,12 @@ def precision(fit: Fit, readings: Readings) -> Array:
 
 def contact_readings(fit: Fit, low: Array, high: Array) -> Array:
     """(N,) readings that a fit's contacts cause in sensors from `low` to `high`."""
-    table = fit.setting.table
-    edges = sensor_edges(table, low, high)
+    sensors = sensors_on(fit.setting.sensors.table, low, high)
     out: Array = np.zeros(len(low))
     for arc, force in zip(fit.arcs, fit.forces, strict=True):
-        out += force * _lever(float(arc), low, high, table, edges, fit.stretch)
+        out += force * unit_force(float(arc), sensors, fit.stretch)
     if fit.end is not None:
-        parts, _ = end_influence(table, low, high, fit.end.radius)
+        parts, _ = end_influence(sensors, fit.end.radius)
         out += fit.end.tangential * parts[1] + fit.end.couple * parts[2]
     return out
 
@@ -389,117 +323,3 @@ def fold_column(readings: Readings, radius: float) -> Array:
     point = readings.high <= readings.low
     share = np.where(point, readings.low < end, inside / np.where(point, 1.0, span))
     return np.asarray(share / end)
-
-
-def mix(fits: list[Fit]) -> Fit:
-    """Average several one-contact posteriors by their scores.
-
-    Where they differ on whether the contact is on the side or on the end, the median of all
-    decides, for it errs least on average; the best fit of that kind names the model.
-    """
-    best = max(fits, key=lambda fit: fit.score)
-    close = [fit for fit in fits if fit.score > best.score - 4.0]
-    if len(close) == 1:
-        return best
-    nodes = np.unique(np.concatenate([fit.nodes for fit in close]))
-    total = np.full(len(nodes), -np.inf)
-    for fit in close:
-        part = np.interp(nodes, fit.nodes, fit.logp, left=-np.inf, right=-np.inf)
-        total = np.logaddexp(total, part + fit.score - best.score)
-    total = np.maximum(total, -700.0)
-    arc, low, high, pieces = mixed(nodes, total, prior.LEVEL)
-    kinds = {fit.end is None for fit in close}
-    if len(kinds) > 1:
-        arc = median(nodes, total)
-        side = arc < 1.0 - prior.CORNER_WIDTH
-        best = max((fit for fit in close if (fit.end is None) == side), key=lambda fit: fit.score)
-    out = replace_fit(best, nodes, total)
-    if (len(kinds) > 1 and out.end is None) or not low <= best.arcs[0] <= high:
-        out.arcs = np.array([arc])
-    out.intervals = np.array([[low, high]])
-    out.pieces = [pieces]
-    return out
-
-
-# With less of the posterior than this in a range that is known to hold the contact, the readings
-# and the models disagree about it: the place is then open within the range.
-LEAST_MASS = 0.05
-
-
-def restrict(fits: list[Fit], low: float, high: float) -> list[Fit]:
-    """One-contact posteriors, given that the contact lies between two arcs."""
-    out = []
-    for fit in fits:
-        ends = np.array([low - 1e-9, low, high, high + 1e-9])
-        nodes = np.unique(np.concatenate([fit.nodes, ends]))
-        logp = np.interp(nodes, fit.nodes, fit.logp, left=-700.0, right=-700.0)
-        logp[(nodes < low) | (nodes > high)] = -700.0
-        before = float(logp.max())
-        arc, start, end, pieces = mixed(nodes, logp, prior.LEVEL)
-        part = replace_fit(fit, nodes, logp)
-        part.score += before - float(logp.max())
-        part.arcs = np.array([arc]) if fit.end is None else fit.arcs
-        # Few sensors see the difference, so what stays is the moment at the base.
-        part.forces = fit.forces * fit.arcs / part.arcs
-        part.intervals = np.array([[start, end]])
-        part.pieces = [pieces]
-        out.append(part)
-    top = max(fit.score for fit in fits)
-    held = sum(math.exp(fit.score - top) for fit in out)
-    if held >= LEAST_MASS * sum(math.exp(fit.score - top) for fit in fits):
-        return out
-    best = max((fit for fit in fits if fit.end is None), key=lambda fit: fit.score)
-    nodes = np.array([low, high])
-    flat = replace_fit(best, nodes, np.full(2, -math.log(high - low)))
-    flat.arcs = np.array([0.5 * (low + high)])
-    flat.forces = best.forces * best.arcs / flat.arcs
-    flat.intervals = nodes[None, :]
-    flat.pieces = [np.array([[low, high, 1.0]])]
-    return [flat]
-
-
-def replace_fit(fit: Fit, nodes: Array, logp: Array) -> Fit:
-    """A copy of a fit with another density."""
-    return Fit(
-        fit.setting,
-        fit.score,
-        fit.null,
-        fit.arcs,
-        fit.forces,
-        fit.intervals,
-        fit.pieces,
-        nodes,
-        logp,
-        fit.flagged,
-        fit.noise,
-        fit.misfit,
-        fit.deviation,
-        fit.loose,
-        fit.stretch,
-        fit.penalty,
-        None,
-        fit.end,
-    )
-
-
-def not_beyond(fit: Fit, limit: MomentLimit) -> Fit:
-    """A one-contact posterior without the forces that would fold the base."""
-    if fit.node_forces is None:
-        return fit
-    levers = fit.nodes
-    if len(fit.setting.table):
-        heading, x, y = (np.interp(fit.nodes, GRID, fit.setting.table[:, c]) for c in range(3))
-        levers = np.cos(heading) * x + np.sin(heading) * y
-    logp = np.maximum(fit.logp + limit.log_weight(fit.node_forces * levers), -700.0)
-    top = logp.max()
-    width = np.diff(fit.nodes)
-    mass = np.sum(width * 0.5 * (np.exp(logp[1:] - top) + np.exp(logp[:-1] - top)))
-    arc, low, high, pieces = mixed(fit.nodes, logp, prior.LEVEL)
-    out = replace_fit(fit, fit.nodes, logp)
-    out.score += float(np.log(mass) + top)
-    out.arcs = np.array([arc])
-    out.forces = np.array([np.interp(arc, fit.nodes, fit.node_forces)])
-    out.intervals = np.array([[low, high]])
-    out.pieces = [pieces]
-    out.node_forces = fit.node_forces
-    return out

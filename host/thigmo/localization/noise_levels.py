@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
+from thigmo.localization.frame import Frame, Levels, Nodes, empty_work, one_level
 from thigmo.localization.marginal import evaluate
+from thigmo.localization.prior import BaseMoment
 
 Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 # Prior of an unknown noise deviation times the length: 0.032 for flex sensors after averaging,
 # 1e-3..1e-2 for fibre gratings.
@@ -22,14 +23,31 @@ COARSER = 3.0
 
 
 @compiled
-def noise_levels(y: Array, variance: Array) -> tuple[Array, Array]:
-    """Levels of an unknown noise scale over its whole range, COARSER times too far apart."""
+def coarse_levels(frame: Frame) -> tuple[Array, Array]:
+    """Levels of an unknown noise scale over its whole range, COARSER times too far apart.
+
+    A known scale is one level.
+    """
+    if frame.known:
+        return np.ones(1), np.zeros(1)
+    y = frame.y
+    variance = frame.variance
     most = 0.0
     for i in range(y.shape[0]):
         most = max(most, abs(y[i]) / np.sqrt(variance[i]))
     top = np.log(max(3.0 * most, 1e-7))
     bottom = np.log(max(1e-5 * most, 1e-9))
     return levels_between(bottom, top, COARSER * level_step(y.shape[0]))
+
+
+@compiled
+def all_levels(frame: Frame) -> tuple[Array, Array]:
+    """As `coarse_levels`, at full resolution."""
+    sigma, log_prior = coarse_levels(frame)
+    if frame.known:
+        return sigma, log_prior
+    step = level_step(frame.y.shape[0])
+    return levels_between(np.log(sigma[0]), np.log(sigma[-1]), step)
 
 
 @compiled
@@ -77,60 +95,25 @@ def finer_levels(value: Array, sigma: Array, n: int) -> tuple[Array, Array]:
 
 
 @compiled
+def level_weights(arc: float, frame: Frame, levels: Levels, prior: BaseMoment) -> Array:
+    """(S,) log likelihood at each level alone, of a contact at an arc."""
+    work = empty_work(frame)
+    out = np.empty(levels.sigma.shape[0])
+    for s in range(out.shape[0]):
+        out[s], _, _ = evaluate(arc, frame, one_level(levels, s), prior, work, False)
+    return out
+
+
+@compiled
 def levels_with_mass(
-    arcs: Array,
-    logp: Array,
-    low: Array,
-    high: Array,
-    table: Array,
-    edges: Array,
-    y: Array,
-    flagged: Flags,
-    odds: float,
-    kappa2: float,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    sigma: Array,
-    log_prior: Array,
+    nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment
 ) -> tuple[Array, Array]:
     """Fine noise levels around those that hold weight at some arc of the coarse grid."""
-    n = y.shape[0]
-    levels = sigma.shape[0]
-    phi = np.empty(n)
-    t = np.empty(white.shape[2])
-    flips = np.empty(n + 1)
-    value = np.full(levels, -1e300)
-    top = logp[: arcs.shape[0]].max()
-    for j in range(arcs.shape[0]):
-        if logp[j] < top - 30.0:
-            continue
-        for s in range(levels):
-            part, _, _ = evaluate(
-                arcs[j],
-                low,
-                high,
-                table,
-                edges,
-                y,
-                flagged,
-                odds,
-                kappa2,
-                W[s : s + 1],
-                white[s : s + 1],
-                fit[s : s + 1],
-                const[s : s + 1],
-                moment,
-                spread,
-                log_weight,
-                phi,
-                t,
-                flips,
-                False,
-            )
-            value[s] = max(value[s], part)
-    return finer_levels(value, sigma, n)
+    value = np.full(levels.sigma.shape[0], -1e300)
+    count = nodes.arcs.shape[0]
+    top = nodes.logp[:count].max()
+    for j in range(count):
+        if nodes.logp[j] >= top - 30.0:
+            part = level_weights(nodes.arcs[j], frame, levels, prior)
+            value = np.maximum(value, part)
+    return finer_levels(value, levels.sigma, frame.y.shape[0])

@@ -6,30 +6,23 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
+from thigmo.localization.frame import Frame, Levels, Nodes
 from thigmo.localization.influence import influence
 from thigmo.localization.outlier_search import search_pattern
+from thigmo.localization.prior import BaseMoment
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 
 @compiled
-def robust_flags(
-    y: Array,
-    deviation: Array,
-    low: Array,
-    high: Array,
-    table: Array,
-    edges: Array,
-    known: bool,
-    contact: bool,
-    flagged: Flags,
-) -> None:
+def robust_flags(frame: Frame, deviation: Array, contact: bool, flagged: Flags) -> None:
     """Flag the readings that lie off the best 1-norm fit by more than 3.5 deviations.
 
     A start for the search of outlier patterns that one bad reading cannot hide another from.
     With an unknown scale the deviation is taken from the residuals' median.
     """
+    y = frame.y
     n = y.shape[0]
     residual = y.copy()
     if contact:
@@ -37,7 +30,7 @@ def robust_flags(
         ratio = np.empty(n)
         best = 1e300
         for g in range(1, 41):
-            influence(g / 40.0, low, high, table, edges, phi)
+            influence(g / 40.0, frame.sensors, phi)
             half = 0.0
             for i in range(n):
                 ratio[i] = y[i] / phi[i] if phi[i] > 0.0 else 1e300
@@ -60,7 +53,7 @@ def robust_flags(
                     residual[i] = y[i] - f * phi[i]
     size = np.abs(residual) / deviation
     unit = 1.0
-    if not known:
+    if not frame.known:
         unit = max(1.4826 * np.median(size), 1e-300)
     count = 0
     for i in range(n):
@@ -73,131 +66,28 @@ def robust_flags(
 
 @compiled
 def best_pattern(
-    arcs: Array,
-    low: Array,
-    high: Array,
-    table: Array,
-    edges: Array,
-    y: Array,
-    variance: Array,
-    sigma: Array,
-    log_sigma_prior: Array,
-    columns: Array,
-    odds: float,
-    kappa2: float,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    contact: bool,
-    known: bool,
-    given: Flags,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-    logp: Array,
-    force: Array,
-) -> tuple[float, Flags]:
+    nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment, contact: bool
+) -> float:
     """The better of two climbs: from no outlier, and from the 1-norm's outliers.
 
-    Fills W, white, fit, const and logp for the winner.
+    Fills the levels and (with a contact) the nodes for the winner.
 
     Returns:
-        Best log density (or evidence); (N,) its flags.
+        Best log density (or evidence).
     """
-    n = y.shape[0]
-    flagged = given.copy()
-    top = search_pattern(
-        arcs,
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        known,
-        sigma,
-        log_sigma_prior,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        contact,
-        flagged,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
+    flagged = levels.flagged
+    flagged[:] = False
+    top = search_pattern(nodes, frame, levels, prior, contact)
     # A second start pays only where something is odd: an outlier was found, or the scale is free.
-    odd = not known
-    for i in range(n):
-        odd = odd or flagged[i]
-    if not odd:
-        return top, flagged
-    other = np.zeros(n, dtype=np.bool_)
-    robust_flags(y, np.sqrt(variance) * sigma[0], low, high, table, edges, known, contact, other)
-    same = True
-    for i in range(n):
-        same = same and other[i] == flagged[i]
-    if same:
-        return top, flagged
-    rival = search_pattern(
-        arcs,
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        known,
-        sigma,
-        log_sigma_prior,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        contact,
-        other,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
+    if frame.known and not flagged.any():
+        return top
+    first = flagged.copy()
+    robust_flags(frame, np.sqrt(frame.variance) * levels.sigma[0], contact, flagged)
+    if (flagged == first).all():
+        return top
+    rival = search_pattern(nodes, frame, levels, prior, contact)
     if rival > top:
-        return rival, other
-    search_pattern(
-        arcs,
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        known,
-        sigma,
-        log_sigma_prior,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        contact,
-        flagged,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
-    return top, flagged
+        return rival
+    flagged[:] = first
+    search_pattern(nodes, frame, levels, prior, contact)
+    return top

@@ -14,19 +14,31 @@ likelihood. An unknown noise scale is one more sum, over levels.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
+from thigmo.localization.frame import (
+    Frame,
+    Levels,
+    Nodes,
+    Work,
+    empty_levels,
+    empty_work,
+)
 from thigmo.localization.intervals import cell_mass, masses, summary
 from thigmo.localization.marginal import evaluate, prepare_levels
 from thigmo.localization.noise_levels import (
-    level_step,
-    levels_between,
+    all_levels,
+    coarse_levels,
+    level_weights,
     levels_with_mass,
-    noise_levels,
 )
 from thigmo.localization.outlier_patterns import best_pattern
+from thigmo.localization.outlier_search import evaluate_all
+from thigmo.localization.prior import LEVEL, BaseMoment
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -39,39 +51,18 @@ COARSE = 49
 
 @compiled
 def refine(
-    low: Array,
-    high: Array,
-    table: Array,
-    edges: Array,
-    y: Array,
-    flagged: Flags,
-    odds: float,
-    kappa2: float,
-    W: Array,
-    white: Array,
-    fit: Array,
-    const: Array,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    arcs: Array,
-    logp: Array,
-    force: Array,
-    count: int,
+    nodes: Nodes, count: int, frame: Frame, levels: Levels, prior: BaseMoment, work: Work
 ) -> int:
     """Halve cells until the density is resolved where it matters.
 
     A cell is split where the density is within REACH nats of the top and changes by more than
     1 nat or holds more than 5 % of the mass, and beside local maxima that may hide a higher one.
-    `arcs`, `logp`, `force` (MAX_NODES,) hold `count` sorted nodes and are grown in place.
+    The nodes (MAX_NODES,) hold `count` sorted ones and are grown in place.
 
     Returns:
         The new count.
     """
-    n = y.shape[0]
-    phi = np.empty(n)
-    t = np.empty(white.shape[2])
-    flips = np.empty(n + 1)
+    arcs, logp, force = nodes
     split = np.zeros(MAX_NODES, dtype=np.bool_)
     for _ in range(26):
         top = -1e300
@@ -114,269 +105,72 @@ def refine(
             if j > 0 and split[j - 1]:
                 arcs[write] = 0.5 * (arcs[j - 1] + arcs[j])
                 logp[write], force[write], _ = evaluate(
-                    arcs[write],
-                    low,
-                    high,
-                    table,
-                    edges,
-                    y,
-                    flagged,
-                    odds,
-                    kappa2,
-                    W,
-                    white,
-                    fit,
-                    const,
-                    moment,
-                    spread,
-                    log_weight,
-                    phi,
-                    t,
-                    flips,
-                    False,
+                    arcs[write], frame, levels, prior, work, False
                 )
                 write -= 1
         count += added
     return count
 
 
-@compiled
-def one_contact(
-    y: Array,
-    low: Array,
-    high: Array,
-    variance: Array,
-    known: bool,
-    columns: Array,
-    table: Array,
-    edges: Array,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
-    odds: float,
-    kappa2: float,
-    level: float,
-) -> tuple[
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    float,
-    Array,
-    Array,
-    Array,
-    Array,
-    Flags,
-]:
-    """Posterior of one contact, and the evidence with and without it.
+class OnePosterior(NamedTuple):
+    """What `one_contact` finds, in units of the length.
 
-    Args:
-        y: (N,) readings above the free curvature.
-        low: (N,) near end of each sensor.
-        high: (N,) far end.
-        variance: (N,) noise variance, or its shape when the scale is not known.
-        known: whether `variance` is the variance itself.
-        columns: (N, Q) nuisance columns times their prior deviations.
-        table: (G, 5) shape of the body, no rows for a straight one.
-        edges: (N, 4) of `sensor_edges`.
-        moment: (K,) prior means of the contact's base moment.
-        spread: (K,) prior deviations of it.
-        log_weight: (K,) log weights of these.
-        odds: prior odds of an outlier.
-        kappa2: variance ratio of outliers.
-        level: mass of the intervals.
-
-    Returns:
-        log evidence without and with the contact; arc; force; its deviation; interval low and
-        high; noise; misfit (sum of squared residuals over variance); (M, 3) modes; nodes, log
-        density (normalised) and force over them; (N,) outliers.
+    Attributes:
+        null, evidence: log evidence without and with the contact.
+        arc, force, deviation: place, force there, and the force's deviation.
+        low, high: interval of the arc.
+        noise: of one reading.
+        misfit: sum of squared residuals over variance.
+        pieces: (P, 3) modes.
+        nodes: (M,) places; log density (normalised) and force over them.
+        flagged: (N,) outliers.
     """
-    n = y.shape[0]
-    q = columns.shape[1]
-    if known:
-        sigma = np.ones(1)
-        log_prior = np.zeros(1)
-    else:
-        sigma, log_prior = noise_levels(y, variance)
-        sigma, log_prior = levels_between(np.log(sigma[0]), np.log(sigma[-1]), level_step(n))
-    levels = sigma.shape[0]
-    W = np.empty((levels, n))
-    white = np.empty((levels, n, q))
-    fit = np.empty((levels, q))
-    const = np.empty(levels)
-    flagged = np.zeros(n, dtype=np.bool_)
-    arcs = np.empty(MAX_NODES)
-    logp = np.empty(MAX_NODES)
-    force = np.empty(MAX_NODES)
+
+    null: float
+    evidence: float
+    arc: float
+    force: float
+    deviation: float
+    low: float
+    high: float
+    noise: float
+    misfit: float
+    pieces: Array
+    nodes: Nodes
+    flagged: Flags
+
+
+@compiled
+def one_contact(frame: Frame, prior: BaseMoment) -> OnePosterior:
+    """Posterior of one contact, and the evidence with and without it."""
+    n, q = frame.columns.shape
+    y = frame.y
+    nodes = Nodes(np.empty(MAX_NODES), np.empty(MAX_NODES), np.empty(MAX_NODES))
+    arcs, logp, force = nodes
     count = COARSE
     for j in range(count):
         arcs[j] = j / (count - 1.0)
-    null, _ = best_pattern(
-        arcs[:count],
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        sigma,
-        log_prior,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        False,
-        known,
-        flagged,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
-    if not known:
-        sigma, log_prior = noise_levels(y, variance)
-        levels = sigma.shape[0]
-        W = W[:levels]
-        white = white[:levels]
-        fit = fit[:levels]
-        const = const[:levels]
-    _, flagged = best_pattern(
-        arcs[:count],
-        low,
-        high,
-        table,
-        edges,
-        y,
-        variance,
-        sigma,
-        log_prior,
-        columns,
-        odds,
-        kappa2,
-        moment,
-        spread,
-        log_weight,
-        True,
-        known,
-        flagged,
-        W,
-        white,
-        fit,
-        const,
-        logp,
-        force,
-    )
-    phi = np.empty(n)
-    t = np.empty(q)
-    flips = np.empty(n + 1)
-    if not known:
-        sigma, log_prior = levels_with_mass(
-            arcs[:count],
-            logp,
-            low,
-            high,
-            table,
-            edges,
-            y,
-            flagged,
-            odds,
-            kappa2,
-            W,
-            white,
-            fit,
-            const,
-            moment,
-            spread,
-            log_weight,
-            sigma,
-            log_prior,
-        )
-        levels = sigma.shape[0]
-        W = np.empty((levels, n))
-        white = np.empty((levels, n, q))
-        fit = np.empty((levels, q))
-        const = np.empty(levels)
-        prepare_levels(
-            y, variance, sigma, log_prior, columns, flagged, odds, kappa2, W, white, fit, const
-        )
-        for j in range(count):
-            logp[j], force[j], _ = evaluate(
-                arcs[j],
-                low,
-                high,
-                table,
-                edges,
-                y,
-                flagged,
-                odds,
-                kappa2,
-                W,
-                white,
-                fit,
-                const,
-                moment,
-                spread,
-                log_weight,
-                phi,
-                t,
-                flips,
-                False,
-            )
-    count = refine(
-        low,
-        high,
-        table,
-        edges,
-        y,
-        flagged,
-        odds,
-        kappa2,
-        W,
-        white,
-        fit,
-        const,
-        moment,
-        spread,
-        log_weight,
-        arcs,
-        logp,
-        force,
-        count,
-    )
+    grid = Nodes(arcs[:count], logp, force)
+    sigma, log_prior = all_levels(frame)
+    levels = empty_levels(frame, sigma, log_prior)
+    null = best_pattern(grid, frame, levels, prior, False)
+    sigma, log_prior = coarse_levels(frame)
+    levels = empty_levels(frame, sigma, log_prior)
+    best_pattern(grid, frame, levels, prior, True)
+    work = empty_work(frame)
+    if not frame.known:
+        sigma, log_prior = levels_with_mass(grid, frame, levels, prior)
+        flagged = levels.flagged
+        levels = empty_levels(frame, sigma, log_prior)
+        levels.flagged[:] = flagged
+        prepare_levels(frame, frame.variance, levels)
+        evaluate_all(grid, frame, levels, prior, work)
+    count = refine(nodes, count, frame, levels, prior, work)
     cumulative = np.empty(count)
     evidence = masses(arcs, logp, count, cumulative)
-    arc, start, end, pieces = summary(arcs, logp, count, cumulative, level)
+    arc, low, high, pieces = summary(arcs, logp, count, cumulative, LEVEL)
     logp -= evidence
-    _, strength, square = evaluate(
-        arc,
-        low,
-        high,
-        table,
-        edges,
-        y,
-        flagged,
-        odds,
-        kappa2,
-        W,
-        white,
-        fit,
-        const,
-        moment,
-        spread,
-        log_weight,
-        phi,
-        t,
-        flips,
-        False,
-    )
+    _, strength, square = evaluate(arc, frame, levels, prior, work, False)
     # Spread of the force: within the arc, and as it slides with the arc.
     slide = 0.0
     for j in range(count - 1):
@@ -384,58 +178,31 @@ def one_contact(
         slide += (cumulative[j + 1] - cumulative[j]) * middle * middle
     # Noise level with the most weight at the arc, and the misfit there.
     s = 0
-    if levels > 1:
-        best = -1e300
-        for k in range(levels):
-            value, _, _ = evaluate(
-                arc,
-                low,
-                high,
-                table,
-                edges,
-                y,
-                flagged,
-                odds,
-                kappa2,
-                W[k : k + 1],
-                white[k : k + 1],
-                fit[k : k + 1],
-                const[k : k + 1],
-                moment,
-                spread,
-                log_weight,
-                phi,
-                t,
-                flips,
-                False,
-            )
-            if value > best:
-                best = value
-                s = k
+    if sigma.shape[0] > 1:
+        s = int(level_weights(arc, frame, levels, prior).argmax())
     typical = 0.0
     misfit = 0.0
+    phi = work.phi
     for i in range(n):
-        typical += variance[i] / n
-        misfit -= W[s, i] * phi[i] * strength * (2.0 * y[i] - strength * phi[i])
-        misfit += W[s, i] * y[i] * y[i]
+        typical += frame.variance[i] / n
+        misfit -= levels.W[s, i] * phi[i] * strength * (2.0 * y[i] - strength * phi[i])
+        misfit += levels.W[s, i] * y[i] * y[i]
     for k in range(q):
-        part = fit[s, k]
+        part = levels.fit[s, k]
         for i in range(n):
-            part -= strength * W[s, i] * phi[i] * white[s, i, k]
+            part -= strength * levels.W[s, i] * phi[i] * levels.white[s, i, k]
         misfit -= part * part
-    return (
+    return OnePosterior(
         null,
         evidence,
         arc,
         strength,
         np.sqrt(square + slide),
-        start,
-        end,
+        low,
+        high,
         np.sqrt(typical) * sigma[s],
         misfit,
         pieces,
-        arcs[:count].copy(),
-        logp[:count].copy(),
-        force[:count].copy(),
-        flagged,
+        Nodes(arcs[:count].copy(), logp[:count].copy(), force[:count].copy()),
+        levels.flagged,
     )

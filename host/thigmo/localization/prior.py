@@ -6,19 +6,32 @@ EI times length. None depends on the data.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+
+
+class BaseMoment(NamedTuple):
+    """Prior of a contact's moment at the base: sum_k exp(log_weight_k) N(mean_k, spread_k^2).
+
+    Attributes:
+        mean, spread, log_weight: (K,).
+    """
+
+    mean: Array
+    spread: Array
+    log_weight: Array
+
 
 # A contact lies anywhere on the body: uniform over 0..1. Its moment at the base, f a, is of either
 # sign: N(0, 0.4^2) with weight 0.92, N(0, 1.5^2) with 0.08. For a body of 53 cm these deviations
 # are 0.0075 and 0.028 1/cm: unactuated contacts stay below 0.011 1/cm (then the body folds),
 # actuated ones seldom pass the free curvature. A wider prior costs precision where only one or two
 # sensors feel the contact: it lets a strong force near the base pass for a weak one farther out.
-MOMENT: Array = np.zeros(2)
-SPREAD: Array = np.array([0.4, 1.5])
-LOG_WEIGHT: Array = np.log(np.array([0.92, 0.08]))
+BASE_MOMENT = BaseMoment(np.zeros(2), np.array([0.4, 1.5]), np.log(np.array([0.92, 0.08])))
 
 # Nearer to the base than this the prior of the force no longer widens (1 cm of 53).
 LEAST_LEVER = 0.02

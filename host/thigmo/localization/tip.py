@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from thigmo.compiled import compiled
 from thigmo.localization import prior
+from thigmo.localization.frame import Frame, empty_levels, empty_work, one_level
 from thigmo.localization.influence import end_influence
 from thigmo.localization.marginal import prepare_levels, weigh
 from thigmo.localization.models import (
@@ -37,7 +38,8 @@ from thigmo.localization.models import (
     precision,
     solve_columns,
 )
-from thigmo.localization.noise_levels import level_step, levels_between, noise_levels
+from thigmo.localization.noise_levels import all_levels
+from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings
 
 Array = npt.NDArray[np.float64]
@@ -84,18 +86,11 @@ def pulled(place: Array) -> tuple[Array, Array]:
 
 @compiled
 def _weigh_places(
-    y: Array,
-    variance: Array,
-    known: bool,
-    columns: Array,
-    odds: float,
-    kappa2: float,
-    moment: Array,
-    spread: Array,
-    log_weight: Array,
     phis: Array,
     levers: Array,
     flagged: Flags,
+    frame: Frame,
+    moment: BaseMoment,
     logp: Array,
     force: Array,
     flips: Array,
@@ -106,35 +101,23 @@ def _weigh_places(
         phis: (K, N) readings for a unit force.
         levers: (K,) its moment at the base.
         flagged: (N,) readings taken for outliers.
+        frame: what was read.
+        moment: prior of the moment at the base.
         logp, force: (K,) written: log likelihood, and posterior mean.
         flips: (N + 1,) written: of the best place, as in `weigh`.
 
     Returns:
         Noise level with the most weight at the best place.
     """
-    n = y.shape[0]
-    q = columns.shape[1]
-    if known:
-        sigma = np.ones(1)
-        log_prior = np.zeros(1)
-    else:
-        sigma, log_prior = noise_levels(y, variance)
-        sigma, log_prior = levels_between(np.log(sigma[0]), np.log(sigma[-1]), level_step(n))
-    levels = sigma.shape[0]
-    W = np.empty((levels, n))
-    white = np.empty((levels, n, q))
-    fit = np.empty((levels, q))
-    const = np.empty(levels)
-    t = np.empty(q)
-    prepare_levels(
-        y, variance, sigma, log_prior, columns, flagged, odds, kappa2, W, white, fit, const
-    )
+    sigma, log_prior = all_levels(frame)
+    levels = empty_levels(frame, sigma, log_prior)
+    levels.flagged[:] = flagged
+    prepare_levels(frame, frame.variance, levels)
+    work = empty_work(frame)
+    y = frame.y
     at = 0
     for k in range(phis.shape[0]):
-        value, force[k], square = weigh(
-            levers[k], phis[k], y, flagged, odds, kappa2, W, white, fit, const, moment, spread,
-            log_weight, t, flips, False,
-        )  # fmt: skip
+        value, force[k], square = weigh(levers[k], phis[k], y, levels, moment, work, False)
         # The place says which way the force pushes: all of its prior is on that side.
         z = -force[k] / np.sqrt(2.0 * max(square, 1e-300))
         logp[k] = value + np.log(max(math.erfc(z), 1e-300))
@@ -142,18 +125,13 @@ def _weigh_places(
             at = k
     level = 0
     top = -1e300
-    for s in range(levels):
-        value, _, _ = weigh(
-            levers[at], phis[at], y, flagged, odds, kappa2, W[s : s + 1], white[s : s + 1],
-            fit[s : s + 1], const[s : s + 1], moment, spread, log_weight, t, flips, False,
-        )  # fmt: skip
+    for s in range(sigma.shape[0]):
+        value, _, _ = weigh(levers[at], phis[at], y, one_level(levels, s), moment, work, False)
         if value > top:
             top = value
             level = s
-    weigh(
-        levers[at], phis[at], y, flagged, odds, kappa2, W, white, fit, const, moment, spread,
-        log_weight, t, flips, True,
-    )  # fmt: skip
+    weigh(levers[at], phis[at], y, levels, moment, work, True)
+    flips[:] = work.flips
     return float(sigma[level])
 
 
@@ -179,27 +157,14 @@ def _weigh(
     flagged: Flags,
     path: Path,
 ) -> _Weighed:
-    parts, bases = end_influence(setting.table, readings.low, readings.high, radius)
+    parts, bases = end_influence(setting.sensors, radius)
     weights, _ = path(place)
     levers = weights @ bases
     logp, force = np.empty(len(place)), np.empty(len(place))
     flips = np.empty(len(flagged) + 1)
+    frame = setting.frame(readings)
     level = _weigh_places(
-        readings.y,
-        readings.variance,
-        readings.known,
-        setting.columns,
-        prior.OUTLIER_ODDS,
-        prior.OUTLIER_VARIANCE,
-        setting.moment,
-        setting.spread,
-        setting.log_weight,
-        weights @ parts,
-        levers,
-        flagged,
-        logp,
-        force,
-        flips,
+        weights @ parts, levers, flagged, frame, setting.moment, logp, force, flips
     )
     logp += np.log(width)
     if limit is not None:

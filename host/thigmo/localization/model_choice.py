@@ -1,0 +1,253 @@
+"""Which model explains a frame: how many contacts, and which mechanics, by evidence.
+
+One contact on the side of a plain beam first; levers of the bent shape where it bends; a base fold,
+a load at the tip or over a stretch, a second and a third contact only where misfit, moment or bend
+call for them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from thigmo.localization import prior
+from thigmo.localization.mixing import mix, not_beyond, restrict
+from thigmo.localization.models import (
+    Fit,
+    MomentLimit,
+    Setting,
+    bent_shape,
+    fit_one,
+    fit_several,
+    fold_column,
+    same_side,
+)
+from thigmo.localization.readings import Readings
+from thigmo.localization.result import Range
+from thigmo.localization.several import LOOK
+from thigmo.localization.tip import tip_contact
+
+MOST_CONTACTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the caller knows of the body, normalised by the length."""
+
+    offset: float
+    critical: float | None
+    critical_of: str
+    mechanics: str
+    radius: float
+    width: float
+    within: Range | None
+
+
+def best_model(
+    readings: Readings, plain: Fit, contacts: int | str, options: Options
+) -> tuple[Fit, bool]:
+    """The model that the evidence prefers, and whether it leaves a further contact likely."""
+    rich = options.mechanics == "auto"
+    if contacts not in ("auto", 1):
+        fold = _fold_setting(readings, plain, options, called=True) if rich else None
+        return _given_number(readings, plain.setting, fold, int(contacts), rich), False
+    # What the plain beam leaves unexplained: a second contact stands for any misfit here.
+    one = _lever_arms(readings, plain) if rich else plain
+    misfit = not readings.known or one.misfit > prior.MISFIT
+    look = None
+    if misfit and len(readings.y) >= LEAST_FOR_TWO:
+        look = fit_several(readings, one.setting, 2, passes=LOOK)
+    called = look is not None and look.score > one.score + prior.HINT_OF_MORE
+    ones = [one]
+    if rich:
+        called = called or one.misfit > prior.misfit_limit(len(readings.y))
+        fold = _fold_setting(readings, one, options, called)
+        if called:
+            ones += _tip_moment(readings, one)
+            ones += _on_the_end(readings, one, options, attached=True)
+        if called and len(readings.y) >= LEAST_FOR_SPREAD:
+            ones += _spread_models(readings, one)
+        if fold is not None:
+            ones = _with_fold(readings, ones, fold, options)
+        else:
+            ones += _on_the_end(readings, one, options)
+    else:
+        fold = None
+    winner = max(ones, key=_score)
+    likely = False
+    if contacts == "auto" and look is not None:
+        step = prior.second_threshold(len(readings.y), readings.known)
+        if look.score - step > winner.score - _margin(winner) - 0.5 or (called and fold):
+            winner, likely = _more_contacts(readings, one.setting, winner, fold, rich)
+    if len(winner.arcs) > 1:
+        return winner, likely
+    return mix(ones if options.within is None else restrict(ones, *options.within)), likely
+
+
+# Readings from which two contacts can differ from one and noise.
+LEAST_FOR_TWO = 4
+# Readings from which a spread load can differ from a point load and noise.
+LEAST_FOR_SPREAD = 5
+
+
+def _score(fit: Fit) -> float:
+    return fit.score
+
+
+def _given_number(
+    readings: Readings, plain: Setting, fold: Setting | None, count: int, rich: bool
+) -> Fit:
+    """As many contacts as the caller asks for."""
+    fits = [fit_several(readings, plain, count)]
+    if fold is not None:
+        fits.append(fit_several(readings, fold, count, prior.FOLD_PENALTY))
+    best = max(fits, key=_score)
+    return _refit_bent(readings, best) if rich else best
+
+
+def _margin(winner: Fit) -> float:
+    """Nats by which one contact must lead two, for a second one not to count as likely.
+
+    A rare load at the tip or a spread one can stand for two contacts that the sensors do not
+    part: such a model must lead clearly.
+    """
+    rare = winner.stretch > 0.0 or "tip_moment" in winner.setting.labels
+    return 4.0 if rare or winner.end is not None else 1.0
+
+
+def _more_contacts(
+    readings: Readings, plain: Setting, winner: Fit, fold: Setting | None, rich: bool
+) -> tuple[Fit, bool]:
+    """Two and three contacts, as long as each adds enough evidence."""
+    step = prior.second_threshold(len(readings.y), readings.known)
+    for count in range(2, MOST_CONTACTS + 1):
+        # Each contact takes two numbers.
+        if len(readings.y) < 2 * count:
+            break
+        penalty = (count - 1) * step + (prior.THIRD_PENALTY if count > 2 else 0.0)
+        rivals = [fit_several(readings, plain, count, penalty)]
+        if fold is not None:
+            rivals.append(fit_several(readings, fold, count, penalty + prior.FOLD_PENALTY))
+        rival = max(rivals, key=_score)
+        if rich:
+            rival = _refit_bent(readings, rival)
+        if rival.score <= winner.score:
+            return winner, count == 2 and rival.score > winner.score - _margin(winner)
+        winner = rival
+        if readings.known and winner.misfit < prior.MISFIT:
+            break
+    return winner, False
+
+
+def _turning(fit: Fit, readings: Readings) -> float:
+    """Largest turning (rad) between a contact and the base under a fit, roughly."""
+    total, far = 0.0, 0.0
+    for arc, force in zip(fit.arcs.tolist(), fit.forces.tolist(), strict=True):
+        total += abs(force) * arc * arc / 2
+        far = max(far, arc)
+    return total + abs(readings.bend) * far
+
+
+def _lever_arms(readings: Readings, fit: Fit) -> Fit:
+    """One contact with levers from the bent shape, iterated until the place stands."""
+    if _turning(fit, readings) < prior.BEND:
+        return fit
+    for _ in range(4):
+        before = float(fit.arcs[0])
+        setting = fit.setting.bent(bent_shape(fit, readings), readings)
+        fit = fit_one(readings, setting, fit.penalty)
+        if abs(float(fit.arcs[0]) - before) < 5e-4:
+            break
+    return fit
+
+
+def _refit_bent(readings: Readings, fit: Fit) -> Fit:
+    """Several contacts with levers from the bent shape."""
+    if _turning(fit, readings) < prior.BEND:
+        return fit
+    setting = fit.setting.bent(bent_shape(fit, readings), readings)
+    return fit_several(readings, setting, len(fit.arcs), fit.penalty)
+
+
+def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) -> Setting | None:
+    """The same body with a fold at its base, where base sensors or the moment suggest one."""
+    arc, force = float(fit.arcs[0]), float(fit.forces[0])
+    limit = prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
+    near = (abs(force) + 2.0 * fit.deviation) * arc > limit
+    odd = bool((fit.flagged & (readings.low < 2.0 * options.radius)).any())
+    if not (near or called or odd):
+        return None
+    column = fold_column(readings, options.radius)
+    # A fold needs base sensors to show it, and others to be told from a contact.
+    base = np.count_nonzero(column > 0.0)
+    if base == 0 or len(column) - base < 2:
+        return None
+    return fit.setting.with_column(column, prior.FOLD_ANGLE, "fold_angle", "base fold")
+
+
+def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Options) -> list[Fit]:
+    """One contact with a free and with a folded base; a known critical moment is enforced."""
+    if options.critical is None:
+        limit = None
+        buckled, penalty = fold, prior.FOLD_PENALTY
+    else:
+        counted = readings.bend if options.critical_of == "total" else 0.0
+        limit = MomentLimit(options.critical, counted)
+        ones = [not_beyond(fit, limit) for fit in ones]
+        penalty = 0.0
+        buckled = replace(
+            fold,
+            name=fold.name.replace("base fold", "base fold at the critical moment"),
+            moment=prior.BaseMoment(
+                np.array([options.critical - counted, -options.critical - counted]),
+                np.full(2, prior.CRITICAL_SPREAD * options.critical),
+                np.log(np.full(2, 0.5)),
+            ),
+        )
+    ones = [*ones, *_on_the_end(readings, ones[0], options, limit)]
+    first = _lever_arms(readings, fit_one(readings, buckled, penalty))
+    # The fold opens the way the contact bends the body.
+    for folded in [first, *_on_the_end(readings, first, options)]:
+        folded.score += same_side(folded, readings)
+        ones.append(folded)
+    return ones
+
+
+def _on_the_end(
+    readings: Readings,
+    side: Fit,
+    options: Options,
+    limit: MomentLimit | None = None,
+    *,
+    attached: bool = False,
+) -> list[Fit]:
+    """A contact on the end of the body instead of its side, where a bend gives it a lever."""
+    if _turning(side, readings) < prior.CORNER_BEND:
+        return []
+    found = tip_contact(
+        readings, side.setting, side, options.radius, side.penalty, limit, attached=attached
+    )
+    return [] if found is None else [found]
+
+
+def _tip_moment(readings: Readings, fit: Fit) -> list[Fit]:
+    """A moment at the tip beside the contact."""
+    if len(readings.y) < LEAST_FOR_TIP_MOMENT:
+        return []
+    setting = fit.setting.with_column(
+        np.ones(len(readings.y)), prior.TIP_MOMENT, "tip_moment", "tip moment"
+    )
+    return [_lever_arms(readings, fit_one(readings, setting, prior.TIP_MOMENT_PENALTY))]
+
+
+# A place, a force and a tip moment take three readings; one more to test them.
+LEAST_FOR_TIP_MOMENT = 4
+
+
+def _spread_models(readings: Readings, fit: Fit) -> list[Fit]:
+    """A uniform load over a stretch of a few widths."""
+    penalty = prior.DISTRIBUTED_PENALTY + math.log(len(prior.HALF_WIDTHS))
+    setting = replace(fit.setting, name=f"{fit.setting.name} + distributed contact")
+    return [fit_several(readings, setting, 1, penalty, half) for half in prior.HALF_WIDTHS]
