@@ -11,6 +11,7 @@ import pytest
 from thigmo.experiments import EXPERIMENTS, conditions, run, thesis
 from thigmo.experiments.compare import (
     Answer,
+    alone,
     assigned_errors,
     bound_cm,
     camera_errors,
@@ -22,6 +23,7 @@ from thigmo.experiments.fit import frozen, misfit, table
 from thigmo.experiments.sensitivity import cells
 from thigmo.experiments.specimen import Constants, Specimen
 from thigmo.experiments.trial import Trial
+from thigmo.mechanics import push
 
 PERFECT = Constants(noise=0.0, gain_spread=0.0, position_cm=0.0, fold_rad=0.0)
 
@@ -64,6 +66,21 @@ def test_actuated_contacts_start_where_the_dowel_just_touches() -> None:
         # The contact slides towards the tip as the robot bends on.
         nearest = min(thesis.SINGLE_ARCS_CM, key=lambda arc: abs(arc - trial.arcs_cm[0]))
         assert -0.1 < trial.arcs_cm[0] - nearest < 2.5
+
+
+def test_readings_on_the_way_tell_the_end_from_the_side() -> None:
+    """And the intervals hold the truth, for robots with noise, gains and places of their own."""
+    together, last, held = [], [], []
+    for seed in range(3):
+        for trial in conditions.actuated(specimen(frozen(), seed), 1):
+            answer = ours(trial)
+            together.append(workspace_errors(trial, answer)[0])
+            last.append(workspace_errors(trial, alone(trial))[0])
+            low, high = answer.intervals_cm[0]
+            held.append(low - 0.01 <= trial.arcs_cm[0] <= high + 0.01)
+    assert np.mean(together) < 2.5
+    assert np.mean(together) < 0.8 * np.mean(last)
+    assert np.mean(held) > 0.8
 
 
 def case(arcs: tuple[float, ...], obstacles: tuple[float, ...]) -> Trial:
@@ -176,7 +193,8 @@ def test_the_untouched_robot_shows_its_gains() -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
         robot = Specimen(Constants(5e-4, 0.03, 0.0, 0.0), rng)
-        robot.learn_gains(0.012, 0.012, 30)
+        free = push(np.zeros(0), np.zeros(0), free_curvature=0.012, length=thesis.LENGTH_CM)
+        robot.learn_gains(np.array([robot.read(free) for _ in range(30)]), 0.012)
         trial = robot.press("", "", (40.0,), (1e-9,), free=0.025)
         clean = trial.curvature / 0.025  # the gain, and noise of 2 %
         off.append((clean / trial.gain - 1) / np.hypot(5e-4 / 0.025, 0.0075))

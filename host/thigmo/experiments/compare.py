@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from thigmo.experiments import thesis
 from thigmo.experiments.trial import Trial
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
-from thigmo.localization import localize
+from thigmo.localization import LocalizeResult, localize, localize_obstacle
 from thigmo.localization.baselines import BASELINES, Problem
 from thigmo.localization.influence import STRAIGHT, Sensors
 from thigmo.localization.information import arc_bounds
@@ -27,6 +27,7 @@ from thigmo.localization.readings import normalise
 Floats = NDArray[np.float64]
 
 OURS = "ours"
+ALONE = "ours, last reading alone"
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,32 @@ def ours(trial: Trial) -> Answer:
     """The project's localizer, told the number of contacts as the thesis was.
 
     As in an exploration (`exploration/reference.py`), what the untouched robot has shown of its
-    sensors is taken off first.
+    sensors is taken off first. Where the robot bent into a dowel, all frames are taken together,
+    for the dowel stood still.
     """
+    if trial.passed is None:
+        return alone(trial)
+    frames = np.vstack([trial.passed.curvature, trial.curvature])
+    return _answer(
+        localize_obstacle(
+            frames / trial.gain,
+            trial.position,
+            length=trial.length_cm,
+            span=trial.span,
+            free_curvature=np.append(trial.passed.free, trial.free),
+            noise=max(trial.noise, 1e-9),
+            gain_sigma=trial.passed.gain_sigma,
+            place_sigma=trial.passed.place_cm,
+            offset_sigma=trial.offset_sigma,
+            critical_curvature=trial.critical,
+            tube_radius=trial.radius_cm,
+            peg_radius=trial.dowel_cm,
+        )
+    )
+
+
+def alone(trial: Trial) -> Answer:
+    """As `ours`, of the trial's own readings, without those on the way."""
     result = localize(
         trial.curvature / trial.gain,
         trial.position,
@@ -84,6 +109,10 @@ def ours(trial: Trial) -> Answer:
         critical_curvature=trial.critical,
         tube_radius=trial.radius_cm,
     )
+    return _answer(result)
+
+
+def _answer(result: LocalizeResult) -> Answer:
     return Answer(
         tuple(contact.arc for contact in result.contacts),
         tuple(contact.force for contact in result.contacts),
@@ -110,7 +139,11 @@ def solve(trials: Iterable[Trial], methods: Sequence[str] = ("alternating",)) ->
     return [
         Solved(
             trial,
-            {OURS: ours(trial), **{name: thesis_method(trial, name) for name in methods}},
+            {
+                OURS: ours(trial),
+                **({} if trial.passed is None else {ALONE: alone(trial)}),
+                **{name: thesis_method(trial, name) for name in methods},
+            },
             bound_cm(trial),
         )
         for trial in trials
@@ -173,8 +206,11 @@ def bound_cm(trial: Trial) -> Floats:
     Of the readings' own spread over robots (white noise, gains, places), nothing else unknown.
 
     A Gaussian estimator at the bound has the mean absolute error sqrt(2 / pi) of its deviation;
-    infinite where the information matrix is singular, NaN where forces are not known.
+    infinite where the information matrix is singular, NaN where forces are not known. Of a dowel
+    that the robot bent into, that of all frames (`bound.obstacle_bound`).
     """
+    if trial.passed is not None:
+        return np.array([trial.passed.bound_cm])
     if not np.isfinite(trial.forces).all():
         return np.full(len(trial.arcs_cm), np.nan)
     noise = np.maximum(trial.spread, 1e-9)
@@ -218,9 +254,9 @@ class Row:
     Attributes:
         perfect: the thesis's measure of a perfect arc: the foreshortening that it contains.
         bound: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
-        unbounded: number of contacts for which it is not: a force on the face of the tip has no
-            lever that a place could be read from.
+        unbounded: number of contacts for which it is not: nothing fixes their place.
         ambiguous: number of our answers that say so.
+        alone: our errors without the readings on the way; None where there are none.
     """
 
     experiment: str
@@ -234,6 +270,7 @@ class Row:
     bound: float
     unbounded: int
     ambiguous: int
+    alone: Errors | None = None
 
     def allowed(self, workspace: bool) -> float:
         """What ours may be: the larger of half the thesis's method's error and 1.2 bounds."""
@@ -271,6 +308,8 @@ class Row:
             "ambiguous": self.ambiguous,
             "allowed": self.allowed(True),
             "beaten": self.beaten(True),
+            "alone_mean": self.alone.mean if self.alone else float("nan"),
+            "alone_workspace_mean": self.alone.workspace if self.alone else float("nan"),
         }
 
 
@@ -292,6 +331,7 @@ def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) ->
         float(finite.mean()) if finite.size else float("inf"),
         int(bounds.size - finite.size),
         sum(one.answers[OURS].status == "ambiguous" for one in solved),
+        errors(solved, ALONE) if all(ALONE in one.answers for one in solved) else None,
     )
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from thigmo.config import RobotConfig, TanhMap
 from thigmo.emulator.scene import Scene
 from thigmo.experiments import thesis
+from thigmo.experiments.bound import obstacle_bound
 from thigmo.experiments.specimen import Specimen
-from thigmo.experiments.trial import Trial
+from thigmo.experiments.trial import Passed, Trial
 from thigmo.mechanics import Peg, Solution, Tube, solve
 
 _SIGNS = (-1.0, 1.0)  # a dowel on the left pushes to the right, one on the right to the left
@@ -75,8 +76,9 @@ def actuated(
     """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
     Only the right column reads. Each inflation passes 6 psi untouched: what the sensors say there
-    of themselves counts for all of the robot's trials. Where along the body the dowel bears at 10
-    and 14 psi, and whether on the side or on the tip's end, is for the mechanics to say.
+    of themselves counts for all of the robot's trials. From there on it is read at every second
+    psi. Where along the body the dowel bears at 10 and 14 psi, and whether on the side or on the
+    tip's end, is for the mechanics to say.
 
     Args:
         specimen: the robot.
@@ -85,18 +87,31 @@ def actuated(
         map_error: relative error of the free curvature that the lab believes.
     """
     curve = muscle or emulated_robot().actuators.left.maps[-1].inflate
-    untouched = curve.curvature(thesis.TOUCH_PSI)
-    inflations = trials * len(thesis.PLACES) * len(thesis.ACTUATED_PSI)
-    specimen.learn_gains(untouched, untouched * (1 + map_error), inflations)
+    planned = [
+        (level, place, arc, (*(p for p in thesis.PASSED_PSI if p < pressure), pressure))
+        for level, pressure in thesis.ACTUATED_PSI.items()
+        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True)
+        for _ in range(trials)
+    ]
+    read = [
+        np.array([specimen.read(actuated_body(arc, p, muscle)[0], one_side=True) for p in way])
+        for _, _, arc, way in planned
+    ]
+    believed = (1 + map_error) * curve.curvature(thesis.TOUCH_PSI)
+    specimen.learn_gains(np.array([frames[0] for frames in read]), believed)
     found = []
-    for level, pressure in thesis.ACTUATED_PSI.items():
-        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True):
-            body, _ = actuated_body(arc, pressure, muscle)
-            free = float(body.free_curvature[0]) * (1 + map_error)
-            found += [
-                specimen.observe(level, place, body, free=free, one_side=True)
-                for _ in range(trials)
-            ]
+    for (level, place, arc, way), frames in zip(planned, read, strict=True):
+        body, peg = actuated_body(arc, way[-1], muscle)
+        true = tuple(curve.curvature(p) for p in way)
+        free = (1 + map_error) * np.array(true)
+        column = tuple(specimen.believed[: frames.shape[1]].tolist())
+        bound = obstacle_bound(peg, true, column, specimen.constants, specimen.gain_sigma)
+        passed = Passed(
+            frames[:-1], free[:-1], specimen.gain_sigma, specimen.constants.position_cm, bound
+        )
+        found.append(
+            specimen.observe(level, place, body, frames[-1], free=float(free[-1]), passed=passed)
+        )
     return found
 
 

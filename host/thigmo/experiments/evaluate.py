@@ -80,6 +80,12 @@ def _remarks(r: Row) -> list[str]:
             f"{r.experiment}, {r.condition}: no finite bound for {r.unbounded} contacts, which its "
             "mean leaves out"
         )
+    if r.alone is not None:
+        told.append(
+            f"{r.experiment}, {r.condition}: ours without the readings on the way "
+            f"{r.alone.workspace:.2f} cm in the workspace, {r.alone.mean:.2f} in the thesis's "
+            "measure; the bound is that of all readings"
+        )
     if r.perfect > r.allowed(False):
         told.append(
             f"{r.experiment}, {r.condition}: |a - x of the obstacle| of a perfect arc is "

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.experiments import thesis
-from thigmo.experiments.trial import Trial
+from thigmo.experiments.trial import Passed, Trial
 from thigmo.mechanics import Solution, Tube, peg_for, push
 
 Floats = NDArray[np.float64]
@@ -66,21 +66,23 @@ class Specimen:
         self._gain_se = constants.gain_spread
         self._rng = rng
 
-    def learn_gains(self, free: float, believed: float, readings: int) -> None:
+    @property
+    def gain_sigma(self) -> float:
+        """Relative standard deviation of what is still unknown of a gain."""
+        return self._gain_se
+
+    def learn_gains(self, readings: Floats, believed: float) -> None:
         """Take readings of the untouched robot, bent by its muscle: all sensors bend alike there.
 
         Args:
-            free: its curvature, 1/cm.
-            believed: what the map says that it is, 1/cm.
-            readings: their number.
+            readings: (R, N) of the first N sensors, 1/cm.
+            believed: what the map says that they are, 1/cm.
         """
         noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
-        mean = self._gain * free + noise / np.sqrt(readings) * self._rng.standard_normal(
-            self._gain.size
-        )
         # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
-        precision = 1 / spread**2 + readings * (believed / noise) ** 2
-        self._shown = 1 + readings * believed / noise**2 * (mean - believed) / precision
+        precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
+        departure = believed / noise**2 * (readings - believed).sum(axis=0)
+        self._shown[: readings.shape[1]] = 1 + departure / precision
         self._gain_se = float(precision**-0.5)
 
     def press(
@@ -111,24 +113,40 @@ class Specimen:
             tube=Tube(thesis.DIAMETER_CM),
             fold_angle=fold_rad,
         )
-        return self.observe(condition, place, body, free=free, one_side=one_side)
+        return self.observe(condition, place, body, self.read(body, one_side), free=free)
+
+    def read(self, body: Solution, one_side: bool = False) -> Floats:
+        """Readings of a body in a known equilibrium, (N,)."""
+        count = self.believed.size // 2 if one_side else self.believed.size
+        clean = body.averages(self._true[:count], thesis.SPAN_CM)
+        # Zeroing takes the straight robot as zero, so a gain error scales the reading only.
+        return np.asarray(
+            self._gain[:count] * clean + self.constants.noise * self._rng.standard_normal(count)
+        )
 
     def observe(
         self,
         condition: str,
         place: str,
         body: Solution,
+        noisy: Floats,
         *,
         free: float = 0.0,
-        one_side: bool = False,
+        passed: Passed | None = None,
     ) -> Trial:
-        """Readings of a body in a known equilibrium (arguments as in `press`)."""
+        """A trial from readings of a body.
+
+        Args:
+            condition, place: labels.
+            body: in a known equilibrium.
+            noisy: what `read` gave.
+            free: believed free curvature, 1/cm.
+            passed: what was read on the way.
+        """
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
-        count = self.believed.size // 2 if one_side else self.believed.size
+        count = len(noisy)
         at = self._true[:count]
         clean = body.averages(at, thesis.SPAN_CM)
-        # Zeroing takes the straight robot as zero, so a gain error scales the reading only.
-        noisy = self._gain[:count] * clean + self.constants.noise * self._rng.standard_normal(count)
         slope = (body.averages(at + _STEP_CM, thesis.SPAN_CM) - clean) / _STEP_CM
         return Trial(
             condition,
@@ -146,6 +164,7 @@ class Specimen:
             tuple(contact.normal for contact in contacts),
             tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
             tuple(contact.x for contact in contacts),
+            passed=passed,
         )
 
     def _deviation(self, curvature: Floats, slope: Floats) -> Floats:

@@ -17,6 +17,29 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Passed:
+    """What an actuated robot read at the pressures that it passed while the dowel stood there.
+
+    The thesis's method does not look at it.
+
+    Attributes:
+        curvature: (T, N) readings of the trial's sensors, from the dowel's touch on.
+        free: (T,) believed free curvature, 1/cm.
+        gain_sigma: what a lab states as relative standard deviation of its sensors' gains, as far
+            as they are not known (`Trial.gain`).
+        place_cm: and of the sensors' places.
+        bound_cm: Cramer-Rao bound of the contact's x in the room from all of the frames, as mean
+            absolute error; NaN on a real robot.
+    """
+
+    curvature: Floats
+    free: Floats
+    gain_sigma: float
+    place_cm: float
+    bound_cm: float = float("nan")
+
+
+@dataclass(frozen=True)
 class Trial:
     """One set of readings and its truth.
 
@@ -42,6 +65,7 @@ class Trial:
         critical: contact curvature at which the base folds, 1/cm.
         radius_cm: of the tube.
         dowel_cm: radius of the dowels.
+        passed: readings on the way; None where the robot was pushed, not bent.
     """
 
     condition: str
@@ -63,3 +87,4 @@ class Trial:
     critical: float = thesis.CRITICAL
     radius_cm: float = thesis.DIAMETER_CM / 2
     dowel_cm: float = thesis.DOWEL_CM
+    passed: Passed | None = None

@@ -8,6 +8,7 @@ from thigmo.localization.batch import BatchResult, localize_batch, localize_rows
 from thigmo.localization.bounds import Identifiability, identifiability
 from thigmo.localization.estimate import localize
 from thigmo.localization.history import ArcFilter, localize_sweep
+from thigmo.localization.obstacle import localize_obstacle
 from thigmo.localization.result import Contact, LocalizeResult
 from thigmo.localization.warm import warm_up
 
@@ -24,6 +25,7 @@ __all__ = [
     "identifiability",
     "localize",
     "localize_batch",
+    "localize_obstacle",
     "localize_rows",
     "localize_sweep",
     "warm_up",
