@@ -168,7 +168,6 @@ def _likelihood(
         out: (K,) written.
     """
     frames, sensors, shifts = mean.shape[2], mean.shape[3], mean.shape[4]
-    k = np.empty(frames)
     each = np.empty(shifts)
     totals = np.empty(offsets.shape[0])
     for p in range(at.shape[0]):
