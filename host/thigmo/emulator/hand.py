@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import root
 
 from thigmo.errors import DataError
 from thigmo.mechanics import Solution, Tube, push
@@ -36,6 +35,8 @@ def hold(
     Raises:
         DataError: a place that the body cannot reach.
     """
+    from scipy.optimize import root  # a quarter of a second that most emulations need not wait
+
     arcs = np.array([arc for arc, _ in pushes])
     wanted = np.array([y for _, y in pushes])
     unit = 3 / length_cm**3  # force that moves a straight tip by about 1 cm

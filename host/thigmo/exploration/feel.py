@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import RobotConfig, Side
 from thigmo.exploration.known import WIDEST_CM, cell_masses, expected
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import PriorMap
@@ -25,6 +25,7 @@ from thigmo.robot.readings import Floats
 
 _PLACED = ("localized", "ambiguous")
 _GRID_CM = 0.25
+_BENT = 0.02  # 1/cm, of the body that `warm_up` makes up
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,12 +177,14 @@ def _mass(result: LocalizeResult, contact: Contact, full_cm: float) -> Floats:
 
 def warm_up(config: RobotConfig) -> None:
     """Compile everything that `feel` needs, before any output is energised."""
-    size = len(SensorTable.of(config).center_cm)
-    for side in SIDES:
-        reading = np.full(size, 0.01 if side == "left" else -0.01)
-        feel(
-            Peak(side, 0.0, config.body.length_cm, reading, 0.0, 0.0, (1 << size) - 1, 1),
-            config,
-            0,
-            FreeResponse(config),
-        )
+    table = SensorTable.of(config)
+    length = config.body.length_cm
+    every = (1 << len(table.center_cm)) - 1
+    bends: tuple[tuple[Side, float], ...] = (("left", _BENT), ("right", -_BENT))
+    for side, free in bends:
+        # A bent robot held back at its tip, then also pushed at its middle: every model is weighed.
+        one = free * (1 + table.center_cm / length) / 2
+        two = one - 1.5 * free * np.maximum(0.4 - table.center_cm / length, 0.0)
+        for curvature in (one, two):
+            peak = Peak(side, 0.0, length, curvature, free, 0.0, every, 1)
+            feel(peak, config, 0, FreeResponse(config))

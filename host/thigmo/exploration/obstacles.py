@@ -169,13 +169,14 @@ def _free(grid: OccupancyGrid, stages: Sequence[Stage], radius_cm: float) -> Mas
     canvas = np.zeros(grid.cells.shape, dtype=np.uint8)
     inner = max(radius_cm - _DRAWN_IN_CM, _RESOLUTION_CM / 2)
     for stage in stages:
-        straight = np.array([[0.0, 0.0, 0.0], [stage.everted_length_cm, 0.0, 0.0]])
-        lines = [straight]
-        for side in ("left", "right"):
-            lines += passed(shape for shape in stage.shapes if shape.side == side)
-        for line in lines:
-            polygon = _pixels(grid, outline(line, inner))
-            cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
+        straight = np.array([[[0.0, 0.0, 0.0], [stage.everted_length_cm, 0.0, 0.0]]])
+        swept = [
+            passed(shape for shape in stage.shapes if shape.side == side)
+            for side in ("left", "right")
+        ]
+        for lines in [straight, *swept]:
+            for polygon in _pixels(grid, outline(lines, inner)):
+                cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
     return canvas.astype(np.bool_)
 
 

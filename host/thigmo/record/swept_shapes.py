@@ -6,7 +6,6 @@ Shared by the picture of the map and by the obstacle map, so that both show the 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,29 +17,32 @@ _BETWEEN = 9  # positions from one recorded shape to the next
 
 
 def outline(poses: ArrayLike, radius_cm: float) -> Floats:
-    """The tube around a centreline (n, 3) of x, y, heading: (2n, 2), left side out, right back."""
+    """The tube around centrelines (..., n, 3) of x, y, heading: left side out, right back.
+
+    Returns:
+        (..., 2n, 2) corners.
+    """
     line = np.asarray(poses, dtype=np.float64)
-    normal = np.column_stack((-np.sin(line[:, 2]), np.cos(line[:, 2])))
-    left, right = line[:, :2] + radius_cm * normal, line[:, :2] - radius_cm * normal
-    around: Floats = np.vstack((left, right[::-1]))
+    heading = line[..., 2:]
+    across = radius_cm * np.concatenate((-np.sin(heading), np.cos(heading)), axis=-1)
+    left, right = line[..., :2] + across, line[..., :2] - across
+    around: Floats = np.concatenate((left, right[..., ::-1, :]), axis=-2)
     return around
 
 
-def passed(shapes: Iterable[Shape]) -> list[Floats]:
-    """Centrelines (n, 3) of a half sweep's recorded shapes and those passed on the way between.
+def passed(shapes: Iterable[Shape]) -> Floats:
+    """Centrelines (k, n, 3) of a half sweep's recorded shapes and those passed on the way between.
 
     The sweep starts with the straight robot, and goes up in pressure.
     """
-    ordered = [
-        np.asarray(shape.poses) for shape in sorted(shapes, key=lambda shape: shape.pressure_psi)
-    ]
+    ordered = sorted(shapes, key=lambda shape: shape.pressure_psi)
     if not ordered:
-        return []
-    straight = np.zeros_like(ordered[0])
-    along = np.hypot(*np.diff(ordered[0][:, :2], axis=0).T).sum()
+        return np.zeros((0, 0, 3))
+    bent = np.array([shape.poses for shape in ordered])
+    straight = np.zeros_like(bent[0])
+    along = np.hypot(*np.diff(bent[0, :, :2], axis=0).T).sum()
     straight[:, 0] = np.linspace(0.0, along, len(straight))
-    return [
-        start + (end - start) * share
-        for start, end in pairwise([straight, *ordered])
-        for share in np.linspace(0, 1, _BETWEEN)
-    ]
+    start = np.concatenate((straight[None], bent[:-1]))
+    share = np.linspace(0, 1, _BETWEEN)[None, :, None, None]
+    between: Floats = start[:, None] + (bent - start)[:, None] * share
+    return between.reshape(-1, *straight.shape)

@@ -78,13 +78,15 @@ def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
     from matplotlib.collections import PolyCollection
 
     swept = [
-        outline(poses, radius_cm)
+        polygon
         for stage in stages
         for side in ("left", "right")
-        for poses in passed(shape for shape in stage.shapes if shape.side == side)
+        for polygon in outline(
+            passed(shape for shape in stage.shapes if shape.side == side), radius_cm
+        )
     ]
-    # One collection: a thousand single patches would take seconds.
-    axes.add_collection(PolyCollection(swept, facecolor=_SWEPT, edgecolor=_SWEPT, lw=0.6, zorder=1))
+    # One collection: a thousand single patches would take seconds. No edges: positions overlap.
+    axes.add_collection(PolyCollection(swept, facecolor=_SWEPT, edgecolor="none", zorder=1))
     axes.autoscale_view()
     # A record that is cut short may not hold a length yet.
     longest = max((stage.everted_length_cm for stage in stages), default=0.0) or 1.0
