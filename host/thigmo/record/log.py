@@ -182,4 +182,6 @@ def read_log(path: Path) -> Log:
     except (EndOfFile, McapError, CRCValidationError, ZstdError, struct.error, ValueError):
         # A writer that was killed leaves a last record that is cut anywhere.
         truncated = True
+    except (OverflowError, MemoryError):
+        truncated = True  # a flipped bit made a record's length absurd
     return Log(entries, notes, metadata, truncated)
