@@ -1,4 +1,4 @@
-"""A dowel that stops the tip: the run notices that sensors do not evert, and does not grow on."""
+"""A dowel that stops the tip or bends it aside: the run notices, and does not grow on."""
 
 from __future__ import annotations
 
@@ -34,3 +34,26 @@ def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
     again = replay(result.folder).document
     assert again.contacts == document.contacts
     assert again.error_x_cm == document.error_x_cm
+
+
+@pytest.mark.parametrize(("x", "y", "seed"), [(34.0, 0.3, 1), (18.4, 1.3, 2), (27.3, -1.6, 3)])
+def test_a_peg_that_bends_the_tip_aside_is_placed_and_backed_off_from(
+    tmp_path: Path, x: float, y: float, seed: int
+) -> None:
+    scene = Scene.load("default")
+    scene.pegs = [PegTable(x=x, y=y, radius=0.7)]
+    file = tmp_path / "room.toml"
+    file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    result = explore(f"emulator://{file}", seed=seed, out=tmp_path)
+    document = result.document
+    assert document.outcome == "peg ahead"
+    (contact,) = document.contacts
+    (true,) = document.truth.contacts if document.truth else []
+    assert document.error_cm is not None
+    assert document.error_cm < 1.5
+    assert contact.interval_cm[0] <= true.arc_cm <= contact.interval_cm[1]
+    assert document.missed == document.false == []
+    assert result.length_cm == pytest.approx(x // 10 * 10, abs=0.1)  # the stage before the peg
+    (obstacle,) = read_obstacles(result.folder / OBSTACLES_FILE).obstacles
+    assert obstacle.body_side == ("left" if y > 0 else "right")
+    assert replay(result.folder).document.contacts == document.contacts

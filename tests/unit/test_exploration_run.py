@@ -81,6 +81,9 @@ class Script:
             raise CommandRefusedError("zeroing ended early", "wait", reason="drifting")
         return 0
 
+    def zeros(self) -> tuple[Any, Any]:
+        return np.zeros(10), np.zeros(10)
+
     def status(self) -> Any:
         settled = self.young if self.clock > self.settles_at else 0
         return SimpleNamespace(everted=self.young, settled=settled)

@@ -13,8 +13,8 @@ from thigmo.exploration.known import fused
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     fold_moment,
+    held_sides,
     measuring_pressure,
-    opposed_sides,
     touch_curvature,
 )
 from thigmo.exploration.reference import FreeResponse
@@ -65,14 +65,14 @@ def test_only_what_holds_the_bend_back_is_a_touch(side: Side) -> None:
     back = -1 if side == "left" else 1
     trigger = ContactTrigger(side, 0.0, 0.006 * back)
     held = SweepResult([trigger], frames=_half(side, 0.002 * back, 6.0, noise=4e-4))
-    assert opposed_sides(held) == {side}
+    assert held_sides(held) == {side}
     onset = touch_curvature(held.frames, side)
     assert onset is not None
     assert abs(onset) == pytest.approx((6.0 + 2.5) / 600, rel=0.1)
     further = SweepResult([trigger], frames=_half(side, -0.002 * back, 6.0, noise=4e-4))
-    assert opposed_sides(further) == set()
+    assert held_sides(further) == set()
     assert touch_curvature(further.frames, side) is None
-    assert opposed_sides(SweepResult(frames=held.frames)) == set()  # the board saw nothing
+    assert held_sides(SweepResult(frames=held.frames)) == set()  # the board saw nothing
 
 
 def _free_sweep(gain: float, constant: float, rng: np.random.Generator) -> SweepResult:

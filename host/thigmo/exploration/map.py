@@ -8,11 +8,12 @@ from math import hypot
 import numpy as np
 
 from thigmo.config import RobotConfig
+from thigmo.exploration.deflection import Deflection
 from thigmo.exploration.eversion import Stall
 from thigmo.exploration.feel import Felt, arc_grid
 from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
 from thigmo.exploration.prior import PriorMap
-from thigmo.exploration.workspace import place_contact
+from thigmo.exploration.workspace import Bend, place_contact, ramp_knots
 from thigmo.record import MapContact, TrueContact
 
 # Two contacts are one if they differ by less than this many standard deviations in the plane...
@@ -66,7 +67,7 @@ class ContactMap:
         self._placed.append(alone)
 
     def add_ahead(self, stall: Stall) -> None:
-        """Take what stopped the tip's growth, unless it is something that was felt before."""
+        """Take what stopped the tip's growth, which may have been felt before."""
         radius = self.config.body.radius_cm
         low, high = stall.interval_cm
         # Anywhere in the interval along the path, and anywhere across the tip's face.
@@ -86,10 +87,51 @@ class ContactMap:
             model="stalled growth: sensors that were due did not evert",
             readings=stall.sensors,
         )
-        if any(_apart(known, ahead) < _SAME_SIGMA for known in self._placed):
-            return
+        self._add_met(ahead)
+
+    def add_leaning(self, leaning: Deflection) -> None:
+        """Take what growth bent the body on, which may have been felt before."""
+        knots = ramp_knots([(leaning.arc_cm, leaning.force_per_cm2)])
+        placed = place_contact(
+            Bend(leaning.length_cm, 0.0, knots),
+            leaning.arc_cm,
+            leaning.force_per_cm2,
+            leaning.interval_cm,
+            radius_cm=self.config.body.radius_cm,
+            curvature_se=leaning.curvature_se,
+        )
+        low, high = leaning.interval_cm
+        self._add_met(
+            MapContact(
+                arc_cm=leaning.arc_cm,
+                x_cm=placed.x_cm,
+                y_cm=placed.y_cm,
+                force_per_cm2=leaning.force_per_cm2,
+                interval_cm=leaning.interval_cm,
+                status="localized" if high - low <= WIDEST_CM else "ambiguous",
+                everted_length_cm=leaning.length_cm,
+                side="",
+                normal_rad=placed.normal_rad,
+                covariance_cm2=placed.covariance_cm2,
+                track=placed.track,
+                model="growth bent the body: its zeros moved",
+                readings=leaning.sensors,
+            )
+        )
+
+    def _add_met(self, met: MapContact) -> None:
+        """A contact without a posterior along the body: growth met it. Of two, the surer stays."""
+        if self.prior:
+            met = replace(met, known=self.prior.match(met))
+        for index, known in enumerate(self._placed):
+            if _apart(known, met) < _SAME_SIGMA:
+                if _rank(met) < _rank(known):
+                    lengths = [*known.merged, known.everted_length_cm]
+                    self._pegs[index] = []
+                    self._placed[index] = replace(met, merged=lengths)
+                return
         self._pegs.append([])
-        self._placed.append(replace(ahead, known=self.prior.match(ahead)) if self.prior else ahead)
+        self._placed.append(met)
 
     def _agree(self, index: int, felt: Felt) -> bool:
         """Whether one place explains a known peg's posterior and a new one better than two do.
@@ -98,7 +140,7 @@ class ContactMap:
         mode at the known peg and another elsewhere is the known peg.
         """
         if not self._pegs[index]:
-            return False  # what stopped the tip has no posterior along the body
+            return False  # what growth met has no posterior along the body
         mass = fused(arc_grid(self.config.body.length_cm), [f.mass for f in self._pegs[index]])
         return float(mass @ felt.mass) * len(mass) > 1.0
 

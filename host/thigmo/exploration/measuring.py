@@ -31,11 +31,10 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
     )
 
 
-def opposed_sides(sweep: SweepResult) -> set[Side]:
-    """Sides on which the board's trigger fired for something that held the bend back.
+def held_sides(sweep: SweepResult) -> set[Side]:
+    """Sides on which the board's trigger fired, and the base was held back as far for a while.
 
-    A peg in the way of a bend can only hold it back. A base that bends further than the map says
-    is the map's error, or the sensor's.
+    The board answers within milliseconds, so noise can fire it; a peg holds on.
     """
     fired = {trigger.side for trigger in sweep.triggers}
     return {

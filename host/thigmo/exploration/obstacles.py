@@ -134,8 +134,8 @@ def _obstacle(contact: MapContact) -> Obstacle:
 
 
 def _body_side(contact: MapContact) -> str:
-    if contact.side == "":
-        return "tip"
+    if contact.force_per_cm2 == 0:
+        return "tip"  # it stopped the growth, and bent nothing
     return "right" if contact.force_per_cm2 > 0 else "left"
 
 

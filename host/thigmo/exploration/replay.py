@@ -18,6 +18,7 @@ import numpy as np
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
+from thigmo.exploration.deflection import deflection
 from thigmo.exploration.eversion import stall
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.missed import judged
@@ -112,6 +113,7 @@ class _Reader:
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._zero_sum = np.full(SENSORS, np.nan)
+        self._zero_before = self._zero_sum
         self.oversample = 16
         self._zone = 0
         self._status: wire.StatusReport | None = None
@@ -158,6 +160,8 @@ class _Reader:
                 self._enabled[message.index - _ENABLED] = message.value
             case wire.ParameterValue() if message.index == _OVERSAMPLE:
                 self.oversample = 1 << message.value
+            case wire.ZeroSensors():
+                self._zero_before = self._zero_sum.copy()
             case wire.SensorReport() if message.flags & _ZEROED:
                 self._zero_sum[message.sensor] = message.zero_sum_q8 / 256
             case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
@@ -181,6 +185,15 @@ class _Reader:
                 self._swept = True
             case wire.Snapshot() if message.index < message.count and self.sweeps:
                 self._snapshot(message)
+
+    def zeros(self) -> tuple[Floats, Floats]:
+        """The zeros before the last zeroing and after it, as `Robot.zeros`."""
+        table = SensorTable.of(self._config)
+        before, after = (
+            table.scale_per_ohm * table.resistance(zeros, self.oversample)
+            for zeros in (self._zero_before, self._zero_sum)
+        )
+        return before, after
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6
@@ -256,9 +269,11 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
         pressure = config.body.zones[sweep.zone].pressure_psi
         stages.append(stage_entry(sweep.length_cm, pressure, sweep.t_s, result, felt))
     if reader.backed_off:
-        stalled = stall(*reader.growth.profile(table, reader.oversample), table)
-        if stalled is not None:
+        grown = reader.growth.profile(table, reader.oversample)
+        if (stalled := stall(*grown, table)) is not None:
             found.add_ahead(stalled)
+        elif (leaning := deflection(*grown, *reader.zeros(), table)) is not None:
+            found.add_leaning(leaning)
     document = judged(_document(folder, log, found.contacts, stages), config, prior)
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")

@@ -13,13 +13,14 @@ from typing import Literal
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError
+from thigmo.exploration.deflection import Deflection, deflection
 from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.map import ContactMap, peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
+    held_sides,
     measuring_pressure,
-    opposed_sides,
     pressed_enough,
 )
 from thigmo.exploration.missed import judged, met_ahead
@@ -39,6 +40,7 @@ from thigmo.robot import (
     rising_period_s,
     sweep_period_s,
 )
+from thigmo.robot.readings import Floats
 
 _MOST_ZERO_TRIES = 5
 _ALL = (1 << SENSORS) - 1
@@ -102,6 +104,7 @@ class Exploration:
         self._start_cm = 0.0  # length at which the stage's growth began
         self._growth = GrowthWatcher()
         self._stall: Stall | None = None
+        self._deflection: Deflection | None = None
         self._known: set[Side] = set()  # sides whose contact the sweep that found it has placed
         self._zero_tries = 0
         self._lengths = stage_lengths(config)
@@ -193,24 +196,29 @@ class Exploration:
         target = growth_target(self.config, self.length_cm, self.stage_cm)
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
-            profile = self._growth.profile(SensorTable.of(self.config), self.robot.oversample)
-            self._stall = stall(*profile, SensorTable.of(self.config))
+            self._stall = stall(*self._grown(), SensorTable.of(self.config))
             if self._stall is not None:
                 return "no eversion"
         return "whole pitch" if target == self.stage_cm else "pressure boundary"
 
+    def _grown(self) -> tuple[Floats, Floats]:
+        """Lengths of the stage's growth, and what the sensors read at each."""
+        return self._growth.profile(SensorTable.of(self.config), self.robot.oversample)
+
     def _back_off(self) -> str:
-        """Put what stopped the tip on the map, and wind the slack in, to the stage before.
+        """Put what stopped or bent the tip on the map, and wind in, to the stage before.
 
         There every sensor is where the encoder says, and the tip is clear of the peg.
         """
-        assert self._stall is not None
         truth = self.robot.truth()
         if truth is not None:
             known = self.document.truth.contacts if self.document.truth else []
-            met = met_ahead(truth.pegs, self._stall.tip_cm)
+            met = met_ahead(truth.pegs, self._stall.tip_cm) if self._stall else truth.contacts
             self.document = replace(self.document, truth=Truth(truth.pegs, [*known, *met]))
-        self.map.add_ahead(self._stall)
+        if self._stall is not None:
+            self.map.add_ahead(self._stall)
+        if self._deflection is not None:
+            self.map.add_leaning(self._deflection)
         self.length_cm = self.robot.retract_to(self._start_cm)
         document = replace(self.document, contacts=self.map.contacts, outcome="peg ahead")
         self.document = judged(document, self.config, self.prior)
@@ -233,7 +241,11 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        return "zeroed after sweep" if self.swept else "zeroed after growth"
+        if self.swept:
+            return "zeroed after sweep"
+        table = SensorTable.of(self.config)
+        self._deflection = deflection(*self._grown(), *self.robot.zeros(), table)
+        return "zeroed after growth" if self._deflection is None else "held bent"
 
     def _zeroed(self) -> bool:
         """Zero the sensors; False after a pause if they drift."""
@@ -264,7 +276,7 @@ class Exploration:
         )
         self.swept = True
         self.measuring = None
-        fired = opposed_sides(self.sweep)
+        fired = held_sides(self.sweep)
         if not fired:
             return "no contact"
         if thesis:
@@ -306,7 +318,7 @@ class Exploration:
 
     def _measure(self) -> str:
         assert self.sweep is not None
-        fired = opposed_sides(self.sweep) - self._known
+        fired = held_sides(self.sweep) - self._known
         left, right = (
             measuring_pressure(self.sweep.frames, side, self.config, self.zone)
             if side in fired

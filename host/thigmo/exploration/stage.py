@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.exploration.feel import Feeling, feel
-from thigmo.exploration.measuring import held_back, opposed_sides, touch_curvature
+from thigmo.exploration.measuring import held_back, held_sides, touch_curvature
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
@@ -25,7 +25,7 @@ _TOUCH_MARGIN = 1.3 * TRIGGER_PER_CM
 # A 95 % interval this narrow ends a sweep: less than the tube's diameter. Contacts on the tip's end
 # need it: at 5 cm they were 0.8 cm farther off, for 7 s of robot time less.
 ENOUGH_CM = 3.0
-_BENT_FURTHER = "the base bent further than the map says: an error of the map, and no peg"
+_NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
 
 
 class Interpreter:
@@ -50,7 +50,7 @@ class Interpreter:
             measuring: the one that measured, whose peaks count before the first one's.
             zone: index of the body-pressure zone.
         """
-        fired = opposed_sides(sweep)
+        fired = held_sides(sweep)
         measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
         feelings = []
         table = SensorTable.of(self._config)
@@ -119,7 +119,7 @@ def stage_entry(
                 t.t_s,
                 t.excess_per_cm,
                 by_side[t.side].status if t.side in by_side else "no contact",
-                by_side[t.side].message if t.side in by_side else _BENT_FURTHER,
+                by_side[t.side].message if t.side in by_side else _NOT_HELD,
             )
             for t in sweep.triggers
         ],
@@ -134,10 +134,10 @@ def stage_entry(
 def _free_shapes(length_cm: float, sweep: SweepResult) -> list[Shape]:
     """A dozen shapes of each half sweep, as far as nothing was touched."""
     shapes = []
-    opposed = opposed_sides(sweep)
+    held = held_sides(sweep)
     for side in SIDES:
         mine = [f for f in sweep.frames if f.side == side]
-        free = [f for f in mine if not f.touched] if side in opposed else mine
+        free = [f for f in mine if not f.touched] if side in held else mine
         top = max((f.pressure_psi for f in free), default=0.0)
         kept = 0
         for frame in sorted(free, key=lambda f: f.pressure_psi):

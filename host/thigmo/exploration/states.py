@@ -57,6 +57,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.BACK_OFF, "peg ahead", State.FINISH),
     Transition(State.SETTLE, "settled", State.ZERO),
     Transition(State.ZERO, "drifting", State.SETTLE),
+    Transition(State.ZERO, "held bent", State.BACK_OFF),
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),
     Transition(State.ZERO, "zeroed after sweep", State.PLAN),
     Transition(State.SWEEP, "contact", State.REST),

@@ -57,7 +57,7 @@ class MapContact:
         interval_cm: 95 % interval of the arc.
         status: "localized" or "ambiguous".
         everted_length_cm: stage at which it was felt.
-        side: active muscle; empty for a peg that stopped the tip's growth.
+        side: active muscle; empty for a peg that growth met: it stopped the tip, or bent it aside.
         normal_rad: direction from the centreline to the contact point.
         covariance_cm2: of (x, y), from the interval along the body and the shape's uncertainty.
         track: the interval drawn along the skin, low end to high end.

@@ -107,6 +107,7 @@ class Robot:
         self.config = RobotConfig()
         self._table = SensorTable.of(self.config)
         self._zero_sum: Floats = np.full(SENSORS, np.nan)
+        self._zero_before = self._zero_sum
         self._oversample = 16
         self._started = client.now()
         self._aside = 0
@@ -499,6 +500,7 @@ class Robot:
         enabled = np.flatnonzero(self._table.healthy)
         mask = self.status().everted & int(sum(1 << int(sensor) for sensor in enabled))
         mask &= ~self._aside
+        self._zero_before = self._zero_sum.copy()
         if mask:
             self._start(wire.ZeroSensors(mask))
             self._watch.finish(wire.Activity.ZEROING, 20.0)
@@ -507,6 +509,17 @@ class Robot:
                 report = self._client.request(wire.GetSensor(sensor))
                 self._zero_sum[sensor] = report.zero_sum_q8 / 256
         return mask
+
+    def zeros(self) -> tuple[Floats, Floats]:
+        """The zeros before the last zeroing and after it, (10,) each; NaN where there is none.
+
+        In 1/cm, from where `GrowthWatcher.profile` counts.
+        """
+        before, after = (
+            self._table.scale_per_ohm * self._table.resistance(zeros, self._oversample)
+            for zeros in (self._zero_before, self._zero_sum)
+        )
+        return before, after
 
     def read(self, seconds: float = 0.5) -> Reading:
         """Average telemetry over a while.

@@ -1,0 +1,94 @@
+"""Whether growth left the body straight, by the zeros: a peg ahead may bend the tip aside.
+
+A tip that meets a peg off its middle is not stopped but slides round it, and the vented robot then
+leans on the peg with its side. Zeroed so, every later reading would be wrong by that bend. But a
+zero, taken of the same sensor at the last stage, moves by its noise only: one that moves by more
+says that the body is held bent. The encoder says where: it was bent when the tip passed the peg.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.robot import SensorTable
+from thigmo.robot.readings import Floats
+
+# Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
+# held bent; what is left of an eversion's creep is less.
+_SIGMAS = 4.0
+_SMOOTH = 5  # frames of a running median, a quarter of a second
+# The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
+# on its way from the near face to the middle: up to a peg's radius before, which is not known.
+_BACK_CM, _ON_CM = 1.0, 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Deflection:
+    """A body that leans on a peg while nothing inflates it.
+
+    Attributes:
+        length_cm: everted length.
+        arc_cm: where it leans, by the best guess.
+        interval_cm: it is within these.
+        force_per_cm2: of the peg, over EI; positive bends to the left.
+        curvature_se: standard error of the bend, 1/cm.
+        sensors: how many tell so.
+    """
+
+    length_cm: float
+    arc_cm: float
+    interval_cm: tuple[float, float]
+    force_per_cm2: float
+    curvature_se: float
+    sensors: int
+
+
+def deflection(
+    length_cm: Floats, bend: Floats, before: Floats, after: Floats, table: SensorTable
+) -> Deflection | None:
+    """What a growth's readings and the zeros around it say of the body; None if it is straight.
+
+    Args:
+        length_cm: (n,) believed lengths, ascending.
+        bend: (n, 10) what the sensors read there, 1/cm, from any zero.
+        before, after: (10,) the zeros before and after the growth, from the same; NaN where a
+            sensor has none.
+        table: where the sensors are, and their noise.
+    """
+    if len(length_cm) < _SMOOTH:
+        return None
+    moved = after - before
+    known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
+    for way in (1, -1):
+        use = known & ((table.direction == 0) | (table.direction == way))
+        count = int(use.sum())
+        if count == 0:
+            continue
+        together = way * float((moved[use] / table.noise[use]).sum()) / np.sqrt(count)
+        if together < _SIGMAS:
+            continue
+        passing = _half_bent(length_cm, bend[:, use] - before[use], moved[use])
+        if passing is None:
+            continue  # the zeros moved after the growth
+        low, high = passing - _BACK_CM, min(passing + _ON_CM, float(length_cm[-1]))
+        arc = (low + high) / 2
+        lever = np.maximum(arc - table.center_cm[use], 0.0)
+        if not lever.any():
+            continue
+        force = float(lever @ moved[use] / (lever @ lever))
+        noise = float(table.noise[use].mean() / np.sqrt(count))
+        return Deflection(float(length_cm[-1]), arc, (low, high), force, noise, count)
+    return None
+
+
+def _half_bent(length_cm: Floats, bend: Floats, moved: Floats) -> float | None:
+    """Length up to which a growth showed less than half of the bend; None if it never did more."""
+    share = bend @ moved / (moved @ moved)
+    padded = np.pad(share, _SMOOTH // 2, mode="edge")
+    smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, _SMOOTH), axis=1)
+    below = np.flatnonzero(smooth < 0.5)
+    if not below.size:
+        return float(length_cm[0])  # it leant before: the last bend pushed it beside the peg
+    return float(length_cm[below[-1]]) if below[-1] < len(share) - _SMOOTH else None

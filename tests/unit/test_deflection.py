@@ -1,0 +1,42 @@
+"""Zeros that move while the robot grows say that it leans on a peg; zeros that creep do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thigmo.config import RobotConfig
+from thigmo.exploration.deflection import Deflection, deflection
+from thigmo.robot import SensorTable
+from thigmo.robot.readings import Floats
+
+TABLE = SensorTable.of(RobotConfig())
+LENGTHS = np.linspace(30.0, 40.0, 120)
+_KNOWN = (0, 1, 5, 6)  # zeroed before, at 5 and 15 cm of either side
+
+
+def _grown(force: float, met_cm: float, creep: float = 0.0) -> Deflection | None:
+    """A growth in which a peg at `met_cm` bends the body; `creep` moves the zeros only after it."""
+    rng = np.random.default_rng(3)
+    before: Floats = np.full(10, np.nan)
+    before[list(_KNOWN)] = rng.normal(0.0, 0.4, len(_KNOWN))
+    lever = np.maximum(met_cm - TABLE.center_cm, 0.0)
+    bent = np.clip((LENGTHS - met_cm) / 1.0 + 0.5, 0.0, 1.0)[:, None] * force * lever
+    readings = np.nan_to_num(before) + bent + rng.normal(0.0, 3e-4, bent.shape)
+    after = np.nan_to_num(before) + force * lever + creep
+    return deflection(LENGTHS, readings, before, after, TABLE)
+
+
+@pytest.mark.parametrize("force", [2e-4, -2e-4])
+def test_a_body_that_was_bent_while_it_grew_leans_where_the_bend_appeared(force: float) -> None:
+    found = _grown(force, 34.0)
+    assert found is not None
+    assert found.interval_cm[0] < 34.0 < found.interval_cm[1]
+    assert found.arc_cm == pytest.approx(34.0, abs=0.5)
+    assert found.force_per_cm2 == pytest.approx(force, rel=0.1)
+
+
+def test_a_straight_body_and_zeros_that_creep_are_no_lean() -> None:
+    assert _grown(0.0, 34.0) is None
+    assert _grown(3e-6, 34.0) is None
+    assert _grown(0.0, 34.0, creep=5e-3) is None  # moved, but not while the robot grew
