@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomlkit
 import yaml
 from PIL import Image
 
@@ -25,7 +24,7 @@ FOUND = ("localized", "ambiguous")
 
 
 def _write(scene: Scene, path: Path) -> Path:
-    path.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    scene.save(path)
     return path
 
 

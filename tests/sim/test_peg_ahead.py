@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import tomlkit
 
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, replay
@@ -20,7 +19,7 @@ def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
     scene.start_length_cm = 38.0
     scene.pegs = [PegTable(x=44.0, y=0.3, radius=0.8)]
     file = tmp_path / "room.toml"
-    file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    scene.save(file)
     result = explore(f"emulator://{file}", seed=seed, out=tmp_path)
     document = result.document
     assert document.outcome == "peg ahead"
@@ -43,7 +42,7 @@ def test_a_peg_that_bends_the_tip_aside_is_placed_and_backed_off_from(
     scene = Scene.load("default")
     scene.pegs = [PegTable(x=x, y=y, radius=0.7)]
     file = tmp_path / "room.toml"
-    file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    scene.save(file)
     result = explore(f"emulator://{file}", seed=seed, out=tmp_path)
     document = result.document
     assert document.outcome == "peg ahead"

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomlkit
 
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult, explore, replay
@@ -21,7 +20,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Scene.load("mid_body")
     scene.start_length_cm = 38.0
     file = tmp_path_factory.mktemp("room") / "room.toml"
-    file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    scene.save(file)
     return file
 
 

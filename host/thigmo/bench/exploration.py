@@ -81,8 +81,6 @@ def random_room(seed: int) -> Room:
 
 def visit(room: Room) -> Explored:
     """Explore a room."""
-    import tomlkit
-
     scene = Scene.load("default")
     scene.pegs = []
     if room.peg is not None:
@@ -94,7 +92,7 @@ def visit(room: Room) -> Explored:
                 setattr(part, name, value * room.noise)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "room.toml"
-        file.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+        scene.save(file)
         try:
             result = explore(f"emulator://{file}", seed=room.seed, out=folder)
         except ThigmoError as error:

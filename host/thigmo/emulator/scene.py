@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import tomlkit
 from pydantic import Field, model_validator
 
 from thigmo.config import (
@@ -231,6 +232,10 @@ class Scene(Model):
         if scene.name == "unnamed":
             scene.name = path.stem
         return scene
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene as TOML, with every entry that has a value."""
+        Path(path).write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
 
     def peg_list(self) -> tuple[Peg, ...]:
         """The pegs, for the mechanics."""

@@ -189,11 +189,8 @@ class _Reader:
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
         table = SensorTable.of(self._config)
-        before, after = (
-            table.scale_per_ohm * table.resistance(zeros, self.oversample)
-            for zeros in (self._zero_before, self._zero_sum)
-        )
-        return before, after
+        before = table.unzeroed(self._zero_before, self.oversample)
+        return before, table.unzeroed(self._zero_sum, self.oversample)
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6

@@ -179,9 +179,11 @@ def read_log(path: Path) -> Log:
         if not topics:
             raise RunFolderError(f"{path} is not an MCAP file", "give a run folder") from error
         truncated = True
-    except (EndOfFile, McapError, CRCValidationError, ZstdError, struct.error, ValueError):
-        # A writer that was killed leaves a last record that is cut anywhere.
+    except (
+        EndOfFile, McapError, CRCValidationError, ZstdError, struct.error, ValueError,
+        OverflowError, MemoryError,
+    ):  # fmt: skip
+        # A writer that was killed leaves a last record that is cut anywhere; a flipped bit can make
+        # a record's length absurd.
         truncated = True
-    except (OverflowError, MemoryError):
-        truncated = True  # a flipped bit made a record's length absurd
     return Log(entries, notes, metadata, truncated)

@@ -42,5 +42,4 @@ class GrowthWatcher:
         """Lengths (n,) in cm, and what each sensor read there, (n, 10) in 1/cm, without a zero."""
         sums: Floats = np.asarray(self.flex_sum, dtype=np.float64)
         sums = sums.reshape(-1, len(table.center_cm))
-        resistance = table.resistance(sums, oversample)
-        return np.asarray(self.length_cm), table.scale_per_ohm * resistance
+        return np.asarray(self.length_cm), table.unzeroed(sums, oversample)

@@ -88,6 +88,13 @@ class SensorTable:
         result: Floats = self.scale_per_ohm * (now - zero)
         return result
 
+    def unzeroed(self, flex_sum: Floats, oversample: int) -> Floats:
+        """Sums (..., 10) in 1/cm from no resistance on, of which only differences mean something.
+
+        So zeros are compared from one zeroing to the next; NaN where there is none.
+        """
+        return np.asarray(self.scale_per_ohm * self.resistance(flex_sum, oversample))
+
     def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
         """Sensors to localize with while a muscle is inflated.
 

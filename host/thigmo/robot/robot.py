@@ -515,11 +515,8 @@ class Robot:
 
         In 1/cm, from where `GrowthWatcher.profile` counts.
         """
-        before, after = (
-            self._table.scale_per_ohm * self._table.resistance(zeros, self._oversample)
-            for zeros in (self._zero_before, self._zero_sum)
-        )
-        return before, after
+        before = self._table.unzeroed(self._zero_before, self._oversample)
+        return before, self._table.unzeroed(self._zero_sum, self._oversample)
 
     def read(self, seconds: float = 0.5) -> Reading:
         """Average telemetry over a while.

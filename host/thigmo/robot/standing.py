@@ -111,10 +111,7 @@ class StandingWatch:
     def _read(self, sensor: int, sums: Floats) -> Floats:
         every = np.zeros((len(sums), len(self._ends)))
         every[:, sensor] = sums
-        read: Floats = (
-            self._table.scale_per_ohm * self._table.resistance(every, self._oversample)
-        )[:, sensor]
-        return read
+        return np.asarray(self._table.unzeroed(every, self._oversample)[:, sensor])
 
     def curvature(self, flex_sum: Floats, at_s: float, sensors: int) -> tuple[Floats, Floats]:
         """Young sensors' curvature (10,) at a measurement and its added noise; NaN where unknown.
@@ -125,5 +122,5 @@ class StandingWatch:
             sensors: mask of those wanted.
         """
         value, sigma = self.rest(at_s, sensors)
-        now = self._table.scale_per_ohm * self._table.resistance(flex_sum, self._oversample)
+        now = self._table.unzeroed(flex_sum, self._oversample)
         return now - value, sigma

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import tomlkit
 
 import thigmo
 from thigmo.calibrate import guided
@@ -30,7 +29,7 @@ class Lab:
         for key, value in changes.items():
             setattr(scene, key, value)
         path = tmp_path / "scene.toml"
-        path.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+        scene.save(path)
         self.robot = thigmo.connect(f"emulator://{path}", seed=2)
         self.pictures = 0
         self.shove_after = 10**9

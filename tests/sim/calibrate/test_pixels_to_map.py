@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomlkit
 
 import thigmo
 from thigmo.calibrate import guided
@@ -38,7 +37,7 @@ def unknown_robot(seed: int) -> Scene:
 
 
 def save(scene: Scene, path: Path) -> str:
-    path.write_text(tomlkit.dumps(scene.model_dump(mode="json", exclude_none=True)))
+    scene.save(path)
     return f"emulator://{path}"
 
 
