@@ -28,14 +28,14 @@ def test_a_study_spreads_over_a_cluster_and_keeps_its_order() -> None:
         try:
             seen: list[int] = []
             context = Context(
-                backend="dask", jobs=2, progress=lambda done, total: seen.append(done)
+                backend="dask", jobs=2, progress=lambda part, done, total: seen.append(done)
             )
             found = context.map(work, range(12))
         finally:
             client.close()
     assert [value for value, _ in found] == [work(item)[0] for item in range(12)]
     assert os.getpid() not in {process for _, process in found}
-    assert seen == list(range(1, 13))
+    assert seen == list(range(13))
 
 
 def test_no_scheduler_is_an_error_that_says_how_to_start_one() -> None:

@@ -7,15 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from thigmo.bench import STUDIES, Context, load
+from thigmo.bench import STUDIES, Context, Outcome, load
 from thigmo.bench.attempt import attempt
+from thigmo.bench.calibration import batches, root_mean, share_error
 from thigmo.bench.exploration import Room, visit
 from thigmo.bench.scenes import SCENES
 from thigmo.bench.speed_accuracy import Score, pareto
 from thigmo.bench.stability import STRESSES
-from thigmo.bench.study import Claim, Outcome, Table, write
+from thigmo.bench.study import Claim, Table, write
 from thigmo.bench.truth import readings
+from thigmo.cli.main import app
+from thigmo.cli.study_progress import lines
 from thigmo.errors import RunFolderError
 from thigmo.mechanics import push
 
@@ -88,6 +92,56 @@ def test_claims_know_their_direction() -> None:
 
 def test_work_goes_to_processes_in_order() -> None:
     assert Context(jobs=2).map(abs, [-3, 2, -1]) == [3, 2, 1]
+
+
+def test_a_stopped_study_leaves_its_finished_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(context: Context) -> Outcome:
+        context.map(abs, [-1, 2], "first")
+        context.save(Outcome([Table("first", ("x",), [(1,)])], {}, [Claim("c", 1.0, 2.0)]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("thigmo.bench.load", lambda name: stopped)
+    done = CliRunner().invoke(app, ["bench", "calibration", "--out", str(tmp_path), "--json"])
+    assert done.exit_code == 130
+    assert f"finished parts are in {tmp_path}/calibration-*" in done.stderr
+    assert "calibration, first: 2/2" in done.stderr
+    assert json.loads((tmp_path / "calibration-first.json").read_text()) == [{"x": 1}]
+    assert json.loads((tmp_path / "calibration-claims.json").read_text())[0]["value"] == 1.0
+
+
+def test_progress_on_a_pipe_is_a_line_now_and_then_with_what_is_left() -> None:
+    now, told = 0.0, []
+    tell = lines(told.append, lambda: now)
+    for done in range(101):
+        now = 0.5 * done
+        tell("part", done, 100)
+    assert told[:3] == [
+        "part: 0/100, 0 s",
+        "part: 20/100, 10 s, about 40 s left",
+        "part: 40/100, 20 s, about 30 s left",
+    ]
+    assert told[-1] == "part: 100/100, 50 s"
+    assert len(told) == 6
+
+
+def test_batches_make_up_their_count() -> None:
+    for count in (1, 25, 60, 1000):
+        parts = batches(count)
+        assert sum(size for _, size in parts) == count
+        assert [number for number, _ in parts] == list(range(len(parts)))
+
+
+def test_stated_standard_errors_are_the_spread_over_repeats() -> None:
+    rng = np.random.default_rng(5)
+    squares = rng.standard_normal((4000, 300)) ** 2
+    roots = [root_mean(row) for row in squares]
+    assert np.std([r for r, _ in roots]) == pytest.approx(np.mean([e for _, e in roots]), rel=0.05)
+    shares = rng.binomial(400, 0.05, 4000) / 400
+    stated = [share_error(float(share), 400) for share in shares]
+    assert np.std(shares) == pytest.approx(np.mean(stated), rel=0.1)
+    assert share_error(0.0, 400) > 0
 
 
 @pytest.mark.parametrize("name", list(STUDIES))

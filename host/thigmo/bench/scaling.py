@@ -85,7 +85,7 @@ def run(context: Context) -> Outcome:
                 return several_contacts(y, x, LENGTH, contacts=c)
 
             by_sensors.append((contacts, sensors, _median_us(fit, repeats)))
-            context.progress(len(by_sensors), 3 * len(SENSORS))
+            context.progress("fits", len(by_sensors), 3 * len(SENSORS))
 
     by_batch: list[tuple[int, str, float]] = []
     cases = [one_contact(np.random.default_rng([context.seed, i])) for i in range(BATCHES[-1])]
@@ -99,6 +99,7 @@ def run(context: Context) -> Outcome:
             partial(localize_batch, some, where, length=LENGTH, span=SPAN, noise=SIGMA), times
         )
         by_batch += [(size, "exact L1 fit", fit_only / size), (size, "localize", whole / size)]
+        context.progress("batches", len(by_batch) // 2, len(BATCHES))
 
     ten = cases[0]
     pair = two_contacts(context.rng(1))

@@ -47,7 +47,8 @@ def _case_scores(task: tuple[str, int, int, tuple[str, ...]]) -> list[tuple[floa
 def score(context: Context, scene: str, methods: tuple[str, ...], cases: int) -> list[Score]:
     """Run the methods over random cases of one kind of scene."""
     _case_scores((scene, context.seed, cases, methods))  # compiles; not counted
-    rows = context.map(_case_scores, [(scene, context.seed, i, methods) for i in range(cases)])
+    tasks = [(scene, context.seed, i, methods) for i in range(cases)]
+    rows = context.map(_case_scores, tasks, scene)
     table = np.array(rows)  # (cases, methods, 2)
     exact = float(np.median(table[:, methods.index("exact"), 1]))
     scores = []
@@ -155,13 +156,14 @@ def run(context: Context) -> Outcome:
     # The remedies for a folded base differ from the solver behind them only where one folds.
     methods = tuple(m for m in METHODS if m not in ("clamped", "coupled"))
     cases = context.count(12, 200)
-    scores = [s for scene in SCENES for s in score(context, scene, methods, cases)]
-    table = Table(
-        "methods",
-        tuple(Score.__annotations__),
-        [tuple(vars(s).values()) for s in scores],
-    )
-    outcome = Outcome([table], {"chart": chart(scores)})
+    scores: list[Score] = []
+    table = Table("methods", tuple(Score.__annotations__), [])
+    outcome = Outcome([table])
+    for scene in SCENES:
+        scores += score(context, scene, methods, cases)
+        table.rows[:] = [tuple(vars(s).values()) for s in scores]
+        context.save(outcome)
+    outcome.figures["chart"] = chart(scores)
     by_name = {s.method: s for s in scores if s.scene == "one contact"}
     thesis = by_name["alternating-trust-constr"]
     batch = _batch_us(context)

@@ -287,35 +287,34 @@ def run(context: Context) -> Outcome:
     """The study: all stresses, all mapped methods."""
     cases = context.count(4, 40)
     outcome = Outcome()
-    tasks, shape = [], []
     for which, stress in enumerate(STRESSES):
+        methods = _usable(stress)
+        tasks, shape = [], []
         for r, row in enumerate(stress.rows):
             for c, column in enumerate(stress.columns):
                 key = c if stress.starts else r * len(stress.columns) + c
                 # A general optimiser takes up to a second from a bad start.
                 here = max(cases // 4, 1) if stress.starts else cases
-                tasks.append((which, here, row, column, context.seed, key, _usable(stress)))
-                shape.append((which, r, c))
-    cells = dict(zip(shape, context.map(_cell, tasks), strict=True))
-    for which, stress in enumerate(STRESSES):
-        methods = _usable(stress)
+                tasks.append((which, here, row, column, context.seed, key, methods))
+                shape.append((r, c))
+        cells = dict(zip(shape, context.map(_cell, tasks, stress.name), strict=True))
         means = np.empty((len(stress.rows), len(stress.columns), len(methods)))
         fails = np.empty_like(means)
         rows: list[tuple[float | str, ...]] = []
         for r, row in enumerate(stress.rows):
             for c, column in enumerate(stress.columns):
-                errors = cells[which, r, c]
+                errors = cells[r, c]
                 for m, method in enumerate(methods):
                     means[r, c, m], fails[r, c, m] = mean_and_failures(errors[:, m])
                     rows.append((method, row, column, means[r, c, m], fails[r, c, m]))
         names = ("method", stress.row_label, stress.column_label or "-", "mean_cm", "failures")
         outcome.tables.append(Table(stress.name, names, list(rows)))
+        context.save(Outcome([outcome.tables[-1]]))
         outcome.figures[stress.name] = _figure(stress, methods, means, fails)
         if stress.starts:
             columns = range(len(stress.columns))
             rows_of_cells = [
-                np.concatenate([cells[which, r, c] for c in columns])
-                for r in range(len(stress.rows))
+                np.concatenate([cells[r, c] for c in columns]) for r in range(len(stress.rows))
             ]
             outcome.figures["by-start"] = _by_start(stress, methods, rows_of_cells)
     return outcome

@@ -88,14 +88,17 @@ class Context:
         scale: "quick" for a look (a minute a study), "full" for the published figures.
         jobs: processes on this machine (ignored by the dask backend).
         backend: joblib's: "loky" (processes here) or "dask" (a cluster).
-        progress: called with (done, total) as items finish.
+        progress: called with (part, done, total) as items finish.
+        save: called with what a study has found so far, when a part of it is done: what it has of
+            tables and claims is then written, and stopping the rest loses nothing.
     """
 
     seed: int = 0
     scale: Scale = "full"
     jobs: int = 1
     backend: str = "loky"
-    progress: Callable[[int, int], None] = lambda done, total: None
+    progress: Callable[[str, int, int], None] = lambda part, done, total: None
+    save: Callable[[Outcome], None] = lambda outcome: None
 
     def count(self, quick: int, full: int) -> int:
         """Number of cases at this scale."""
@@ -105,14 +108,17 @@ class Context:
         """An independent generator for a part of a study."""
         return np.random.default_rng([self.seed, *key])
 
-    def map(self, function: Callable[[Item], Value], items: Iterable[Item]) -> list[Value]:
-        """Run a picklable function over items, in order of the items."""
+    def map(
+        self, function: Callable[[Item], Value], items: Iterable[Item], part: str = "scenes"
+    ) -> list[Value]:
+        """Run a picklable function over items, in order of the items; progress names the part."""
         todo: Sequence[Item] = list(items)
+        self.progress(part, 0, len(todo))
         results: list[Value] = []
         if self.jobs == 1 and self.backend == "loky":
             for item in todo:
                 results.append(function(item))
-                self.progress(len(results), len(todo))
+                self.progress(part, len(results), len(todo))
             return results
         from joblib import Parallel, delayed, parallel_config
 
@@ -120,7 +126,7 @@ class Context:
             calls = (delayed(function)(item) for item in todo)
             for value in Parallel(return_as="generator")(calls):
                 results.append(value)
-                self.progress(len(results), len(todo))
+                self.progress(part, len(results), len(todo))
         return results
 
 

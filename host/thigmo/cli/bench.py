@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thigmo.cli.output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from thigmo.cli.study_progress import Tell
 
 
 def register(app: typer.Typer) -> None:
@@ -39,10 +42,9 @@ def bench(
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from thigmo.bench import STUDIES, Context, load
+    from thigmo.bench import STUDIES, Context, Outcome, load
     from thigmo.bench.study import connect_cluster, write
+    from thigmo.cli.study_progress import study_progress
     from thigmo.errors import DataError
 
     names = list(studies or STUDIES)
@@ -61,19 +63,17 @@ def bench(
         raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
     cluster = connect_cluster(scheduler) if backend == "dask" and scheduler else None
     found = []
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        disable=as_json,
-    )
-    with bar:
-        for name in names:
-            task = bar.add_task(f"{name}: {STUDIES[name]}", total=None)
+    for name in names:
 
-            def progress(done: int, total: int, task: object = task) -> None:
-                bar.update(task, completed=done, total=total)  # type: ignore[arg-type]
+        def save(outcome: Outcome, name: str = name) -> None:
+            write(outcome, name, out)
+
+        with study_progress() as tell:
+
+            def progress(
+                part: str, done: int, total: int, name: str = name, tell: Tell = tell
+            ) -> None:
+                tell(f"{name}, {part}", done, total)
 
             context = Context(
                 seed=seed,
@@ -81,15 +81,19 @@ def bench(
                 jobs=jobs,
                 backend=backend,
                 progress=progress,
+                save=save,
             )
-            outcome = load(name)(context)
-            paths = write(outcome, name, out)
-            bar.update(task, completed=1, total=1)
-            found.append((name, outcome, paths))
-            if not as_json:
-                for claim in outcome.claims:
-                    bar.console.print(f"  {claim}")
-                bar.console.print(f"  wrote {len(paths)} files to {out}/{name}-*")
+            try:
+                outcome = load(name)(context)
+            except KeyboardInterrupt:
+                typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
+                raise typer.Exit(130) from None
+        paths = write(outcome, name, out)
+        found.append((name, outcome, paths))
+        if not as_json:
+            for claim in outcome.claims:
+                typer.echo(f"  {claim}")
+            typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
     if cluster is not None:
         cluster.close()
     if as_json:
