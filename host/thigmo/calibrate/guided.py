@@ -171,7 +171,8 @@ def actuator(bench: Bench) -> ActuatorResults:
             result = fit_actuator(readings)
             record = ramps[side]
             if result.verdict.good and zone == zones[-1] and record is not None:
-                lag = fit_lag(*record, result.zone, side)
+                reversal = bench.config.actuators.side(side).reversal_psi
+                lag = fit_lag(*record, result.zone, side, reversal)
                 if lag.inflate_se_s < _LAG_SE_S:
                     result = replace(result, lag=lag)
             found.append(result)

@@ -1,8 +1,10 @@
-"""Time from measured pressure to bend, from a ramp up and down with a stop at either end.
+"""Time from measured pressure to bend, from ramps up and down with a stop at either end.
 
-Air, muscle and swing of the body together pass for a first-order lag, larger on the way down than
-up. A flex sensor's own loop looks much like a lag while the pressure moves, but it stays when the
-pressure stops: both are fitted, or the lag would come out a tenth too long.
+After a dead time air and muscle act like a first-order lag, larger on the way down than up, and
+the body swings. A slow bend runs behind by the sum of their times, which is what the board takes
+for its one constant; a first-order lag alone would put it too late. What passes for a lag is fitted
+beside it: a sensor's own loop (it stays when the pressure stops), and an error of the pressure
+(it is the longer the slower the ramp).
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.config import Side, TanhMap, ZoneMap
@@ -19,13 +22,22 @@ from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
-_TURN_PSI = 0.5  # a fall of that much is no noise: the muscle is on its other branch
-_LONGEST_S = 1.5
+_STEP_S = 5e-3
+# Of the muscle inflating and deflating, the swing, the root of its inertia, the dead time.
+_LONGEST_S = (1.5, 1.5, 0.5, 0.5, 0.3)
+_LEAST_S = 1e-3
+# A reading is the sum of so many conversions, block by block, and waits for the next frame as long
+# as for its own middle: a window late in all. The base sensor is converted each millisecond, the
+# others every second one (firmware/core/sensing/flex.h).
+_BASE_SCAN_S, _OTHER_SCAN_S = 1e-3, 2e-3
 
 
 @dataclass(frozen=True)
 class Lag:
-    """Lag of the bend behind the measured pressure, s, each with its standard error."""
+    """Lag of the base sensor's reading behind the measured pressure, s, with standard errors.
+
+    These two are what the board compares.
+    """
 
     inflate_s: float
     inflate_se_s: float
@@ -33,25 +45,36 @@ class Lag:
     deflate_se_s: float
 
 
-def low_pass(t_s: Array, values: Array, rising_s: float, falling_s: float) -> Array:
-    """First-order lag of a sampled signal (n,), its time constant by the direction of change."""
-    made = np.array(values, float)
-    for i in range(1, len(made)):
-        lag = rising_s if values[i] > made[i - 1] else falling_s
-        share = 1.0 if lag <= 0 else 1 - np.exp(-(t_s[i] - t_s[i - 1]) / lag)
-        made[i] = made[i - 1] + share * (values[i] - made[i - 1])
+def _muscle(psi: Array, rising_s: float, falling_s: float) -> Array:
+    """Pressure (n,) as it bends, each `_STEP_S`; its time constant goes by the direction."""
+    rising, falling = (1 - np.exp(-_STEP_S / lag) for lag in (rising_s, falling_s))
+    made = np.array(psi, float)
+    now = float(made[0])
+    for i, value in enumerate(((made[1:] + made[:-1]) / 2).tolist(), start=1):
+        now += (rising if value > now else falling) * (value - now)
+        made[i] = now
     return made
 
 
-def _deflating(psi: Array) -> NDArray[np.bool_]:
-    """(n,) whether the muscle is on its deflating branch."""
-    made = np.zeros(len(psi), bool)
-    down, mark = False, float(psi[0])
+def _swung(g: Array, late_s: float, inertia_s: float) -> Array:
+    """Curvature (n,), each `_STEP_S`, of a body of second order that follows g."""
+    b, a = bilinear([1.0], [inertia_s**2, late_s, 1.0], 1 / _STEP_S)
+    return np.asarray(lfilter(b, a, g, zi=g[0] * lfilter_zi(b, a))[0])
+
+
+def later_s(oversample: int) -> float:
+    """How much later than the base sensor's the other sensors' readings are, s."""
+    return (_OTHER_SCAN_S - _BASE_SCAN_S) * oversample
+
+
+def _deflating(psi: Array, reversal_psi: float) -> Array:
+    """(n,) share of the deflating branch, 0..1: a play operator, as on the board."""
+    made = np.empty(len(psi))
+    floor = float(psi[0])
     for i, value in enumerate(psi.tolist()):
-        mark = min(mark, value) if down else max(mark, value)
-        if abs(value - mark) > _TURN_PSI:
-            down, mark = not down, value
-        made[i] = down
+        floor = min(max(floor, value - reversal_psi), value)
+        made[i] = 1 - (value - floor) / reversal_psi
+    made[: int(np.argmax(psi > psi[0] + reversal_psi))] = 0.0  # it was vented before
     return made
 
 
@@ -62,8 +85,15 @@ def _curve(made: TanhMap, psi: Array) -> Array:
     return np.asarray(made.amplitude * (turn - np.tanh(-made.offset_psi / made.scale_psi)))
 
 
-def fit_lag(t_s: Array, pressure_psi: Array, curvature: Array, zone: ZoneMap, side: Side) -> Lag:
-    """Lags of both directions from a recorded ramp: pressure, and curvature by the sensors.
+def fit_lag(
+    t_s: Array,
+    pressure_psi: Array,
+    curvature: Array,
+    zone: ZoneMap,
+    side: Side,
+    reversal_psi: float = 1.0,
+) -> Lag:
+    """Lags of both directions from recorded ramps: pressure, and curvature by the sensors.
 
     The curvature may be off by a gain, an offset and a loop (they are fitted): only its timing
     counts.
@@ -71,9 +101,10 @@ def fit_lag(t_s: Array, pressure_psi: Array, curvature: Array, zone: ZoneMap, si
     Args:
         t_s: (n,) times.
         pressure_psi: (n,) measured.
-        curvature: (n,) 1/cm.
+        curvature: (n,) 1/cm, as late as the base sensor's.
         zone: maps at the body pressure of the ramp.
         side: which muscle.
+        reversal_psi: change of pressure that turns the muscle over to its other branch.
 
     Raises:
         DataError: fewer than 50 samples, or no bend.
@@ -82,26 +113,35 @@ def fit_lag(t_s: Array, pressure_psi: Array, curvature: Array, zone: ZoneMap, si
     t, p, k = t_s[good], pressure_psi[good], curvature[good]
     if len(t) < 50 or np.ptp(k) < 1e-3:
         raise DataError(
-            "the ramp shows no bend to time", "ramp to 16 psi within 5 s, hold, and back"
+            "the ramp shows no bend to time", "ramp to 16 psi within 3 s, hold, and back"
         )
     order = np.argsort(t)
     t, p, k = t[order], p[order], k[order]
     sign = 1.0 if side == "left" else -1.0
+    fine = np.arange(t[0], t[-1] + _STEP_S, _STEP_S)
+    pressed = np.interp(fine, t, p)
 
     def residuals(x: Array) -> Array:
-        felt = low_pass(t, p, x[0], x[1])
-        down = _deflating(felt)
-        g = sign * np.where(down, _curve(zone.deflate, felt), _curve(zone.inflate, felt))
+        felt = _muscle(np.interp(fine - x[4], fine, pressed), x[0], x[1])
+        down = _deflating(felt, reversal_psi)
+        up, back = _curve(zone.inflate, felt), _curve(zone.deflate, felt)
+        g = np.interp(t, fine, _swung(sign * (down * back + (1 - down) * up), x[2], x[3]))
         loop = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
-        design = np.column_stack([g, np.ones(len(g)), loop])
+        slope = np.interp(t, fine, _curve(zone.inflate, felt + 0.1) - up)
+        design = np.column_stack([g, np.ones(len(g)), loop, slope])
         return np.asarray(k - design @ np.linalg.lstsq(design, k, rcond=None)[0])
 
     fit = least_squares(
-        residuals, [0.3, 0.3], bounds=(0.0, _LONGEST_S), diff_step=[1e-2, 1e-2], x_scale=0.1
-    )
+        residuals, [0.2, 0.2, 0.1, 0.1, 0.03], bounds=(_LEAST_S, _LONGEST_S),
+        diff_step=[1e-2] * 5, x_scale=0.1,
+    )  # fmt: skip
     rest, slopes = fit.fun, np.asarray(fit.jac, float)
     along = float(np.corrcoef(rest[1:], rest[:-1])[0, 1])
     along = min(0.98, max(0.0, along)) if np.isfinite(along) else 0.0
-    variance = float(rest @ rest) / max(1, len(t) - 5) * (1 + along) / (1 - along)
-    se = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes)) * variance)
-    return Lag(float(fit.x[0]), float(se[0]), float(fit.x[1]), float(se[1]))
+    variance = float(rest @ rest) / max(1, len(t) - 9) * (1 + along) / (1 - along)
+    covariance = np.linalg.pinv(slopes.T @ slopes) * variance
+    inflate, deflate = np.array([1.0, 0.0, 1.0, 0.0, 1.0]), np.array([0.0, 1.0, 1.0, 0.0, 1.0])
+    return Lag(
+        float(inflate @ fit.x), float(np.sqrt(inflate @ covariance @ inflate)),
+        float(deflate @ fit.x), float(np.sqrt(deflate @ covariance @ deflate)),
+    )  # fmt: skip

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thigmo.calibrate.bench import Bench, Row
 from thigmo.calibrate.check import CheckReadings
+from thigmo.calibrate.lag import later_s
 from thigmo.config import SIDES, Side
 
 Array = NDArray[np.float64]
@@ -22,6 +23,12 @@ _READ_S = 1.0
 _PEAK_S = 0.05
 # Slow, because an overshoot would turn the muscle over to its other branch.
 _RAMP_PSI_S = 1.0
+# Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
+# the longer the slower the ramp, a lag is the same in all.
+_RAMPS_S = (0.7, 0.7, 2.1) * 5
+_RAMP_STOP_S = 1.5
+_RAMP_END_PSI = 2.5  # just above the transducer's live zero
+_RAMP_FRAME_S = 0.02
 
 
 def growth_rows(bench: Bench) -> list[Row]:
@@ -193,42 +200,44 @@ def rest_rows(bench: Bench) -> list[Row]:
 
 
 def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | None:
-    """Time, pressure and curvature (mean of the inactive side) of a ramp up and down.
+    """Time, pressure and curvature (mean of the inactive side) of ramps up and down.
 
-    None where no sensor of that side is healthy.
+    The readings of all sensors are moved to be as late as the base sensor's. None where no sensor
+    of that side is healthy.
     """
     top = 0.9 * bench.config.actuators.side(side).max_pressure_psi
+    other: Side = "right" if side == "left" else "left"
+    sensors = bench.config.sensors.column(other)
 
     def take(key: str) -> Row:
         bench.ready_to_bend()
         bench.set_zone(zone)
-        ramp = top / 4.0
         parts = []
-        for target in (top, 2.5):
-            if side == "left":
-                bench.robot.press(left_psi=target, ramp_psi_s=ramp)
-            else:
-                bench.robot.press(right_psi=target, ramp_psi_s=ramp)
-            parts.append(bench.robot.record(6.0))
+        for seconds in _RAMPS_S:
+            for target in (top, _RAMP_END_PSI):
+                if side == "left":
+                    bench.robot.press(left_psi=target, ramp_psi_s=top / seconds)
+                else:
+                    bench.robot.press(right_psi=target, ramp_psi_s=top / seconds)
+                parts.append(bench.robot.record(seconds + _RAMP_STOP_S))
         bench.robot.vent()
         t = np.concatenate([p.t_s for p in parts])
         psi = np.concatenate([p.left_psi if side == "left" else p.right_psi for p in parts])
         far = len(bench.config.sensors.left) if side == "left" else 0
-        count = len(bench.config.sensors.column("right" if side == "left" else "left"))
-        ohm = np.concatenate([p.resistance[:, far : far + count] for p in parts])
-        step = max(1, len(t) // 600)
+        ohm = np.concatenate([p.resistance[:, far : far + len(sensors)] for p in parts])
+        step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
         return {"t_s": t[::step].tolist(), "psi": psi[::step].tolist(),
                 "ohm": ohm[::step].tolist()}  # fmt: skip
 
     row = bench.rows("lag", [f"ramp {side} zone {zone}"], take)[0]
-    other: Side = "right" if side == "left" else "left"
-    sensors = bench.config.sensors.column(other)
     live = [n for n, s in enumerate(sensors) if s.healthy]
     if not live:
         return None
-    ohm = np.array(row["ohm"], float)
-    k = np.mean([ohm[:, n] * sensors[n].scale_per_ohm for n in live], axis=0)
-    return np.array(row["t_s"], float), np.array(row["psi"], float), k
+    t, ohm = np.array(row["t_s"], float), np.array(row["ohm"], float)
+    later = later_s(1 << bench.robot.parameter("oversample_log2")[0])
+    read = [np.interp(t + (later if n else 0.0), t, ohm[:, n]) for n in live]
+    k = np.mean([o * sensors[n].scale_per_ohm for n, o in zip(live, read, strict=True)], axis=0)
+    return t, np.array(row["psi"], float), k
 
 
 def check_readings(bench: Bench) -> CheckReadings:

@@ -12,8 +12,9 @@ from thigmo.calibrate import guided
 from thigmo.calibrate.bench import Bench, Plan
 from thigmo.calibrate.eyes import Eyes, emulated_source
 from thigmo.calibrate.procedures import tip_rows
-from thigmo.calibrate.session import Session
+from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
+from thigmo.config import SIDES
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
 
@@ -23,14 +24,14 @@ PLAN = Plan(places=4, straight=1, trials=1, step_psi=9.0, pushes=3, rest_reading
 class Lab:
     """An emulated robot at full length, with a camera whose view a test may spoil."""
 
-    def __init__(self, tmp_path, **changes) -> None:
-        scene = Scene.load("empty")
+    def __init__(self, tmp_path, seed=2, **changes) -> None:
+        self.scene = scene = Scene.load("empty")
         scene.start_length_cm = scene.robot.body.length_cm
         for key, value in changes.items():
             setattr(scene, key, value)
         path = tmp_path / "scene.toml"
         scene.save(path)
-        self.robot = thigmo.connect(f"emulator://{path}", seed=2)
+        self.robot = thigmo.connect(f"emulator://{path}", seed=seed)
         self.pictures = 0
         self.shove_after = 10**9
         sheet = Sheet()
@@ -107,6 +108,31 @@ def test_noise_pressure_and_check_of_a_sound_robot(lab):
     assert guided.run(bench, "pressure").board_values() == pytest.approx(held, abs=32)
     with pytest.raises(DataError, match="no step 'magic'"):
         guided.run(bench, "magic")
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_three(
+    tmp_path, seed
+):
+    lab = Lab(tmp_path, seed)
+    lab.session = Session(tmp_path / "blank", blank(lab.scene.robot))
+    bench = lab.bench()
+    bench.plan = replace(bench.plan, zones=(2,), step_psi=4.5)
+    for step in ("pressure", "actuator"):
+        result = guided.run(bench, step)
+        assert result.verdict.good, result.verdict
+    lab.robot.close()
+    muscle, body = lab.scene.muscle, lab.scene.body
+    # The sensor's averaging window, and the plant's step of 10 ms, come to nothing together.
+    lag = muscle.delay_s + muscle.inflate_tau_s + body.damping / (np.pi * body.frequency_hz)
+    for side in SIDES:
+        found, true = lab.session.config.actuators.side(side), lab.scene.robot.actuators.side(side)
+        full = true.maps[2].inflate.curvature(18.0)
+        for branch in ("inflate", "deflate"):
+            made, right = getattr(found.maps[2], branch), getattr(true.maps[2], branch)
+            worst = max(abs(made.curvature(p) - right.curvature(p)) for p in np.arange(0, 18.1))
+            assert worst < 0.005 * full
+        assert found.lag_s == pytest.approx(lag, rel=0.03)
 
 
 def test_check_names_a_dead_sensor(tmp_path):

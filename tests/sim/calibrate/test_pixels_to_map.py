@@ -87,9 +87,8 @@ def test_from_pixels_to_the_map(tmp_path):
             full = true.inflate.curvature(18.0)
             for branch in ("inflate", "deflate"):
                 curve, right = getattr(mine, branch), getattr(true, branch)
-                gap = [curve.curvature(p) - right.curvature(p) for p in np.arange(3.0, 18.1)]
-                assert np.sqrt(np.mean(np.square(gap))) < 0.005 * full
-                assert np.abs(gap).max() < 0.01 * full
+                gap = [curve.curvature(p) - right.curvature(p) for p in np.arange(0.0, 18.1)]
+                assert np.abs(gap).max() < 0.005 * full
     assert found.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
     assert found.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
 

@@ -90,24 +90,34 @@ def swung(t: np.ndarray, p: np.ndarray) -> np.ndarray:
     return np.interp(t, fine, made)
 
 
-@pytest.mark.parametrize("loop", [0.0, 8e-4])
-def test_lags_of_both_directions_are_found_beside_the_sensors_loop(loop):
+@pytest.mark.parametrize(("loop", "pressure_error"), [(0.0, 0.0), (8e-4, 0.0), (-4e-4, 0.08)])
+def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(loop, pressure_error):
     zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
     swing_s = 2 * 0.5 / (2 * np.pi * 1.5)
+    corners, psi = [0.0], [2.5]
+    for seconds in (0.7, 2.1, 0.7, 2.1):
+        for target in (16.0, 2.5):
+            corners += [corners[-1] + seconds, corners[-1] + seconds + 1.5]
+            psi += [target, target]
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        t = np.arange(0, 12, 0.02)
-        p = np.interp(t, [0, 4, 6, 10, 12], [2.5, 16, 16, 2.5, 2.5])
+        t = np.arange(0, corners[-1], 0.02)
+        p = np.interp(t, corners, psi)
         felt = swung(t, p)
-        down = t > 6.2
-        g = np.where(down, [DEFLATE.curvature(v) for v in felt],
-                     [INFLATE.curvature(v) for v in felt])  # fmt: skip
+        floor, share = felt[0], []
+        for value in felt:
+            floor = min(max(floor, value - 1.0), value)
+            share.append(1 - (value - floor))
+        share = np.where(t < 0.5, 0.0, share)
+        g = share * [DEFLATE.curvature(v) for v in felt]
+        g += (1 - share) * [INFLATE.curvature(v) for v in felt]
         turn = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
-        k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 6e-4, len(t))
-        lag = fit_lag(t, p + rng.normal(0, 0.03, len(t)), k, zone, "left")
-        assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.06)
-        assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.06)
-        assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.03
+        k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 3e-4, len(t))
+        seen = p + pressure_error + rng.normal(0, 0.03, len(t))
+        lag = fit_lag(t, seen, k, zone, "left")
+        assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.03)
+        assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.03)
+        assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.01
 
 
 def test_a_ramp_without_a_bend_has_no_lag():
