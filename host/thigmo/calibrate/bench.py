@@ -29,6 +29,9 @@ class Plan:
 
     Attributes:
         places: tip places of the flex step.
+        pictures: more of the pushed tip for the stiffness step, all far aside. One at full reach
+            tells the ratio to 0.15..0.35, by the camera. The flex step's ten places count for four
+            of those, twelve more for eight: 0.05..0.1, where 0.15 is the worst that is good.
         straight: straight rows of the flex step.
         trials: of the bends.
         step_psi: of the muscle pressure.
@@ -40,6 +43,7 @@ class Plan:
     """
 
     places: int = 10
+    pictures: int = 12
     straight: int = 3
     trials: int = 3
     step_psi: float = 2.0

@@ -1,7 +1,7 @@
 """The guided steps: readings of the bench into fits, verdicts and robot.toml.
 
     growth   -> encoder, hysteresis        bends -> actuator, and free bends for flex
-    tips     -> flex, stiffness            pushes -> buckling
+    tips     -> flex; stiffness with bows  pushes -> buckling
     rest     -> noise                      pressure, check
 
 Order on a new robot: pressure, encoder, actuator, flex, hysteresis, buckling, stiffness, noise,
@@ -31,6 +31,7 @@ from thigmo.calibrate.noise import NoiseResult, fit_noise
 from thigmo.calibrate.procedures import (
     bend_rows,
     bend_set_points,
+    bow_rows,
     check_readings,
     growth_rows,
     push_rows,
@@ -221,12 +222,12 @@ def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
 
 
 def stiffness(bench: Bench) -> StiffnessResult:
-    """Stiffness under sensors against gaps, from the pictures of the tip places."""
-    rows = tip_rows(bench)
+    """Stiffness under sensors against gaps, from pictures of the flex step's places and more."""
+    rows = [*(row for row in tip_rows(bench) if row["kind"] == "tip"), *bow_rows(bench)]
     pictures = [
         AxisPoints(np.array(r["points"], float), bench.config.body.length_cm)
         for r in rows
-        if r.get("points") is not None and r["kind"] == "tip"
+        if r.get("points") is not None
     ]
     result = fit_stiffness(pictures, bench.config)
     bench.finish("stiffness", result)
@@ -325,7 +326,7 @@ ROWS_OF = {
     "hysteresis": ("growth",),
     "actuator": ("bends", "lag"),
     "flex": ("tips",),
-    "stiffness": ("tips",),
+    "stiffness": ("bows",),
     "buckling": ("pushes",),
     "noise": ("rest",),
 }

@@ -119,10 +119,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
 
 def tip_rows(bench: Bench) -> list[Row]:
     """Straight rows, and the tip held at places on both sides."""
-    config, plan = bench.config, bench.plan
-    reach = (
-        plan.tip_reach_cm or 0.85 * config.body.critical_curvature * config.body.length_cm**2 / 3
-    )
+    plan, reach = bench.plan, _tip_reach_cm(bench)
     half = plan.places // 2
     far = [reach * (n + 1) / half for n in range(half)]
     # Out and back, sides in turn: neither a loop nor a shift looks like a side.
@@ -142,20 +139,50 @@ def tip_rows(bench: Bench) -> list[Row]:
         bench.robot.wait(_STEADY_S)
         reading = bench.robot.read(2 * _READ_S)
 
-        def shot() -> Row:
-            axis = bench.eyes.axis(free_bend=False)
-            x, y = axis.tip_cm
-            return {"tip": [x, y], "points": axis.points_cm.tolist()}
-
-        seen = bench.seen(shot, {"tip": [None, None], "points": None})
         return {
             "kind": kind, "asked": wanted, "ohm": reading.resistance.tolist(),
-            "rest": bench.rest, "t_s": reading.t_s, **seen,
+            "rest": bench.rest, "t_s": reading.t_s, **_tip_seen(bench),
         }  # fmt: skip
 
     rows = bench.rows("tips", keys, take)
     bench.hand.push_tip(None)
     return rows
+
+
+def bow_rows(bench: Bench) -> list[Row]:
+    """Pictures of the body with its tip far aside, sides in turn."""
+    reach, half = _tip_reach_cm(bench), bench.plan.pictures // 2
+    asked = [sign * y for y in np.linspace(0.6 * reach, reach, half) for sign in (1, -1)]
+    prepared = False
+
+    def take(key: str) -> Row:
+        nonlocal prepared
+        if not prepared:
+            bench.ready_to_bend()
+            prepared = True
+        bench.hand.push_tip(asked[int(key.split()[1])])
+        bench.robot.wait(_STEADY_S)
+        return _tip_seen(bench)
+
+    rows = bench.rows("bows", [f"bow {n}" for n in range(len(asked))], take)
+    bench.hand.push_tip(None)
+    return rows
+
+
+def _tip_reach_cm(bench: Bench) -> float:
+    body = bench.config.body
+    return bench.plan.tip_reach_cm or 0.85 * body.critical_curvature * body.length_cm**2 / 3
+
+
+def _tip_seen(bench: Bench) -> Row:
+    """The tip and the axis by the camera; None where it does not see the robot."""
+
+    def shot() -> Row:
+        axis = bench.eyes.axis(free_bend=False)
+        x, y = axis.tip_cm
+        return {"tip": [x, y], "points": axis.points_cm.tolist()}
+
+    return bench.seen(shot, {"tip": [None, None], "points": None})
 
 
 def push_rows(bench: Bench) -> list[Row]:

@@ -139,7 +139,7 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
         verdict = Verdict(
             False,
             f"ratio {ratio:.2f} +- {error:.2f}: too uncertain, take more pictures (`thigmo "
-            f"calibrate stiffness --places {3 * len(pictures)} --again`); nothing else needs it",
+            f"calibrate stiffness --pictures {3 * len(pictures)} --again`); nothing else needs it",
             tuple(notes),
         )
     else:

@@ -48,6 +48,9 @@ def calibrate(
     trials: Annotated[int, typer.Option(help="Trials of the free bends.", min=1)] = 3,
     step_psi: Annotated[float, typer.Option(help="Pressure step of free bends.", min=0.5)] = 2.0,
     places: Annotated[int, typer.Option(help="Tip places of the flex step.", min=4)] = 10,
+    pictures: Annotated[
+        int, typer.Option(help="Of the stiffness step, beside those of the tip places.", min=2)
+    ] = 12,
     zone: Annotated[
         list[int] | None, typer.Option(help="Only these body-pressure zones (0 = first); repeat.")
     ] = None,
@@ -75,7 +78,8 @@ def calibrate(
 
     buckling: hard pushes at the tip, until the base folds.
 
-    stiffness: whether sensors stiffen the body (told only; nothing needs it).
+    stiffness: whether sensors stiffen the body, to 0.1 with twelve more pictures of the pushed tip
+    (told only; nothing needs it).
 
     noise, check: the robot at rest; later, whether it is still what robot.toml says.
 
@@ -113,7 +117,7 @@ def calibrate(
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
-                    zones=tuple(zone) if zone else None)  # fmt: skip
+                    pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         hand = _hand(machine)
         machine.configure(session.config)
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)

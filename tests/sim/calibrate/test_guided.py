@@ -135,6 +135,17 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
         assert found.lag_s == pytest.approx(lag, rel=0.03)
 
 
+def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
+    lab = Lab(tmp_path, 4)
+    bench = lab.bench()
+    bench.plan = Plan()
+    result = guided.run(bench, "stiffness")
+    lab.robot.close()
+    assert result.verdict.good, result.verdict
+    assert result.ratio_se < 0.11
+    assert abs(result.ratio - 1.0) < 3 * result.ratio_se
+
+
 def test_check_names_a_dead_sensor(tmp_path):
     lab = Lab(tmp_path)
     bench = lab.bench()
