@@ -76,6 +76,9 @@ def test_trials_are_taken_where_they_were_planned_and_evaluated(scene: str, tmp_
         notes = read_log(folder.path / "run-1.mcap").notes
         assert [note["key"] for _, note in notes] == [trial.key for trial in planned]
     assert errors["single-contact"]["high force"].ours.workspace < 3.0
+    for row in errors["actuated"].values():
+        assert row.ours.workspace < 1.5
+        assert row.alone is not None
     assert errors["two-contacts"]["closer than 23.5 cm"].ours.workspace < 3.0
 
 
@@ -121,6 +124,30 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
     assert [row["state"] for row in taken(folder.path)].count("kept") == 5
     assert len({row["key"] for row in taken(folder.path)}) == 6
     assert (folder.path / "run-2.mcap").exists()
+
+
+def test_a_table_without_readings_on_the_way_is_evaluated_by_the_last_ones_and_goes_on(
+    scene: str, tmp_path: Path
+) -> None:
+    with connect(scene, seed=1) as robot:
+        assert robot.known_config is not None
+        folder = TrialFolder(tmp_path / "one", robot.known_config)
+        assert not run_trials(robot, Stops(robot, "keep", "keep"), folder, "actuated", 1)
+    assert [trial.passed.curvature.shape for trial in folder.trials() if trial.passed] == [
+        (4, 5), (4, 5)
+    ]  # fmt: skip
+    rows = taken(folder.path)
+    with (folder.path / "trials.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0])[:-2], extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    assert all(trial.passed is None for trial in folder.trials())
+    notes = evaluate("actuated", folder.trials()).notes
+    assert any("2 of 2 trials hold no readings on the way" in note for note in notes)
+    with connect(scene, seed=2) as robot:
+        assert not run_trials(robot, Stops(robot, "keep"), folder, "actuated", 1)
+    assert [trial.passed is None for trial in folder.trials()] == [True, True, False]
+    assert [row["key"] for row in taken(folder.path)][:2] == [row["key"] for row in rows]
 
 
 def test_another_robot_may_not_add_to_a_folder(scene: str, tmp_path: Path) -> None:

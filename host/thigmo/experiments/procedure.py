@@ -2,7 +2,8 @@
 
 The same steps for a robot on the bench, whose operator answers prompts, and for the emulator, whose
 operator is code (`attendant.py`). Each trial starts with the robot straight, vented and zeroed, as
-in the thesis; one second of readings is averaged while the dowels press. `recorded.py` keeps them.
+in the thesis; one second of readings is averaged while the dowels press, and at every pressure that
+an actuated robot passes on its way (`thesis.PASSED_PSI`). `recorded.py` keeps them.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from thigmo.mechanics import Tube, push
 
 if TYPE_CHECKING:
     from thigmo.experiments.attendant import Attendant
-    from thigmo.robot import Robot
+    from thigmo.robot import Reading, Robot
 
 STATIC = ("single-contact", "two-contacts", "actuated")
 
@@ -192,10 +193,17 @@ def take(robot: Robot, attendant: Attendant, trial: Planned) -> Row:
     """
     attendant.clear()
     _zero(robot)
+    passed: list[Reading] = []
     if trial.pressure_psi > 0:
-        _press(robot, trial.side, thesis.TOUCH_PSI)
-        attendant.touch(trial)
-        _press(robot, trial.side, trial.pressure_psi)
+        way = [psi for psi in thesis.PASSED_PSI if psi < trial.pressure_psi]
+        now = 0.0
+        for psi in way:
+            _press(robot, trial.side, psi, since_psi=now)
+            if psi == thesis.TOUCH_PSI:
+                attendant.touch(trial)
+            passed.append(robot.read(_READ_S))
+            now = psi
+        _press(robot, trial.side, trial.pressure_psi, since_psi=now)
     else:
         attendant.push_aside(trial)
         robot.wait(_STEADY_S)
@@ -215,15 +223,17 @@ def take(robot: Robot, attendant: Attendant, trial: Planned) -> Row:
         "true_arcs_cm": list(known.arcs_cm),
         "true_forces": list(known.forces),
         "true_contact_x_cm": list(known.contact_x_cm),
+        "passed_psi": [r.left_psi if trial.side == "left" else r.right_psi for r in passed],
+        "passed_curvature": [r.curvature.tolist() for r in passed],
     }
 
 
-def _press(robot: Robot, side: Side, psi: float) -> None:
+def _press(robot: Robot, side: Side, psi: float, *, since_psi: float = 0.0) -> None:
     if side == "left":
         robot.press(left_psi=psi, ramp_psi_s=_RAMP_PSI_S)
     else:
         robot.press(right_psi=psi, ramp_psi_s=_RAMP_PSI_S)
-    robot.wait(psi / _RAMP_PSI_S + _STEADY_S)
+    robot.wait((psi - since_psi) / _RAMP_PSI_S + _STEADY_S)
 
 
 def _zero(robot: Robot) -> None:

@@ -5,14 +5,16 @@
       trials.csv    a line a trial, on disk as soon as it is judged
       run-1.mcap    every frame of the first session's link, run-2.mcap of the next
 
-The same command goes on after the last line. Lists in a cell are separated by semicolons.
+The same command goes on after the last line. Lists in a cell are separated by semicolons, and the
+readings at the pressures on the way by slashes. Tables of earlier versions end before these; such
+trials are evaluated by their last reading alone.
 """
 
 from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +26,7 @@ from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError, RunFolderError
 from thigmo.experiments import thesis
 from thigmo.experiments.procedure import Planned, Row, Say, plan, prepare, take
-from thigmo.experiments.trial import Trial
+from thigmo.experiments.trial import Floats, Passed, Trial
 from thigmo.exploration.reference import FreeResponse
 from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
@@ -37,7 +39,11 @@ COLUMNS = (
     "key", "experiment", "condition", "place", "number", "side", "state", "arcs_cm",
     "pressure_psi", "t_s", "length_cm", "left_psi", "right_psi", "zeroed", "curvature",
     "dowel_x_cm", "dowel_y_cm", "true_arcs_cm", "true_forces", "true_contact_x_cm",
+    "passed_psi", "passed_curvature",
 )  # fmt: skip
+_EARLIER = COLUMNS[:-2]
+_PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not state it
+_LEAST_GAIN_SE = 1e-3
 
 
 class TrialFolder:
@@ -86,13 +92,13 @@ class TrialFolder:
         found: dict[str, dict[str, str]] = {}
         with self._table.open(newline="") as file:
             lines = list(csv.reader(file))
-        if not lines or tuple(lines[0]) != COLUMNS:
+        if not lines or tuple(lines[0]) not in (COLUMNS, _EARLIER):
             raise DataError(
                 f"{self._table} is no table of trials", "move it away, or choose another --out"
             )
         for number, line in enumerate(lines[1:], start=2):
-            if len(line) == len(COLUMNS):
-                found[line[0]] = dict(zip(COLUMNS, line, strict=True))
+            if len(line) == len(lines[0]):
+                found[line[0]] = dict.fromkeys(COLUMNS, "") | dict(zip(lines[0], line, strict=True))
             elif number != len(lines):
                 raise DataError(f"{self._table}, line {number} is damaged", "mend or delete it")
         return found
@@ -113,6 +119,7 @@ class TrialFolder:
         }
         try:
             self._drop_cut_line()
+            self._widen()
             fresh = not self._table.exists()
             with self._table.open("a", newline="") as file:
                 writer = csv.writer(file)
@@ -132,6 +139,21 @@ class TrialFolder:
         if text and not text.endswith(b"\n"):
             self._table.write_bytes(text[: text.rfind(b"\n") + 1])
 
+    def _widen(self) -> None:
+        """Give a table of an earlier version the columns of today."""
+        if not self._table.exists():
+            return
+        with self._table.open(newline="") as file:
+            if tuple(next(csv.reader(file), ())) != _EARLIER:
+                return
+        rows = self.rows()
+        partial = self._table.with_suffix(".csv.partial")
+        with partial.open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            writer.writeheader()
+            writer.writerows(rows.values())
+        partial.replace(self._table)
+
     @contextmanager
     def recording(self, robot: Robot) -> Iterator[LogWriter]:
         """Keep every frame of the link in the next `run-N.mcap`."""
@@ -149,7 +171,8 @@ class TrialFolder:
         """
         kept = [row for row in self.rows().values() if row["state"] == "kept"]
         try:
-            return [_trial(row, self.config) for row in kept]
+            shown = _shown_gains(kept, self.config)
+            return [_trial(row, self.config, shown) for row in kept]
         except (ValueError, IndexError) as error:
             raise DataError(f"{self._table} is damaged: {error}", "mend or delete that line") from (
                 error
@@ -224,7 +247,8 @@ def _one(robot: Robot, attendant: Attendant, folder: TrialFolder, trial: Planned
 
 def _cell(value: Any) -> str:
     if isinstance(value, list):
-        return ";".join(f"{number:.9g}" for number in value)
+        inner = " / " if value and isinstance(value[0], list) else ";"
+        return inner.join(_cell(part) for part in value)
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
@@ -232,13 +256,61 @@ def _numbers(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in text.split(";")) if text else ()
 
 
-def _trial(row: dict[str, str], config: RobotConfig) -> Trial:
+def _frames(row: dict[str, str]) -> Floats:
+    """(T, 10) readings at the pressures on the way."""
+    text = row["passed_curvature"]
+    return np.array([_numbers(part) for part in text.split("/")] if text else [], dtype=np.float64)
+
+
+def _scale_se(config: RobotConfig) -> Floats:
+    """Relative standard error of each sensor's scale, (10,)."""
+    made = np.zeros(SensorTable.of(config).healthy.size)
+    for first, name in zip((0, made.size // 2), SIDES, strict=True):
+        for index, sensor in enumerate(config.sensors.column(name), start=first):
+            made[index] = sensor.scale_se
+    return made
+
+
+def _shown_gains(
+    rows: Sequence[dict[str, str]], config: RobotConfig
+) -> dict[Side, tuple[Floats, Floats]]:
+    """What the untouched robot showed of its sensors' gains at 6 psi, and their errors, (10,) each.
+
+    As `Specimen.learn_gains`; but what a reading errs by on a real robot (its zero, its hysteresis)
+    is much the same in all trials, so that many of them tell no more than one.
+    """
+    made: dict[Side, tuple[Floats, Floats]] = {}
+    table = SensorTable.of(config)
+    for side in SIDES:
+        muscle = config.actuators.side(side)
+        first = [(_numbers(r["passed_psi"])[0], _frames(r)[0]) for r in rows
+                 if r["side"] == side and r["passed_psi"]]  # fmt: skip
+        curve = muscle.maps[-1].inflate
+        spread = np.hypot(_scale_se(config), curve.amplitude_se / curve.amplitude)
+        spread = np.maximum(spread, _LEAST_GAIN_SE)
+        gain, error = np.ones(spread.size), spread
+        if first:
+            sign = 1 if side == "left" else -1
+            believed = np.mean([sign * curve.curvature(psi) for psi, _ in first])
+            departure = np.mean([readings for _, readings in first], axis=0) - believed
+            variance = table.noise**2 + muscle.offset_se**2
+            precision = 1 / spread**2 + believed**2 / variance
+            gain = 1 + np.nan_to_num(believed * departure / variance / precision)
+            error = precision**-0.5
+        made[side] = gain, error
+    return made
+
+
+def _trial(
+    row: dict[str, str], config: RobotConfig, shown: dict[Side, tuple[Floats, Floats]]
+) -> Trial:
     """A line of the table as a trial: usable sensors only, free curvature by the map."""
     table = SensorTable.of(config)
     curvature = np.array(_numbers(row["curvature"]))
     side: Side = "left" if row["side"] == "left" else "right"
     muscle = config.actuators.side(side)
     free = 0.0
+    gain, gain_se = np.ones(curvature.size), np.zeros(curvature.size)
     if float(row["pressure_psi"]) > 0:
         measured = float(row["left_psi"] if side == "left" else row["right_psi"])
         free = muscle.maps[-1].inflate.curvature(measured) * (1 if side == "left" else -1)
@@ -246,10 +318,15 @@ def _trial(row: dict[str, str], config: RobotConfig) -> Trial:
     else:
         use = table.healthy & (table.direction * curvature >= 0)
     use = use & np.isfinite(curvature)
-    scale_se = np.zeros(curvature.size)
-    for first, name in zip((0, curvature.size // 2), SIDES, strict=True):
-        for index, sensor in enumerate(config.sensors.column(name), start=first):
-            scale_se[index] = sensor.scale_se
+    passed = None
+    if row["passed_psi"]:
+        gain, gain_se = shown[side]
+        on_the_way = [muscle.maps[-1].inflate.curvature(psi) for psi in _numbers(row["passed_psi"])]
+        passed = Passed(
+            _frames(row)[:, use], np.copysign(on_the_way, free), float(np.median(gain_se[use])),
+            _PLACE_SE_CM,
+        )  # fmt: skip
+    scale_se = _scale_se(config)
     _, error = FreeResponse(config).expected(side, free)
     sigma = np.sqrt(table.noise**2 + (scale_se * (curvature - free)) ** 2)
     if free:
@@ -264,7 +341,7 @@ def _trial(row: dict[str, str], config: RobotConfig) -> Trial:
         table.span_cm[use],
         free,
         float(np.median(table.noise[use])),
-        np.ones(int(use.sum())),
+        gain[use],
         sigma[use],
         sigma[use],
         arcs,
@@ -276,4 +353,5 @@ def _trial(row: dict[str, str], config: RobotConfig) -> Trial:
         critical=config.body.critical_curvature,
         radius_cm=config.body.radius_cm,
         dowel_cm=thesis.DOWEL_CM,
+        passed=passed,
     )
