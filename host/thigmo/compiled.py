@@ -30,3 +30,30 @@ def compiled_sums(function: F) -> F:
         cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"}
     )
     return cast(F, compiler(function))
+
+
+def compiled_inner(function: F) -> F:
+    """As `compiled_sums`, for what is called within a fit: it takes tuples of arrays at no cost.
+
+    numba counts references to every array that crosses a call or leaves a tuple, which is a
+    microsecond in a fit of a few; here it does not, because the caller holds them all. So such a
+    function may neither make nor return an array.
+    """
+    return _inner(function, merged=False)
+
+
+def compiled_part(function: F) -> F:
+    """As `compiled_inner`, for a part that has one caller: it is merged into it."""
+    return _inner(function, merged=True)
+
+
+def _inner(function: F, merged: bool) -> F:
+    options: dict[str, Any] = {"forceinline": merged, "_nrt": False}
+    compiler = numba.njit(
+        cache=True,
+        error_model="numpy",
+        nogil=True,
+        fastmath={"reassoc", "contract", "nsz"},
+        **options,
+    )
+    return cast(F, compiler(function))

@@ -9,16 +9,62 @@ branch and bound over several contacts needs.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_sums
+from thigmo.compiled import compiled_inner, compiled_sums
 from thigmo.localization.exact.response import plain
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PIVOTS = 400
+
+
+class SignedFit(NamedTuple):
+    """A fit of data by signed coefficients.
+
+    Attributes:
+        g: (>= m, >= n + extra) one row per coefficient.
+        y: (>= n + extra,) data; then the right sides (>= 0) of the constraints beta g <= y.
+        w: (>= n,) weights, > 0.
+        kind: (>= m,) 0 free, 1 beta >= 0, -1 beta <= 0.
+    """
+
+    g: Floats
+    y: Floats
+    w: Floats
+    kind: Ints
+
+
+class Size(NamedTuple):
+    """How much of a `SignedFit` is in use.
+
+    Attributes:
+        m: coefficients.
+        n: data; 0 gives value 0.
+        extra: constraints, in the columns after the data.
+    """
+
+    m: int
+    n: int
+    extra: int
+
+
+class Simplex(NamedTuple):
+    """Work of the simplex.
+
+    Attributes:
+        tableau: (>= m, >= n + extra + m).
+        rows: (6, >= n + extra + m).
+        items: (4, >= n + extra + m).
+    """
+
+    tableau: Floats
+    rows: Floats
+    items: Ints
 
 
 @compiled_sums
@@ -91,35 +137,19 @@ def crossing(key: Floats, amount: Floats, order: Ints, count: int, need: float) 
     return right if right < count else count
 
 
-@compiled_sums
-def absolute_fit(
-    g: Floats,
-    y: Floats,
-    w: Floats,
-    m: int,
-    n: int,
-    extra: int,
-    kind: Ints,
-    beta: Floats,
-    tableau: Floats,
-    work: Floats,
-    items: Ints,
-) -> tuple[float, bool]:
+@compiled_inner
+def absolute_fit(fit: SignedFit, size: Size, beta: Floats, simplex: Simplex) -> tuple[float, bool]:
     """Fit; returns the value and whether it is proven (the pivot limit was not met).
 
     Args:
-        g: (>= m, >= n + extra) one row per coefficient.
-        y: (>= n + extra,) data; then the right sides (>= 0) of the constraints beta g <= y.
-        w: (>= n,) weights, > 0.
-        m: coefficients.
-        n: data; 0 gives value 0.
-        extra: constraints, in the columns after the data.
-        kind: (>= m,) 0 free, 1 beta >= 0, -1 beta <= 0.
+        fit: data and coefficients.
+        size: how much of them; no literal numbers (`plain`).
         beta: (>= m,) written.
-        tableau: (>= m, >= n + extra + m) work.
-        work: (6, >= n + extra + m) work.
-        items: (4, >= n + extra + m) work.
+        simplex: work.
     """
+    g, y, w, kind = fit
+    m, n, extra = size
+    tableau, work, items = simplex
     ends = n + extra  # dual variables of the data, then of the constraints, then the slacks
     total = ends + m
     cost = work[0]
@@ -142,11 +172,11 @@ def absolute_fit(
             largest = max(largest, abs(g[r, j]))
         scale[r] = 1.0 / largest if largest > 0.0 else 1.0
         x = 0.0
-        size = 0.0
+        reach = 0.0
         for j in range(n):
             tableau[r, j] = g[r, j] * scale[r]
             x -= tableau[r, j] * side[j] * w[j]
-            size += abs(tableau[r, j]) * w[j]
+            reach += abs(tableau[r, j]) * w[j]
         for j in range(n, ends):
             tableau[r, j] = g[r, j] * scale[r]
         for k in range(m):
@@ -154,7 +184,7 @@ def absolute_fit(
         tableau[r, ends + r] = 1.0
         basis[r] = ends + r
         value_b[r] = x
-        key[r] = size
+        key[r] = reach
         cost[ends + r] = 0.0
         side[ends + r] = 0.0
     tolerance = 0.0

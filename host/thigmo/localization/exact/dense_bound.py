@@ -8,14 +8,31 @@ exactly, in one sweep over the ends of spans.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_sums
-from thigmo.localization.exact.dense_profile import BAND, answering
+from thigmo.compiled import compiled_inner, compiled_sums
+from thigmo.localization.exact.dense_profile import BAND, Dense, Profile, answering
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class Ends(NamedTuple):
+    """Ends of all spans.
+
+    Attributes:
+        arcs: (M,) ascending.
+        owners: (M,) sensor of each end; ~sensor where it is a far end.
+        signs: (2, N) work.
+    """
+
+    arcs: Floats
+    owners: Ints
+    signs: Floats
+
 
 MARGIN = 1.3  # the signs' sums reach so much past what their slope needs over half a stretch
 ROUNDING = 1e-13
@@ -31,42 +48,24 @@ def least_of(value: float, slope: float, bend: float, width: float) -> float:
     return least
 
 
-@compiled_sums
+@compiled_inner
 def bounded(
-    left: float,
-    centre: float,
-    right: float,
-    needed: float,
-    force: float,
-    slope: float,
-    density: float,
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    inverse: Floats,
-    w: Floats,
-    tail: Floats,
-    f_low: float,
-    f_high: float,
-    signs: Floats,
-    ends: Floats,
-    owners: Ints,
+    stretch: tuple[float, float, float], needed: float, profile: Profile, dense: Dense, spans: Ends
 ) -> bool:
-    """Whether the objective is proven to be at least `needed` all along [left, right].
+    """Whether the objective is proven to be at least `needed` all along a stretch of arc.
 
     Args:
-        left: near end.
-        centre: where `dense_profile` was called.
-        right: far end.
+        stretch: near end, where `dense_profile` was called, far end.
         needed: bound that is asked for.
-        force: from `dense_profile` at `centre`.
-        slope: from there.
-        density: from there.
-        y, low, span, inverse, w, tail, f_low, f_high: as there.
-        signs: (2, N) work.
-        ends: (M,) ends of all spans, ascending.
-        owners: (M,) sensor of each end; ~sensor where it is a far end.
+        profile: from `dense_profile` there.
+        dense: the problem.
+        spans: ends of the spans.
     """
+    left, centre, right = stretch
+    force, slope, density = profile.force, profile.slope, profile.density
+    y, low, span, inverse, w = dense.readings
+    tail, forces = dense.tail, dense.forces
+    ends, owners, signs = spans
     n = answering(low, right)
     if tail[n] >= needed:
         return True
@@ -85,8 +84,8 @@ def bounded(
     apart_up = max(apart, 1e-12 * abs(force))
     apart_down = apart_up
     for _ in range(WIDER):
-        f_up = max(force + apart_up, f_low)
-        f_down = min(force - apart_down, f_high)
+        f_up = max(force + apart_up, forces.low)
+        f_down = min(force - apart_down, forces.high)
         up0 = 0.0
         up1 = 0.0
         down0 = 0.0
@@ -111,8 +110,8 @@ def bounded(
             apart_up += min(max(apart_up, short_up * step), abs(force) + apart_up)
         if short_down > rounding:
             apart_down += min(max(apart_down, short_down * step), abs(force) + apart_down)
-    f_up = max(force + apart_up, f_low)
-    f_down = min(force - apart_down, f_high)
+    f_up = max(force + apart_up, forces.low)
+    f_down = min(force - apart_down, forces.high)
 
     # Dual values, and sums of s phi with their derivatives at the near end.
     d_up = tail[n]
@@ -148,8 +147,8 @@ def bounded(
     a = d_up - needed
     b = d_down - needed
     both = a >= 0.0 and b >= 0.0
-    up_alone = f_low == 0.0 and a >= 0.0
-    down_alone = f_high == 0.0 and b >= 0.0
+    up_alone = forces.low == 0.0 and a >= 0.0
+    down_alone = forces.high == 0.0 and b >= 0.0
     good_up = True
     good_down = True
     good_mix = True

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_sums
-from thigmo.localization.exact.dense_bound import bounded
-from thigmo.localization.exact.dense_profile import dense_profile
-from thigmo.localization.exact.response import INNER_END, plain
+from thigmo.localization.exact.dense_bound import Ends, bounded
+from thigmo.localization.exact.dense_profile import Dense, Room, dense_profile
+from thigmo.localization.exact.response import INNER_END, ForceRange, Readings, plain
 
 Floats = NDArray[np.float64]
 
@@ -42,37 +42,24 @@ def next_place(stretch: Floats) -> float:
 
 @compiled_sums
 def fit_dense_l1(
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    w: Floats,
-    length: float,
-    f_low: float,
-    f_high: float,
-    tolerance: float,
+    readings: Readings, length: float, forces: ForceRange, tolerance: float
 ) -> tuple[float, float, float, float, float, int]:
     """One problem, sensors ordered by their near ends, forces of either sign or of one.
 
     Args:
-        y: (N,) readings above free curvature.
-        low: (N,) near ends, ascending.
-        span: (N,).
-        w: (N,) weights, > 0.
+        readings: N of them by ascending near ends, weights > 0.
         length: everted length.
-        f_low: least f, -inf or 0.
-        f_high: largest f, inf or 0.
+        forces: (-inf or 0, inf or 0).
         tolerance: relative to the objective at f = 0.
 
     Returns:
         objective, arc, force, both ends of the optimum range around it, number of arcs looked at.
     """
+    y, low, span, _, w = readings
     n = y.shape[0]
-    inverse = np.zeros(n)
     tail = np.zeros(n + 1)
     for j in range(n - 1, -1, -1):
         tail[j] = tail[j + 1] + w[j] * abs(y[j])
-        if span[j] > 0.0:
-            inverse[j] = 0.5 / span[j]
     slack = tolerance * tail[0]
     best = tail[0]
     best_arc = length
@@ -105,11 +92,9 @@ def fit_dense_l1(
             owners[e] = ~far[k]
             k += 1
 
-    phi = np.empty(n)
-    key = np.empty(n)
-    amount = np.empty(n)
-    order = np.empty(n, np.int64)
-    signs = np.empty((2, n))
+    dense = Dense(readings, tail, forces)
+    room = Room(np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.int64))
+    spans = Ends(ends, owners, np.empty((2, n)))
 
     # Nothing answers before the first near end; there the profile may be open.
     start = 0.0
@@ -119,7 +104,7 @@ def fit_dense_l1(
             e += 1
         edge = min(ends[e], length) if e < ends.shape[0] else length
         start = low[0] + INNER_END * (edge - low[0])
-    force = 0.0
+    force = 0.0  # a guess for the next profile
     looked = 0
     # Stretches: near end, J and its slope there, far end, the same there, whether to halve it.
     stack = np.empty((STRETCHES + 100, 7))
@@ -127,22 +112,21 @@ def fit_dense_l1(
     least = np.inf
     for k in range(STRETCHES + 1):
         arc = start + (length - start) * k / STRETCHES if k < STRETCHES else length
-        value, force, slope, density = dense_profile(
-            arc, force, y, low, span, inverse, w, tail, f_low, f_high, phi, key, amount, order
-        )
+        found = dense_profile(arc, force, dense, room)
+        force = found.force
         looked += 1
-        if value < best:
-            best = value
+        if found.value < best:
+            best = found.value
             best_arc = arc
             best_force = force
-        if value < least:
-            least = value
+        if found.value < least:
+            least = found.value
             nearest = k
         for row in range(max(k - 1, 0), min(k + 1, STRETCHES)):
             side = 3 if row < k else 0
             stack[row, side] = arc
-            stack[row, side + 1] = value
-            stack[row, side + 2] = -force * slope
+            stack[row, side + 1] = found.value
+            stack[row, side + 2] = -force * found.slope
             stack[row, 6] = 0.0
     waiting = plain(STRETCHES)
 
@@ -158,18 +142,17 @@ def fit_dense_l1(
             and valley[1] + valley[2] * (arc - valley[0]) > best - 0.5 * slack
         ):
             break
-        value, force, slope, density = dense_profile(
-            arc, force, y, low, span, inverse, w, tail, f_low, f_high, phi, key, amount, order
-        )
+        found = dense_profile(arc, force, dense, room)
+        force = found.force
         looked += 1
-        if value < best:
-            best = value
+        if found.value < best:
+            best = found.value
             best_arc = arc
             best_force = force
-        side = 0 if -force * slope < 0.0 else 3
+        side = 0 if -force * found.slope < 0.0 else 3
         valley[side] = arc
-        valley[side + 1] = value
-        valley[side + 2] = -force * slope
+        valley[side + 1] = found.value
+        valley[side + 2] = -force * found.slope
 
     while waiting > 0:
         waiting -= 1
@@ -179,42 +162,22 @@ def fit_dense_l1(
             continue
         known = min(best_arc - left, right - best_arc) > NARROWEST * length
         arc = best_arc if known else next_place(stack[waiting])
-        value, force, slope, density = dense_profile(
-            arc, force, y, low, span, inverse, w, tail, f_low, f_high, phi, key, amount, order
-        )
+        found = dense_profile(arc, force, dense, room)
+        force = found.force
         looked += 1
-        if value < best:
-            best = value
+        if found.value < best:
+            best = found.value
             best_arc = arc
             best_force = force
-        if not known and bounded(
-            left,
-            arc,
-            right,
-            best - slack,
-            force,
-            slope,
-            density,
-            y,
-            low,
-            span,
-            inverse,
-            w,
-            tail,
-            f_low,
-            f_high,
-            signs,
-            ends,
-            owners,
-        ):
+        if not known and bounded((left, arc, right), best - slack, found, dense, spans):
             continue
         stack[waiting, 6] = 1.0 - stack[waiting, 6]
         stack[waiting + 1] = stack[waiting]
         for part in range(2):
             side = 3 * (1 - part)
             stack[waiting + part, side] = arc
-            stack[waiting + part, side + 1] = value
-            stack[waiting + part, side + 2] = -force * slope
+            stack[waiting + part, side + 1] = found.value
+            stack[waiting + part, side + 2] = -force * found.slope
         waiting += 2
 
     # Flat optimum: walk outwards over ends of spans, then halve the last stretch.
@@ -222,23 +185,11 @@ def fit_dense_l1(
     for side in range(2):
         good = best_arc
         towards = 1.0 - 2.0 * side
-        value, force, slope, density = dense_profile(
-            min(max(good + towards * 1e-7 * length, 0.0), length),
-            force,
-            y,
-            low,
-            span,
-            inverse,
-            w,
-            tail,
-            f_low,
-            f_high,
-            phi,
-            key,
-            amount,
-            order,
+        found = dense_profile(
+            min(max(good + towards * 1e-7 * length, 0.0), length), force, dense, room
         )
-        if value <= best + slack:
+        force = found.force
+        if found.value <= best + slack:
             bad = np.nan
             for k in range(ends.shape[0] + 1):
                 end = length if side == 0 else 0.0
@@ -247,46 +198,18 @@ def fit_dense_l1(
                     end = min(max(end, 0.0), length)
                 if (end - good) * towards <= 0.0:
                     continue
-                value, force, slope, density = dense_profile(
-                    end,
-                    force,
-                    y,
-                    low,
-                    span,
-                    inverse,
-                    w,
-                    tail,
-                    f_low,
-                    f_high,
-                    phi,
-                    key,
-                    amount,
-                    order,
-                )
-                if value > best + slack:
+                found = dense_profile(end, force, dense, room)
+                force = found.force
+                if found.value > best + slack:
                     bad = end
                     break
                 good = end
             if bad == bad:
                 for _ in range(40):
                     arc = 0.5 * (good + bad)
-                    value, force, slope, density = dense_profile(
-                        arc,
-                        force,
-                        y,
-                        low,
-                        span,
-                        inverse,
-                        w,
-                        tail,
-                        f_low,
-                        f_high,
-                        phi,
-                        key,
-                        amount,
-                        order,
-                    )
-                    if value <= best + slack:
+                    found = dense_profile(arc, force, dense, room)
+                    force = found.force
+                    if found.value <= best + slack:
                         good = arc
                     else:
                         bad = arc

@@ -6,14 +6,65 @@ The answer's slope and the density of keys around the median are what the bound 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_sums
+from thigmo.compiled import compiled_inner, compiled_sums
 from thigmo.localization.exact.absolute_fit import crossing
+from thigmo.localization.exact.response import ForceRange, Readings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class Dense(NamedTuple):
+    """One problem, sensors ordered by their near ends.
+
+    Attributes:
+        readings: N of them, weights > 0.
+        tail: (N + 1,) sum of w |y| from each sensor on.
+        forces: what f may be.
+    """
+
+    readings: Readings
+    tail: Floats
+    forces: ForceRange
+
+
+class Room(NamedTuple):
+    """Work for one profile.
+
+    Attributes:
+        phi: (N,) influences of the sensors that answer.
+        key: (N,) forces at which their residuals vanish.
+        amount: (N,) their weights in the median.
+        order: (N,) items of the median.
+    """
+
+    phi: Floats
+    key: Floats
+    amount: Floats
+    order: Ints
+
+
+class Profile(NamedTuple):
+    """The profile at one arc.
+
+    Attributes:
+        value: least objective over f.
+        force: that f.
+        slope: sum of the residuals' dual signs times d phi / d arc (the objective's slope is
+            -f times that).
+        density: amount per force around the median.
+    """
+
+    value: float
+    force: float
+    slope: float
+    density: float
+
 
 BAND = 0.15  # share of the guess within which the median is looked for first
 
@@ -32,48 +83,22 @@ def answering(low: Floats, arc: float) -> int:
     return first
 
 
-@compiled_sums
-def dense_profile(
-    arc: float,
-    guess: float,
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    inverse: Floats,
-    w: Floats,
-    tail: Floats,
-    f_low: float,
-    f_high: float,
-    phi: Floats,
-    key: Floats,
-    amount: Floats,
-    order: Ints,
-) -> tuple[float, float, float, float]:
+@compiled_inner
+def dense_profile(arc: float, guess: float, dense: Dense, room: Room) -> Profile:
     """Least objective over f at one arc.
 
     Args:
         arc: place of the contact.
         guess: f at a place nearby; only time depends on it.
-        y: (N,), by ascending `low`.
-        low: (N,).
-        span: (N,).
-        inverse: (N,).
-        w: (N,).
-        tail: (N + 1,) sum of w |y| from each sensor on.
-        f_low: least f.
-        f_high: largest f.
-        phi: (N,) work; influences of the sensors that answer.
-        key: (N,) work; forces at which their residuals vanish.
-        amount: (N,) work; their weights in the median.
-        order: (N,) work.
-
-    Returns:
-        objective, f, sum of the residuals' dual signs times d phi / d arc (the objective's slope is
-        -f times that), amount per force around the median.
+        dense: the problem.
+        room: work.
     """
+    y, low, span, inverse, w = dense.readings
+    tail, forces = dense.tail, dense.forces
+    phi, key, amount, order = room
     n = answering(low, arc)
     if n == 0:
-        return tail[0], min(max(0.0, f_low), f_high), 0.0, 0.0
+        return Profile(tail[0], min(max(0.0, forces.low), forces.high), 0.0, 0.0)
     half = 0.0
     for j in range(n):
         inside = min(arc - low[j], span[j])
@@ -101,8 +126,8 @@ def dense_profile(
         band = BAND * abs(force)
         below, within = amounts_near(key, amount, n, force, band)
     density = within / (2.0 * band) if band > 0.0 else 0.0
-    if not f_low < force < f_high:
-        force = min(max(force, f_low), f_high)
+    if not forces.low < force < forces.high:
+        force = min(max(force, forces.low), forces.high)
         basis = -1
     value = tail[n]
     balance = 0.0
@@ -118,7 +143,7 @@ def dense_profile(
         t = arc - low[basis]
         rate = 1.0 if t >= span[basis] else 2.0 * inverse[basis] * t
         slope -= balance / phi[basis] * rate
-    return value, force, slope, density
+    return Profile(value, force, slope, density)
 
 
 @compiled_sums

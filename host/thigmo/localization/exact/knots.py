@@ -20,9 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_sums
-from thigmo.localization.exact.absolute_fit import absolute_fit
-from thigmo.localization.exact.response import plain
+from thigmo.compiled import compiled_inner, compiled_sums
+from thigmo.localization.exact.absolute_fit import SignedFit, Simplex, Size, absolute_fit
+from thigmo.localization.exact.response import Readings, plain
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -216,20 +216,17 @@ def best_knots(
                     keep(value, g, i, label[i, k], values, out)
 
 
-@compiled_sums
-def columns(
-    arcs: Floats, low: Floats, span: Floats, inverse: Floats, slopes: bool, g: Floats
-) -> None:
+@compiled_inner
+def columns(arcs: Floats, readings: Readings, slopes: bool, g: Floats) -> None:
     """Influence of each contact (row j) and, below them, its slope in the arc (row C + j).
 
     Args:
         arcs: (C,).
-        low: (N,).
-        span: (N,).
-        inverse: (N,).
+        readings: N of them.
         slopes: whether to fill the lower half.
         g: (>= 2 C, >= N), written.
     """
+    _, low, span, inverse, _ = readings
     c = arcs.shape[0]
     for j in range(c):
         for i in range(low.shape[0]):
@@ -243,23 +240,14 @@ def columns(
                     g[c + j, i] = 1.0 if t > 0.0 else 0.0
 
 
-@compiled_sums
-def free_fit(
-    g: Floats,
-    y: Floats,
-    w: Floats,
-    m: int,
-    norm: int,
-    beta: Floats,
-    tableau: Floats,
-    work: Floats,
-    items: Ints,
-    kind: Ints,
-) -> float:
+@compiled_inner
+def free_fit(fit: SignedFit, m: int, norm: int, beta: Floats, simplex: Simplex) -> float:
     """Least objective over free coefficients of the first m rows of g; `beta` (m,) written."""
+    g, y, w, _ = fit
+    tableau, work, _ = simplex
     n = y.shape[0]
     if norm == 1:
-        value, proven = absolute_fit(g, y, w, m, n, plain(0), kind, beta, tableau, work, items)
+        value, proven = absolute_fit(fit, Size(m, n, plain(0)), beta, simplex)
         return value if proven else np.inf
     # Orthogonal columns one after another; what is left of y is the residual.
     total = 0.0
@@ -302,54 +290,45 @@ def free_fit(
 
 @compiled_sums
 def refine(
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    w: Floats,
+    readings: Readings,
     length: float,
     norm: int,
-    step: float,
-    stop: float,
+    steps: tuple[float, float],
     arcs: Floats,
     forces: Floats,
 ) -> float:
     """Improve arcs (C,) in place, forces free; returns the objective.
 
     Args:
-        y: (N,).
-        low: (N,).
-        span: (N,).
-        w: (N,).
+        readings: N of them.
         length: everted length.
         norm: 1 or 2.
-        step: first step of the search.
-        stop: step at which it ends.
+        steps: first step of the search, and the one at which it ends.
         arcs: (C,) start; written.
         forces: (C,) written.
     """
-    n = y.shape[0]
+    step, stop = steps
+    n = readings.y.shape[0]
     c = arcs.shape[0]
-    inverse = np.zeros(n)
-    for i in range(n):
-        if span[i] > 0.0:
-            inverse[i] = 0.5 / span[i]
     g = np.empty((2 * c, n))
-    tableau = np.empty((2 * c, n + 2 * c))
-    work = np.empty((2 * c + 6, n + 2 * c))
-    items = np.empty((4, n + 2 * c), np.int64)
-    kind = np.zeros(2 * c, np.int64)
+    simplex = Simplex(
+        np.empty((2 * c, n + 2 * c)),
+        np.empty((2 * c + 6, n + 2 * c)),
+        np.empty((4, n + 2 * c), np.int64),
+    )
+    fit = SignedFit(g, readings.y, readings.w, np.zeros(2 * c, np.int64))
     beta = np.zeros(2 * c)
     push = np.zeros(2 * c)
     trial = np.empty(c)
-    columns(arcs, low, span, inverse, False, g)
-    best = free_fit(g, y, w, c, norm, forces, tableau, work, items, kind)
+    columns(arcs, readings, False, g)
+    best = free_fit(fit, c, norm, forces, simplex)
     scale = best
     while step > stop:
         start = best
         # Arcs and forces together: linear in (f, f da) while no sensor is passed.
         for _ in range(8):
-            columns(arcs, low, span, inverse, True, g)
-            free_fit(g, y, w, 2 * c, norm, beta, tableau, work, items, kind)
+            columns(arcs, readings, True, g)
+            free_fit(fit, 2 * c, norm, beta, simplex)
             share = 1.0
             gained = False
             for _halving in range(4):
@@ -357,8 +336,8 @@ def refine(
                     move = beta[c + j] / beta[j] if beta[j] != 0.0 else 0.0
                     move = min(max(share * move, -8.0 * step), 8.0 * step)
                     trial[j] = min(max(arcs[j] + move, 0.0), length)
-                columns(trial, low, span, inverse, False, g)
-                value = free_fit(g, y, w, c, norm, push, tableau, work, items, kind)
+                columns(trial, readings, False, g)
+                value = free_fit(fit, c, norm, push, simplex)
                 if value < best - 1e-12 * scale:
                     best = value
                     for j in range(c):
@@ -375,8 +354,8 @@ def refine(
                 for k in range(c):
                     trial[k] = arcs[k]
                 trial[j] = min(max(arcs[j] + (1.0 - 2.0 * side) * step, 0.0), length)
-                columns(trial, low, span, inverse, False, g)
-                value = free_fit(g, y, w, c, norm, push, tableau, work, items, kind)
+                columns(trial, readings, False, g)
+                value = free_fit(fit, c, norm, push, simplex)
                 if value < best - 1e-12 * scale:
                     best = value
                     arcs[j] = trial[j]

@@ -10,13 +10,19 @@ than their number.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_sums
+from thigmo.compiled import compiled_inner, compiled_part, compiled_sums
 from thigmo.localization.exact.polynomial import quartic_misses_unit, unit_roots
 from thigmo.localization.exact.response import (
     INNER_END,
+    Batch,
+    ForceRange,
+    Optima,
+    Readings,
     find_edges,
     first_influence,
     objective_l2,
@@ -29,18 +35,26 @@ CANDIDATES = 256
 PIECES = 4
 
 
-@compiled_sums
-def profile_l2(
-    arc: float,
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    inverse: Floats,
-    w: Floats,
-    f_low: float,
-    f_high: float,
-) -> tuple[float, float]:
+class Work(NamedTuple):
+    """Room for one fit of N readings.
+
+    Attributes:
+        by_low: (N,) order of the sensors' near ends; not written by a fit.
+        inside: (N,) sensors in whose span the contact lies.
+        near: (2, CANDIDATES) arcs and objectives of near-best candidates.
+        small: (9, 6) polynomials and roots.
+    """
+
+    by_low: Ints
+    inside: Ints
+    near: Floats
+    small: Floats
+
+
+@compiled_inner
+def profile_l2(arc: float, readings: Readings, forces: ForceRange) -> tuple[float, float]:
     """Least objective over f at one arc, and that f."""
+    y, low, span, inverse, w = readings
     p = 0.0
     q = 0.0
     for j in range(y.shape[0]):
@@ -48,64 +62,49 @@ def profile_l2(
         phi = inside * inside * inverse[j] + (max(arc - low[j], span[j]) - span[j])
         p += w[j] * w[j] * y[j] * phi
         q += w[j] * w[j] * phi * phi
-    force = min(max(p / q if q > 0.0 else 0.0, f_low), f_high)
+    force = min(max(p / q if q > 0.0 else 0.0, forces.low), forces.high)
     return objective_l2(arc, force, y, low, span, inverse, w), force
 
 
-@compiled_sums
+@compiled_part
 def fit_l2(
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    inverse: Floats,
-    w: Floats,
-    by_low: Ints,
+    readings: Readings,
     edges: Floats,
-    n_edges: int,
-    f_low: float,
-    f_high: float,
+    forces: ForceRange,
     tolerance: float,
-    inside: Ints,
-    near: Floats,
-    small: Floats,
+    work: Work,
     ranges: Floats,
 ) -> tuple[float, float, float, int]:
-    """One problem. Work arrays: inside (N,), near (2, CANDIDATES), small (9, 6).
+    """One problem.
 
     Args:
-        y: (N,) readings above free curvature.
-        low: (N,) near ends of the spans.
-        span: (N,).
-        inverse: (N,) 1 / (2 span), or 0.
-        w: (N,) weights; 0 for a missing sensor.
-        by_low: (N,) order of `low`.
+        readings: N of them; weight 0 for a missing one.
         edges: from `find_edges`.
-        n_edges: how many.
-        f_low: least f.
-        f_high: largest f.
+        forces: what f may be.
         tolerance: relative to the objective at f = 0.
-        inside: work.
-        near: work.
-        small: work.
+        work: room for N.
         ranges: (PIECES, 2), written: the optimum set.
 
     Returns:
         objective, arc, force, number of ranges.
     """
+    y, low, span, inverse, w = readings
+    by_low, inside, near, small = work
+    n_edges = edges.shape[0]
     n = y.shape[0]
     length = edges[n_edges - 1]
     rest = 0.0
     for j in range(n):
         rest += (w[j] * y[j]) ** 2
-    f_zero = min(max(0.0, f_low), f_high)
-    start = first_influence(low, edges, n_edges)
+    f_zero = min(max(0.0, forces.low), forces.high)
+    start = first_influence(low, edges)
     idle = low[by_low[0]] >= edges[start] if n > 0 else True
     best = rest
     best_arc = length
     best_force = f_zero
     n_near = 0
     if f_zero != 0.0:
-        best, best_force = profile_l2(0.0, y, low, span, inverse, w, f_low, f_high)
+        best, best_force = profile_l2(0.0, readings, forces)
         best_arc = 0.0
         near[0, 0] = 0.0
         near[1, 0] = best
@@ -203,11 +202,11 @@ def fit_l2(
             q = q0 + t * (q1 + t * (q2 + t * (q3 + t * q4)))
             floor = 1e-7 * (s0 * (begin + t * width) ** 2)
             if q > floor:
-                force = min(max(p / q, f_low), f_high)
+                force = min(max(p / q, forces.low), forces.high)
                 if rest - force * (2.0 * p - force * q) > best + slack + 1e-6 * scale:
                     continue
             arc = min(begin + t * width, length)
-            value, force = profile_l2(arc, y, low, span, inverse, w, f_low, f_high)
+            value, force = profile_l2(arc, readings, forces)
             if value <= best + slack:
                 if value < best:
                     best = value
@@ -226,7 +225,7 @@ def fit_l2(
                 n_near += 1
         # Along a finite bound of f: J = rest - 2 f p + f^2 q.
         for side in range(2):
-            force = f_low if side == 0 else f_high
+            force = forces.low if side == 0 else forces.high
             if not 0.0 < abs(force) < np.inf:
                 continue
             coefficients[0] = force * q1 - 2.0 * p1
@@ -236,7 +235,7 @@ def fit_l2(
             found = unit_roots(coefficients, 3, roots, derivatives, brackets)
             for k in range(found):
                 arc = min(begin + roots[k] * width, length)
-                value, clipped = profile_l2(arc, y, low, span, inverse, w, f_low, f_high)
+                value, clipped = profile_l2(arc, readings, forces)
                 if value <= best + slack:
                     if value < best:
                         best = value
@@ -270,9 +269,7 @@ def fit_l2(
             if arc - last <= 1e-12 * length:
                 joined = True
             else:
-                value, force = profile_l2(
-                    0.5 * (last + arc), y, low, span, inverse, w, f_low, f_high
-                )
+                value, force = profile_l2(0.5 * (last + arc), readings, forces)
                 joined = value <= best + slack or pieces == PIECES
         if joined:
             ranges[pieces - 1, 1] = max(ranges[pieces - 1, 1], arc)
@@ -286,7 +283,7 @@ def fit_l2(
             widest = k
     if ranges[widest, 1] - ranges[widest, 0] > 1e-3 * length:
         arc = 0.5 * (ranges[widest, 0] + ranges[widest, 1])
-        value, force = profile_l2(arc, y, low, span, inverse, w, f_low, f_high)
+        value, force = profile_l2(arc, readings, forces)
         if value <= best + slack:
             best_arc = arc
             best_force = force
@@ -294,30 +291,19 @@ def fit_l2(
 
 
 @compiled_sums
-def fit_l2_rows(
-    y: Floats,
-    low: Floats,
-    span: Floats,
-    w: Floats,
-    length: Floats,
-    f_low: float,
-    f_high: float,
-    tolerance: float,
-    out: Floats,
-    pieces: Ints,
-    ranges: Floats,
-) -> None:
+def fit_l2_rows(batch: Batch, forces: ForceRange, tolerance: float, found: Optima) -> None:
     """Every row of a batch; arguments as `one_contact_l1.fit_l1_rows`."""
+    y, low, span, w, length = batch
+    out, pieces, ranges = found
     rows, n = y.shape
     shared = low.shape[0] == 1 and span.shape[0] == 1 and length.shape[0] == 1
     r_y = np.empty(n)
     r_w = np.empty(n)
     r_inverse = np.empty(n)
     edges = np.empty(2 * n + 2)
-    inside = np.empty(n, np.int64)
     by_low = np.empty(n, np.int64)
-    near = np.empty((2, CANDIDATES))
-    small = np.zeros((9, 6))
+    inside = np.empty(n, np.int64)
+    work = Work(by_low, inside, np.empty((2, CANDIDATES)), np.zeros((9, 6)))
     n_edges = 0
     for b in range(rows):
         r_low = low[b if low.shape[0] > 1 else 0]
@@ -336,23 +322,8 @@ def fit_l2_rows(
             known = y[b, j] == y[b, j]
             r_y[j] = y[b, j] if known else 0.0
             r_w[j] = w[b_w, j] if known else 0.0
-        value, arc, force, count = fit_l2(
-            r_y,
-            r_low,
-            r_span,
-            r_inverse,
-            r_w,
-            by_low,
-            edges,
-            n_edges,
-            f_low,
-            f_high,
-            tolerance,
-            inside,
-            near,
-            small,
-            ranges[b],
-        )
+        row = Readings(r_y, r_low, r_span, r_inverse, r_w)
+        value, arc, force, count = fit_l2(row, edges[:n_edges], forces, tolerance, work, ranges[b])
         out[b, 0] = value
         out[b, 1] = arc
         out[b, 2] = force

@@ -1,4 +1,4 @@
-"""What the compiled solvers share: sensor response, objective, optimum ranges.
+"""What the compiled solvers share: readings with their sensors, objectives, ends of spans.
 
 A sensor is given by its near end `low`, span `span` and `inverse` = 1 / (2 span), 0 for a point
 sensor, so that its response needs no branch. Everything is homogeneous in the units.
@@ -6,12 +6,73 @@ sensor, so that its response needs no branch. Everything is homogeneous in the u
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_sums
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Readings(NamedTuple):
+    """N readings and the sensors that they are from.
+
+    Attributes:
+        y: (N,) readings above free curvature.
+        low: (N,) near ends of the spans.
+        span: (N,).
+        inverse: (N,) 1 / (2 span), or 0.
+        w: (N,) weights.
+    """
+
+    y: Floats
+    low: Floats
+    span: Floats
+    inverse: Floats
+    w: Floats
+
+
+class ForceRange(NamedTuple):
+    """Least and largest force over EI that a fit may take; infinite for no bound."""
+
+    low: float
+    high: float
+
+
+class Batch(NamedTuple):
+    """B rows of readings, as the kernels over rows take them.
+
+    Attributes:
+        y: (B, N), NaN for a missing sensor.
+        low: (B or 1, N) near ends of the spans.
+        span: (B or 1, N).
+        w: (B or 1, N) weights.
+        length: (B or 1,) everted lengths.
+    """
+
+    y: Floats
+    low: Floats
+    span: Floats
+    w: Floats
+    length: Floats
+
+
+class Optima(NamedTuple):
+    """What the kernels over rows write.
+
+    Attributes:
+        best: (B, 3) objective, arc, force.
+        pieces: (B,) number of ranges.
+        ranges: (B, PIECES, 2) the optimum set, written up to `pieces`.
+    """
+
+    best: Floats
+    pieces: Ints
+    ranges: Floats
+
 
 INNER_END = 1e-9  # where in the first cell its open end is looked at, as a share of the cell
 
@@ -23,10 +84,13 @@ def plain(value: int) -> int:
 
 
 @compiled_sums
-def response(arc: float, low: float, span: float, inverse: float) -> float:
-    """Influence phi of a unit force at `arc` on one sensor (METHODS: average over the span)."""
-    inside = min(max(arc - low, 0.0), span)
-    return inside * inside * inverse + (max(arc - low, span) - span)
+def inverse_spans(span: Floats) -> Floats:
+    """`Readings.inverse` of the spans."""
+    out = np.zeros(span.shape[0])
+    for j in range(span.shape[0]):
+        if span[j] > 0.0:
+            out[j] = 0.5 / span[j]
+    return out
 
 
 @compiled_sums
@@ -88,12 +152,12 @@ def find_edges(low: Floats, span: Floats, length: float, edges: Floats) -> int:
 
 
 @compiled_sums
-def first_influence(low: Floats, edges: Floats, n_edges: int) -> int:
+def first_influence(low: Floats, edges: Floats) -> int:
     """Index of the last edge at which no sensor answers yet (0 if one answers at the base)."""
     least = np.inf
     for j in range(low.shape[0]):
         least = min(least, low[j])
     k = 0
-    while k + 2 < n_edges and edges[k + 1] <= least:
+    while k + 2 < edges.shape[0] and edges[k + 1] <= least:
         k += 1
     return k

@@ -13,13 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from thigmo.errors import DataError
 from thigmo.localization.exact.branch_and_bound import fit_several
+from thigmo.localization.exact.cells import Search
 from thigmo.localization.exact.dense_one_contact import fit_dense_l1
 from thigmo.localization.exact.knots import best_knots, refine
 from thigmo.localization.exact.one_contact_l1 import PIECES, fit_l1_rows
 from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
+from thigmo.localization.exact.response import Batch, ForceRange, Optima, Readings, inverse_spans
 
 Floats = NDArray[np.float64]
 Norm = Literal[1, 2]
+
+# Kernels are given writable arrays only: numba compiles them once more for read-only ones, and what
+# it compiles twice may differ in the last digit.
+_PLAIN: tuple[Literal["C"], Literal["A"], Literal["W"]] = ("C", "A", "W")
 
 # Enumeration grows with the cube of the sensors; beyond this many the branch and bound is faster.
 ENUMERATED = 32
@@ -119,34 +125,25 @@ def one_contact(
         )
     else:
         # The same by the shortest way: this path is called once a frame.
-        layout = np.empty((3, 1, n))
+        layout = np.empty((4, 1, n))
         try:
             layout[0], layout[1], layout[2] = position, span, weight
             end = float(length)
         except (TypeError, ValueError):
             _layout(position, span, weight, length, 1, n)
             raise
-        low, high = _bounds(force_bounds)
-        if not (np.isfinite(layout).all() and layout[1:].min(initial=0.0) >= 0.0 < end < np.inf):
+        forces = _forces(force_bounds)
+        known = layout[:3]
+        if not (np.isfinite(known).all() and known[1:].min(initial=0.0) >= 0.0 < end < np.inf):
             _layout(position, span, weight, length, 1, n)
         if np.isinf(y).any():
             raise DataError("curvature is infinite", "use NaN for a missing sensor")
         layout[0] -= 0.5 * layout[1]
-        result, pieces, sets = np.empty((1, 3)), np.empty(1, np.int64), np.empty((1, PIECES, 2))
-        (fit_l1_rows if norm == 1 else fit_l2_rows)(
-            np.ascontiguousarray(y[None]),
-            layout[0],
-            layout[1],
-            layout[2],
-            np.array([end]),
-            low,
-            high,
-            tolerance,
-            result,
-            pieces,
-            sets,
-        )
-        out, count, ranges = result[0], int(pieces[0]), sets[0]
+        layout[3] = y
+        batch = Batch(layout[3], layout[0], layout[1], layout[2], np.array([end]))
+        found = Optima(np.empty((1, 3)), np.empty(1, np.int64), np.empty((1, PIECES, 2)))
+        (fit_l1_rows if norm == 1 else fit_l2_rows)(batch, forces, float(tolerance), found)
+        out, count, ranges = found.best[0], int(found.pieces[0]), found.ranges[0]
     return Solution(
         objective=float(out[0]),
         arc=out[1:2],
@@ -184,50 +181,40 @@ def one_contact_batch(
     Raises:
         DataError: as `one_contact`.
     """
-    y = np.ascontiguousarray(curvature, dtype=np.float64)
+    y = np.require(curvature, np.float64, _PLAIN)
     if y.ndim != 2:
         raise DataError(f"curvature has shape {y.shape}, not (B, N)", "pass one row per problem")
     rows, n = y.shape
     x, spans, w, ends = _layout(position, span, weight, length, rows, n)
-    f_low, f_high = _bounds(force_bounds)
+    forces = _forces(force_bounds)
     if np.isinf(y).any():
         raise DataError("curvature is infinite", "use NaN for a missing sensor")
     near_ends = x - 0.5 * spans
-    out = np.empty((rows, 3))
-    pieces = np.zeros(rows, dtype=np.int64)
-    ranges = np.full((rows, PIECES, 2), np.nan)
+    found = Optima(
+        np.empty((rows, 3)),
+        np.zeros(rows, dtype=np.int64),
+        np.full((rows, PIECES, 2), np.nan),
+    )
     fit = fit_l1_rows if norm == 1 else fit_l2_rows
-    dense = norm == 1 and n > ENUMERATED and {-f_low, f_high} <= {0.0, np.inf}
+    dense = norm == 1 and n > ENUMERATED and {-forces.low, forces.high} <= {0.0, np.inf}
 
     def run(part: slice) -> None:
         if dense:
             for row in range(part.start, part.stop):
-                _dense_row(
-                    y[row],
-                    x[row % len(x)],
-                    spans[row % len(spans)],
-                    w[row % len(w)],
-                    float(ends[row % len(ends)]),
-                    (f_low, f_high),
-                    tolerance,
-                    out[row],
-                    ranges[row],
+                readings = _by_near_end(
+                    y[row], x[row % len(x)], spans[row % len(spans)], w[row % len(w)]
                 )
-                pieces[row] = 1
+                best, arc, force, low, high, _ = fit_dense_l1(
+                    readings, float(ends[row % len(ends)]), forces, float(tolerance)
+                )
+                found.best[row] = best, arc, force
+                found.ranges[row, 0] = (low, high) if force != 0.0 else (0.0, ends[row % len(ends)])
+                found.pieces[row] = 1
             return
-        fit(
-            y[part],
-            near_ends if len(near_ends) == 1 else near_ends[part],
-            spans if len(spans) == 1 else spans[part],
-            w if len(w) == 1 else w[part],
-            ends if len(ends) == 1 else ends[part],
-            f_low,
-            f_high,
-            tolerance,
-            out[part],
-            pieces[part],
-            ranges[part],
-        )
+        given = (near_ends, spans, w, ends)
+        batch = Batch(y[part], *(array if len(array) == 1 else array[part] for array in given))
+        written = Optima(found.best[part], found.pieces[part], found.ranges[part])
+        fit(batch, forces, float(tolerance), written)
 
     if threads > 1 and rows >= 2 * threads:
         cuts = np.linspace(0, rows, threads + 1).astype(int).tolist()
@@ -236,10 +223,11 @@ def one_contact_batch(
             list(pool.map(run, parts))
     else:
         run(slice(0, rows))
+    ranges, pieces = found.ranges, found.pieces
     return BatchSolution(
-        objective=out[:, 0],
-        arc=out[:, 1],
-        force=out[:, 2],
+        objective=found.best[:, 0],
+        arc=found.best[:, 1],
+        force=found.best[:, 2],
         low=ranges[:, 0, 0],
         high=ranges[np.arange(rows), np.maximum(pieces, 1) - 1, 1],
         pieces=pieces,
@@ -247,32 +235,12 @@ def one_contact_batch(
     )
 
 
-def _dense_row(
-    y: Floats,
-    x: Floats,
-    span: Floats,
-    w: Floats,
-    length: float,
-    bounds: tuple[float, float],
-    tolerance: float,
-    out: Floats,
-    ranges: Floats,
-) -> None:
-    """One row by the walk for dense sensing; `out` (3,) and `ranges` (PIECES, 2) are written."""
+def _by_near_end(y: Floats, x: Floats, span: Floats, w: Floats) -> Readings:
+    """The known readings of one row, sensors ordered by their near ends."""
     near_ends = x - 0.5 * span
     order = np.argsort(near_ends, kind="stable")
     order = order[np.isfinite(y[order]) & (w[order] > 0.0)]
-    best, arc, force, low, high, _ = fit_dense_l1(
-        y[order],
-        near_ends[order],
-        span[order],
-        w[order],
-        length,
-        *bounds,
-        tolerance,
-    )
-    out[:] = best, arc, force
-    ranges[0] = (low, high) if force != 0.0 else (0.0, length)
+    return Readings(y[order], near_ends[order], span[order], inverse_spans(span[order]), w[order])
 
 
 def _layout(
@@ -292,8 +260,8 @@ def _layout(
             raise DataError(f"{name} does not match curvature ({rows}, {n})", "check its shape")
         if not np.isfinite(array).all() or (name != "position" and (array < 0.0).any()):
             raise DataError(f"{name} has a value that is not usable", "check that it is finite")
-        arrays.append(np.ascontiguousarray(array))
-    ends = np.atleast_1d(np.asarray(length, dtype=np.float64))
+        arrays.append(np.require(array, np.float64, _PLAIN))
+    ends = np.atleast_1d(np.require(length, np.float64, _PLAIN))
     if ends.ndim != 1 or len(ends) not in (1, rows):
         raise DataError(f"length has shape {ends.shape}", "pass one length, or one for each row")
     if not (np.isfinite(ends).all() and (ends > 0.0).all()):
@@ -301,11 +269,11 @@ def _layout(
     return arrays[0], arrays[1], arrays[2], ends
 
 
-def _bounds(force_bounds: tuple[float, float]) -> tuple[float, float]:
+def _forces(force_bounds: tuple[float, float]) -> ForceRange:
     f_low, f_high = float(force_bounds[0]), float(force_bounds[1])
     if not f_low <= f_high or f_low == np.inf or f_high == -np.inf:
         raise DataError(f"force_bounds {force_bounds} hold no force", "pass (least, largest)")
-    return f_low, f_high
+    return ForceRange(f_low, f_high)
 
 
 def several_contacts(
@@ -367,6 +335,7 @@ def several_contacts(
     heavy = float(w.max(initial=0.0)) or 1.0
     w = w / heavy
     low = x[0, order] / end - 0.5 * spans
+    readings = Readings(y, low, spans, inverse_spans(spans), w)
     rest = float((w * np.abs(y)).sum() if norm == 1 else ((w * y) ** 2).sum())
     slack = tolerance * rest
     limit = 20.0 if force_limit is None else force_limit * end / unit
@@ -378,7 +347,7 @@ def several_contacts(
     limits = np.zeros((contacts, 2))
     limits[:, 1] = 1.0
     if len(y) > BOUNDED[contacts] and sign == 0:
-        best = _dense_several(y, low, spans, w, norm, arcs, forces)
+        best = _dense_several(readings, norm, arcs, forces)
         by_arc = np.argsort(arcs, kind="stable")
         return Solution(
             objective=best * back,
@@ -389,23 +358,8 @@ def several_contacts(
         )
 
     def search(goal: float) -> tuple[float, float, int]:
-        return fit_several(
-            y,
-            low,
-            spans,
-            w,
-            1.0,
-            contacts,
-            norm,
-            sign,
-            limit,
-            slack,
-            goal,
-            limits,
-            max_nodes,
-            found,
-            pushed,
-        )
+        what = Search(contacts, norm, sign, limit, slack, goal, max_nodes)
+        return fit_several(readings, 1.0, what, limits, found, pushed)
 
     found, pushed = arcs, forces
     best, lower, nodes = search(np.inf)
@@ -459,10 +413,9 @@ def _range_around(
     return ends[0], ends[1]
 
 
-def _dense_several(
-    y: Floats, low: Floats, span: Floats, w: Floats, norm: int, arcs: Floats, forces: Floats
-) -> float:
+def _dense_several(readings: Readings, norm: int, arcs: Floats, forces: Floats) -> float:
     """Knots on a grid, then refined; for L1 once more with weights that resist outliers."""
+    y, low, span, _, w = readings
     centre = low + 0.5 * span
     knots = np.linspace(max(float(centre[0]), 1.0 / KNOTS), 1.0, KNOTS)
     tries = STARTS[norm - 1]
@@ -474,7 +427,7 @@ def _dense_several(
         best_knots(centre, y, weight, knots, len(arcs), values, index)
         for start in index[np.isfinite(values)]:
             trial, push = knots[start], np.zeros(len(arcs))
-            value = refine(y, low, span, w, 1.0, norm, 1.0 / KNOTS, 0.1 / KNOTS, trial, push)
+            value = refine(readings, 1.0, norm, (1.0 / KNOTS, 0.1 / KNOTS), trial, push)
             if value < best:
                 best = value
                 arcs[:], forces[:] = trial, push
@@ -483,4 +436,4 @@ def _dense_several(
             model += force * np.maximum(arc - centre, 0.0)
         gap = np.abs(y - model)
         weight = np.sqrt(w / np.maximum(gap, 0.1 * float(np.median(gap)) + 1e-12))
-    return refine(y, low, span, w, 1.0, norm, 0.1 / KNOTS, 1e-10, arcs, forces)
+    return refine(readings, 1.0, norm, (0.1 / KNOTS, 1e-10), arcs, forces)

@@ -8,10 +8,13 @@ whose minimum is a lower bound for any multipliers and the optimum for the right
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_sums
+from thigmo.compiled import compiled_inner, compiled_sums
+from thigmo.localization.exact.absolute_fit import SignedFit, Size
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,22 +23,61 @@ DEPENDENT = 1e-12  # a column this close to the span of those before it adds not
 STIFFNESS = 100.0  # of the springs on limits, relative to the largest coefficient's column
 
 
-@compiled_sums
-def triangle(
-    g: Floats, y: Floats, w: Floats, m: int, n: int, q: Floats, a: Floats, t: Floats
-) -> None:
+class Triangle(NamedTuple):
+    """Rotated data: one row of `a` per coefficient.
+
+    Attributes:
+        a: (>= m + groups, >= m + 1 + groups); beyond the first m rows and m + 1 columns for limits.
+        t: (>= m + 1 + groups,).
+    """
+
+    a: Floats
+    t: Floats
+
+
+class Limits(NamedTuple):
+    """Limits on sums of |coefficients|.
+
+    Attributes:
+        group: (>= m,) group of each coefficient; those of a group have one sign, or no limit.
+        groups: how many.
+        limit: of each group's sum, > 0.
+    """
+
+    group: Ints
+    groups: int
+    limit: float
+
+
+class ActiveSet(NamedTuple):
+    """Work of the active set method, for m + groups coefficients.
+
+    Attributes:
+        passive: (>= m + groups,) which coefficients are not held at 0.
+        q: (>= m + groups, >= m + 1 + groups).
+        upper: (>= m + groups, >= m + groups).
+        small: (3, >= m + 1 + groups).
+    """
+
+    passive: Ints
+    q: Floats
+    upper: Floats
+    small: Floats
+
+
+@compiled_inner
+def triangle(fit: SignedFit, size: Size, q: Floats, out: Triangle) -> None:
     """Rotate weighted data: |t - beta a| = |w (y - beta g)| for every beta.
 
     Args:
-        g: (>= m, >= n) one row per coefficient.
-        y: (>= n,) data.
-        w: (>= n,) weights.
-        m: coefficients.
-        n: data.
+        fit: data and coefficients.
+        size: how much of them.
         q: (>= m + 1, >= n) work.
-        a: (>= m, >= m + 1) written.
-        t: (>= m + 1,) written.
+        out: written.
     """
+    g, y, w, _ = fit
+    m, n, _ = size
+    a, t = out
     for r in range(m + 1):
         before = 0.0
         for k in range(n):
@@ -54,14 +96,14 @@ def triangle(
         after = 0.0
         for k in range(n):
             after += q[r, k] * q[r, k]
-        size = np.sqrt(after)
+        norm = np.sqrt(after)
         if r < m:
-            a[r, r] = size
+            a[r, r] = norm
             for p in range(r + 1, m + 1):
                 a[r, p] = 0.0
         else:
-            t[r] = size
-        scale = 1.0 / size if after > 0.0 else 0.0
+            t[r] = norm
+        scale = 1.0 / norm if after > 0.0 else 0.0
         if after <= DEPENDENT * DEPENDENT * before:
             scale = 0.0
             if r < m:
@@ -71,18 +113,11 @@ def triangle(
 
 
 @compiled_sums
-def solve_passive(
-    a: Floats,
-    t: Floats,
-    m: int,
-    rows: int,
-    passive: Ints,
-    beta: Floats,
-    q: Floats,
-    upper: Floats,
-    rest: Floats,
-) -> float:
+def solve_passive(data: Triangle, m: int, rows: int, beta: Floats, work: ActiveSet) -> float:
     """Least squares over the passive coefficients, the others 0; returns the squared residual."""
+    a, t = data
+    passive, q, upper, small = work
+    rest = small[0]
     for k in range(rows):
         rest[k] = t[k]
     for r in range(m):
@@ -130,33 +165,22 @@ def solve_passive(
 
 @compiled_sums
 def signed_square_fit(
-    a: Floats,
-    t: Floats,
-    m: int,
-    rows: int,
-    kind: Ints,
-    passive: Ints,
-    beta: Floats,
-    q: Floats,
-    upper: Floats,
-    small: Floats,
+    data: Triangle, m: int, rows: int, kind: Ints, beta: Floats, work: ActiveSet
 ) -> float:
     """Least |t - beta a|^2 with beta >= 0 where kind is 1, <= 0 where -1, free where 0.
 
     Args:
-        a: (>= m, >= rows) one row per coefficient.
-        t: (>= rows,).
+        data: from `triangle`, with or without limits.
         m: coefficients.
         rows: data.
         kind: (>= m,).
-        passive: (>= m,) work.
         beta: (>= m,) written.
-        q: (>= m, >= rows) work.
-        upper: (>= m, >= m) work.
-        small: (2, >= rows) work.
+        work: the rest of it.
     """
-    rest = small[0]
-    last = small[1]
+    a, t = data
+    passive = work.passive
+    rest = work.small[0]
+    last = work.small[1]
     total = 0.0
     for k in range(rows):
         total += t[k] * t[k]
@@ -167,7 +191,7 @@ def signed_square_fit(
     enter = -1
     phase = 0  # 0: all passive at once, right whenever the signs come out so; then one by one
     for _ in range(20 * m):
-        value = solve_passive(a, t, m, rows, passive, beta, q, upper, rest)
+        value = solve_passive(data, m, rows, beta, work)
         wrong = -1
         step = 1.0
         for r in range(m):
@@ -217,43 +241,28 @@ def signed_square_fit(
 
 @compiled_sums
 def square_fit(
-    a: Floats,
-    t: Floats,
-    m: int,
-    kind: Ints,
-    group: Ints,
-    groups: int,
-    limit: float,
-    beta: Floats,
-    passive: Ints,
-    q: Floats,
-    upper: Floats,
-    small: Floats,
+    data: Triangle, m: int, kind: Ints, limits: Limits, beta: Floats, work: ActiveSet
 ) -> float:
-    """`signed_square_fit` with the sum of each group's |beta| at most `limit`: a lower bound.
+    """`signed_square_fit` with the sum of each group's |beta| at most a limit: a lower bound.
 
     Args:
-        a: (>= m + groups, >= m + 1 + groups) from `triangle`; the rest is used for limits.
-        t: (>= m + 1 + groups,) likewise.
+        data: from `triangle`; its further rows and columns are written.
         m: coefficients.
-        kind: (>= m + groups,); the coefficients of a group have one sign, or kind 0 and no limit.
-        group: (>= m,) group of each coefficient.
-        groups: how many.
-        limit: > 0.
+        kind: (>= m + groups,).
+        limits: on groups of them.
         beta: (>= m + groups,) written.
-        passive: (>= m + groups,) work.
-        q: (>= m + groups, >= m + 1 + groups) work.
-        upper: (>= m + groups, >= m + groups) work.
-        small: (3, >= m + 1 + groups) work.
+        work: the rest of it.
     """
-    multiplier = small[2]
+    a, t = data
+    group, groups, limit = limits
+    multiplier = work.small[2]
     best = 0.0
     stiff = 0.0
     root = 0.0
     count = m
     rows = m + 1
     for _ in range(12):
-        value = signed_square_fit(a, t, count, rows, kind, passive, beta, q, upper, small)
+        value = signed_square_fit(data, count, rows, kind, beta, work)
         settled = True
         for k in range(groups):
             over = -limit

@@ -18,6 +18,8 @@ from thigmo.localization.exact import (
     solve,
 )
 from thigmo.localization.exact.knots import best_knots
+from thigmo.localization.exact.one_contact_l1 import fit_l1_rows
+from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
 
 BOTH = np.tile([5.0, 15.0, 25.0, 35.0, 45.0], 2)
 
@@ -228,12 +230,12 @@ def test_signs_and_limits_of_forces_hold() -> None:
 
 def test_a_batch_is_its_rows() -> None:
     rng = np.random.default_rng(11)
-    y = 2e-3 * rng.standard_normal((40, 8))
+    y = 2e-3 * rng.standard_normal((400, 8))
     y[rng.random(y.shape) < 0.1] = np.nan
-    x = np.sort(rng.uniform(0, 50, (40, 8)), axis=1)
-    lengths = rng.uniform(50, 60, 40)
-    spans = rng.uniform(0, 8, (40, 8))
-    weights = rng.uniform(0.5, 2, (40, 8))
+    x = np.sort(rng.uniform(0, 50, (400, 8)), axis=1)
+    lengths = rng.uniform(50, 60, 400)
+    spans = rng.uniform(0, 8, (400, 8))
+    weights = rng.uniform(0.5, 2, (400, 8))
     for norm in (1, 2):
         norm_ = 1 if norm == 1 else 2
         many = [
@@ -243,13 +245,30 @@ def test_a_batch_is_its_rows() -> None:
             for threads in (1, 3)
         ]
         assert np.array_equal(many[0].objective, many[1].objective)
-        for b in range(40):
+        for b in range(400):
             one = one_contact(y[b], x[b], lengths[b], span=spans[b], weight=weights[b], norm=norm_)
-            assert many[0].objective[b] == pytest.approx(one.objective, rel=1e-12)
-            assert many[0].arc[b] == pytest.approx(one.arc[0], rel=1e-9)
-            # The compiler may round the two apart in the last digit.
-            assert many[0].low[b] == pytest.approx(one.ranges[0][0][0], rel=1e-12)
-            assert many[0].high[b] == pytest.approx(one.ranges[0][-1][1], rel=1e-12)
+            assert many[0].objective[b] == one.objective
+            assert many[0].arc[b] == one.arc[0]
+            assert many[0].low[b] == one.ranges[0][0][0]
+            assert many[0].high[b] == one.ranges[0][-1][1]
+
+
+def test_rows_are_compiled_once_whatever_arrays_they_are_given_in() -> None:
+    """Twice compiled code may differ in the last digit, and costs seconds: no read-only arrays."""
+    y = np.linspace(-1e-3, 1e-3, 8).reshape(1, 8)
+    for kernel, norm in ((fit_l1_rows, 1), (fit_l2_rows, 2)):
+        norm_ = 1 if norm == 1 else 2
+        for rows in (y, y[:, ::-1], np.asfortranarray(np.repeat(y, 3, axis=0)), _frozen(y)):
+            where, point = _frozen(np.arange(8.0)), _frozen(y * 0)
+            one_contact_batch(rows, where, 53.0, span=point, norm=norm_)
+            one_contact(rows[0], np.arange(8.0), 53, tolerance=1, norm=norm_)
+        assert len(kernel.signatures) == 1
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
 
 
 def test_knots_on_a_grid_are_the_best_ones() -> None:

@@ -16,6 +16,7 @@ from exact_oracles import (
 
 from thigmo.localization.exact import Solution, one_contact, several_contacts
 from thigmo.localization.exact.dense_one_contact import fit_dense_l1
+from thigmo.localization.exact.response import ForceRange, Readings, inverse_spans
 
 TOLERANCE = 1e-9
 
@@ -168,8 +169,12 @@ def test_the_dense_fit_agrees_with_enumeration() -> None:
         )
         near = case.position - 0.5 * case.span
         order = np.argsort(near, kind="stable")
-        parts = (case.curvature, near, case.span, case.weight)
-        found = fit_dense_l1(*(part[order] for part in parts), LENGTH, *bounds, TOLERANCE)
+        span = case.span[order]
+        readings = Readings(
+            case.curvature[order], near[order], span, inverse_spans(span), case.weight[order]
+        )
+        forces = ForceRange(float(bounds[0]), float(bounds[1]))
+        found = fit_dense_l1(readings, LENGTH, forces, TOLERANCE)
         assert found[0] == pytest.approx(expected.objective, abs=2 * TOLERANCE * case.scale)
         arc, force = np.array([found[1]]), np.array([found[2]])
         assert objective(case, arc, force, 1) == pytest.approx(
