@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from thigmo.bench.study import Context
 from thigmo.experiments import EXPERIMENTS, conditions, run, thesis
 from thigmo.experiments.compare import (
     Answer,
@@ -139,7 +140,7 @@ def test_the_thesis_cannot_tell_close_contacts_apart_and_we_can() -> None:
 
 
 def test_five_sensors_are_the_limit_of_the_solver_with_the_1_norm_not_of_the_norm() -> None:
-    found = {(c.method, c.noise, c.sensors): c.mean_cm for c in cells(trials=6, seed=0)}
+    found = {(c.method, c.noise, c.sensors): c.mean_cm for c in cells(6, Context(seed=0))}
     assert found["exact 1-norm", 0.0, 3] < 0.2
     assert found["thesis's solver (1-norm)", 0.0, 3] > 3.0
     assert found["thesis's solver (2-norm)", 0.0, 3] < 2.0
@@ -154,6 +155,16 @@ def test_each_experiment_writes_tables_figures_and_claims(name: str, tmp_path: P
     assert results.claims or results.notes
     assert list(tmp_path.glob(f"{name}-*.png"))
     assert list(tmp_path.glob(f"{name}-*.csv"))
+
+
+@pytest.mark.parametrize("name", ["actuated", "sensitivity"])
+def test_results_do_not_depend_on_the_number_of_processes(name: str, tmp_path: Path) -> None:
+    for jobs in (1, 2):
+        run(name, tmp_path / str(jobs), robots=2, trials=1, seed=3, jobs=jobs)
+    tables = sorted((tmp_path / "1").glob("*.csv"))
+    assert tables
+    for made in tables:
+        assert made.read_text() == (tmp_path / "2" / made.name).read_text()
 
 
 def test_the_bound_counts_gains_and_places() -> None:

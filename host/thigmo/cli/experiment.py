@@ -32,6 +32,9 @@ def experiment(
     robots: Annotated[int, typer.Option(help="Simulated robots, each built anew.")] = 20,
     trials: Annotated[int, typer.Option(help="Trials a condition and robot; the thesis: 5.")] = 5,
     seed: Annotated[int, typer.Option(help="Every random number comes from it.", min=0)] = 1,
+    jobs: Annotated[
+        int, typer.Option(help="Processes on this machine; the results do not depend on it.", min=1)
+    ] = 1,
     out: Annotated[Path, typer.Option(help="Folder for trials, tables and figures.")] = Path(
         "experiment-out"
     ),
@@ -87,7 +90,7 @@ def experiment(
             raise DataError("--robot and --recorded are both given", "give one of them")
         found = _with_robot(
             name, robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file,
-            rehearse, as_json,
+            rehearse, as_json, jobs,
         )  # fmt: skip
         _tell([found], out, as_json)
         return
@@ -98,7 +101,7 @@ def experiment(
     for one in names:
         if not as_json:
             typer.echo(f"{one}: {robots} robots, {trials} trials a condition ..")
-        results.append(run(one, out, robots=robots, trials=trials, seed=seed))
+        results.append(run(one, out, robots=robots, trials=trials, seed=seed, jobs=jobs))
     _tell(results, out, as_json)
 
 
@@ -115,8 +118,10 @@ def _with_robot(
     camera_file: Path,
     rehearse: bool,
     quiet: bool,
+    jobs: int,
 ) -> Results:
     """Take the trials, or read them, and evaluate what there is."""
+    from thigmo.bench.study import Context
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.config import RobotConfig
     from thigmo.errors import DataError
@@ -144,7 +149,7 @@ def _with_robot(
             say = (lambda text: None) if quiet else _say
             if not run_trials(machine, attendant, folder, name, trials, say):
                 say("stopped; the same command goes on")
-    results = evaluate(name, folder.trials())
+    results = evaluate(name, folder.trials(), Context(jobs=jobs))
     save(results, name, folder.path)
     return results
 

@@ -9,7 +9,7 @@ answer implies.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,20 +134,14 @@ class Solved:
     bound_cm: Floats
 
 
-def solve(trials: Iterable[Trial], methods: Sequence[str] = ("alternating",)) -> list[Solved]:
-    """Answer each trial with ours and with the named baselines."""
-    return [
-        Solved(
-            trial,
-            {
-                OURS: ours(trial),
-                **({} if trial.passed is None else {ALONE: alone(trial)}),
-                **{name: thesis_method(trial, name) for name in methods},
-            },
-            bound_cm(trial),
-        )
-        for trial in trials
-    ]
+def solve(item: tuple[Trial, Sequence[str]]) -> Solved:
+    """Answer a trial with ours and with the named baselines."""
+    trial, methods = item
+    answers = {OURS: ours(trial)}
+    if trial.passed is not None:
+        answers[ALONE] = alone(trial)
+    answers |= {name: thesis_method(trial, name) for name in methods}
+    return Solved(trial, answers, bound_cm(trial))
 
 
 def camera_errors(trial: Trial, answer: Answer) -> Floats:

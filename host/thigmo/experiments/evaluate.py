@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from thigmo.bench.study import Cell, Claim, Outcome, Table
+from thigmo.bench.study import Cell, Claim, Context, Outcome, Table
 from thigmo.errors import DataError
 from thigmo.experiments import figures, thesis
 from thigmo.experiments.compare import Row, Solved, row, solve
@@ -32,12 +32,13 @@ class Results:
     notes: list[str] = field(default_factory=list)
 
 
-def evaluate(name: str, trials: Sequence[Trial]) -> Results:
+def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None) -> Results:
     """Solve every trial by every method that its experiment compares, once; rows and figures.
 
     Args:
         name: single-contact, two-contacts or actuated.
         trials: of that experiment; conditions without any are left out.
+        context: whose processes share the trials; None takes one.
 
     Raises:
         DataError: no trial.
@@ -48,7 +49,9 @@ def evaluate(name: str, trials: Sequence[Trial]) -> Results:
     for condition in dict.fromkeys(trial.condition for trial in trials):
         mine = [trial for trial in trials if trial.condition == condition]
         high = name == "single-contact" and condition == thesis.LEVELS[0]
-        solved = solve(mine, ("alternating", *(_REMEDIES.values() if high else ())))
+        methods = ("alternating", *(_REMEDIES.values() if high else ()))
+        items = [(trial, methods) for trial in mine]
+        solved = (context or Context()).map(solve, items, f"{name}, {condition}")
         rows.append(row(name, condition, solved, "alternating"))
         if high:
             rows += [row(name, f"{condition}, {n}", solved, m) for n, m in _REMEDIES.items()]

@@ -126,8 +126,14 @@ def _levels(solved: Sequence[Solved], rows: Sequence[Row]) -> Figure:
         axis.set_title(f"{condition} (thesis {mean} +- {told.thesis_std} cm)", fontsize=10)
         axis.set_xlabel("where the dowel stands")
         axis.set_ylim(bottom=0)
-        axis.legend(fontsize=7)
+    _legend_below(figure)
     return figure
+
+
+def _legend_below(figure: Figure) -> None:
+    """One legend for all panels, under them, where it covers nothing."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=7)
 
 
 def single_contact(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
@@ -225,7 +231,7 @@ def two_contacts(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Fig
         axis.plot([], [], "--", color="gray", label="thesis, mean over both contacts")
         axis.set_title(f"{name} contact")
         axis.set_xlabel("separation (cm)")
-        axis.legend(fontsize=7)
+    _legend_below(errors)
     errors.axes[0].set_ylim(bottom=0)
     errors.suptitle("Two opposed contacts, ordered along the arc (thesis, figure 3.5c)")
     fits = Figure(figsize=(7, 4.2), layout="constrained")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thigmo.bench.study import Context
 from thigmo.config import TanhMap
 from thigmo.experiments import conditions, thesis
 from thigmo.experiments.compare import camera_errors, thesis_method, workspace_errors
@@ -79,44 +80,45 @@ def _settings() -> Iterator[_Setting]:
         yield _Setting(f"map believed {error:+.0%}", fitted, map_error=error)
 
 
-def cells(robots: int, trials: int, seed: int) -> list[Cell]:
+def cells(robots: int, trials: int, context: Context) -> list[Cell]:
     """Every setting on every row of sections 3.2 to 3.4 that the plain solver made.
 
     Args:
         robots: built anew for each setting, from the same seed.
         trials: for each place and condition.
-        seed: of robots and noise.
+        context: seed of robots and noise; settings are shared out among its processes.
     """
+    items = [(setting, robots, trials, context.seed) for setting in _settings()]
+    return [cell for found in context.map(_rows, items, "changed constants") for cell in found]
+
+
+def _rows(item: tuple[_Setting, int, int, int]) -> list[Cell]:
+    """One setting on every row."""
+    setting, robots, trials, seed = item
+    trials_of: dict[str, list[Trial]] = {"single-contact": [], "two-contacts": [], "actuated": []}
+    for robot in range(robots):
+        rng = np.random.default_rng([seed, robot])
+        specimen = Specimen(setting.constants, rng)
+        trials_of["single-contact"] += conditions.single_contact(specimen, trials, rng)
+        trials_of["two-contacts"] += conditions.two_contacts(specimen, trials, rng)
+        trials_of["actuated"] += conditions.actuated(
+            specimen, trials, setting.muscle, setting.map_error
+        )
     found = []
-    for setting in _settings():
-        trials_of: dict[str, list[Trial]] = {
-            "single-contact": [],
-            "two-contacts": [],
-            "actuated": [],
-        }
-        for robot in range(robots):
-            rng = np.random.default_rng([seed, robot])
-            specimen = Specimen(setting.constants, rng)
-            trials_of["single-contact"] += conditions.single_contact(specimen, trials, rng)
-            trials_of["two-contacts"] += conditions.two_contacts(specimen, trials, rng)
-            trials_of["actuated"] += conditions.actuated(
-                specimen, trials, setting.muscle, setting.map_error
-            )
-        for experiment, every in trials_of.items():
-            for condition in dict.fromkeys(trial.condition for trial in every):
-                mine = [trial for trial in every if trial.condition == condition]
-                answers = [thesis_method(trial) for trial in mine]
-                pairs = list(zip(mine, answers, strict=True))
-                found.append(
-                    Cell(
-                        setting.changed,
-                        experiment,
-                        condition,
-                        thesis.published(experiment, condition).mean_cm,
-                        float(np.mean([camera_errors(t, a) for t, a in pairs])),
-                        float(np.mean([workspace_errors(t, a) for t, a in pairs])),
-                    )
+    for experiment, every in trials_of.items():
+        for condition in dict.fromkeys(trial.condition for trial in every):
+            mine = [trial for trial in every if trial.condition == condition]
+            pairs = [(trial, thesis_method(trial)) for trial in mine]
+            found.append(
+                Cell(
+                    setting.changed,
+                    experiment,
+                    condition,
+                    thesis.published(experiment, condition).mean_cm,
+                    float(np.mean([camera_errors(t, a) for t, a in pairs])),
+                    float(np.mean([workspace_errors(t, a) for t, a in pairs])),
                 )
+            )
     return found
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.bench.study import Claim
+from thigmo.bench.study import Claim, Context
 from thigmo.compiled import compiled
 from thigmo.experiments import thesis
 from thigmo.localization import localize
@@ -120,40 +120,45 @@ def _answer(method: str, y: Floats, x: Floats, noise: float) -> float:
     return float(result.contacts[0].arc) if result.contacts else float("nan")
 
 
-def cells(trials: int, seed: int) -> list[Cell]:
+def cells(trials: int, context: Context) -> list[Cell]:
     """Run the study: contacts between 60 % of the length and the tip, 0.7 of the fold's moment.
 
     Sensors are spread evenly from 5 to 45 cm, one at a place, so that two of them already span the
     body.
     """
+    items = [(noise, count, trials, context.seed) for noise in NOISES for count in SENSORS]
+    return [cell for found in context.map(_methods, items, "noise and sensors") for cell in found]
+
+
+def _methods(item: tuple[float, int, int, int]) -> list[Cell]:
+    """All methods at one noise with so many sensors, over trials from a seed."""
+    noise, sensors, trials, seed = item
+    where = np.linspace(5.0, 45.0, sensors)
+    errors: dict[str, list[float]] = {name: [] for name in METHODS}
+    rng = np.random.default_rng([seed, sensors])
+    for _ in range(trials):
+        # Two sensors must both lie before the contact, or nobody can place it.
+        arc = float(rng.uniform(max(0.6 * thesis.LENGTH_CM, 0.0), thesis.LENGTH_CM))
+        at = where * min(1.0, (arc - 4.0) / 45.0) if sensors < 4 else where
+        force = 0.7 * thesis.CRITICAL / arc * float(rng.choice([-1.0, 1.0]))
+        body = push(
+            force,
+            arc,
+            free_curvature=0.0,
+            length=thesis.LENGTH_CM,
+            tube=Tube(thesis.DIAMETER_CM),
+        )
+        clean = body.averages(at, thesis.SPAN_CM)
+        y = clean + noise * rng.standard_normal(sensors)
+        for name, method in METHODS.items():
+            errors[name].append(abs(_answer(method, y, at, noise) - arc))
     found = []
-    for noise in NOISES:
-        for sensors in SENSORS:
-            where = np.linspace(5.0, 45.0, sensors)
-            errors: dict[str, list[float]] = {name: [] for name in METHODS}
-            rng = np.random.default_rng([seed, sensors])
-            for _ in range(trials):
-                # Two sensors must both lie before the contact, or nobody can place it.
-                arc = float(rng.uniform(max(0.6 * thesis.LENGTH_CM, 0.0), thesis.LENGTH_CM))
-                at = where * min(1.0, (arc - 4.0) / 45.0) if sensors < 4 else where
-                force = 0.7 * thesis.CRITICAL / arc * float(rng.choice([-1.0, 1.0]))
-                body = push(
-                    force,
-                    arc,
-                    free_curvature=0.0,
-                    length=thesis.LENGTH_CM,
-                    tube=Tube(thesis.DIAMETER_CM),
-                )
-                clean = body.averages(at, thesis.SPAN_CM)
-                y = clean + noise * rng.standard_normal(sensors)
-                for name, method in METHODS.items():
-                    errors[name].append(abs(_answer(method, y, at, noise) - arc))
-            for name, values in errors.items():
-                array = np.array(values)
-                answered = array[np.isfinite(array)]
-                mean = float(answered.mean()) if answered.size else float("nan")
-                failures = float(np.mean(~(array <= _FAILURE_CM)))
-                found.append(Cell(name, noise, sensors, mean, failures))
+    for name, values in errors.items():
+        array = np.array(values)
+        answered = array[np.isfinite(array)]
+        mean = float(answered.mean()) if answered.size else float("nan")
+        failures = float(np.mean(~(array <= _FAILURE_CM)))
+        found.append(Cell(name, noise, sensors, mean, failures))
     return found
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thigmo.bench.study import Table
+from thigmo.bench.study import Context, Table
 from thigmo.experiments import conditions, explored, flow, muscle, predictions, sensitivity
 from thigmo.experiments.evaluate import Results, evaluate, save
 from thigmo.experiments.fit import frozen
@@ -21,42 +21,46 @@ from thigmo.experiments.trial import Trial
 Draw = Callable[[Specimen, int, np.random.Generator], list[Trial]]
 
 
-def collect(draw: Draw, constants: Constants, robots: int, trials: int, seed: int) -> list[Trial]:
+def collect(
+    draw: Draw, constants: Constants, robots: int, trials: int, context: Context
+) -> list[Trial]:
     """Trials of an experiment over freshly drawn robots."""
-    found = []
-    for robot in range(robots):
-        rng = np.random.default_rng([seed, robot])
-        found += draw(Specimen(constants, rng), trials, rng)
-    return found
+    items = [(draw, constants, trials, context.seed, robot) for robot in range(robots)]
+    return [trial for found in context.map(_of_robot, items, "robots") for trial in found]
 
 
-def single_contact(robots: int, trials: int, seed: int) -> Results:
+def _of_robot(item: tuple[Draw, Constants, int, int, int]) -> list[Trial]:
+    draw, constants, trials, seed, robot = item
+    rng = np.random.default_rng([seed, robot])
+    return draw(Specimen(constants, rng), trials, rng)
+
+
+def single_contact(robots: int, trials: int, context: Context) -> Results:
     """Section 3.2, with the clamped and the coupled solver."""
-    found = collect(conditions.single_contact, frozen(), robots, trials, seed)
-    return evaluate("single-contact", found)
+    found = collect(conditions.single_contact, frozen(), robots, trials, context)
+    return evaluate("single-contact", found, context)
 
 
-def two_contacts(robots: int, trials: int, seed: int) -> Results:
+def two_contacts(robots: int, trials: int, context: Context) -> Results:
     """Section 3.3."""
-    return evaluate(
-        "two-contacts", collect(conditions.two_contacts, frozen(), robots, trials, seed)
-    )
+    found = collect(conditions.two_contacts, frozen(), robots, trials, context)
+    return evaluate("two-contacts", found, context)
 
 
-def actuated(robots: int, trials: int, seed: int) -> Results:
+def _bent(specimen: Specimen, trials: int, _: np.random.Generator) -> list[Trial]:
+    return conditions.actuated(specimen, trials)
+
+
+def actuated(robots: int, trials: int, context: Context) -> Results:
     """Section 3.4, and the muscle's map (figure 2.4c)."""
-
-    def draw(specimen: Specimen, count: int, _: np.random.Generator) -> list[Trial]:
-        return conditions.actuated(specimen, count)
-
-    results = evaluate("actuated", collect(draw, frozen(), robots, trials, seed))
-    results.figures["muscle-map"] = muscle.figure(seed)
+    results = evaluate("actuated", collect(_bent, frozen(), robots, trials, context), context)
+    results.figures["muscle-map"] = muscle.figure(context.seed)
     return results
 
 
-def predicted(robots: int, trials: int, seed: int) -> Results:
+def predicted(robots: int, trials: int, context: Context) -> Results:
     """How well the frozen constants predict sections 3.3 and 3.4, and how that hangs on each."""
-    found = predictions.cells(robots, trials, seed)
+    found = predictions.cells(robots, trials, context)
     return Results(
         figures={"constants": predictions.figure(found)},
         tables=[Table("cells", tuple(vars(found[0])), [tuple(vars(c).values()) for c in found])],
@@ -64,9 +68,9 @@ def predicted(robots: int, trials: int, seed: int) -> Results:
     )
 
 
-def sensitivity_study(robots: int, trials: int, seed: int) -> Results:
+def sensitivity_study(robots: int, trials: int, context: Context) -> Results:
     """Noise x sensors x norm; the noise is the study's own."""
-    found = sensitivity.cells(robots * trials, seed)
+    found = sensitivity.cells(robots * trials, context)
     return Results(
         figures={"sensitivity": sensitivity.figure(found)},
         claims=sensitivity.claims(found),
@@ -75,16 +79,17 @@ def sensitivity_study(robots: int, trials: int, seed: int) -> Results:
     )
 
 
-def exploration(robots: int, trials: int, seed: int) -> Results:
+def exploration(robots: int, trials: int, context: Context) -> Results:
     """Section 3.5 on the emulator, one run of each protocol a robot; `trials` is not used.
 
     The emulator's own scene says how imperfect its robot is, so the frozen constants are not used.
     """
-    runs = [explored.run_seed(seed + robot) for robot in range(robots)]
+    seeds = [context.seed + robot for robot in range(robots)]
+    runs = context.map(explored.run_seed, seeds, "explorations")
     return Results(
         figures={
             "errors": explored.figure(runs),
-            "stages": explored.stages(seed),
+            "stages": explored.stages(context.seed),
             "flow": flow.figure(),
         },
         claims=explored.claims(runs),
@@ -92,7 +97,7 @@ def exploration(robots: int, trials: int, seed: int) -> Results:
     )
 
 
-EXPERIMENTS: dict[str, Callable[[int, int, int], Results]] = {
+EXPERIMENTS: dict[str, Callable[[int, int, Context], Results]] = {
     "single-contact": single_contact,
     "two-contacts": two_contacts,
     "actuated": actuated,
@@ -102,7 +107,7 @@ EXPERIMENTS: dict[str, Callable[[int, int, int], Results]] = {
 }
 
 
-def run(name: str, out: Path, *, robots: int, trials: int, seed: int) -> Results:
+def run(name: str, out: Path, *, robots: int, trials: int, seed: int, jobs: int = 1) -> Results:
     """Run an experiment with the frozen constants and write its tables and figures.
 
     Args:
@@ -111,10 +116,11 @@ def run(name: str, out: Path, *, robots: int, trials: int, seed: int) -> Results
         robots: robots to build; each has its own gains and sensor places.
         trials: trials a condition and robot.
         seed: every random number comes from it.
+        jobs: processes; the results do not depend on it.
 
     Raises:
         RunFolderError: the folder cannot be written.
     """
-    results = EXPERIMENTS[name](robots, trials, seed)
+    results = EXPERIMENTS[name](robots, trials, Context(seed=seed, jobs=jobs))
     save(results, name, out)
     return results
