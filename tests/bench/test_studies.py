@@ -67,7 +67,7 @@ def test_every_stress_draws_cases_at_its_corners() -> None:
 
 def test_the_pareto_front_holds_what_nothing_beats() -> None:
     def score(method: str, time: float, error: float) -> Score:
-        return Score("s", method, error, error, error, 0.0, time, 1.0)
+        return Score("s", method, 9, error, 0.0, error, error, 0.0, time, 1.0)
 
     front = pareto([score("a", 1, 5), score("b", 2, 6), score("c", 3, 2), score("d", 9, 2)])
     assert [s.method for s in front] == ["a", "c"]
