@@ -1,11 +1,16 @@
-"""The thesis's own solver (section 2.5), as faithful as its text allows, and variants of it.
+"""The thesis's own solver, as faithful as its text allows, and variants of it.
 
-`alternating` optimises f with a fixed, then a with f fixed, from f = 0 and a at the tip, until no
-arc moves by more than 0.5 cm. MATLAB's interior point starts with a barrier of 0.1 while this
-objective, in the thesis's millimetres, is of order 0.01: the first barrier problems pull a towards
-the middle of [0, L], and the path then follows the shrinking barrier. That is what lets it leave
-some local minima, and what `coordinate` (exact coordinate descent) lacks: it stalls in the ravine.
-`clamped` and `coupled` are the thesis's two remedies for a folded base (section 3.2).
+Source: M. Bryant, Tactile Perception for Growing Robots via Discrete Curvature Measurements, 2022,
+section 2.5. Its model (equation 2.9) is taken at the centre of each sensor, whatever the span, its
+objective is the 1-norm (2.10), its lengths are millimetres. `alternating` optimises f with a fixed,
+then a in [0, L] with f fixed, from f = 0 and a at the tip (several contacts: at even fractions of
+L), until no arc moves by more than 0.5 cm. MATLAB's interior point starts with a barrier of 0.1
+while this objective is of order 0.01: the first barrier problems pull a towards the middle of
+[0, L], and the path then follows the shrinking barrier. That is what lets it leave some local
+minima, and what `coordinate` (exact coordinate descent: each step the global optimum of its
+variable) lacks: it stalls in the ravine along which f and a trade, where neither alone can improve.
+The step in f is exact here, which is the most that the interior point could reach. `clamped` and
+`coupled` are the thesis's two remedies for a folded base (section 3.2).
 """
 
 from __future__ import annotations
@@ -94,17 +99,20 @@ def _follow(
         mu *= shrink
 
 
+def at_centres(problem: Problem) -> Problem:
+    """The same readings as the thesis takes them: of the curvature at each sensor's centre."""
+    return replace(problem, span=np.zeros_like(problem.span))
+
+
 def alternating(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver: log-barrier interior point over a, in mm, alternated with exact f."""
-    arcs = starting_arcs(problem)
+    arcs = starting_arcs(problem) * _MM
     in_mm = replace(
-        problem,
+        at_centres(problem),
         curvature=problem.curvature / _MM,
         position=problem.position * _MM,
-        span=problem.span * _MM,
         length=problem.length * _MM,
     )
-    arcs = arcs * _MM
     forces = np.zeros(arcs.size)
     for _ in range(_MOST_ROUNDS):
         forces = best_forces(in_mm, arcs)
@@ -134,12 +142,15 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
 
     The same alternation as `alternating`, in a general solver's hands instead of compiled code:
-    the speed that users of the thesis's method see.
+    the speed that users of the thesis's method see. In cm, where it takes half as long as in mm
+    with the same error. Source: scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J.
+    Optim. 9, 1999).
     """
     import warnings
 
     from scipy.optimize import Bounds, minimize
 
+    problem = at_centres(problem)
     arcs = starting_arcs(problem)
     forces = np.zeros(arcs.size)
     bounds = Bounds(np.zeros(arcs.size), np.full(arcs.size, problem.length))
@@ -182,7 +193,11 @@ def _best_arc(
 
 
 def coordinate(problem: Problem) -> tuple[Array, Array]:
-    """Exact coordinate descent: the best f, then the globally best a, until nothing moves."""
+    """Exact coordinate descent: the best f, then the globally best a, until nothing moves.
+
+    Not the thesis's solver, though its text can be read as this: see the top of this file.
+    """
+    problem = at_centres(problem)
     arcs = starting_arcs(problem)
     forces = np.zeros(arcs.size)
     for _ in range(_MOST_ROUNDS):
@@ -199,7 +214,7 @@ def coordinate(problem: Problem) -> tuple[Array, Array]:
 
 
 def clamp_base(problem: Problem) -> Problem:
-    """Readings of the base sensors cut at the critical curvature (thesis, section 3.2)."""
+    """Readings of the base sensors kept from passing the critical curvature (section 3.2)."""
     at_base = problem.position <= problem.position.min() + 1e-9
     limit = problem.critical_curvature
     clamped = np.where(at_base, np.clip(problem.curvature, -limit, limit), problem.curvature)
@@ -212,7 +227,7 @@ def clamped(problem: Problem) -> tuple[Array, Array]:
 
 
 def coupled(problem: Problem) -> tuple[Array, Array]:
-    """One folded contact: f = +-critical / a, so a alone is sought, by Nelder-Mead.
+    """One folded contact: f = +-critical / a, so a alone is sought, by Nelder-Mead (section 3.2).
 
     Readings whose base does not pass the critical curvature are not folded and go to `clamped`, as
     do several contacts.
@@ -223,7 +238,7 @@ def coupled(problem: Problem) -> tuple[Array, Array]:
     base = float(np.mean(problem.curvature[at_base]))
     if problem.contacts != 1 or abs(base) <= problem.critical_curvature:
         return clamped(problem)
-    cut = clamp_base(problem)
+    cut = at_centres(clamp_base(problem))
     moment = np.sign(base) * problem.critical_curvature
 
     def cost(x: Array) -> float:

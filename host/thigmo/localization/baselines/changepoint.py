@@ -17,6 +17,9 @@ _INSTALL = "run `pip install 'thigmo[bench]'`"
 def pwlf(problem: Problem) -> tuple[Array, Array]:
     """pwlf's continuous piecewise-linear fit; its inner breaks are the contacts.
 
+    Readings at one place are averaged first, for a line has one value there. Source: Jekel and
+    Venter, pwlf: A Python Library for Fitting 1D Continuous Piecewise Linear Functions, 2019.
+
     Raises:
         DataError: the package is missing, or there are too few places for its free parameters.
     """
@@ -40,6 +43,11 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
 
 def ruptures(problem: Problem) -> tuple[Array, Array]:
     """ruptures' exact dynamic programme with the continuous linear cost.
+
+    It sees a series of samples, not their places, and needs three in a segment: readings at one
+    place follow each other in it, because averaged there would be too few. A change at a sample is
+    a contact at its place. Source: Truong, Oudre and Vayatis, Selective review of offline change
+    point detection methods, Signal Processing 167, 2020.
 
     Raises:
         DataError: the package is missing, or there are too few places for its segments.

@@ -65,7 +65,7 @@ def _bounds(problem: Problem) -> Bounds:
 
 
 def slsqp(problem: Problem) -> tuple[Array, Array]:
-    """Sequential least squares programming over arcs and forces together."""
+    """Sequential least squares programming over arcs and forces together (SciPy; Kraft 1988)."""
     from scipy.optimize import minimize
 
     cost, start, unit = _joint(problem)
@@ -74,7 +74,7 @@ def slsqp(problem: Problem) -> tuple[Array, Array]:
 
 
 def trust_constr(problem: Problem) -> tuple[Array, Array]:
-    """SciPy's trust-region interior point over arcs and forces together."""
+    """SciPy's trust-region interior point over both together (Byrd, Hribar and Nocedal 1999)."""
     import warnings
 
     from scipy.optimize import minimize
@@ -88,7 +88,7 @@ def trust_constr(problem: Problem) -> tuple[Array, Array]:
 
 
 def nelder_mead(problem: Problem) -> tuple[Array, Array]:
-    """Nelder and Mead's simplex over arcs and forces together."""
+    """Nelder and Mead's simplex (1965; SciPy) over arcs and forces together."""
     from scipy.optimize import minimize
 
     cost, start, unit = _joint(problem)
@@ -97,7 +97,7 @@ def nelder_mead(problem: Problem) -> tuple[Array, Array]:
 
 
 def differential_evolution(problem: Problem) -> tuple[Array, Array]:
-    """SciPy's differential evolution, its defaults, a fixed seed."""
+    """SciPy's differential evolution (Storn and Price 1997), its defaults, a fixed seed."""
     from scipy.optimize import differential_evolution as evolve
 
     cost, _, unit = _joint(problem)
@@ -106,7 +106,7 @@ def differential_evolution(problem: Problem) -> tuple[Array, Array]:
 
 
 def dual_annealing(problem: Problem) -> tuple[Array, Array]:
-    """SciPy's dual annealing, 200 iterations, a fixed seed."""
+    """SciPy's dual annealing (Xiang et al. 1997), 200 iterations, a fixed seed."""
     from scipy.optimize import dual_annealing as anneal
 
     cost, start, unit = _joint(problem)

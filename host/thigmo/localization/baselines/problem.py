@@ -2,7 +2,8 @@
 
 A baseline gets curvature above the free curvature, in cm and 1/cm (their steps and tolerances are
 lengths, so the caller converts), and a number of contacts; it answers arcs and forces. The model
-is the thesis's (equation 2.9), averaged over each sensor's span.
+is the thesis's (equation 2.9), averaged over each sensor's span; the thesis's own solvers take it
+at the sensors' centres (`alternating.at_centres`).
 """
 
 from __future__ import annotations
