@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from thigmo.bench import Context
-from thigmo.bench.study import connect_cluster
+from thigmo.bench import Context, Outcome
+from thigmo.bench.study import Cell, Table, connect_cluster
+from thigmo.cli.main import app
 from thigmo.errors import DataError
 
 distributed = pytest.importorskip("distributed", reason="needs `pip install thigmo[bench]`")
@@ -36,6 +40,42 @@ def test_a_study_spreads_over_a_cluster_and_keeps_its_order() -> None:
     assert [value for value, _ in found] == [work(item)[0] for item in range(12)]
     assert os.getpid() not in {process for _, process in found}
     assert seen == list(range(13))
+
+
+def study(context: Context) -> Outcome:
+    """A table of which process did what."""
+    rows: list[tuple[Cell, ...]] = [*context.map(work, range(12), "norms")]
+    return Outcome([Table("norms", ("norm", "process"), rows)])
+
+
+@pytest.mark.timeout(120)
+def test_the_command_runs_a_study_on_a_cluster_by_its_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("thigmo.bench.load", lambda name: study)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        options = ["--backend", "dask", "--scheduler", address, "--out", str(tmp_path)]
+        done = CliRunner().invoke(app, ["bench", "scaling", *options])
+    assert done.exit_code == 0, done.output
+    rows = json.loads((tmp_path / "scaling-norms.json").read_text())
+    assert [row["norm"] for row in rows] == [work(item)[0] for item in range(12)]
+    assert os.getpid() not in {row["process"] for row in rows}
+    assert "scaling, norms: 12/12" in done.stderr
+
+
+@pytest.mark.timeout(60)
+def test_a_scheduler_without_workers_is_an_error_that_says_how_to_start_some(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("thigmo.bench.study.WORKERS_WITHIN_S", 0.2)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
+        pytest.raises(DataError, match="dask worker"),
+    ):
+        connect_cluster(cluster.scheduler_address)
 
 
 def test_no_scheduler_is_an_error_that_says_how_to_start_one() -> None:

@@ -114,7 +114,7 @@ def run(context: Context) -> Outcome:
     runs: list[Run] = []
     for number, kind in enumerate(_KINDS):
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
-        for found in context.map(partial(compare, kind=kind), seeds):
+        for found in context.map(partial(compare, kind=kind), seeds, kind):
             runs += found
     rows: list[tuple[Cell, ...]] = []
     for kind in _KINDS:

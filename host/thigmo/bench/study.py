@@ -26,6 +26,8 @@ Item = TypeVar("Item")
 Value = TypeVar("Value")
 Cell = float | int | str | bool
 
+WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
+
 
 @dataclass(frozen=True)
 class Table:
@@ -140,7 +142,7 @@ def connect_cluster(address: str) -> Any:
         address: of a Dask scheduler, e.g. "tcp://127.0.0.1:8786".
 
     Raises:
-        DataError: dask is not installed, or nobody answers at the address.
+        DataError: dask is not installed, nobody answers at the address, or nobody works for it.
     """
     try:
         from distributed import Client
@@ -153,6 +155,14 @@ def connect_cluster(address: str) -> Any:
     except (OSError, TimeoutError, ValueError) as error:
         raise DataError(
             f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_WITHIN_S)
+    except TimeoutError as error:
+        client.close()
+        raise DataError(
+            f"the Dask scheduler at {address} has no workers",
+            f"start some with `dask worker {address}`, in an environment like this one",
         ) from error
     return client
 

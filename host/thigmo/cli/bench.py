@@ -30,9 +30,14 @@ def bench(
     seed: Annotated[int, typer.Option(help="Every random number comes from it.")] = 0,
     jobs: Annotated[int, typer.Option(help="Processes on this machine.")] = 1,
     backend: Annotated[
-        str, typer.Option(help="loky (processes here) or dask (a cluster).")
+        str, typer.Option(help="loky (processes here) or dask (a cluster; all its workers).")
     ] = "loky",
-    scheduler: Annotated[str | None, typer.Option(help="Address of the Dask scheduler.")] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of the Dask scheduler, tcp://HOST:8786 (its workers need thigmo)."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Chart speed against accuracy, and show where each method fails."""

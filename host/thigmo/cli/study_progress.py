@@ -41,7 +41,9 @@ def study_progress() -> Iterator[Tell]:
     def tell(part: str, done: int, total: int) -> None:
         if part not in tasks:
             tasks[part] = bar.add_task(part, total=total)
-        bar.update(tasks[part], completed=done, total=total)  # type: ignore[arg-type]
+        if done == 0:
+            bar.reset(tasks[part], total=total)  # type: ignore[arg-type]
+        bar.update(tasks[part], completed=done)  # type: ignore[arg-type]
 
     with bar:
         yield tell
@@ -55,9 +57,10 @@ def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
     def tell(part: str, done: int, total: int) -> None:
         nonlocal told
         now = clock()
-        first = part not in began
-        gone = now - began.setdefault(part, now)
-        if not first and done < total and now - told < LINE_EVERY_S:
+        if done == 0:
+            began[part] = now
+        gone = now - began[part]
+        if 0 < done < total and now - told < LINE_EVERY_S:
             return
         told = now
         left = f", about {gone / done * (total - done):.0f} s left" if 0 < done < total else ""
