@@ -10,6 +10,8 @@ import typer
 from thigmo.cli.output import JsonOption, print_json
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from thigmo.cli.console import Console
     from thigmo.experiments import Results
     from thigmo.experiments.attendant import Attendant, Place
@@ -71,7 +73,7 @@ def experiment(
     (fast: thousands of trials); explorations run on the whole emulator. With --robot the trials of
     single-contact, two-contacts or actuated are taken one by one, on a bench with prompts, on
     emulator:// by its own operator, and kept in OUT/NAME/trials.csv; the same command goes on
-    after a stop.
+    after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
     from thigmo.errors import DataError
     from thigmo.experiments import EXPERIMENTS, run
@@ -130,9 +132,16 @@ def _with_robot(
     from thigmo.experiments.recorded import TrialFolder, run_trials
     from thigmo.robot import connect
 
+    if name == "exploration":
+        return _explored(
+            robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file, rehearse,
+            quiet,
+        )  # fmt: skip
     if name not in STATIC:
-        cure = "explore with `thigmo explore --robot`" if name == "exploration" else "name one"
-        raise DataError(f"{name!r} is not taken trial by trial, as {', '.join(STATIC)} are", cure)
+        raise DataError(
+            f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
+            "name one of these",
+        )
     if recorded is not None:
         folder = TrialFolder(recorded)
     else:
@@ -151,6 +160,66 @@ def _with_robot(
                 say("stopped; the same command goes on")
     results = evaluate(name, folder.trials(), Context(jobs=jobs))
     save(results, name, folder.path)
+    return results
+
+
+def _explored(
+    robot: str | None,
+    recorded: Path | None,
+    trials: int,
+    seed: int,
+    out: Path,
+    config: Path | None,
+    camera: str | None,
+    sheet_file: Path,
+    camera_file: Path,
+    rehearse: bool,
+    quiet: bool,
+) -> Results:
+    """Explore trial by trial, or read the runs, and evaluate what there is."""
+    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.cli.experiment_prompts import TerminalBystander
+    from thigmo.config import RobotConfig
+    from thigmo.errors import DataError
+    from thigmo.experiments.evaluate import save
+    from thigmo.experiments.explorations import (
+        EmulatedBystander,
+        ExplorationFolder,
+        evaluate,
+        run_explorations,
+    )
+    from thigmo.robot import connect
+
+    if robot is None:
+        assert recorded is not None
+        folder = ExplorationFolder(recorded)
+    else:
+        console = Console(quiet=quiet)
+        person = TerminalOperator(console)
+        say = (lambda text: None) if quiet else _say
+        with console.interruptible():
+            with connect(robot, seed=seed, operator=person) as machine:
+                known = RobotConfig.load(config) if config else machine.known_config
+                emulated = machine.scenery() is not None
+            if known is None:
+                raise DataError("the robot's constants are not known", "give --config robot.toml")
+            if rehearse and not emulated:
+                raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
+            folder = ExplorationFolder(out / "exploration", known)
+            look = _look(camera, sheet_file, camera_file, known.body.diameter_cm)
+            bystander = (
+                EmulatedBystander() if emulated and not rehearse
+                else TerminalBystander(console, look)
+            )  # fmt: skip
+            with console.progress() as show:
+                done = run_explorations(
+                    robot, bystander, folder, trials, seed=seed, operator=person, progress=show,
+                    say=say,
+                )  # fmt: skip
+            if not done:
+                say("stopped; the same command goes on")
+    results = evaluate(folder)
+    save(results, "exploration", folder.path)
     return results
 
 
@@ -173,8 +242,17 @@ def _attendant(
         return TerminalAttendant(console, behind=behind) if rehearse else behind
     if rehearse:
         raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
+    return TerminalAttendant(
+        console, _look(camera, sheet_file, camera_file, machine.config.body.diameter_cm)
+    )
+
+
+def _look(
+    camera: str | None, sheet_file: Path, camera_file: Path, diameter_cm: float
+) -> Callable[[], list[Place]] | None:
+    """What measures the dowels' centres; None without a camera."""
     if camera is None:
-        return TerminalAttendant(console)
+        return None
     from thigmo.calibrate.eyes import Eyes
     from thigmo.camera import CameraModel, Sheet, open_source
     from thigmo.experiments import thesis
@@ -182,14 +260,14 @@ def _attendant(
     sheet = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
     eyes = Eyes(
         open_source(camera), CameraModel.load(camera_file), sheet,
-        machine.config.body.diameter_cm, thesis.DOWEL_CM,
+        diameter_cm, thesis.DOWEL_CM,
     )  # fmt: skip
 
     def look() -> list[Place]:
         found = eyes.everything().obstacles
         return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
 
-    return TerminalAttendant(console, look)
+    return look
 
 
 def _say(text: str) -> None:

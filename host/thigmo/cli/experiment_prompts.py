@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from thigmo.cli.console import Console
     from thigmo.experiments.attendant import Attendant, Known, Place, Verdict
+    from thigmo.experiments.explorations import PlannedRun
     from thigmo.experiments.procedure import Planned
 
 _WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}
@@ -74,11 +75,12 @@ class TerminalAttendant:
             self._camera() if self._camera else self._behind.dowels(trial) if self._behind else []
         )
         return [
-            self._place(number, seen[number] if number < len(seen) else None, len(trial.arcs_cm))
+            self.place(number, seen[number] if number < len(seen) else None, len(trial.arcs_cm))
             for number in range(len(trial.arcs_cm))
         ]
 
-    def _place(self, number: int, offered: Place | None, count: int) -> Place:
+    def place(self, number: int, offered: Place | None, count: int) -> Place:
+        """Ask for the centre of one dowel of so many, an offered one to take by Enter."""
         which = "the dowel's" if count == 1 else ("the first dowel's", "the second dowel's")[number]
         offer = "" if offered is None else f" (Enter: {offered[0]:.1f} {offered[1]:.1f})"
         again = ""
@@ -103,6 +105,10 @@ class TerminalAttendant:
 
     def verdict(self, trial: Planned, summary: str) -> Verdict:
         """Ask whether to keep the trial."""
+        return self.judge(summary)
+
+    def judge(self, summary: str) -> Verdict:
+        """Ask whether to keep what was just taken."""
         while True:
             answer = self._console.ask(
                 f"{summary}. Enter = keep, r = redo, s = skip, q = stop here and go on later:"
@@ -110,6 +116,39 @@ class TerminalAttendant:
             word = answer.strip().lower()[:1]
             if word in _WORDS:
                 return _WORDS[word]
+
+
+class TerminalBystander:
+    """Asks a person; see `thigmo.experiments.explorations.Bystander`.
+
+    Args:
+        console: to ask at.
+        camera: measures the dowel's centre; None = it is typed in.
+    """
+
+    def __init__(self, console: Console, camera: Callable[[], list[Place]] | None = None) -> None:
+        self._console = console
+        self._camera = camera
+        self._asks = TerminalAttendant(console)
+
+    def set_dowel(self, run: PlannedRun) -> None:
+        """Ask for the dowel in its place."""
+        self._console.ask(
+            f"exploration {run.key}: the robot is in its base. Set one dowel firmly within its "
+            "reach beside its path, for both protocols of a trial at the same place. Then press "
+            "Enter; the robot grows and sweeps."
+        )
+
+    def dowel(self, run: PlannedRun, known: Place | None) -> Place:
+        """Ask for the dowel's place; the camera's (in a rehearsal the room's) is offered."""
+        seen = self._camera() if self._camera else []
+        return self._asks.place(0, seen[0] if seen else known, 1)
+
+    def verdict(self, run: PlannedRun, summary: str) -> Verdict:
+        """Ask whether to keep the exploration, and for a robot that may be wound in."""
+        return self._asks.judge(
+            f"{summary}. Take the dowel away if the robot leans on it: it is wound in next"
+        )
 
 
 def _label(trial: Planned) -> str:

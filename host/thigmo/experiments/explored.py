@@ -1,5 +1,7 @@
 """Section 3.5: whole explorations on the emulator, by the thesis's protocol and by ours.
 
+`explorations.py` makes them with a robot and draws the same.
+
 The thesis's column here is its solver on the full sweep's peak readings of its own protocol, at the
 first stage with a contact; ours is the exploration's answer. Robot time is device time.
 """
@@ -13,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thigmo.bench.study import Claim, Table
-from thigmo.config import RobotConfig
 from thigmo.experiments import thesis
 from thigmo.exploration import ExplorationResult, explore
 from thigmo.exploration.replay import recorded_sweeps
@@ -48,18 +49,16 @@ def _errors(result: ExplorationResult) -> tuple[float, float]:
     return found.error_x_cm, found.error_cm
 
 
-def _thesis_solver(result: ExplorationResult) -> float:
+def thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
     """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm.
 
     Stages with fewer readings than the thesis's solver needs are passed over, as the thesis does.
     """
-    truth = result.document.truth
-    config: RobotConfig = RunFolder(result.folder).read_config()
-    table = SensorTable.of(config)
-    for sweep in recorded_sweeps(result.folder):
+    table = SensorTable.of(run.read_config())
+    for sweep in recorded_sweeps(run.path):
         for trigger in sweep.triggers:
             peak = next((p for p in sweep.peaks if p.side == trigger.side), None)
-            if peak is None or truth is None or not truth.pegs:
+            if peak is None:
                 continue
             use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
             if use.sum() < thesis.LEAST_READINGS:
@@ -72,7 +71,7 @@ def _thesis_solver(result: ExplorationResult) -> float:
                     peak.length_cm,
                 )
             )
-            return abs(float(arcs[0]) - truth.pegs[0].x_cm)
+            return abs(float(arcs[0]) - obstacle_x_cm)
     return float("inf")
 
 
@@ -80,7 +79,9 @@ def run_seed(seed: int) -> Run:
     """Explore the default room by both protocols."""
     with tempfile.TemporaryDirectory() as folder:
         theirs = explore(_URL, seed=seed, out=folder, name="thesis", protocol="thesis")
-        solver = _thesis_solver(theirs)
+        assert theirs.document.truth is not None  # the emulator's room knows itself
+        (peg,) = theirs.document.truth.pegs
+        solver = thesis_solver(RunFolder(theirs.folder), peg.x_cm)
         mine = explore(_URL, seed=seed, out=folder, name="measure", protocol="measure")
     return Run(
         seed,

@@ -40,11 +40,15 @@ class StandingWatch:
     def __init__(self, config: RobotConfig, oversample: int) -> None:
         self._table = SensorTable.of(config)
         self._oversample = oversample
-        self._laws = [
-            Settling(s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD)
-            for side in SIDES
-            for s in config.sensors.column(side)
-        ]
+        a_side = len(self._table.center_cm) // len(SIDES)
+        # By the board's number: a robot may have fewer sensors than the board has inputs.
+        self._laws = {
+            a_side * row + index: Settling(
+                s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD
+            )
+            for row, side in enumerate(SIDES)
+            for index, s in enumerate(config.sensors.column(side))
+        }
         self._ends = self._table.center_cm + self._table.span_cm / 2
         self._everted_s = np.full(len(self._ends), np.nan)
         self._out = np.ones(len(self._ends), dtype=np.bool_)  # at the start: rested long ago
@@ -84,7 +88,7 @@ class StandingWatch:
         value, sigma = np.full(size, np.nan), np.full(size, np.nan)
         times = np.asarray(self._times)
         for i in range(size):
-            if not sensors >> i & 1 or np.isnan(self._everted_s[i]):
+            if i not in self._laws or not sensors >> i & 1 or np.isnan(self._everted_s[i]):
                 continue
             since = times - self._everted_s[i]
             use = np.flatnonzero((since > _FIRST_S) & (times < at_s))

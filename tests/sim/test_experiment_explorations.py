@@ -1,0 +1,149 @@
+"""Explorations as an experiment with a robot: labelled, resumed, evaluated again; over a port."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_experiment_trials import Terminal
+
+from thigmo.config import SIDES
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.reach import random_peg
+from thigmo.emulator.scene import PegTable, Scene
+from thigmo.emulator.serve import PtyServer
+from thigmo.errors import DataError
+from thigmo.experiments.attendant import Place, Verdict
+from thigmo.experiments.explorations import (
+    EmulatedBystander,
+    ExplorationFolder,
+    PlannedRun,
+    evaluate,
+    run_explorations,
+)
+
+pytestmark = pytest.mark.timeout(300)
+
+LENGTH_CM = 26.0
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """Half of a robot, two sensors a side, and a peg in its reach."""
+    made = Scene.load("default")
+    robot = made.robot
+    robot.body.length_cm = LENGTH_CM
+    for side in SIDES:
+        column = [s for s in robot.sensors.column(side) if s.center_cm < LENGTH_CM - 5]
+        setattr(robot.sensors, side, column)
+    for zone, until in zip(robot.body.zones, (10.0, 20.0, LENGTH_CM), strict=True):
+        zone.until_cm = until
+    peg, _ = random_peg(robot, np.random.default_rng(3))
+    made.pegs = [PegTable(x=peg.x, y=peg.y, radius=0.6)]
+    return made
+
+
+class Stops(EmulatedBystander):
+    """Answers with the given verdicts, then stops."""
+
+    def __init__(self, *verdicts: Verdict) -> None:
+        self.verdicts = list(verdicts)
+        self.asked: list[str] = []
+
+    def set_dowel(self, run: PlannedRun) -> None:
+        self.asked.append(run.key)
+
+    def verdict(self, run: PlannedRun, summary: str) -> Verdict:
+        return self.verdicts.pop(0) if self.verdicts else "quit"
+
+
+def kept(folder: Path) -> list[dict[str, str]]:
+    with (folder / "trials.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
+    scene: Scene, tmp_path: Path
+) -> None:
+    room = tmp_path / "room.toml"
+    scene.save(room)
+    folder = ExplorationFolder(tmp_path / "one", scene.robot)
+    with pytest.raises(DataError, match="no explorations"):
+        evaluate(folder)
+    stops = Stops("redo", "keep")
+    url = f"emulator://{room}"
+    assert not run_explorations(url, stops, folder, 1, seed=4)
+    assert stops.asked == ["our protocol | 1", "our protocol | 1", "the thesis's protocol | 1"]
+    alone = evaluate(folder)
+    assert not alone.claims  # of both protocols only
+    said: list[str] = []
+    assert run_explorations(url, EmulatedBystander(), folder, 1, seed=4, say=said.append)
+    assert said[0] == "exploration: 1 of 2 are there"
+    assert [row["protocol"] for row in kept(folder.path)] == ["measure", "thesis"]
+    results = evaluate(ExplorationFolder(folder.path))
+    assert len(results.claims) == 3
+    (each,) = [table for table in results.tables if table.name == "each"]
+    ours = dict(zip(each.columns, each.rows[0], strict=True))
+    assert float(ours["error_x_cm"]) < 3.0
+    assert float(ours["robot_time_s"]) < float(each.rows[1][-1])
+    # A lab does not know the point of contact, only where it measured the dowel.
+    document = folder.path / kept(folder.path)[0]["run"] / "contacts.json"
+    known = json.loads(document.read_text())
+    document.write_text(json.dumps(known | {"truth": None, "error_x_cm": None, "error_cm": None}))
+    (each,) = [table for table in evaluate(folder).tables if table.name == "each"]
+    blind = dict(zip(each.columns, each.rows[0], strict=True))
+    assert float(blind["error_x_cm"]) == pytest.approx(float(ours["error_x_cm"]), abs=0.5)
+    other = scene.robot.model_copy(deep=True)
+    other.body.critical_curvature = 0.02
+    with pytest.raises(DataError, match="another robot"):
+        ExplorationFolder(folder.path, other)
+
+
+@pytest.fixture
+def port(scene: Scene) -> Iterator[str]:
+    """The same robot behind a serial port, in real time."""
+    lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
+    for _ in range(100):
+        lockstep.advance()  # compiled before real time begins
+    server = PtyServer(lockstep)
+    on = threading.Event()
+    on.set()
+    thread = threading.Thread(target=lambda: server.run(on.is_set))
+    thread.start()
+    yield server.path
+    on.clear()
+    thread.join()
+    server.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+def test_an_operator_explores_through_a_port_stops_and_evaluates(
+    port: str, scene: Scene, tmp_path: Path
+) -> None:
+    config = tmp_path / "robot.toml"
+    scene.robot.save(config)
+    command = ("experiment", "exploration", "--trials", "1", "--out", str(tmp_path))
+    terminal = Terminal(*command, "--robot", port, "--config", str(config))
+    terminal.answer("0", "Measure the everted length")
+    terminal.answer("", "Set one dowel")
+    for _ in scene.robot.body.zones:
+        terminal.answer("", "Set the body pressure")
+    place: Place = (scene.pegs[0].x, scene.pegs[0].y)
+    terminal.answer(f"{place[0]} {place[1]}", "centre by")
+    terminal.answer("", "= keep")
+    terminal.wait_for("winding the robot in")
+    terminal.interrupt("Set one dowel")
+    assert terminal.end() == 130
+    (row,) = kept(tmp_path / "exploration")
+    assert row["key"] == "our protocol | 1"
+    assert (float(row["dowel_x_cm"]), float(row["dowel_y_cm"])) == pytest.approx(place)
+    again = Terminal("experiment", "exploration", "--recorded", str(tmp_path / "exploration"))
+    again.wait_for("trial 1, our protocol: |x error|")
+    assert again.end() == 0
