@@ -10,188 +10,18 @@ contact lies: monotone without it, with it one stationary point in closed form. 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_inner, compiled_part, compiled_sums
-from thigmo.localization.exact.response import INNER_END, ForceRange, Readings, objective_l1
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-CANDIDATES = 256  # near-best candidates kept to find the optimum set
-
-
-class Setting(NamedTuple):
-    """What stays fixed during one fit.
-
-    Attributes:
-        edges: ends of spans, from `find_edges`.
-        start: the last of them at which no sensor answers yet.
-        idle: whether none answers there at all.
-        forces: what f may be.
-        plus: sum of w y over readings above 0: what any negative force leaves.
-        minus: sum of w |y| over those below.
-        floor: what every contact leaves: two sensors at the same place can never both be met.
-        gain: (N,) how much more is left by one that a sensor does not feel.
-        slack: what counts as equal to the best.
-    """
-
-    edges: Floats
-    start: int
-    idle: bool
-    forces: ForceRange
-    plus: float
-    minus: float
-    floor: float
-    gain: Floats
-    slack: float
-
-
-class Best(NamedTuple):
-    """The best candidate so far, and how many near ones are kept."""
-
-    objective: float
-    arc: float
-    force: float
-    kept: int
-
-
-class Work(NamedTuple):
-    """Room for one fit of N readings.
-
-    Attributes:
-        near: (2, CANDIDATES) arcs and objectives of near-best candidates.
-        roots: (N, 4 N) for each curve the arcs where it meets others, ascending.
-        others: (N, 4 N) the readings whose curves these are.
-        n_roots: (N,) how many.
-        cuts: (6 N + 8,) ends of pieces of a curve within a cell; keys of a median.
-        turns: (6 N + 8,) reading that changes sign at each.
-        forms: (5, N) influences in a cell, c0 + c1 t + c2 t^2, then y and w.
-        signed: (N,) signed weights along a piece; amounts of a median.
-        place: (N,) column of each reading in `forms`.
-        gain: (N,) that of `Setting`.
-    """
-
-    near: Floats
-    roots: Floats
-    others: Ints
-    n_roots: Ints
-    cuts: Floats
-    turns: Ints
-    forms: Floats
-    signed: Floats
-    place: Ints
-    gain: Floats
-
-
-@compiled_sums
-def empty_work(n: int) -> Work:
-    """Room for fits of up to n readings."""
-    return Work(
-        np.empty((2, CANDIDATES)),
-        np.empty((n, 4 * n)),
-        np.empty((n, 4 * n), np.int64),
-        np.empty(n, np.int64),
-        np.empty(6 * n + 8),
-        np.empty(6 * n + 8, np.int64),
-        np.empty((5, n)),
-        np.empty(n),
-        np.empty(n, np.int64),
-        np.empty(n),
-    )
-
-
-@compiled_part
-def offered(best: Best, arc: float, force: float, value: float, slack: float, near: Floats) -> Best:
-    """The best after one more candidate, which is kept in `near` if it is as good."""
-    if not value <= best.objective + slack:
-        return best
-    kept = best.kept
-    if kept < CANDIDATES:
-        near[0, kept] = arc
-        near[1, kept] = value
-        kept += 1
-    if value < best.objective:
-        return Best(value, arc, force, kept)
-    return Best(best.objective, best.arc, best.force, kept)
-
-
-@compiled_inner
-def profile_l1(
-    arc: float, readings: Readings, forces: ForceRange, key: Floats, amount: Floats
-) -> tuple[float, float]:
-    """Least objective over f at one arc, and that f: the weighted median of y / phi.
-
-    Args:
-        arc: place of the contact.
-        readings: N of them.
-        forces: what f may be; the objective is convex in f, so the median is cut to it.
-        key: (>= N,) work.
-        amount: (>= N,) work.
-    """
-    y, low, span, inverse, w = readings
-    count = 0
-    half = 0.0
-    for j in range(y.shape[0]):
-        inside = min(max(arc - low[j], 0.0), span[j])
-        phi = inside * inside * inverse[j] + (max(arc - low[j], span[j]) - span[j])
-        if phi > 0.0 and w[j] > 0.0:
-            ratio = y[j] / phi
-            k = count
-            while k > 0 and key[k - 1] > ratio:
-                key[k] = key[k - 1]
-                amount[k] = amount[k - 1]
-                k -= 1
-            key[k] = ratio
-            amount[k] = w[j] * phi
-            half += 0.5 * w[j] * phi
-            count += 1
-    median = 0.0
-    for k in range(count):
-        median = key[k]
-        half -= amount[k]
-        if half <= 0.0:
-            break
-    force = min(max(median, forces.low), forces.high)
-    return objective_l1(arc, force, y, low, span, inverse, w), force
-
-
-@compiled_part
-def least_left(readings: Readings, gain: Floats, paired: Ints) -> float:
-    """`Setting.floor`; `gain` (N,) is written, `paired` (N,) is work."""
-    y, low, span, _, w = readings
-    floor = 0.0
-    for j in range(y.shape[0]):
-        gain[j] = w[j] * abs(y[j])
-        paired[j] = 0
-        for i in range(j):
-            # Whatever both feel is the same, so the two leave at least their difference.
-            if low[i] == low[j] and span[i] == span[j] and paired[i] == 0:
-                least = min(w[i], w[j]) * abs(y[i] - y[j])
-                floor += least
-                gain[i] += gain[j] - least
-                gain[j] = 0.0
-                paired[i] = 1
-                paired[j] = 1
-                break
-    return floor
-
-
-@compiled_part
-def first_open(cell: int, bar: float, readings: Readings, setting: Setting) -> int:
-    """The first cell, from `cell` on, in which a contact may leave no more than `bar`."""
-    low, edges, gain = readings.low, setting.edges, setting.gain
-    while cell + 2 < edges.shape[0]:
-        left = setting.floor
-        for j in range(low.shape[0]):
-            left += gain[j] if low[j] >= edges[cell + 1] else 0.0
-        if left <= bar:
-            break
-        cell += 1
-    return cell
+from thigmo.compiled import compiled_part
+from thigmo.localization.exact.l1_state import (
+    Best,
+    Setting,
+    Work,
+    first_open,
+    offered,
+    profile_l1,
+)
+from thigmo.localization.exact.response import INNER_END, Readings, objective_l1
 
 
 @compiled_part
@@ -340,30 +170,35 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
         end = edges[e + 1]
         middle = 0.5 * (begin + end)
         lost = setting.floor
-        curved = False
-        m = 0
         for j in range(n):
-            t = begin - low[j]
             if low[j] >= middle:
                 lost += gain[j]
-            else:
-                if low[j] + span[j] > middle:
-                    curved = True
-                    forms[0, m] = t * t * inverse[j]
-                    forms[1, m] = 2.0 * t * inverse[j]
-                    forms[2, m] = inverse[j]
-                else:
-                    forms[0, m] = t - 0.5 * span[j]
-                    forms[1, m] = 1.0
-                    forms[2, m] = 0.0
+        if lost > best.objective + slack:
+            break
+        # First the sensors in whose span the cell lies, then those behind it.
+        m = 0
+        for j in range(n):
+            if low[j] < middle < low[j] + span[j]:
+                t = begin - low[j]
+                forms[0, m] = t * t * inverse[j]
+                forms[1, m] = 2.0 * t * inverse[j]
+                forms[2, m] = inverse[j]
                 forms[3, m] = y[j]
                 forms[4, m] = w[j]
                 place[j] = m
                 m += 1
-        if lost > best.objective + slack:
-            break
-        if not curved:
+        bends = m
+        if bends == 0:
             continue
+        for j in range(n):
+            if low[j] + span[j] <= middle and low[j] < middle:
+                forms[0, m] = begin - low[j] - 0.5 * span[j]
+                forms[1, m] = 1.0
+                forms[2, m] = 0.0
+                forms[3, m] = y[j]
+                forms[4, m] = w[j]
+                place[j] = m
+                m += 1
         width = end - begin
         for i in range(n):
             if y[i] == 0.0 or w[i] == 0.0 or low[i] >= middle:
@@ -382,9 +217,11 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
                 bottom -= 1
             cuts[0] = 0.0
             n_cuts = 1
+            bend_turns = False
             for k in range(bottom, top):
                 cuts[n_cuts] = roots[i, k] - begin
                 turns[n_cuts] = place[others[i, k]]
+                bend_turns = bend_turns or turns[n_cuts] < bends
                 n_cuts += 1
             cuts[n_cuts] = width
             origin = (low[i] if i_inside else low[i] + 0.5 * span[i]) - begin
@@ -414,13 +251,24 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
                     a0 = 0.0
                     a1 = 0.0
                     a2 = 0.0
-                    for c in range(m):
+                    for c in range(bends):
                         model = force * (forms[0, c] + mid * (forms[1, c] + mid * forms[2, c]))
                         s = forms[4, c] if forms[3, c] > model else -forms[4, c]
                         signed[c] = s
                         a0 += s * forms[0, c]
                         a1 += s * forms[1, c]
                         a2 += s * forms[2, c]
+                    if not (i_inside or bend_turns) and y[i] * a2 >= 0.0:
+                        break  # no piece of this curve has a minimum; see below
+                    for c in range(bends, m):
+                        s = (
+                            forms[4, c]
+                            if forms[3, c] > force * (forms[0, c] + mid)
+                            else -forms[4, c]
+                        )
+                        signed[c] = s
+                        a0 += s * forms[0, c]
+                        a1 += s
                 # Sensor i itself adds a constant to B / phi_i. Shift to the curve's own origin.
                 b0 = a0 + origin * (a1 + origin * a2)
                 b1 = a1 + 2.0 * origin * a2

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_part, compiled_sums
 from thigmo.localization.exact.l1_candidates import (
+    try_force_bounds,
+    try_kinks,
+    try_pair_roots,
+    try_stationary,
+)
+from thigmo.localization.exact.l1_state import (
     Best,
     Setting,
     Work,
     empty_work,
     least_left,
     profile_l1,
-    try_force_bounds,
-    try_kinks,
-    try_pair_roots,
-    try_stationary,
 )
 from thigmo.localization.exact.response import (
     INNER_END,
