@@ -137,7 +137,10 @@ def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
         (["experiment", "single-contact", "--trials", "0"], "--trials"),
         (["experiment", "actuated", "--rehearse"], "need a robot"),
         (["experiment", "actuated", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
-        (["experiment", "sensitivity", "--robot", "emulator://default"], "not taken trial by"),
+        (
+            ["experiment", "sensitivity", "--robot", "emulator://default"],
+            "is not taken with a robot",
+        ),
         (["experiment", "single-contact", "--recorded", "empty"], "robot.toml"),
     ],
 )
