@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -124,12 +125,18 @@ class Context:
             return results
         from joblib import Parallel, delayed, parallel_config
 
-        with parallel_config(backend=self.backend, n_jobs=self.jobs):
+        # Ctrl-C reaches every process of a terminal; workers leave it to this one.
+        deaf = {"initializer": _ignore_interrupts} if self.backend == "loky" else {}
+        with parallel_config(backend=self.backend, n_jobs=self.jobs, **deaf):
             calls = (delayed(function)(item) for item in todo)
             for value in Parallel(return_as="generator")(calls):
                 results.append(value)
                 self.progress(part, len(results), len(todo))
         return results
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 Study = Callable[[Context], Outcome]
