@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.calibrate.eyes import Eyes
-from thigmo.calibrate.machine import Hand, Machine
+from thigmo.calibrate.machine import Hand, Machine, ReadingLike, RecordingLike
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
-from thigmo.config import RobotConfig
+from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 
 Row = dict[str, Any]
@@ -97,6 +98,17 @@ class Bench:
             self.robot.confirm_length(known)
         return known
 
+    def ohm(self, read: ReadingLike | RecordingLike) -> NDArray[np.float64]:
+        """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
+        every = np.asarray(read.resistance)
+        a_side = every.shape[-1] // len(SIDES)
+        used = [
+            row * a_side + index
+            for row, side in enumerate(SIDES)
+            for index in range(len(self.config.sensors.column(side)))
+        ]
+        return every[..., used]
+
     def set_zone(self, zone: int) -> None:
         """Body pressure of a zone, and the board told."""
         self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
@@ -144,7 +156,7 @@ class Bench:
                     raise
                 self.say("readings still drift; waiting")
             else:
-                self.rest = self.robot.read(2.0).resistance.tolist()
+                self.rest = self.ohm(self.robot.read(2.0)).tolist()
                 return
 
     def rows(self, procedure: str, keys: Iterable[str], take: Callable[[str], Row]) -> list[Row]:

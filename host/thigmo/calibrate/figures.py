@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thigmo.calibrate.actuator import _map_values
+from thigmo.config import SIDES
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
@@ -40,14 +41,16 @@ def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
 
 def flex_figure(result: FlexResult, path: Path) -> None:
     """Resistance against curvature, one panel a sensor."""
-    n = len(result.sensors)
-    columns = max(1, n // 2)
+    columns = 1 + max(fit.index for fit in result.sensors)
     figure = Figure(figsize=(3.0 * columns, 6.4), layout="constrained")
     grid = figure.subplots(2, columns, squeeze=False)
+    for axes in grid.flat[:]:
+        axes.set_visible(False)  # where a side has fewer sensors than the other
     kinds = np.array(result.readings.kind)
     active = np.array(result.readings.active)
     for column, fit in enumerate(result.sensors):
-        axes = grid.flat[column]
+        axes = grid[SIDES.index(fit.side), fit.index]
+        axes.set_visible(True)
         k = result.model_curvature[:, column]
         ohm = result.readings.ohm[:, column] / 1000
         for kind, (mark, color) in _MARK.items():
@@ -71,7 +74,7 @@ def flex_figure(result: FlexResult, path: Path) -> None:
         axes.set_title(f"{fit.name}: {fit.reason}", fontsize=7, wrap=True)
         axes.set_xlabel("curvature (1/cm)", fontsize=7)
         axes.tick_params(labelsize=6)
-        if column % columns == 0:
+        if fit.index == 0:
             axes.set_ylabel("resistance (kOhm)", fontsize=7)
     grid.flat[0].legend(fontsize=6)
     _finish(figure, path, result.verdict)

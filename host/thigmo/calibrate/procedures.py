@@ -52,7 +52,7 @@ def growth_rows(bench: Bench) -> list[Row]:
                 "key": key, "counts": reading.length_cm * per_cm, "encoder_cm": reading.length_cm,
                 "speed_cm_s": speed,
                 "t_s": [float(r.t_s.mean()) - began for r in records],
-                "ohm": [np.nanmean(r.resistance, axis=0).tolist() for r in records],
+                "ohm": [np.nanmean(bench.ohm(r), axis=0).tolist() for r in records],
                 **seen,
             },
         )  # fmt: skip
@@ -107,7 +107,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
                 "zone": zone, "body_psi": body, "trial": int(trial), "side": side,
                 "branch": branch,
                 "psi": reading.left_psi if side == "left" else reading.right_psi,
-                "ohm": reading.resistance.tolist(), "rest": bench.rest, "t_s": reading.t_s,
+                "ohm": bench.ohm(reading).tolist(), "rest": bench.rest, "t_s": reading.t_s,
                 **seen,
             }  # fmt: skip
 
@@ -140,7 +140,7 @@ def tip_rows(bench: Bench) -> list[Row]:
         reading = bench.robot.read(2 * _READ_S)
 
         return {
-            "kind": kind, "asked": wanted, "ohm": reading.resistance.tolist(),
+            "kind": kind, "asked": wanted, "ohm": bench.ohm(reading).tolist(),
             "rest": bench.rest, "t_s": reading.t_s, **_tip_seen(bench),
         }  # fmt: skip
 
@@ -204,7 +204,7 @@ def push_rows(bench: Bench) -> list[Row]:
         bench.robot.wait(_STEADY_S)
         pushed = bench.robot.read(2 * _READ_S)
         bench.hand.push_tip(None)
-        return {"rest": straight.resistance.tolist(), "ohm": pushed.resistance.tolist()}
+        return {"rest": bench.ohm(straight).tolist(), "ohm": bench.ohm(pushed).tolist()}
 
     return bench.rows("pushes", [f"push {n}" for n in range(bench.plan.pushes)], take)
 
@@ -221,7 +221,7 @@ def rest_rows(bench: Bench) -> list[Row]:
         # As long as a sweep's peak is averaged.
         reading = bench.robot.read(_PEAK_S)
         bench.robot.wait(0.5)
-        return {"t_s": reading.t_s, "ohm": reading.resistance.tolist()}
+        return {"t_s": reading.t_s, "ohm": bench.ohm(reading).tolist()}
 
     return bench.rows("rest", [f"rest {n}" for n in range(bench.plan.rest_readings)], take)
 
@@ -251,7 +251,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
         t = np.concatenate([p.t_s for p in parts])
         psi = np.concatenate([p.left_psi if side == "left" else p.right_psi for p in parts])
         far = len(bench.config.sensors.left) if side == "left" else 0
-        ohm = np.concatenate([p.resistance[:, far : far + len(sensors)] for p in parts])
+        ohm = np.concatenate([bench.ohm(p)[:, far : far + len(sensors)] for p in parts])
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
         return {"t_s": t[::step].tolist(), "psi": psi[::step].tolist(),
                 "ohm": ohm[::step].tolist()}  # fmt: skip
@@ -271,7 +271,7 @@ def check_readings(bench: Bench) -> CheckReadings:
     """Rest, one bend and one hold for each muscle."""
     bench.ready_to_bend()
     config = bench.config
-    rest = np.array([bench.robot.read(0.25).resistance for _ in range(8)])
+    rest = np.array([bench.ohm(bench.robot.read(0.25)) for _ in range(8)])
     top = 0.7 * config.actuators.left.max_pressure_psi
     bent: dict[Side, Array] = {}
     seen: dict[Side, float] = {}
@@ -285,7 +285,7 @@ def check_readings(bench: Bench) -> CheckReadings:
         record = bench.robot.record(4.0)
         psi = record.left_psi if side == "left" else record.right_psi
         held[side] = np.column_stack([record.t_s - record.t_s[0], psi])
-        bent[side] = np.nanmean(record.resistance, axis=0)
+        bent[side] = np.nanmean(bench.ohm(record), axis=0)
         shot = bench.seen(
             lambda: {"k": float(bench.eyes.axis(free_bend=True).coefficients[2])}, {"k": None}
         )

@@ -146,6 +146,23 @@ def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
     assert abs(result.ratio - 1.0) < 3 * result.ratio_se
 
 
+def test_a_robot_with_fewer_sensors_than_the_board_has_inputs_is_calibrated(tmp_path):
+    few = Scene.load("empty").robot
+    few.sensors.left = few.sensors.left[:4]
+    lab = Lab(tmp_path, robot=few)
+    bench = lab.bench()
+    bench.plan = replace(bench.plan, places=6, straight=2, step_psi=4.5, zones=(2,))
+    for step in ("actuator", "flex", "noise", "check"):
+        result = guided.run(bench, step)
+        assert result.verdict.good, (step, result.verdict)
+    lab.robot.close()
+    found, true = lab.session.config.sensors, lab.scene.robot.sensors
+    for side in SIDES:
+        assert len(found.column(side)) == len(true.column(side))
+        for made, right in zip(found.column(side), true.column(side), strict=True):
+            assert made.scale_per_ohm == pytest.approx(right.scale_per_ohm, rel=0.03)
+
+
 def test_check_names_a_dead_sensor(tmp_path):
     lab = Lab(tmp_path)
     bench = lab.bench()
