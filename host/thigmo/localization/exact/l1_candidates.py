@@ -170,35 +170,30 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
         end = edges[e + 1]
         middle = 0.5 * (begin + end)
         lost = setting.floor
-        for j in range(n):
-            if low[j] >= middle:
-                lost += gain[j]
-        if lost > best.objective + slack:
-            break
-        # First the sensors in whose span the cell lies, then those behind it.
+        curved = False
         m = 0
         for j in range(n):
-            if low[j] < middle < low[j] + span[j]:
-                t = begin - low[j]
-                forms[0, m] = t * t * inverse[j]
-                forms[1, m] = 2.0 * t * inverse[j]
-                forms[2, m] = inverse[j]
+            t = begin - low[j]
+            if low[j] >= middle:
+                lost += gain[j]
+            else:
+                if low[j] + span[j] > middle:
+                    curved = True
+                    forms[0, m] = t * t * inverse[j]
+                    forms[1, m] = 2.0 * t * inverse[j]
+                    forms[2, m] = inverse[j]
+                else:
+                    forms[0, m] = t - 0.5 * span[j]
+                    forms[1, m] = 1.0
+                    forms[2, m] = 0.0
                 forms[3, m] = y[j]
                 forms[4, m] = w[j]
                 place[j] = m
                 m += 1
-        bends = m
-        if bends == 0:
+        if lost > best.objective + slack:
+            break
+        if not curved:
             continue
-        for j in range(n):
-            if low[j] + span[j] <= middle and low[j] < middle:
-                forms[0, m] = begin - low[j] - 0.5 * span[j]
-                forms[1, m] = 1.0
-                forms[2, m] = 0.0
-                forms[3, m] = y[j]
-                forms[4, m] = w[j]
-                place[j] = m
-                m += 1
         width = end - begin
         for i in range(n):
             if y[i] == 0.0 or w[i] == 0.0 or low[i] >= middle:
@@ -217,11 +212,9 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
                 bottom -= 1
             cuts[0] = 0.0
             n_cuts = 1
-            bend_turns = False
             for k in range(bottom, top):
                 cuts[n_cuts] = roots[i, k] - begin
                 turns[n_cuts] = place[others[i, k]]
-                bend_turns = bend_turns or turns[n_cuts] < bends
                 n_cuts += 1
             cuts[n_cuts] = width
             origin = (low[i] if i_inside else low[i] + 0.5 * span[i]) - begin
@@ -251,24 +244,13 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
                     a0 = 0.0
                     a1 = 0.0
                     a2 = 0.0
-                    for c in range(bends):
+                    for c in range(m):
                         model = force * (forms[0, c] + mid * (forms[1, c] + mid * forms[2, c]))
                         s = forms[4, c] if forms[3, c] > model else -forms[4, c]
                         signed[c] = s
                         a0 += s * forms[0, c]
                         a1 += s * forms[1, c]
                         a2 += s * forms[2, c]
-                    if not (i_inside or bend_turns) and y[i] * a2 >= 0.0:
-                        break  # no piece of this curve has a minimum; see below
-                    for c in range(bends, m):
-                        s = (
-                            forms[4, c]
-                            if forms[3, c] > force * (forms[0, c] + mid)
-                            else -forms[4, c]
-                        )
-                        signed[c] = s
-                        a0 += s * forms[0, c]
-                        a1 += s
                 # Sensor i itself adds a constant to B / phi_i. Shift to the curve's own origin.
                 b0 = a0 + origin * (a1 + origin * a2)
                 b1 = a1 + 2.0 * origin * a2
