@@ -124,6 +124,8 @@ def test_progress_on_a_pipe_is_a_line_now_and_then_with_what_is_left() -> None:
     ]
     assert told[-1] == "part: 100/100, 50 s"
     assert len(told) == 6
+    tell("counted from one", 1, 3)
+    assert told[-1] == "counted from one: 1/3, 0 s, about 0 s left"
 
 
 def test_batches_make_up_their_count() -> None:

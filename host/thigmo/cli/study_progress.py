@@ -57,10 +57,11 @@ def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
     def tell(part: str, done: int, total: int) -> None:
         nonlocal told
         now = clock()
-        if done == 0:
+        first = done == 0 or part not in began
+        if first:
             began[part] = now
         gone = now - began[part]
-        if 0 < done < total and now - told < LINE_EVERY_S:
+        if not first and done < total and now - told < LINE_EVERY_S:
             return
         told = now
         left = f", about {gone / done * (total - done):.0f} s left" if 0 < done < total else ""
