@@ -136,7 +136,7 @@ def throughput(rig: Rig) -> list[Figure]:
     transport.stop_heartbeat()
     before = client.request(wire.GetLinkStats())
     sent, counter = 0, 1_000_000
-    rig.forget_frames()
+    rig.wire.clear()
     start = rig.chip.cycle
     while rig.chip.cycle - start < 1000 * CYCLES_PER_MS:
         room = 200 - rig.chip.line_backlog

@@ -71,8 +71,8 @@ def prior_scene(task: tuple[int, int]) -> Trial:
     """A scene of the stated prior: arc uniform, base moment from the mixture, either sign."""
     rng = np.random.default_rng(task)
     arc = float(rng.uniform(0.0, LENGTH))
-    mean, spread, log_weight = prior.BASE_MOMENT
-    part = rng.choice(len(spread), p=np.exp(log_weight))
+    mean, spread, weight = prior.BASE_MOMENT
+    part = rng.choice(len(spread), p=weight)
     moment = float(rng.normal(mean[part], spread[part])) / LENGTH
     clean = _felt(np.array([arc]), np.array([moment / max(arc, 0.5)]), BOTH)
     result = localize(

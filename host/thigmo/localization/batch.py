@@ -64,7 +64,7 @@ def _posteriors(
     known: bool,
     mean: Array,
     spread: Array,
-    log_weight: Array,
+    weight: Array,
     out: Array,
 ) -> None:
     """Rows of (arc, force, low, high, log odds, modes) of the plain one-contact posterior."""
@@ -93,7 +93,7 @@ def _posteriors(
                 part[3, k] = max(part[3, k], max(TRUST * most, 1e-9) ** 2)
         sensors = Sensors(part[1], part[2], np.empty((0, 5)), np.empty((n, 4)))
         frame = Frame(part[0], part[3], known, np.empty((n, 0)), sensors)
-        found = one_contact(frame, BaseMoment(mean, spread, log_weight))
+        found = one_contact(frame, BaseMoment(mean, spread, weight))
         out[row, 0] = found.arc
         out[row, 1] = found.force
         out[row, 2] = found.low

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled
+from thigmo.compiled import compiled, compiled_leaf
 from thigmo.localization.frame import Frame, Levels, Work
 from thigmo.localization.influence import influence
 from thigmo.localization.prior import LEAST_LEVER, OUTLIER_ODDS, OUTLIER_VARIANCE, BaseMoment
@@ -18,16 +18,16 @@ Array = npt.NDArray[np.float64]
 
 
 @compiled
-def prepare_levels(frame: Frame, variance: Array, levels: Levels) -> None:
+def prepare_levels(frame: Frame, blur: float, levels: Levels) -> None:
     """Integrate the nuisance columns out at each noise level, once for all arcs.
 
     Args:
         frame: readings and columns.
-        variance: (N,) of each reading at noise level one; the frame's own, or more where a grid of
-            arcs adds an error.
+        blur: variance that a grid of arcs adds to each reading, where it is coarse; else 0.
         levels: `sigma`, `log_prior` and `flagged` are read; the rest is written.
     """
     y = frame.y
+    variance = frame.variance
     columns = frame.columns
     sigma, log_prior, flagged, W, white, fit, const = levels
     n = y.shape[0]
@@ -41,7 +41,7 @@ def prepare_levels(frame: Frame, variance: Array, levels: Levels) -> None:
         level = log_prior[s] + count * np.log(OUTLIER_ODDS)
         total = 0.0
         for i in range(n):
-            w = 1.0 / (variance[i] * sigma[s] * sigma[s])
+            w = 1.0 / (variance[i] * sigma[s] * sigma[s] + blur)
             if flagged[i]:
                 w /= OUTLIER_VARIANCE
             W[s, i] = w
@@ -71,7 +71,36 @@ def prepare_levels(frame: Frame, variance: Array, levels: Levels) -> None:
         const[s] = level - 0.5 * total
 
 
-@compiled
+@compiled_leaf
+def flip_weight(residual: float, taken: float, w: float, flagged: bool, every: bool) -> float:
+    """Weight of the outlier pattern that differs in one reading, over that of the present one.
+
+    A rank-one update. Without `every`, 0 for a reading that lies too near (by less than 2 nats) to
+    be worth it.
+
+    Args:
+        residual: reading less what fits best.
+        taken: variance of that fit at the reading.
+        w: present precision of the reading.
+        flagged: whether it is an outlier at present.
+        every: whether small weights are asked for.
+    """
+    size = w * residual * residual
+    free = 1.0 - w * taken
+    if flagged:
+        d = 1.0 / OUTLIER_VARIANCE - 1.0
+        odds = 1.0 / OUTLIER_ODDS
+    else:
+        d = OUTLIER_VARIANCE - 1.0
+        odds = OUTLIER_ODDS
+    grown = max(1.0 + d * free, 1e-12)
+    if not (flagged or every) and 0.5 * d * size <= 2.0 * grown:
+        return 0.0
+    change: float = odds * np.exp(min(0.5 * d * size / grown, 300.0)) / np.sqrt(grown)
+    return change
+
+
+@compiled_leaf
 def weigh(
     lever: float,
     phi: Array,
@@ -91,13 +120,13 @@ def weigh(
         log likelihood; posterior mean of the force; its posterior variance.
     """
     _, _, flagged, W, white, fit, const = levels
-    moment, spread, log_weight = prior
+    moment, spread, weight = prior
     t = work.t
     flips = work.flips
     n = y.shape[0]
     q = white.shape[2]
-    components = moment.shape[0]
     scale = 1.0 / max(abs(lever), LEAST_LEVER)
+    # Sums of terms share * exp(top): exponents apart from factors, so that one logarithm will do.
     top = -1e300
     total = 0.0
     mean = 0.0
@@ -120,85 +149,76 @@ def weigh(
             A -= value * value
             b -= value * fit[s, k]
         A = max(A, 0.0)
-        best = -1e300
+        best = 0.0
         best_f = 0.0
-        best_G = 1.0
+        best_variance = 1.0
         level_top = -1e300
         level_sum = 0.0
         level_f = 0.0
         level_ff = 0.0
-        for c in range(components):
+        for c in range(spread.shape[0]):
             tau = spread[c] * scale
             f0 = moment[c] * scale
             # Around the prior's mean: y - f0 phi.
             b0 = b - f0 * A
-            G = A + 1.0 / (tau * tau)
-            value = log_weight[c] - 0.5 * np.log1p(tau * tau * A)
-            value += f0 * b - 0.5 * f0 * f0 * A + 0.5 * b0 * b0 / G
-            f = f0 + b0 / G
-            if value > best:
-                best = value
-                best_f = f
-                best_G = G
-            if value > level_top:
-                shrink = np.exp(level_top - value)
-                level_sum = level_sum * shrink + 1.0
-                level_f = level_f * shrink + f
-                level_ff = level_ff * shrink + f * f + 1.0 / G
-                level_top = value
+            shrunk = 1.0 + tau * tau * A
+            variance = tau * tau / shrunk
+            exponent = f0 * b - 0.5 * f0 * f0 * A + 0.5 * b0 * b0 * variance
+            share = weight[c] / np.sqrt(shrunk)
+            f = f0 + b0 * variance
+            if exponent > level_top:
+                shrink = np.exp(level_top - exponent) if c > 0 else 0.0
+                level_sum *= shrink
+                level_f *= shrink
+                level_ff *= shrink
+                best *= shrink
+                level_top = exponent
             else:
-                share = np.exp(value - level_top)
-                level_sum += share
-                level_f += share * f
-                level_ff += share * (f * f + 1.0 / G)
+                share *= np.exp(exponent - level_top)
+            if share > best:
+                best = share
+                best_f = f
+                best_variance = variance
+            level_sum += share
+            level_f += share * f
+            level_ff += share * (f * f + variance)
+        base = const[s] + level_top
         extra = 1.0
-        base = const[s] + level_top + np.log(level_sum)
         for i in range(n):
-            w = W[s, i]
             u = y[i] - best_f * phi[i]
             p = phi[i]
-            h = 0.0
+            taken = 0.0
             for k in range(q):
                 z = white[s, i, k]
                 u -= z * (fit[s, k] - best_f * t[k])
                 p -= z * t[k]
-                h += z * z
-            u *= w
-            h = w - w * w * (h + p * p / best_G)
-            d = ((1.0 / OUTLIER_VARIANCE - 1.0) if flagged[i] else (OUTLIER_VARIANCE - 1.0)) / w
-            grown = max(1.0 + d * h, 1e-12)
-            gain = 0.5 * d * u * u / grown
-            if flagged[i]:
-                change = np.exp(min(gain, 300.0)) / (np.sqrt(grown) * OUTLIER_ODDS)
-            elif gain > 2.0 or want_flips:
-                change = OUTLIER_ODDS * np.exp(min(gain, 300.0)) / np.sqrt(grown)
-            else:
-                continue
+                taken += z * z
+            taken += p * p * best_variance
+            change = flip_weight(u, taken, W[s, i], flagged[i], want_flips)
             extra += change
             if want_flips:
-                log_change = base + np.log(max(change, 1e-300))
+                log_change = base + np.log(max(change * level_sum, 1e-300))
                 flips[i] = max(flips[i], log_change) + np.log1p(np.exp(-abs(flips[i] - log_change)))
         if want_flips:
-            flips[n] = max(flips[n], base) + np.log1p(np.exp(-abs(flips[n] - base)))
-        base += np.log(extra)
-        f = level_f / level_sum
-        ff = level_ff / level_sum
+            present = base + np.log(level_sum)
+            flips[n] = max(flips[n], present) + np.log1p(np.exp(-abs(flips[n] - present)))
         if base > top:
-            shrink = np.exp(top - base)
-            total = total * shrink + 1.0
-            mean = mean * shrink + f
-            square = square * shrink + ff
+            shrink = np.exp(top - base) if s > 0 else 0.0
+            total *= shrink
+            mean *= shrink
+            square *= shrink
             top = base
+            share = extra
         else:
-            share = np.exp(base - top)
-            total += share
-            mean += share * f
-            square += share * ff
+            share = extra * np.exp(base - top)
+        total += share * level_sum
+        mean += share * level_f
+        square += share * level_ff
     mean /= total
     return top + np.log(total), mean, max(square / total - mean * mean, 0.0)
 
 
-@compiled
+@compiled_leaf
 def evaluate(
     arc: float, frame: Frame, levels: Levels, prior: BaseMoment, work: Work, want_flips: bool
 ) -> tuple[float, float, float]:
@@ -220,18 +240,12 @@ def null_evidence(y: Array, levels: Levels, flips: Array) -> float:
         base = const[s]
         extra = 1.0
         for i in range(n):
-            w = W[s, i]
             u = y[i]
-            h = 0.0
+            taken = 0.0
             for k in range(q):
                 u -= white[s, i, k] * fit[s, k]
-                h += white[s, i, k] ** 2
-            u *= w
-            h = w - w * w * h
-            d = ((1.0 / OUTLIER_VARIANCE - 1.0) if flagged[i] else (OUTLIER_VARIANCE - 1.0)) / w
-            grown = max(1.0 + d * h, 1e-12)
-            ratio = 1.0 / OUTLIER_ODDS if flagged[i] else OUTLIER_ODDS
-            change = ratio * np.exp(min(0.5 * d * u * u / grown, 300.0)) / np.sqrt(grown)
+                taken += white[s, i, k] ** 2
+            change = flip_weight(u, taken, W[s, i], flagged[i], True)
             extra += change
             value = base + np.log(max(change, 1e-300))
             flips[i] = max(flips[i], value) + np.log1p(np.exp(-abs(flips[i] - value)))

@@ -19,6 +19,7 @@ from thigmo.localization.models import (
     MomentLimit,
     Setting,
     bent_shape,
+    evidence_of_two,
     fit_one,
     fit_several,
     fold_column,
@@ -26,7 +27,6 @@ from thigmo.localization.models import (
 )
 from thigmo.localization.readings import Readings
 from thigmo.localization.result import Range
-from thigmo.localization.several import LOOK
 from thigmo.localization.tip import tip_contact
 
 MOST_CONTACTS = 3
@@ -56,10 +56,10 @@ def best_model(
     # What the plain beam leaves unexplained: a second contact stands for any misfit here.
     one = _lever_arms(readings, plain) if rich else plain
     misfit = not readings.known or one.misfit > prior.MISFIT
-    look = None
+    two = -math.inf
     if misfit and len(readings.y) >= LEAST_FOR_TWO:
-        look = fit_several(readings, one.setting, 2, passes=LOOK)
-    called = look is not None and look.score > one.score + prior.HINT_OF_MORE
+        two = evidence_of_two(readings, one.setting)
+    called = two > one.score + prior.HINT_OF_MORE
     ones = [one]
     if rich:
         called = called or one.misfit > prior.misfit_limit(len(readings.y))
@@ -77,9 +77,9 @@ def best_model(
         fold = None
     winner = max(ones, key=_score)
     likely = False
-    if contacts == "auto" and look is not None:
+    if contacts == "auto" and math.isfinite(two):
         step = prior.second_threshold(len(readings.y), readings.known)
-        if look.score - step > winner.score - _margin(winner) - 0.5 or (called and fold):
+        if two - step > winner.score - _margin(winner) - 0.5 or (called and fold):
             winner, likely = _more_contacts(readings, one.setting, winner, fold, rich)
     if len(winner.arcs) > 1:
         return winner, likely
@@ -203,7 +203,7 @@ def _with_fold(readings: Readings, ones: list[Fit], fold: Setting, options: Opti
             moment=prior.BaseMoment(
                 np.array([options.critical - counted, -options.critical - counted]),
                 np.full(2, prior.CRITICAL_SPREAD * options.critical),
-                np.log(np.full(2, 0.5)),
+                np.full(2, 0.5),
             ),
         )
     ones = [*ones, *_on_the_end(readings, ones[0], options, limit)]

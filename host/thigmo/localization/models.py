@@ -26,7 +26,7 @@ from thigmo.localization.influence import (
 from thigmo.localization.posterior import one_contact
 from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings
-from thigmo.localization.several import PASSES, several
+from thigmo.localization.several import several, several_evidence
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -190,13 +190,9 @@ def fit_several(
     contacts: int,
     penalty: float = 0.0,
     stretch: float = 0.0,
-    passes: int = PASSES,
 ) -> Fit:
-    """Posterior of up to three contacts (or of one that is spread over a stretch).
-
-    Few `passes` over the grid give the evidence within a fraction of a nat, and rough places.
-    """
-    found = several(contacts, setting.frame(readings), setting.moment, stretch, passes)
+    """Posterior of up to three contacts (or of one that is spread over a stretch)."""
+    found = several(contacts, setting.frame(readings), setting.moment, stretch)
     nodes, arcs, intervals, pieces = found.nodes, found.arcs, found.intervals, found.pieces
     density = found.density[-1]
     if stretch > 0.0:
@@ -225,9 +221,14 @@ def fit_several(
     )
 
 
+def evidence_of_two(readings: Readings, setting: Setting) -> float:
+    """Log evidence of two contacts, to a fraction of a nat."""
+    return several_evidence(2, setting.frame(readings), setting.moment)
+
+
 # Share of the posterior at places that only the ends of the body bound, from which a fit of
 # several contacts is called ambiguous.
-LOOSE_SHARE = 0.5
+LOOSE_SHARE = 0.4
 
 
 def _middle(arc: Array, stretch: float) -> Array:

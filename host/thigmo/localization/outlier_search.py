@@ -103,13 +103,12 @@ def search_pattern(
     count = nodes.arcs.shape[0]
     error = coarse_error(frame.y, 1.0 / (count - 1.0)) ** 2
     fine = contact and frame.known and error > 0.1 * frame.variance.min()
-    rough = frame.variance + error
     for turn in range(n + 2):
-        prepare_levels(frame, rough if fine else frame.variance, levels)
+        prepare_levels(frame, error if fine else 0.0, levels)
         if contact:
             at = evaluate_all(nodes, frame, levels, prior, work)
             if fine:
-                prepare_levels(frame, frame.variance, levels)
+                prepare_levels(frame, 0.0, levels)
             best = n
             arc = nodes.arcs[at]
             # Only a reading that is off at the best arc itself is an outlier.

@@ -163,7 +163,7 @@ def one_contact(frame: Frame, prior: BaseMoment) -> OnePosterior:
         flagged = levels.flagged
         levels = empty_levels(frame, sigma, log_prior)
         levels.flagged[:] = flagged
-        prepare_levels(frame, frame.variance, levels)
+        prepare_levels(frame, 0.0, levels)
         evaluate_all(grid, frame, levels, prior, work)
     count = refine(nodes, count, frame, levels, prior, work)
     cumulative = np.empty(count)

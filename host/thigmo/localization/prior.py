@@ -15,15 +15,15 @@ Array = npt.NDArray[np.float64]
 
 
 class BaseMoment(NamedTuple):
-    """Prior of a contact's moment at the base: sum_k exp(log_weight_k) N(mean_k, spread_k^2).
+    """Prior of a contact's moment at the base: sum_k weight_k N(mean_k, spread_k^2).
 
     Attributes:
-        mean, spread, log_weight: (K,).
+        mean, spread, weight: (K,).
     """
 
     mean: Array
     spread: Array
-    log_weight: Array
+    weight: Array
 
 
 # A contact lies anywhere on the body: uniform over 0..1. Its moment at the base, f a, is of either
@@ -31,7 +31,7 @@ class BaseMoment(NamedTuple):
 # are 0.0075 and 0.028 1/cm: unactuated contacts stay below 0.011 1/cm (then the body folds),
 # actuated ones seldom pass the free curvature. A wider prior costs precision where only one or two
 # sensors feel the contact: it lets a strong force near the base pass for a weak one farther out.
-BASE_MOMENT = BaseMoment(np.zeros(2), np.array([0.4, 1.5]), np.log(np.array([0.92, 0.08])))
+BASE_MOMENT = BaseMoment(np.zeros(2), np.array([0.4, 1.5]), np.array([0.92, 0.08]))
 
 # Nearer to the base than this the prior of the force no longer widens (1 cm of 53).
 LEAST_LEVER = 0.02

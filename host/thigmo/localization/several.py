@@ -1,8 +1,8 @@
 """Posterior over the places of one to three contacts, forces integrated out, compiled.
 
-The same model, noise and priors as the posterior of one contact; the arcs a_1 <= .. <= a_C are a
-grid of all ordered choices from one list of nodes, refined where any contact's posterior needs it.
-Gram matrices over the nodes are computed once, so a choice costs a C x C factorisation.
+The same model, noise and priors as the posterior of one contact. The density over the ordered
+places a_1 <= .. <= a_C is cut into cells (`place_cells`), whose masses are summed for the evidence
+and for each contact's own density.
 """
 
 from __future__ import annotations
@@ -13,34 +13,32 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
-from thigmo.localization.frame import Frame, empty_levels
+from thigmo.localization.frame import Frame, Levels, empty_levels
 from thigmo.localization.information import place_bound
 from thigmo.localization.intervals import median_between, modes, shortest
 from thigmo.localization.marginal import prepare_levels
 from thigmo.localization.node_choices import (
     choice,
-    empty_tables,
-    first_pick,
-    flip_weights,
-    levels_near,
-    next_pick,
-    node_tables,
+    empty_factor,
+    mean_forces,
+    misfit_at,
+    pattern_weights,
+    places_at,
+    products,
 )
-from thigmo.localization.noise_levels import coarse_levels
-from thigmo.localization.outlier_search import coarse_error
+from thigmo.localization.noise_levels import coarse_levels, finer_levels
+from thigmo.localization.place_cells import Leaves, cell_masses, cut
 from thigmo.localization.prior import LEVEL, WIDTH_SHARE, BaseMoment
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int64]
 
-REACH = 9.0
-FLIP_REACH = 6.0
-NODES = (0, 81, 33, 23)  # first nodes, by number of contacts
-MOST_NODES = (0, 400, 150, 52)
-# How often the grid may be refined, and for a first look at the evidence.
-PASSES = 14
-LOOK = 1
+# Change of the log density over a cell: for places and intervals, and for a look at the evidence.
+FINE = 1.0
+LOOK = 2.0
+# Cells this far below the densest one are not asked whether the readings fix their places.
+LOOSE_REACH = 2.5
 
 
 class SeveralPosterior(NamedTuple):
@@ -74,9 +72,106 @@ class SeveralPosterior(NamedTuple):
 
 
 @compiled
-def several(
-    contacts: int, frame: Frame, prior: BaseMoment, stretch: float, passes: int
-) -> SeveralPosterior:
+def settled(
+    contacts: int,
+    frame: Frame,
+    prior: BaseMoment,
+    stretch: float,
+    tolerance: float,
+) -> tuple[Leaves, Levels]:
+    """Cells and noise levels under the best pattern of outliers, found one reading at a time."""
+    n = frame.y.shape[0]
+    sigma, log_prior = coarse_levels(frame)
+    levels = empty_levels(frame, sigma, log_prior)
+    pick = np.arange(contacts)
+    factor = empty_factor(contacts)
+    leveled = frame.known
+    for turn in range(n + 4):
+        leaves = cut(contacts, frame, levels, prior, stretch, tolerance if leveled else LOOK)
+        best = leaves.logp.argmax()
+        places = places_at(leaves.arcs[best].copy(), frame, levels, stretch)
+        count = levels.sigma.shape[0]
+        flagged = levels.flagged
+        if not leveled:
+            # Keep the noise levels that matter from here on.
+            value = np.empty(count)
+            for s in range(count):
+                value[s], _, _ = choice(pick, places, levels.const, prior, factor, s, s + 1)
+            sigma, log_prior = finer_levels(value, levels.sigma, n)
+            levels = empty_levels(frame, sigma, log_prior)
+            levels.flagged[:] = flagged
+            leveled = True
+            continue
+        _, s, k = choice(pick, places, levels.const, prior, factor, 0, count)
+        products(pick, places, s, factor.gram)
+        mean_forces(pick, places, s, k, prior, factor)
+        _, at, most = pattern_weights(pick, s, places, frame.y, levels, factor)
+        if most <= 1.0 or turn == n + 3 or (not flagged[at] and 2 * (flagged.sum() + 1) > n):
+            break
+        flagged[at] = not flagged[at]
+    return leaves, levels
+
+
+@compiled
+def several_evidence(contacts: int, frame: Frame, prior: BaseMoment) -> float:
+    """Log evidence of `contacts` contacts, to a fraction of a nat."""
+    leaves, _ = settled(contacts, frame, prior, 0.0, LOOK)
+    _, total, top = cell_masses(leaves)
+    evidence: float = top + np.log(total)
+    return evidence
+
+
+@compiled
+def densities(leaves: Leaves, mass: Array) -> tuple[Array, Array, Array]:
+    """Each contact's own density from the cells' masses (K,).
+
+    Returns:
+        (M,) nodes at the cells' borders; (C, M) log density there; (C, M) mass below.
+    """
+    count, c = leaves.arcs.shape
+    finest = leaves.width.min()
+    bins = int(np.rint(1.0 / finest))
+    border = np.zeros(bins + 1, dtype=np.bool_)
+    border[0] = True
+    border[bins] = True
+    step = np.zeros((c, bins + 1))
+    total = mass.sum()
+    for r in range(count):
+        for j in range(c):
+            width = leaves.width[r, j]
+            size = int(np.rint(width / finest))
+            first = int(np.rint((leaves.arcs[r, j] - 0.5 * width) / finest))
+            height = mass[r] / (total * width)
+            step[j, first] += height
+            step[j, first + size] -= height
+            border[first] = True
+            border[first + size] = True
+    at = np.flatnonzero(border)
+    m = at.shape[0]
+    nodes = at * finest
+    logp = np.empty((c, m))
+    below = np.zeros((c, m))
+    for j in range(c):
+        left = 0.0
+        height = 0.0
+        for k in range(m):
+            for b in range(at[k - 1] + 1 if k > 0 else 0, at[k] + 1):
+                height += step[j, b]
+            right = max(height, 0.0)
+            if k == 0:
+                left = right
+            if k == m - 1:
+                right = left
+            logp[j, k] = np.log(max(0.5 * (left + right), 1e-300))
+            if k < m - 1:
+                below[j, k + 1] = below[j, k] + right * (nodes[k + 1] - nodes[k])
+            left = right
+        below[j] /= below[j, m - 1]
+    return nodes, logp, below
+
+
+@compiled
+def several(contacts: int, frame: Frame, prior: BaseMoment, stretch: float) -> SeveralPosterior:
     """Posterior of `contacts` contacts.
 
     Args:
@@ -84,169 +179,30 @@ def several(
         frame: what was read.
         prior: of each contact's moment at the base; their spreads count, not their means.
         stretch: half width of the stretch over which each contact spreads.
-        passes: how often the grid may be refined.
     """
-    y = frame.y
-    variance = frame.variance
-    n = y.shape[0]
+    n = frame.y.shape[0]
     c = contacts
-    most = MOST_NODES[c]
-    sigma, log_prior = coarse_levels(frame)
-    levels = empty_levels(frame, sigma, log_prior)
-    m = NODES[c]
-    nodes = np.linspace(0.0, 1.0, m)
-    phi = np.empty((most, n))
-    lever = np.empty(most)
-    G = np.empty((c, c))
-    force = np.empty(c)
-    pick = np.empty(c, dtype=np.int64)
-    best_pick = np.empty(c, dtype=np.int64)
-    change = np.empty(n)
-    choices = 1
-    for j in range(c):
-        choices = choices * (most + j) // (j + 1)
-    logp = np.empty(choices)
-    profile = np.empty((c, most))
-    top = -1e300
-    climbs = 0
-    refined = 0
-    leveled = False
-    error = coarse_error(y, 1.0 / (NODES[c] - 1.0)) ** 2
-    fine = not frame.known or error > 0.1 * variance.min()
-    if fine:
-        passes = max(passes, PASSES)
-    for _ in range(passes + n + 4):
-        prepare_levels(frame, variance, levels)
-        tables = empty_tables(phi, lever, m, levels)
-        node_tables(nodes, frame, levels, stretch, tables)
-        profile[:, :m] = -1e300
-        top = -1e300
-        first_pick(pick)
-        r = 0
-        while True:
-            value, _, _ = choice(pick, tables, levels.const, prior, G, force)
-            logp[r] = value
-            if value > top:
-                top = value
-                best_pick[:] = pick
-            for j in range(c):
-                profile[j, pick[j]] = max(profile[j, pick[j]], value)
-            r += 1
-            if not next_pick(pick, m):
-                break
-        _, s, _ = choice(best_pick, tables, levels.const, prior, G, force)
-        # A grid too coarse for the noise misfits everywhere: then judge by what it does reach.
-        misfit = 0.0
-        for i in range(n):
-            u = y[i]
-            for j in range(c):
-                u -= force[j] * phi[best_pick[j], i]
-            misfit += levels.W[s, i] * u * u
-        reach = REACH * max(1.0, misfit / n)
-        added = 0
-        grown = np.empty(most)
-        write = 0
-        for j in range(m):
-            grown[write] = nodes[j]
-            write += 1
-            if j == m - 1:
-                break
-            want = False
-            for k in range(c):
-                left = profile[k, j]
-                right = profile[k, j + 1]
-                if max(left, right) > top - reach and abs(left - right) > 1.0:
-                    want = True
-            if want and nodes[j + 1] - nodes[j] > 1e-7 and m + added < most:
-                grown[write] = 0.5 * (nodes[j] + nodes[j + 1])
-                write += 1
-                added += 1
-        done = added == 0 or refined == passes
-        if not frame.known and not leveled:
-            # Keep the noise levels that matter from here on.
-            sigma, log_prior = levels_near(best_pick, tables, levels, prior)
-            flagged = levels.flagged
-            levels = empty_levels(frame, sigma, log_prior)
-            levels.flagged[:] = flagged
-            leveled = True
-            continue
-        # Outliers, one reading at a time: at once if the grid is fine enough for the noise, else
-        # when it has been refined.
-        if (done or not fine) and climbs < n + 2:
-            flip_weights(best_pick, s, tables, y, levels, G, force, change)
-            flagged = levels.flagged
-            best = 0
-            count = 0
-            for i in range(n):
-                if change[i] > change[best]:
-                    best = i
-                if flagged[i]:
-                    count += 1
-            if change[best] > 1.0 and (flagged[best] or 2 * (count + 1) <= n):
-                flagged[best] = not flagged[best]
-                climbs += 1
-                continue
-        if done:
-            break
-        refined += 1
-        m += added
-        nodes = grown[:m].copy()
-    # Outlier patterns around the best one, where it matters.
-    weight = np.empty(m)
-    for j in range(m):
-        weight[j] = 0.5 * (nodes[min(j + 1, m - 1)] - nodes[max(j - 1, 0)])
-    marginal = np.zeros((c, m))
-    total = 0.0
+    leaves, levels = settled(c, frame, prior, stretch, FINE)
+    prepare_levels(frame, 0.0, levels)
+    mass, total, top = cell_masses(leaves)
     loose = 0.0
-    places = np.empty(c)
-    first_pick(pick)
-    r = 0
-    while True:
-        value = logp[r] - top
-        if value > -30.0:
-            if value > -FLIP_REACH:
-                _, s, _ = choice(pick, tables, levels.const, prior, G, force)
-                value += np.log(flip_weights(pick, s, tables, y, levels, G, force, change))
-            mass = np.exp(value)
-            repeat = 1.0
-            for j in range(c):
-                mass *= weight[pick[j]]
-                if j > 0 and pick[j] == pick[j - 1]:
-                    repeat += 1.0
-                else:
-                    repeat = 1.0
-                mass /= repeat
-            total += mass
-            for j in range(c):
-                marginal[j, pick[j]] += mass
-                places[j] = nodes[pick[j]]
-            if value > -FLIP_REACH:
-                bound = place_bound(places, force, frame.sensors, levels.W[s], frame.columns)
-                if not bound < WIDTH_SHARE:
-                    loose += mass
-        r += 1
-        if not next_pick(pick, m):
-            break
-    factorial = 1.0
-    for j in range(c):
-        factorial *= j + 1.0
-    evidence = top + np.log(total * factorial)
+    asked = 0.0
+    for r in range(mass.shape[0]):
+        if leaves.logp[r] > top - LOOSE_REACH:
+            W = levels.W[leaves.level[r]]
+            bound = place_bound(leaves.arcs[r], leaves.force[r], frame.sensors, W, frame.columns)
+            asked += mass[r]
+            if not bound < WIDTH_SHARE:
+                loose += mass[r]
+    nodes, density, below = densities(leaves, mass)
+    m = nodes.shape[0]
     arcs = np.empty(c)
     interval = np.empty((c, 2))
     pieces = np.zeros((c, 12, 3))
     found = np.empty(c, dtype=np.int64)
-    density = np.empty((c, m))
-    cumulative = np.empty(m)
     for j in range(c):
-        for k in range(m):
-            density[j, k] = np.log(max(marginal[j, k] / (total * weight[k]), 1e-300))
-        cumulative[0] = 0.0
-        for k in range(m - 1):
-            half = np.exp(density[j, k]) + np.exp(density[j, k + 1])
-            cumulative[k + 1] = cumulative[k] + 0.5 * half * (nodes[k + 1] - nodes[k])
-        cumulative /= cumulative[m - 1]
-        interval[j, 0], interval[j, 1] = shortest(nodes, density[j], m, cumulative, LEVEL)
-        found[j] = modes(nodes, density[j], m, cumulative, LEVEL, pieces[j])
+        interval[j, 0], interval[j, 1] = shortest(nodes, density[j], m, below[j], LEVEL)
+        found[j] = modes(nodes, density[j], m, below[j], LEVEL, pieces[j])
         start = 0.0
         end = 1.0
         if found[j] > 1:
@@ -256,28 +212,29 @@ def several(
                     best = k
             start = pieces[j, best, 0]
             end = pieces[j, best, 1]
-        arcs[j] = median_between(nodes, density[j], m, cumulative, start, end)
+        arcs[j] = median_between(nodes, density[j], m, below[j], start, end)
     # Forces at the reported arcs.
-    tables = empty_tables(phi, lever, c, levels)
-    node_tables(arcs, frame, levels, stretch, tables)
-    for j in range(c):
-        pick[j] = j
-    _, s, _ = choice(pick, tables, levels.const, prior, G, force)
+    pick = np.arange(c)
+    factor = empty_factor(c)
+    places = places_at(arcs, frame, levels, stretch)
+    count = levels.sigma.shape[0]
+    _, s, k = choice(pick, places, levels.const, prior, factor, 0, count)
+    products(pick, places, s, factor.gram)
+    mean_forces(pick, places, s, k, prior, factor)
     typical = 0.0
     for i in range(n):
-        typical += variance[i] / n
-    typical = np.sqrt(typical) * sigma[s]
+        typical += frame.variance[i] / n
     return SeveralPosterior(
-        evidence,
+        top + np.log(total),
         arcs,
-        force,
+        factor.force,
         interval,
         pieces,
         found,
         nodes,
         density,
         levels.flagged,
-        typical,
-        loose / total,
-        misfit,
+        np.sqrt(typical) * levels.sigma[s],
+        loose / asked,
+        misfit_at(pick, s, places, frame.y, levels, factor),
     )

@@ -112,7 +112,7 @@ def _weigh_places(
     sigma, log_prior = all_levels(frame)
     levels = empty_levels(frame, sigma, log_prior)
     levels.flagged[:] = flagged
-    prepare_levels(frame, frame.variance, levels)
+    prepare_levels(frame, 0.0, levels)
     work = empty_work(frame)
     y = frame.y
     at = 0
