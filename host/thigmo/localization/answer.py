@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
@@ -53,10 +54,12 @@ def _open(readings: Readings, fit: Fit, options: Options) -> bool:
         return fit.loose
     if fit.end is not None or options.within is not None:
         return False
-    setting = fit.setting
-    bound = place_bound(
-        fit.arcs, fit.forces, setting.sensors, precision(fit, readings), setting.columns
-    )
+    bound = fit.bound
+    if math.isnan(bound):
+        setting = fit.setting
+        bound = place_bound(
+            fit.arcs, fit.forces, setting.sensors, precision(fit, readings), setting.columns
+        )
     return not bound < options.width
 
 

@@ -78,8 +78,8 @@ class Work(NamedTuple):
     Attributes:
         phi: (N,) readings for a unit force.
         t: (Q,) its products with the whitened columns.
-        flips: (N + 1,) log weights of outlier patterns: that of each reading changed, the present
-            one last.
+        flips: (N + 1,) relative weights of outlier patterns: that of each reading changed, the
+            present one last.
     """
 
     phi: Array

@@ -113,7 +113,7 @@ def weigh(
     """Log marginal likelihood of a force of known influence, with the force's mean and variance.
 
     `lever` is its moment at the base, `phi` (N,) its readings, both for a unit force; `y` (N,) what
-    was read. With `want_flips`, the work's `flips` get the log weights of the present outlier
+    was read. With `want_flips`, the work's `flips` get the relative weights of the present outlier
     pattern and of each that differs in one reading.
 
     Returns:
@@ -132,8 +132,7 @@ def weigh(
     mean = 0.0
     square = 0.0
     if want_flips:
-        for i in range(n + 1):
-            flips[i] = -1e300
+        flips[:] = 0.0
     for s in range(W.shape[0]):
         A = 0.0
         b = 0.0
@@ -183,6 +182,20 @@ def weigh(
             level_f += share * f
             level_ff += share * (f * f + variance)
         base = const[s] + level_top
+        share = level_sum
+        if base > top:
+            shrink = np.exp(top - base) if s > 0 else 0.0
+            total *= shrink
+            mean *= shrink
+            square *= shrink
+            if want_flips:
+                flips *= shrink
+            top = base
+        else:
+            shrink = np.exp(base - top)
+            share *= shrink
+            level_f *= shrink
+            level_ff *= shrink
         extra = 1.0
         for i in range(n):
             u = y[i] - best_f * phi[i]
@@ -197,23 +210,12 @@ def weigh(
             change = flip_weight(u, taken, W[s, i], flagged[i], want_flips)
             extra += change
             if want_flips:
-                log_change = base + np.log(max(change * level_sum, 1e-300))
-                flips[i] = max(flips[i], log_change) + np.log1p(np.exp(-abs(flips[i] - log_change)))
+                flips[i] += change * share
         if want_flips:
-            present = base + np.log(level_sum)
-            flips[n] = max(flips[n], present) + np.log1p(np.exp(-abs(flips[n] - present)))
-        if base > top:
-            shrink = np.exp(top - base) if s > 0 else 0.0
-            total *= shrink
-            mean *= shrink
-            square *= shrink
-            top = base
-            share = extra
-        else:
-            share = extra * np.exp(base - top)
-        total += share * level_sum
-        mean += share * level_f
-        square += share * level_ff
+            flips[n] += share
+        total += extra * share
+        mean += extra * level_f
+        square += extra * level_ff
     mean /= total
     return top + np.log(total), mean, max(square / total - mean * mean, 0.0)
 
@@ -227,29 +229,33 @@ def evaluate(
     return weigh(lever, work.phi, frame.y, levels, prior, work, want_flips)
 
 
-@compiled
+@compiled_leaf
 def null_evidence(y: Array, levels: Levels, flips: Array) -> float:
     """Log evidence without a contact; `flips` (N + 1,) as in `weigh`."""
     _, _, flagged, W, white, fit, const = levels
     n = y.shape[0]
-    q = white.shape[2]
-    for i in range(n + 1):
-        flips[i] = -1e300
+    flips[:] = 0.0
     top = -1e300
+    total = 0.0
     for s in range(W.shape[0]):
-        base = const[s]
+        share = 1.0
+        if const[s] > top:
+            shrink = np.exp(top - const[s]) if s > 0 else 0.0
+            total *= shrink
+            flips *= shrink
+            top = const[s]
+        else:
+            share = np.exp(const[s] - top)
         extra = 1.0
         for i in range(n):
             u = y[i]
             taken = 0.0
-            for k in range(q):
+            for k in range(white.shape[2]):
                 u -= white[s, i, k] * fit[s, k]
                 taken += white[s, i, k] ** 2
             change = flip_weight(u, taken, W[s, i], flagged[i], True)
             extra += change
-            value = base + np.log(max(change, 1e-300))
-            flips[i] = max(flips[i], value) + np.log1p(np.exp(-abs(flips[i] - value)))
-        flips[n] = max(flips[n], base) + np.log1p(np.exp(-abs(flips[n] - base)))
-        base += np.log(extra)
-        top = max(top, base) + np.log1p(np.exp(-abs(top - base)))
-    return top
+            flips[i] += change * share
+        flips[n] += share
+        total += extra * share
+    return top + np.log(total)

@@ -101,6 +101,7 @@ def replace_fit(fit: Fit, nodes: Array, logp: Array) -> Fit:
         fit.noise,
         fit.misfit,
         fit.deviation,
+        math.nan,
         fit.loose,
         fit.stretch,
         fit.penalty,

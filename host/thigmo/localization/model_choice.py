@@ -176,7 +176,7 @@ def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) 
     arc, force = float(fit.arcs[0]), float(fit.forces[0])
     limit = prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
     near = (abs(force) + 2.0 * fit.deviation) * arc > limit
-    odd = bool((fit.flagged & (readings.low < 2.0 * options.radius)).any())
+    odd = fit.flagged.any() and bool(fit.flagged[readings.low < 2.0 * options.radius].any())
     if not (near or called or odd):
         return None
     column = fold_column(readings, options.radius)

@@ -126,6 +126,7 @@ class Fit:
         noise: of one reading.
         misfit: sum of squared residuals over variance.
         deviation: of the force of a single contact.
+        bound: Cramer-Rao bound of its arc from the readings alone; NaN if not worked out.
         loose: whether the readings alone leave a place open.
         stretch: half width of a distributed contact.
         penalty: what `score` is less than the log evidence.
@@ -146,6 +147,7 @@ class Fit:
     noise: float
     misfit: float
     deviation: float = 0.0
+    bound: float = math.nan
     loose: bool = False
     stretch: float = 0.0
     penalty: float = 0.0
@@ -179,6 +181,7 @@ def fit_one(readings: Readings, setting: Setting, penalty: float = 0.0) -> Fit:
         found.noise,
         found.misfit,
         found.deviation,
+        found.bound,
         penalty=penalty,
         node_forces=found.nodes.force,
     )
@@ -245,9 +248,9 @@ def unit_force(arc: float, sensors: Sensors, stretch: float = 0.0) -> Array:
     total: Array = np.zeros(len(out))
     half = min(stretch, arc, 1.0 - arc)
     near, far = arc - half, arc + half
-    for part in range(8):
-        influence(near + (far - near) * (part + 0.5) / 8, sensors, out)
-        total += out / 8
+    for part in range(4):
+        influence(near + (far - near) * (part + 0.5) / 4, sensors, out)
+        total += out / 4
     return total
 
 

@@ -123,10 +123,10 @@ def spread_influence(arc: float, stretch: float, frame: Frame, room: Array, out:
     far = min(arc + stretch, 1.0)
     reach = 0.0
     out[:] = 0.0
-    for r in range(8):
-        reach += influence(near + (far - near) * (r + 0.5) / 8, frame.sensors, room) / 8
+    for r in range(4):
+        reach += 0.25 * influence(near + (far - near) * (r + 0.5) / 4, frame.sensors, room)
         for i in range(out.shape[0]):
-            out[i] += room[i] / 8
+            out[i] += 0.25 * room[i]
     return reach
 
 

@@ -70,7 +70,7 @@ def best_pattern(
 ) -> float:
     """The better of two climbs: from no outlier, and from the 1-norm's outliers.
 
-    Fills the levels and (with a contact) the nodes for the winner.
+    With a contact, fills the levels and the nodes for the winner.
 
     Returns:
         Best log density (or evidence).
@@ -86,8 +86,8 @@ def best_pattern(
     if (flagged == first).all():
         return top
     rival = search_pattern(nodes, frame, levels, prior, contact)
-    if rival > top:
-        return rival
+    if rival > top or not contact:
+        return max(rival, top)
     flagged[:] = first
     search_pattern(nodes, frame, levels, prior, contact)
     return top

@@ -36,7 +36,7 @@ Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int64]
 
 # Intervals along the body of the first cells, by number of contacts.
-FIRST = (0, 64, 12, 8)
+FIRST = (0, 24, 12, 8)
 # Log density below the top from which a cell is not halved.
 REACH = 9.0
 # From here on it is kept as it is, without a thought for outliers.

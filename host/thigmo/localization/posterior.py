@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled
+from thigmo.compiled import compiled, compiled_leaf
 from thigmo.localization.frame import (
     Frame,
     Levels,
@@ -28,6 +28,7 @@ from thigmo.localization.frame import (
     empty_levels,
     empty_work,
 )
+from thigmo.localization.information import place_bound
 from thigmo.localization.intervals import cell_mass, masses, summary
 from thigmo.localization.marginal import evaluate, prepare_levels
 from thigmo.localization.noise_levels import (
@@ -49,21 +50,27 @@ MAX_NODES = 900
 COARSE = 49
 
 
-@compiled
+@compiled_leaf
 def refine(
-    nodes: Nodes, count: int, frame: Frame, levels: Levels, prior: BaseMoment, work: Work
+    nodes: Nodes,
+    count: int,
+    split: Flags,
+    frame: Frame,
+    levels: Levels,
+    prior: BaseMoment,
+    work: Work,
 ) -> int:
     """Halve cells until the density is resolved where it matters.
 
     A cell is split where the density is within REACH nats of the top and changes by more than
     1 nat or holds more than 5 % of the mass, and beside local maxima that may hide a higher one.
-    The nodes (MAX_NODES,) hold `count` sorted ones and are grown in place.
+    The nodes (MAX_NODES,) hold `count` sorted ones and are grown in place; `split` (MAX_NODES,) is
+    room.
 
     Returns:
         The new count.
     """
     arcs, logp, force = nodes
-    split = np.zeros(MAX_NODES, dtype=np.bool_)
     for _ in range(26):
         top = -1e300
         for j in range(count):
@@ -121,6 +128,7 @@ class OnePosterior(NamedTuple):
         low, high: interval of the arc.
         noise: of one reading.
         misfit: sum of squared residuals over variance.
+        bound: Cramer-Rao bound of the arc, from the readings alone.
         pieces: (P, 3) modes.
         nodes: (M,) places; log density (normalised) and force over them.
         flagged: (N,) outliers.
@@ -135,6 +143,7 @@ class OnePosterior(NamedTuple):
     high: float
     noise: float
     misfit: float
+    bound: float
     pieces: Array
     nodes: Nodes
     flagged: Flags
@@ -165,7 +174,8 @@ def one_contact(frame: Frame, prior: BaseMoment) -> OnePosterior:
         levels.flagged[:] = flagged
         prepare_levels(frame, 0.0, levels)
         evaluate_all(grid, frame, levels, prior, work)
-    count = refine(nodes, count, frame, levels, prior, work)
+    split = np.empty(MAX_NODES, dtype=np.bool_)
+    count = refine(nodes, count, split, frame, levels, prior, work)
     cumulative = np.empty(count)
     evidence = masses(arcs, logp, count, cumulative)
     arc, low, high, pieces = summary(arcs, logp, count, cumulative, LEVEL)
@@ -202,6 +212,9 @@ def one_contact(frame: Frame, prior: BaseMoment) -> OnePosterior:
         high,
         np.sqrt(typical) * sigma[s],
         misfit,
+        place_bound(
+            np.array([arc]), np.array([strength]), frame.sensors, levels.W[s], frame.columns
+        ),
         pieces,
         Nodes(arcs[:count].copy(), logp[:count].copy(), force[:count].copy()),
         levels.flagged,

@@ -258,7 +258,7 @@ def tip_contact(
             break
         if before is not None and abs(score - before.score) < 0.05:
             odd = int(found.flips.argmax())
-            if found.flips[odd] <= found.flips[-1] + 1e-9 or (
+            if found.flips[odd] <= found.flips[-1] * (1.0 + 1e-9) or (
                 not flagged[odd] and 2 * (flagged.sum() + 1) > len(flagged)
             ):
                 break
