@@ -19,19 +19,6 @@ def compiled(function: F) -> F:
     return cast(F, numba.njit(cache=True, error_model="numpy")(function))
 
 
-def compiled_leaf(function: F) -> F:
-    """As `compiled`, for what runs a thousand times an answer and makes no array.
-
-    References to the arrays that it is passed are not counted, which costs several times what such
-    a function does itself; sums are made in any order, so that they vectorise.
-    """
-    jit: Any = numba.njit
-    compiler = jit(
-        cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}, _nrt=False
-    )
-    return cast(F, compiler(function))
-
-
 def compiled_parallel(function: F) -> F:
     """As `compiled`, with `numba.prange` loops spread over the cores."""
     return cast(F, numba.njit(cache=True, error_model="numpy", parallel=True)(function))

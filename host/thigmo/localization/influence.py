@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 
 Array = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Sensors(NamedTuple):
     edges: Array
 
 
-@compiled_leaf
+@compiled_inner
 def influence(arc: float, sensors: Sensors, out: Array) -> float:
     """Fill `out` (N,) with each sensor's reading for a unit normal force at `arc`.
 

@@ -12,12 +12,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 
 Array = npt.NDArray[np.float64]
 
 
-@compiled_leaf
+@compiled_inner
 def cell_mass(width: float, left: float, right: float) -> float:
     """Integral over a cell of a density whose log is linear, from `left` to `right`."""
     difference = right - left
@@ -26,7 +26,7 @@ def cell_mass(width: float, left: float, right: float) -> float:
     return width * (math.exp(right) - math.exp(left)) / difference
 
 
-@compiled_leaf
+@compiled_inner
 def within(share: float, left: float, right: float) -> float:
     """Place 0..1 in a cell below which `share` of the cell's mass lies."""
     difference = right - left
@@ -39,7 +39,7 @@ def within(share: float, left: float, right: float) -> float:
     return math.log(1.0 - share + share * math.exp(difference)) / difference
 
 
-@compiled_leaf
+@compiled_inner
 def masses(arcs: Array, logp: Array, count: int, cumulative: Array) -> float:
     """Fill `cumulative` (count,) with the mass below each node, of a total of one.
 
@@ -59,7 +59,7 @@ def masses(arcs: Array, logp: Array, count: int, cumulative: Array) -> float:
     return top + math.log(total)
 
 
-@compiled_leaf
+@compiled_inner
 def shortest(
     arcs: Array, logp: Array, count: int, cumulative: Array, level: float
 ) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def modes(arcs: Array, logp: Array, count: int, cumulative: Array, level: float,
     return pieces
 
 
-@compiled_leaf
+@compiled_inner
 def median_between(
     arcs: Array, logp: Array, count: int, cumulative: Array, low: float, high: float
 ) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 from thigmo.localization.frame import Frame, Levels, Work
 from thigmo.localization.influence import influence
 from thigmo.localization.prior import LEAST_LEVER, OUTLIER_ODDS, OUTLIER_VARIANCE, BaseMoment
@@ -71,7 +71,7 @@ def prepare_levels(frame: Frame, blur: float, levels: Levels) -> None:
         const[s] = level - 0.5 * total
 
 
-@compiled_leaf
+@compiled_inner
 def flip_weight(residual: float, taken: float, w: float, flagged: bool, every: bool) -> float:
     """Weight of the outlier pattern that differs in one reading, over that of the present one.
 
@@ -100,7 +100,7 @@ def flip_weight(residual: float, taken: float, w: float, flagged: bool, every: b
     return change
 
 
-@compiled_leaf
+@compiled_inner
 def weigh(
     lever: float,
     phi: Array,
@@ -220,7 +220,7 @@ def weigh(
     return top + np.log(total), mean, max(square / total - mean * mean, 0.0)
 
 
-@compiled_leaf
+@compiled_inner
 def evaluate(
     arc: float, frame: Frame, levels: Levels, prior: BaseMoment, work: Work, want_flips: bool
 ) -> tuple[float, float, float]:
@@ -229,7 +229,7 @@ def evaluate(
     return weigh(lever, work.phi, frame.y, levels, prior, work, want_flips)
 
 
-@compiled_leaf
+@compiled_inner
 def null_evidence(y: Array, levels: Levels, flips: Array) -> float:
     """Log evidence without a contact; `flips` (N + 1,) as in `weigh`."""
     _, _, flagged, W, white, fit, const = levels
@@ -258,4 +258,5 @@ def null_evidence(y: Array, levels: Levels, flips: Array) -> float:
             flips[i] += change * share
         flips[n] += share
         total += extra * share
-    return top + np.log(total)
+    evidence: float = top + np.log(total)
+    return evidence

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 from thigmo.localization.frame import Frame, Levels, Work, empty_work
 from thigmo.localization.influence import influence
 from thigmo.localization.marginal import flip_weight
@@ -114,7 +114,7 @@ def more_room(places: Places, frame: Frame, levels: Levels) -> Places:
     return out
 
 
-@compiled_leaf
+@compiled_inner
 def spread_influence(arc: float, stretch: float, frame: Frame, room: Array, out: Array) -> float:
     """`influence` of a unit force spread evenly over the arc -+ stretch (cut at the ends)."""
     if stretch <= 0.0:
@@ -134,7 +134,7 @@ def spread_influence(arc: float, stretch: float, frame: Frame, room: Array, out:
 LEAST_STEP = 1e-5
 
 
-@compiled_leaf
+@compiled_inner
 def fill_places(
     places: Places,
     first: int,
@@ -198,7 +198,7 @@ def places_at(arcs: Array, frame: Frame, levels: Levels, stretch: float) -> Plac
     return places
 
 
-@compiled_leaf
+@compiled_inner
 def products(pick: Indices, places: Places, s: int, gram: Array) -> None:
     """Fill the lower triangle of `gram` with the products of the chosen influences."""
     phi = places.phi
@@ -214,7 +214,7 @@ def products(pick: Indices, places: Places, s: int, gram: Array) -> None:
             gram[j, r] = value
 
 
-@compiled_leaf
+@compiled_inner
 def factorise(
     pick: Indices, places: Places, s: int, spread: float, factor: Factor
 ) -> tuple[float, float]:
@@ -249,7 +249,7 @@ def factorise(
     return exponent, widths
 
 
-@compiled_leaf
+@compiled_inner
 def choice(
     pick: Indices,
     places: Places,
@@ -292,7 +292,7 @@ def choice(
     return top + np.log(total), best_s, best_k
 
 
-@compiled_leaf
+@compiled_inner
 def mean_forces(
     pick: Indices, places: Places, s: int, k: int, prior: BaseMoment, factor: Factor
 ) -> None:
@@ -306,7 +306,7 @@ def mean_forces(
         force[j] /= G[j, j]
 
 
-@compiled_leaf
+@compiled_inner
 def residual(
     i: int, pick: Indices, s: int, places: Places, y: Array, levels: Levels, factor: Factor
 ) -> tuple[float, float]:
@@ -337,7 +337,7 @@ def residual(
     return u, h
 
 
-@compiled_leaf
+@compiled_inner
 def pattern_weights(
     pick: Indices, s: int, places: Places, y: Array, levels: Levels, factor: Factor
 ) -> tuple[float, int, float]:
@@ -361,7 +361,7 @@ def pattern_weights(
     return extra, heaviest, most
 
 
-@compiled_leaf
+@compiled_inner
 def slopes(
     pick: Indices,
     s: int,
@@ -418,7 +418,7 @@ def slopes(
         curvature[j] = max(fall, 0.0) * force[j] * force[j]
 
 
-@compiled_leaf
+@compiled_inner
 def misfit_at(
     pick: Indices, s: int, places: Places, y: Array, levels: Levels, factor: Factor
 ) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 from thigmo.localization.frame import Frame, Levels, Nodes, Work, empty_work
 from thigmo.localization.marginal import evaluate, null_evidence, prepare_levels
 from thigmo.localization.prior import BaseMoment
@@ -21,7 +21,7 @@ def coarse_error(y: Array, step: float) -> float:
     return error
 
 
-@compiled_leaf
+@compiled_inner
 def evaluate_all(nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment, work: Work) -> int:
     """Fill the nodes' log likelihood and force; returns the node with the most."""
     best = 0
@@ -34,7 +34,7 @@ def evaluate_all(nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment, 
     return best
 
 
-@compiled_leaf
+@compiled_inner
 def climb_arc(
     start: float, end: float, frame: Frame, levels: Levels, prior: BaseMoment, work: Work
 ) -> float:
@@ -60,7 +60,7 @@ def climb_arc(
     return a if at_a >= at_b else b
 
 
-@compiled_leaf
+@compiled_inner
 def heaviest(flips: Array) -> int:
     """The pattern with the most weight; the present one unless another is clearly better."""
     best: int = flips.shape[0] - 1

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 from thigmo.localization.frame import Frame, Levels, Work, empty_work
 from thigmo.localization.marginal import prepare_levels
 from thigmo.localization.node_choices import (
@@ -82,7 +82,7 @@ def first_cells(contacts: int) -> Indices:
     return out
 
 
-@compiled_leaf
+@compiled_inner
 def halves(cell: Indices, cut: Flags, half: Indices, out: Indices) -> int:
     """The ordered choices of halves of a cell's intervals.
 
@@ -113,7 +113,7 @@ def halves(cell: Indices, cut: Flags, half: Indices, out: Indices) -> int:
     return count
 
 
-@compiled_leaf
+@compiled_inner
 def directions(
     cell: Indices,
     width: Array,
@@ -194,7 +194,7 @@ def room_for(cells: int, contacts: int) -> Weighed:
     )
 
 
-@compiled_leaf
+@compiled_inner
 def weigh_cells(
     cells: Indices,
     places: Places,
@@ -233,7 +233,7 @@ def weigh_cells(
     return top
 
 
-@compiled_leaf
+@compiled_inner
 def other_patterns(
     cell: Indices,
     at: int,
@@ -252,7 +252,7 @@ def other_patterns(
     return math.log(extra)
 
 
-@compiled_leaf
+@compiled_inner
 def halve_or_keep(
     cells: Indices,
     weighed: Weighed,

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled, compiled_leaf
+from thigmo.compiled import compiled, compiled_inner
 from thigmo.localization.frame import (
     Frame,
     Levels,
@@ -50,7 +50,7 @@ MAX_NODES = 900
 COARSE = 49
 
 
-@compiled_leaf
+@compiled_inner
 def refine(
     nodes: Nodes,
     count: int,
