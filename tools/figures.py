@@ -118,6 +118,8 @@ def _number(value: float | None) -> str:
 
 
 THIGMO = ".venv/bin/thigmo"
+# Studies of minutes: on two processes.
+LONG = ("speed-accuracy", "stability", "calibration", "exploration", "camera")
 SOURCES: dict[str, Source] = {
     "explore": Source(
         (THIGMO, "explore", "--seed", "1", "--name", "readme", "--json"),
@@ -133,7 +135,11 @@ SOURCES: dict[str, Source] = {
         },
     ),
     **{
-        f"bench-{study}": Source((THIGMO, "bench", study, "--json"), _claims, pictures)
+        f"bench-{study}": Source(
+            (THIGMO, "bench", study, *(("--jobs", "2") if study in LONG else ()), "--json"),
+            _claims,
+            pictures,
+        )
         for study, pictures in {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {"stability-force-place.png": "stability.png"},
@@ -158,9 +164,10 @@ def run(name: str) -> None:
         if command[0] == THIGMO:
             command += ["--out", folder]
         print(f"{name}: {source.shown}", flush=True)
-        done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+        # Its progress goes to the terminal.
+        done = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)
         if done.returncode != 0:
-            sys.exit(f"{name}: exit {done.returncode}: {done.stderr.strip().splitlines()[-1:]}")
+            sys.exit(f"{name}: exit {done.returncode}; see above")
         RESULTS.mkdir(parents=True, exist_ok=True)
         found = json.loads(done.stdout)
         # Where this machine put the files is nobody's business.

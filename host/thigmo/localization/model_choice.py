@@ -55,9 +55,8 @@ def best_model(
         return _given_number(readings, plain.setting, fold, int(contacts), rich), False
     # What the plain beam leaves unexplained: a second contact stands for any misfit here.
     one = _lever_arms(readings, plain) if rich else plain
-    misfit = not readings.known or one.misfit > prior.MISFIT
     two = -math.inf
-    if misfit and len(readings.y) >= LEAST_FOR_TWO:
+    if _unexplained(readings, one) and len(readings.y) >= LEAST_FOR_TWO:
         two = evidence_of_two(readings, one.setting)
     called = two > one.score + prior.HINT_OF_MORE
     ones = [one]
@@ -94,6 +93,13 @@ LEAST_FOR_SPREAD = 5
 
 def _score(fit: Fit) -> float:
     return fit.score
+
+
+def _unexplained(readings: Readings, fit: Fit) -> bool:
+    """Whether a fit leaves enough for a further contact to explain."""
+    if not readings.known or fit.misfit > prior.least_misfit(len(readings.y)):
+        return True
+    return bool(fit.flagged.any())
 
 
 def _given_number(
@@ -136,7 +142,7 @@ def _more_contacts(
         if rival.score <= winner.score:
             return winner, count == 2 and rival.score > winner.score - _margin(winner)
         winner = rival
-        if readings.known and winner.misfit < prior.MISFIT:
+        if not _unexplained(readings, winner):
             break
     return winner, False
 

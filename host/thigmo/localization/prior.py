@@ -64,10 +64,6 @@ FOLD_PENALTY = 3.0
 TIP_MOMENT_PENALTY = 4.0
 DISTRIBUTED_PENALTY = 3.0
 THIRD_PENALTY = 1.5
-# A misfit (sum of squared residuals over variance) below this leaves a richer model nothing to
-# gain: it could add half of it, and must add its penalty and what its own priors cost.
-MISFIT = 7.0
-
 # Share of contacts that bear on the end of a bent body, beside the uniform density over its side.
 # Seen from the centre of a peg of one centimetre the end of a 53 cm body is 6.6 cm of an outline of
 # 113 cm (6 %); a body that bends or grows sweeps most with its outer third, so of the pegs that it
@@ -99,6 +95,17 @@ CORNER_BEND = 0.5
 
 # Log evidence that a second contact must add to call for any richer model at all.
 HINT_OF_MORE = 1.0
+
+
+def least_misfit(readings: int) -> float:
+    """Misfit (sum of squared residuals over variance) below which no further contact is sought.
+
+    It could add half of the misfit, and must add its penalty and what its own priors cost, which
+    is less where few readings bind it. Simulated: below this, in 4000 scenes of one and two
+    contacts on 5 to 20 readings, no frame without outliers gained a second contact. What looks
+    like an outlier may be one.
+    """
+    return 2.5 + 0.5 * readings
 
 
 def misfit_limit(readings: int) -> float:
