@@ -47,6 +47,30 @@ MOST_TURNS = 40
 MOST_CELLS = 30_000
 
 
+class Model(NamedTuple):
+    """What is assumed of the contacts.
+
+    Attributes:
+        frame: what was read.
+        levels: noise levels and the outliers of the present pattern.
+        prior: of each contact's moment at the base; their spreads count, not their means.
+        stretch: half width of the stretch over which each contact spreads.
+    """
+
+    frame: Frame
+    levels: Levels
+    prior: BaseMoment
+    stretch: float
+
+
+class Room(NamedTuple):
+    """Room to weigh one cell; `halved` (C,) marks the directions in which it is halved."""
+
+    factor: Factor
+    work: Work
+    halved: Flags
+
+
 class Leaves(NamedTuple):
     """Cells that were not halved further.
 
@@ -195,17 +219,10 @@ def room_for(cells: int, contacts: int) -> Weighed:
 
 
 @compiled_inner
-def weigh_cells(
-    cells: Indices,
-    places: Places,
-    frame: Frame,
-    levels: Levels,
-    prior: BaseMoment,
-    factor: Factor,
-    work: Work,
-    out: Weighed,
-) -> float:
+def weigh_cells(cells: Indices, places: Places, model: Model, room: Room, out: Weighed) -> float:
     """Weigh cells (K, C) at their middles; returns the highest log likelihood."""
+    frame, levels, prior, _ = model
+    factor = room.factor
     top = -1e300
     noise = levels.sigma.shape[0]
     for r in range(cells.shape[0]):
@@ -221,7 +238,7 @@ def weigh_cells(
             frame.y,
             levels,
             factor,
-            work,
+            room.work,
             out.gradient[r],
             out.curvature[r],
         )
@@ -235,21 +252,60 @@ def weigh_cells(
 
 @compiled_inner
 def other_patterns(
-    cell: Indices,
-    at: int,
-    weighed: Weighed,
-    places: Places,
-    frame: Frame,
-    levels: Levels,
-    prior: BaseMoment,
-    factor: Factor,
+    cell: Indices, at: int, weighed: Weighed, places: Places, model: Model, factor: Factor
 ) -> float:
     """Log of the weight of all outlier patterns around the present one, at cell number `at`."""
+    frame, levels, prior, _ = model
     s = weighed.level[at]
     products(cell, places, s, factor.gram)
     mean_forces(cell, places, s, weighed.component[at], prior, factor)
     extra, _, _ = pattern_weights(cell, s, places, frame.y, levels, factor)
     return math.log(extra)
+
+
+@compiled_inner
+def halve_intervals(cell: Indices, places: Places, used: int, model: Model, room: Room) -> int:
+    """Work out the halves of a cell's intervals that are to be halved, behind `used` places.
+
+    Returns:
+        How many places there are now.
+    """
+    frame, levels, _, stretch = model
+    for j in range(cell.shape[0]):
+        at = cell[j]
+        if room.halved[j] and places.half[at] < 0:
+            width = 0.5 * places.width[at]
+            places.half[at] = used
+            for upper in range(2):
+                places.arcs[used + upper] = places.arcs[at] + (upper - 0.5) * width
+                places.width[used + upper] = width
+                places.half[used + upper] = -1
+            fill_places(places, used, used + 2, frame, levels, stretch, room.work)
+            used += 2
+    return used
+
+
+@compiled_inner
+def keep(
+    cell: Indices,
+    at: int,
+    weighed: Weighed,
+    top: float,
+    places: Places,
+    model: Model,
+    factor: Factor,
+    leaves: Leaves,
+    count: int,
+) -> None:
+    """Write cell number `at` as the leaf number `count`."""
+    for j in range(cell.shape[0]):
+        leaves.arcs[count, j] = places.arcs[cell[j]]
+        leaves.width[count, j] = places.width[cell[j]]
+        leaves.force[count, j] = weighed.force[at, j]
+    leaves.logp[count] = weighed.logp[at]
+    leaves.level[count] = weighed.level[at]
+    if weighed.logp[at] > top - FLIP_REACH:
+        leaves.logp[count] += other_patterns(cell, at, weighed, places, model, factor)
 
 
 @compiled_inner
@@ -260,13 +316,8 @@ def halve_or_keep(
     tolerance: float,
     places: Places,
     used: int,
-    frame: Frame,
-    levels: Levels,
-    prior: BaseMoment,
-    stretch: float,
-    factor: Factor,
-    work: Work,
-    halved: Flags,
+    model: Model,
+    room: Room,
     finer: Indices,
     leaves: Leaves,
     count: int,
@@ -278,10 +329,10 @@ def halve_or_keep(
         weighed: what `weigh_cells` found of them.
         top: highest log likelihood so far.
         tolerance: change over a cell near the top that is left.
-        places: `used` of them; new halves are worked out behind these.
-        used: how many.
-        frame, levels, prior, stretch: as given to `cut`.
-        factor, work, halved: room.
+        places: new halves are worked out behind those in use.
+        used: how many are.
+        model: as given to `cut`.
+        room: for one cell.
         finer: (K 2^C, C) written: the halves; no rows if none is wanted.
         leaves: written behind the first `count`.
         count: how many there are.
@@ -289,44 +340,23 @@ def halve_or_keep(
     Returns:
         How many halves; how many leaves and places there are now.
     """
-    c = cells.shape[1]
     write = 0
     for r in range(cells.shape[0]):
         cell = cells[r]
-        behind = top - weighed.logp[r]
         if finer.shape[0] > 0 and directions(
             cell,
             places.width,
             weighed.gradient[r],
             weighed.curvature[r],
-            behind,
+            top - weighed.logp[r],
             tolerance,
-            halved,
+            room.halved,
         ):
-            for j in range(c):
-                at = cell[j]
-                if halved[j] and places.half[at] < 0:
-                    width = 0.5 * places.width[at]
-                    places.half[at] = used
-                    for upper in range(2):
-                        places.arcs[used + upper] = places.arcs[at] + (upper - 0.5) * width
-                        places.width[used + upper] = width
-                        places.half[used + upper] = -1
-                    fill_places(places, used, used + 2, frame, levels, stretch, work)
-                    used += 2
-            write += halves(cell, halved, places.half, finer[write:])
-            continue
-        for j in range(c):
-            leaves.arcs[count, j] = places.arcs[cell[j]]
-            leaves.width[count, j] = places.width[cell[j]]
-            leaves.force[count, j] = weighed.force[r, j]
-        leaves.logp[count] = weighed.logp[r]
-        leaves.level[count] = weighed.level[r]
-        if behind < FLIP_REACH:
-            leaves.logp[count] += other_patterns(
-                cell, r, weighed, places, frame, levels, prior, factor
-            )
-        count += 1
+            used = halve_intervals(cell, places, used, model, room)
+            write += halves(cell, room.halved, places.half, finer[write:])
+        else:
+            keep(cell, r, weighed, top, places, model, room.factor, leaves, count)
+            count += 1
     return write, count, used
 
 
@@ -350,34 +380,26 @@ def room_for_leaves(leaves: Leaves, count: int, size: int) -> Leaves:
 
 
 @compiled
-def cut(
-    contacts: int,
-    frame: Frame,
-    levels: Levels,
-    prior: BaseMoment,
-    stretch: float,
-    tolerance: float,
-) -> Leaves:
+def cut(contacts: int, model: Model, tolerance: float) -> Leaves:
     """Cut the posterior into cells over which its log changes by less than about `tolerance`.
 
-    `levels` are prepared. With a `stretch` each force is spread over its place -+ stretch.
+    The model's levels are prepared.
     """
     c = contacts
+    frame, levels, _, stretch = model
     prepare_levels(frame, 0.0, levels)
     used = FIRST[c]
     places = empty_places(256, frame, levels)
-    work = empty_work(frame)
+    room = Room(empty_factor(c), empty_work(frame), np.empty(c, dtype=np.bool_))
     for j in range(used):
         places.arcs[j] = (j + 0.5) / used
         places.width[j] = 1.0 / used
-    fill_places(places, 0, used, frame, levels, stretch, work)
+    fill_places(places, 0, used, frame, levels, stretch, room.work)
     cells = first_cells(c)
     weighed = room_for(256, c)
     none = np.empty((0, c))
     leaves = room_for_leaves(Leaves(none, none, none[:, 0], none, cells[:0, 0].copy()), 0, 512)
     count = 0
-    factor = empty_factor(c)
-    halved = np.empty(c, dtype=np.bool_)
     top = -1e300
     for turn in range(MOST_TURNS):
         size = cells.shape[0]
@@ -387,26 +409,11 @@ def cut(
             leaves = room_for_leaves(leaves, count, 2 * (count + size))
         while used + 2 * min(c * size, used) > places.arcs.shape[0]:
             places = more_room(places, frame, levels)
-        top = max(top, weigh_cells(cells, places, frame, levels, prior, factor, work, weighed))
+        top = max(top, weigh_cells(cells, places, model, room, weighed))
         last = turn == MOST_TURNS - 1 or size > MOST_CELLS
         finer = np.empty((0 if last else size << c, c), dtype=np.int64)
         write, count, used = halve_or_keep(
-            cells,
-            weighed,
-            top,
-            tolerance,
-            places,
-            used,
-            frame,
-            levels,
-            prior,
-            stretch,
-            factor,
-            work,
-            halved,
-            finer,
-            leaves,
-            count,
+            cells, weighed, top, tolerance, places, used, model, room, finer, leaves, count
         )
         if write == 0:
             break

@@ -27,7 +27,7 @@ from thigmo.localization.node_choices import (
     products,
 )
 from thigmo.localization.noise_levels import coarse_levels, finer_levels
-from thigmo.localization.place_cells import Leaves, cell_masses, cut
+from thigmo.localization.place_cells import Leaves, Model, cell_masses, cut
 from thigmo.localization.prior import LEVEL, WIDTH_SHARE, BaseMoment
 
 Array = npt.NDArray[np.float64]
@@ -87,7 +87,8 @@ def settled(
     factor = empty_factor(contacts)
     leveled = frame.known
     for turn in range(n + 4):
-        leaves = cut(contacts, frame, levels, prior, stretch, tolerance if leveled else LOOK)
+        model = Model(frame, levels, prior, stretch)
+        leaves = cut(contacts, model, tolerance if leveled else LOOK)
         best = leaves.logp.argmax()
         places = places_at(leaves.arcs[best].copy(), frame, levels, stretch)
         count = levels.sigma.shape[0]
