@@ -96,7 +96,9 @@ def says_what_to_do(error: Exception, fault: str) -> None:
     assert cure
     named = str(error).partition(":")[0]
     if named.startswith(fault):
-        assert str(error).endswith(f"{what}; {cure.rstrip('.')}")
+        said = str(error).replace(" (healthy = false)", "")
+        assert what in said
+        assert said.endswith(f"; {cure.rstrip('.')}")
     assert "; " in str(error)
 
 
@@ -149,6 +151,9 @@ def test_fault_is_named_safe_latched_and_cleared_with_its_cause(case: Case) -> N
     # Named.
     assert case.name in caught.value.faults
     says_what_to_do(caught.value, case.name)
+    if case.name.startswith("flex"):
+        options = {"side": "left", "sensor": 0, **dict(case.options)}
+        assert f": {options['side']} {options['sensor']} (0 = at the base)" in str(caught.value)
 
     # Safe in time, and from then on; the spool is never driven in by a fault.
     if case.move is not rest:
@@ -365,3 +370,21 @@ def test_a_power_cut_in_the_first_save_is_a_bad_configuration_until_saved_again(
     robot.configure(bench.transport.config)
     assert robot.status().faults == ()
     robot.arm()
+
+
+@pytest.mark.parametrize("kind", ["flex_wire_cut", "flex_short"])
+def test_a_sensor_that_is_marked_dead_stops_nothing_any_more(kind: str) -> None:
+    bench = Bench(20.0).ready()
+    bench.inject(kind=kind, side="right", sensor=1)
+    with pytest.raises(RobotFaultError):
+        rest(bench.robot)
+    with pytest.raises(RobotFaultError, match=r": right 1 \(0 = at the base\); .*healthy = false"):
+        bench.robot.arm()
+    config = bench.transport.config.model_copy(deep=True)
+    bench.robot.configure(config)  # nothing changed: still latched
+    assert bench.robot.status().faults
+    config.sensors.right[1].healthy = False
+    bench.robot.configure(config)
+    bench.robot.arm()
+    rest(bench.robot)
+    assert bench.robot.status().faults == ()

@@ -22,7 +22,7 @@ from scipy.stats import norm
 
 from thigmo.calibrate.lag import Lag
 from thigmo.calibrate.table import Table, write_table
-from thigmo.calibrate.verdict import Verdict
+from thigmo.calibrate.verdict import Verdict, listed
 from thigmo.config import RobotConfig, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
@@ -66,6 +66,11 @@ class BendReadings:
         unknown = set(self.branch) - set(BRANCHES)
         if unknown:
             raise DataError(f"unknown branch '{unknown.pop()}'", "use inflate or deflate")
+
+    def names(self) -> list[str]:
+        """What an operator calls each bend."""
+        columns = zip(self.trial.tolist(), self.branch, self.pressure_psi.tolist(), strict=True)
+        return [f"trial {trial} {branch} {psi:.1f} psi" for trial, branch, psi in columns]
 
     @classmethod
     def read_all(cls, path: str | os.PathLike[str]) -> list[BendReadings]:
@@ -208,7 +213,9 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         )
     notes: list[str] = []
     if lost:
-        notes.append(f"{lost} row(s) left out: the camera lost the body")
+        rows = np.nonzero(~finite)[0].tolist()
+        notes.append(f"left out {listed(readings.names(), rows)}: the camera lost the body; clear "
+                     "the view to take it again")  # fmt: skip
     firm = finite & (p > 0.5 * p[finite].max())
     if np.median(sign * k[firm]) < 0:
         verdict = Verdict(
@@ -302,7 +309,9 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     deflate = built.get("deflate") or inflate
     out = int((finite & ~used).sum())
     if out:
-        notes.append(f"{out} of {int(finite.sum())} bends left out as outliers")
+        rows = np.nonzero(finite & ~used)[0].tolist()
+        notes.append(f"left out {out} of {int(finite.sum())} bends as outliers "
+                     f"({listed(readings.names(), rows)})")  # fmt: skip
     spread = float(np.std(best[maps:], ddof=1)) if len(trials) > 1 else offset_sigma
     moved = [t for t, o in zip(trials, best[maps:], strict=True)
              if abs(o - np.median(best[maps:])) > 3e-3]  # fmt: skip

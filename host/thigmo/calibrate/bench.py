@@ -22,6 +22,7 @@ Row = dict[str, Any]
 _TRIES = 3
 _QUIET_S = 5.0  # after venting, before zeros are taken
 SAME_CM = 0.2
+_UNSEEN: Row = {"unseen": True}
 
 
 @dataclass
@@ -109,6 +110,14 @@ class Bench:
         ]
         return every[..., used]
 
+    def mean_ohm(self, record: RecordingLike) -> NDArray[np.float64]:
+        """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""
+        every = self.ohm(record)
+        seen = np.isfinite(every)
+        number = seen.sum(axis=0)
+        total = np.where(seen, every, 0.0).sum(axis=0)
+        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
     def set_zone(self, zone: int) -> None:
         """Body pressure of a zone, and the board told."""
         self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
@@ -160,25 +169,31 @@ class Bench:
                 return
 
     def rows(self, procedure: str, keys: Iterable[str], take: Callable[[str], Row]) -> list[Row]:
-        """Take the planned rows that the folder does not hold yet; all of them, in order.
+        """Take the planned rows that the folder does not hold yet, or that the camera missed.
+
+        Returns all of them in the order in which they were taken.
 
         Raises:
             CameraMovedError: pictures taken from now on would be wrong.
         """
         planned = list(keys)
         held = self.session.rows(procedure)
-        missing = [key for key in planned if key not in held]
+        missing = [key for key in planned if held.get(key, _UNSEEN).get("unseen")]
         if len(missing) < len(planned) and missing:
             self.say(f"{procedure}: going on after {len(planned) - len(missing)} rows")
         for number, key in enumerate(missing, start=len(planned) - len(missing) + 1):
             self.say(f"{procedure} {number} of {len(planned)}: {key}")
             row = {"key": key, **take(key)}
             self.session.add(procedure, row)
+            held.pop(key, None)
             held[key] = row
-        return [held[key] for key in planned]
+            if row.get("unseen"):
+                self.say(f"{key} is left out: the camera did not see it; run this step once more, "
+                         "and only what it missed is taken")  # fmt: skip
+        return [held[key] for key in held if key in planned]
 
     def seen(self, shot: Callable[[], Row], blank: Row) -> Row:
-        """A camera reading, tried three times; `blank` where the robot cannot be seen.
+        """A camera reading, tried three times; where the robot cannot be seen, `blank` as unseen.
 
         Raises:
             CameraMovedError: the camera moved.
@@ -192,7 +207,7 @@ class Bench:
                 self.say(f"camera: {error}")
                 if attempt + 1 < _TRIES:
                     self.robot.wait(0.3)
-        return blank
+        return {**blank, **_UNSEEN}
 
     def finish(self, step: str, result: StepResult) -> None:
         """Store a result, say its verdict, and send good constants to the board."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.table import Table
-from thigmo.calibrate.verdict import Verdict
+from thigmo.calibrate.verdict import Verdict, listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 
@@ -81,9 +81,12 @@ def fit_encoder(
     counts, length = np.asarray(counts, float), np.asarray(length_cm, float)
     ratio = config.spool.payout_ratio
     notes: list[str] = []
-    lost = int((~(np.isfinite(counts) & np.isfinite(length))).sum())
+    missing = ~(np.isfinite(counts) & np.isfinite(length))
+    lost = int(missing.sum())
+    names = [f"row {row + 1}" for row in range(len(counts))]
     if lost:
-        notes.append(f"{lost} row(s) left out: no counts, or the camera lost the tip")
+        rows = listed(names, np.nonzero(missing)[0].tolist())
+        notes.append(f"left out {rows}: no counts, or the camera lost the tip")
     if len(counts) - lost < 4 or np.ptp(length[np.isfinite(length)]) < 5:
         raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
     # Counts are exact, the camera is not: length over counts, then inverted.
@@ -107,9 +110,9 @@ def fit_encoder(
             tuple(notes),
         )
     else:
-        out = int((~fit.used).sum()) - lost
+        out = np.nonzero(~fit.used & ~missing)[0].tolist()
         if out:
-            notes.append(f"{out} row(s) left out as outliers")
+            notes.append(f"left out {listed(names, out)} as outliers")
         unit = counts / max(np.nanmax(np.abs(counts)), 1)
         bow = 0.0
         if fit.used.sum() >= 6:

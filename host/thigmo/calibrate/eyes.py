@@ -52,14 +52,14 @@ class Eyes:
         return see_tip(self.source.read(), self.camera, self.sheet, self.wanted.diameter_cm)
 
     def axis(self, *, free_bend: bool) -> Centerline:
-        """The body's axis.
+        """The body's axis; a pushed tip's place needs its marker, a free bend does not.
 
         Raises:
             CameraError: as named.
         """
         wanted = replace(self.wanted, constant=free_bend, obstacles=False)
         sighting = look(self.source.read(), self.camera, self.sheet, wanted)
-        if sighting.axis is None:
+        if sighting.axis is None or (sighting.tip is None and not free_bend):
             raise sighting.problems[-1]
         return sighting.axis
 

@@ -205,7 +205,7 @@ def fit_flex(
                     final[column], bool(on_body[column]), as_direction(directions[column]),
                     1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5))
         )  # fmt: skip
-    verdict = _verdict(fits, notes, swapped)
+    verdict = _verdict(fits, notes, swapped, readings)
     return FlexResult(tuple(fits), verdict, model, readings, good, deflection, width)
 
 
@@ -234,13 +234,14 @@ def _sensor(
         return dead("not everted at this length")
     seen = rows & np.isfinite(ohm)
     if rows.sum() and seen.sum() < 0.5 * rows.sum():
-        return dead("open or shorted: most readings are out of range")
+        return dead("is open or shorted (most readings are out of range): check its wire")
     if fit is None:
-        return dead("too few readings, or none that vary", int(seen.sum()))
+        return dead("has too few readings, or none that vary", int(seen.sum()))
     if not working(fit):
         if fit.se(1) > 0.1 * nominal:
             return dead("bends too little to tell its scale: take more places and bends")
-        return dead("does not answer to bending", int(fit.used.sum()))
+        return dead("does not answer to bending: check its pouch and its wire",
+                    int(fit.used.sum()))  # fmt: skip
     slope, zero = float(fit.coefficients[1]), float(fit.coefficients[0])
     scale = 1.0 / slope
     se = float(np.hypot(fit.se(1) / abs(slope), _CAMERA_SCALE_SE))
@@ -254,7 +255,8 @@ def _sensor(
     reason = f"scale known to {100 * se:.1f} %"
     healthy = True
     if se > 0.1:
-        healthy, reason = False, f"scale known to {100 * se:.0f} % only: take more places and bends"
+        healthy = False
+        reason = f"has a scale known to {100 * se:.0f} % only: take more places and bends"
     elif abs(bend) > 0.05 and abs(bend) > 4 * bend_se:
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
@@ -263,14 +265,20 @@ def _sensor(
     )  # fmt: skip
 
 
-def _verdict(fits: list[FlexFit], notes: list[str], swapped: bool) -> Verdict:
+def _verdict(
+    fits: list[FlexFit], notes: list[str], swapped: bool, readings: FlexReadings
+) -> Verdict:
     everted = [fit for fit in fits if fit.reason != "not everted at this length"]
     dead = [fit for fit in everted if not fit.healthy]
-    notes.extend(f"sensor {fit.name} {fit.reason}; it is marked unhealthy" for fit in dead)
-    dropped = sum(fit.rejected for fit in everted)
+    dropped = {fit.name: fit.rejected for fit in everted if fit.healthy and fit.rejected}
     total = sum(fit.used + fit.rejected for fit in everted)
-    if dropped:
-        notes.append(f"{dropped} of {total} single readings left out as outliers")
+    if dropped and not swapped:
+        worst_first = sorted(dropped, key=lambda name: -dropped[name])
+        each = ", ".join(f"{name}: {dropped[name]}" for name in worst_first)
+        notes.append(
+            f"left out {sum(dropped.values())} of {total} single readings as outliers ({each}); "
+            "many of one sensor mean a loose wire"
+        )
     if swapped:
         return Verdict(
             False,
@@ -278,6 +286,13 @@ def _verdict(fits: list[FlexFit], notes: list[str], swapped: bool) -> Verdict:
             "does not; exchange the sensor columns' plugs, or the muscles' tubes, and repeat",
             tuple(notes),
         )
+    notes.extend(
+        f"left out sensor {fit.name} (0 = at the base), which {fit.reason}; the robot does without "
+        "it until flex is repeated"
+        for fit in dead
+    )
+    if not any(readings.active):
+        notes.append("without free bends it cannot be noticed if left and right are swapped")
     if len(dead) > len(everted) / 2:
         return Verdict(False, "more than half of the sensors fail; check wiring", tuple(notes))
     if not everted:

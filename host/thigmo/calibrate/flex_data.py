@@ -32,6 +32,7 @@ class FlexReadings:
         length_cm: everted length.
         intended_y_cm: (n,) where the operator was asked to put the tip (sign used); nan = free.
         block: (n,) session of each row: after an eversion the sensors' zeros are others.
+        name: (n,) what an operator calls each row; "row 1" and so on where none is given.
     """
 
     kind: tuple[str, ...]
@@ -44,11 +45,14 @@ class FlexReadings:
     length_cm: float
     intended_y_cm: Array
     block: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    name: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.kind)
         if not len(self.block):
             object.__setattr__(self, "block", np.zeros(n, np.int64))
+        if not self.name:
+            object.__setattr__(self, "name", tuple(f"row {row + 1}" for row in range(n)))
         shapes = {
             "t_s": self.t_s.shape == (n,),
             "tip_cm": self.tip_cm.shape == (n, 2),
@@ -58,6 +62,7 @@ class FlexReadings:
             "ohm": self.ohm.ndim == 2 and len(self.ohm) == n,
             "intended_y_cm": self.intended_y_cm.shape == (n,),
             "block": self.block.shape == (n,),
+            "name": len(self.name) == n,
         }
         for name, good in shapes.items():
             if not good:
@@ -70,7 +75,7 @@ class FlexReadings:
     def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> FlexReadings:
         """From a CSV: kind, tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_N.
 
-        Optional: t_s, curvature_se, active, length_cm, intended_y_cm, block.
+        Optional: t_s, curvature_se, active, length_cm, intended_y_cm, block, name.
 
         Raises:
             DataError: missing or malformed columns.
@@ -95,11 +100,13 @@ class FlexReadings:
             float(length[0]),
             table.numbers("intended_y_cm", none),
             np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
+            tuple(table.words("name")) if "name" in table else (),
         )  # fmt: skip
 
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
         """To a CSV that `read` takes."""
         columns: dict[str, Any] = {
+            "name": self.name,
             "kind": self.kind,
             "t_s": self.t_s.tolist(),
             "tip_x_cm": self.tip_cm[:, 0].tolist(),
@@ -135,4 +142,5 @@ def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
         ohm=np.vstack([first.ohm, second.ohm]),
         intended_y_cm=np.concatenate([first.intended_y_cm, second.intended_y_cm]),
         block=np.concatenate([first.block, second.block + first.block.max(initial=0) + 1]),
+        name=first.name + second.name,
     )

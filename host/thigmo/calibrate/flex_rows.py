@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.optimize import brentq
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import working
 from thigmo.calibrate.regression import LinearFit, fit_linear
+from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics import push
@@ -110,16 +112,19 @@ def model_rows(
             model[row] = tip_curvature(y, x, length, centers, spans, deflection)
             per_cm = phi(length, centers, spans) * 3 / length**3
             error[row] = per_cm * tip_se_cm
-    _note(notes, lost, "the camera lost the marker or the body")
-    _note(notes, wrong, "the tip stood on the other side than asked for")
-    _note(notes, folded, "the tip was pushed so far that the base folds")
+    names = readings.name
+    _note(notes, names, lost, "the camera lost the marker or the body", "clear the view")
+    _note(notes, names, wrong, "the tip stood on the other side than asked for",
+          "push it to the side asked for")  # fmt: skip
+    _note(notes, names, folded, "the tip was pushed so far that the base folds", "push it less")
     return model, error, np.isfinite(model).all(axis=1)
 
 
-def _note(notes: list[str], rows: list[int], what: str) -> None:
+def _note(
+    notes: list[str], names: Sequence[str], rows: Sequence[int], what: str, cure: str
+) -> None:
     if rows:
-        listed = ", ".join(str(row + 1) for row in rows[:8]) + (" ..." if len(rows) > 8 else "")
-        notes.append(f"{len(rows)} row(s) left out, {what}: {listed}")
+        notes.append(f"left out {listed(names, rows)}: {what}; {cure} to take it again")
 
 
 def usable_readings(readings: FlexReadings, sensors: list[tuple[Side, int]]) -> NDArray[np.bool_]:
@@ -169,7 +174,9 @@ def judge_rows(
     wrong_side = [
         int(r) for r in np.nonzero(share < _WRONG_SIDE)[0] if share[r] + 3 * scatter[r] < 0
     ]
-    _note(notes, wrong_side, "the sensors say that the robot was bent to the other side")
+    _note(notes, readings.name, wrong_side,
+          "the sensors say that the robot was bent to the other side than the camera saw",
+          "check which side is +y")  # fmt: skip
     kept = good.copy()
     kept[wrong_side] = False
     tips = np.array([k == "tip" for k in readings.kind])
@@ -178,8 +185,9 @@ def judge_rows(
         since, shift = moved
         kept[since:] &= ~tips[since:]
         notes.append(
-            f"the camera or the base moved by about {abs(shift):.1f} cm before row {since + 1}: "
-            "that row and all later tip places left out"
+            f"left out {readings.name[since]} and all later tip places: the camera or the base "
+            f"moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera locate` and "
+            "take them again"
         )
     rows = np.nonzero(kept & np.isfinite(offset) & tips)[0]
     miss_cm = offset[rows] * readings.tip_cm[rows, 1]
@@ -192,7 +200,8 @@ def judge_rows(
             if abs(m - middle) > max(4.5 * e, 0.5)
         ]
         if odd and len(odd) <= 0.35 * len(rows):
-            _note(notes, odd, "the sensors agree that the tip stood elsewhere")
+            _note(notes, readings.name, odd, "the sensors agree that the tip stood elsewhere",
+                  "hold it still")  # fmt: skip
             kept[odd] = False
     return kept
 

@@ -56,7 +56,7 @@ FITS: dict[str, Callable[[Path, RobotConfig], StepResult]] = {
 
 COLUMNS = {
     "flex": "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_4 "
-    "[t_s, curvature_se, active, length_cm, intended_y_cm, block]",
+    "[t_s, curvature_se, active, length_cm, intended_y_cm, block, name]",
     "actuator": "side, body_pressure_psi, pressure_psi, curvature [curvature_se, branch, trial]",
     "buckling": "curvature_left_0 .. curvature_right_4 [body_pressure_psi, length_cm]",
     "hysteresis": "side, index, t_s, curvature [eversion]",

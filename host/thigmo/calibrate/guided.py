@@ -206,6 +206,8 @@ def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
     block = np.cumsum([n > 0 and r["rest"] != kept[n - 1]["rest"] for n, r in enumerate(kept)])
     rest = np.array([[_number(v) for v in r["rest"]] for r in kept])
     ohm = np.array([[_number(v) for v in r["ohm"]] for r in kept])
+    # A dead sensor has no rest.
+    level = [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else none for c in rest.T]
     return FlexReadings(
         tuple(r.get("kind", "bend") for r in kept),
         np.arange(len(kept), dtype=float),
@@ -214,10 +216,11 @@ def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
         np.nan_to_num(np.array([_number(r.get("k_se")) for r in kept])),
         # A vented muscle wrinkles nothing: such a row is good for both sides.
         tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in kept),
-        ohm - rest + np.nanmedian(rest, axis=0),
+        ohm - rest + level,
         length_cm,
         np.array([none if r.get("asked") is None else float(r["asked"]) for r in kept]),
         block.astype(np.int64),
+        tuple(r["key"] for r in kept),
     )
 
 

@@ -111,7 +111,7 @@ def fit_noise(
     for column, (side, k) in enumerate(sensors):
         part = _rest(np.asarray(t_s, float), y[:, column])
         if part is None:
-            notes.append(f"{side} {k}: no readings")
+            notes.append(f"sensor {side} {k} (0 = at the base) gives no readings: check its wire")
             continue
         white, white_se, drift, drift_se, slow, dropouts = part
         per = _spread(zeros, column)

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing, and a good margin
 _READ_S = 1.0
 _PEAK_S = 0.05
+_PUSHES = 3  # at one place, if the tip goes to the other side
+_ASIDE_CM = 1.0  # a tip nearer to the straight robot is on neither side
 # Slow, because an overshoot would turn the muscle over to its other branch.
 _RAMP_PSI_S = 1.0
 # Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
@@ -52,7 +54,7 @@ def growth_rows(bench: Bench) -> list[Row]:
                 "key": key, "counts": reading.length_cm * per_cm, "encoder_cm": reading.length_cm,
                 "speed_cm_s": speed,
                 "t_s": [float(r.t_s.mean()) - began for r in records],
-                "ohm": [np.nanmean(bench.ohm(r), axis=0).tolist() for r in records],
+                "ohm": [bench.mean_ohm(r).tolist() for r in records],
                 **seen,
             },
         )  # fmt: skip
@@ -135,13 +137,21 @@ def tip_rows(bench: Bench) -> list[Row]:
             prepared = True
         kind, number = key.split()
         wanted = asked[int(number)] if kind == "tip" else None
-        bench.hand.push_tip(wanted)
-        bench.robot.wait(_STEADY_S)
-        reading = bench.robot.read(2 * _READ_S)
-
+        for _ in range(_PUSHES):
+            bench.hand.push_tip(wanted)
+            bench.robot.wait(_STEADY_S)
+            reading = bench.robot.read(2 * _READ_S)
+            seen = _tip_seen(bench)
+            y = seen["tip"][1]
+            if wanted is None or y is None or y * wanted > 0 or abs(y) < _ASIDE_CM:
+                break
+            stood, side = ("left", "right") if y > 0 else ("right", "left")
+            bench.say(f"{key}: the tip stands {abs(y):.1f} cm to the {stood}: push it to the "
+                      f"{side} (if it is there, the camera's +y is not the robot's left: mend the "
+                      "cards' places in the sheet file)")  # fmt: skip
         return {
             "kind": kind, "asked": wanted, "ohm": bench.ohm(reading).tolist(),
-            "rest": bench.rest, "t_s": reading.t_s, **_tip_seen(bench),
+            "rest": bench.rest, "t_s": reading.t_s, **seen,
         }  # fmt: skip
 
     rows = bench.rows("tips", keys, take)
@@ -285,7 +295,7 @@ def check_readings(bench: Bench) -> CheckReadings:
         record = bench.robot.record(4.0)
         psi = record.left_psi if side == "left" else record.right_psi
         held[side] = np.column_stack([record.t_s - record.t_s[0], psi])
-        bent[side] = np.nanmean(bench.ohm(record), axis=0)
+        bent[side] = bench.mean_ohm(record)
         shot = bench.seen(
             lambda: {"k": float(bench.eyes.axis(free_bend=True).coefficients[2])}, {"k": None}
         )

@@ -49,7 +49,9 @@ class Session:
     # Readings.
 
     def rows(self, procedure: str) -> dict[str, dict[str, Any]]:
-        """Readings taken so far, by key, in order. A line cut off by a crash is dropped.
+        """Readings taken so far, by key, in order; of one that was taken again the last.
+
+        A line cut off by a crash is dropped.
 
         Raises:
             DataError: a damaged line other than the last.
@@ -62,6 +64,7 @@ class Session:
         for number, line in enumerate(lines, start=1):
             try:
                 row = json.loads(line)
+                found.pop(row["key"], None)
                 found[row["key"]] = row
             except (ValueError, KeyError, TypeError) as error:
                 if number == len(lines):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -47,3 +48,9 @@ class StepResult(Protocol):
     def figure(self, path: Path) -> None:
         """Draw data and fit."""
         ...
+
+
+def listed(names: Sequence[str], rows: Sequence[int]) -> str:
+    """Names of rows, eight at most."""
+    more = f" and {len(rows) - 8} more" if len(rows) > 8 else ""
+    return ", ".join(names[row] for row in rows[:8]) + more

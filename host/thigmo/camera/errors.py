@@ -54,6 +54,18 @@ class MarkerMissingError(CameraError):
         )
 
 
+class MarkerAstrayError(CameraError):
+    """The tip marker does not sit at the body's end."""
+
+    def __init__(self, marker: int, away_cm: float) -> None:
+        self.marker = marker
+        self.away_cm = away_cm
+        super().__init__(
+            f"the tip marker (id {marker}) lies {away_cm:.1f} cm from where the body ends",
+            "stick it back on the tip, and clear the view of the body",
+        )
+
+
 class BodyNotSeenError(CameraError):
     """The robot's body cannot be told from what lies around it."""
 

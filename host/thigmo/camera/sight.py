@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 from thigmo.camera.body import Flat, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.clicks import Clicks
-from thigmo.camera.errors import BodyNotSeenError, CameraError, MarkerMissingError
+from thigmo.camera.errors import (
+    BodyNotSeenError,
+    CameraError,
+    MarkerAstrayError,
+    MarkerMissingError,
+)
 from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
 from thigmo.camera.obstacles import (
     OBSTACLE_PX_CM,
@@ -149,6 +154,9 @@ def look(
             axis = _axis(picture, camera, sheet, wanted, markers, tip, background, clicks)
         except BodyNotSeenError as error:
             problems.append(error)
+        except MarkerAstrayError as error:
+            problems.append(error)
+            tip = None
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
     found: list[Obstacle] = []
@@ -227,6 +235,9 @@ def _axis(
     out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
     end = track.tip - 0.5 * radius * out / float(camera.eye_cm[2]) * forward
     if four is not None and tip is not None and not tip.clicked:
+        away = float(np.hypot(*(end - (tip.x_cm, tip.y_cm))))
+        if away > radius:
+            raise MarkerAstrayError(sheet.tip_marker_id, away)
         # The marker hides the flanks under it; its own centre, at its own height, is on the axis.
         reach = float(np.linalg.norm(covers[0] - covers[0].mean(axis=0), axis=1).max()) + 0.3
         free = np.linalg.norm(middle - covers[0].mean(axis=0), axis=1) > reach

@@ -30,7 +30,7 @@ from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SnapshotReading, Status, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.truth import truth_now
-from thigmo.robot.watch import Watch, fault_error
+from thigmo.robot.watch import Watch
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client, Tap
@@ -163,7 +163,7 @@ class Robot:
             faults = self.status().faults
             if not faults:
                 raise
-            raise fault_error(faults) from error
+            raise self._watch.fault_error(faults) from error
 
     def _start(self, command: Command[Ack]) -> None:
         """Start something whose events are waited for."""
@@ -225,6 +225,8 @@ class Robot:
     def configure(self, config: RobotConfig) -> bool:
         """Send robot.toml to the board, read it back, and store it there if it changed.
 
+        A flex sensor's fault is cleared with it if the sensor is now marked unhealthy.
+
         Args:
             config: what the lab knows of its robot.
 
@@ -244,8 +246,10 @@ class Robot:
         status = self.status()
         if changed or status.config_generation == 0 or "bad_config" in status.faults:
             self.save()
-        if "bad_config" in status.faults:
-            self.clear_faults("bad_config")
+        # What a configuration cures; the board keeps a fault whose cause lasts.
+        cured = {"bad_config", *(("flex_open", "flex_short") if changed else ())}
+        if cured & set(status.faults):
+            self.clear_faults(*sorted(cured & set(status.faults)))
         return changed
 
     def parameter(self, name: str) -> list[int]:
@@ -312,7 +316,7 @@ class Robot:
         """
         faults = self.status().faults
         if faults:
-            raise fault_error(faults)
+            raise self._watch.fault_error(faults)
         self._request(wire.Arm())
 
     def stop(self) -> None:

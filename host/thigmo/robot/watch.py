@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+from thigmo.config import SIDES
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
 from thigmo.link import protocol as wire
+from thigmo.robot.settings import SENSORS_A_SIDE
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _SLICE_S = 0.25
 _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
-
-
-def fault_error(faults: tuple[str, ...]) -> RobotFaultError:
-    """The typed error of latched faults, in the schema's words."""
-    first = wire.Fault[faults[0].upper()]
-    what, _, cure = first.doc.partition("; ")
-    others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
-    return RobotFaultError(f"{first.key}{others}: {what}", cure.rstrip("."), faults=faults)
+# Of sensor_report.flags.
+_OPEN, _SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5
 
 
 class Watch:
@@ -56,15 +52,43 @@ class Watch:
         while self._client.events:
             event = self._client.events.popleft().message
             if event.code == wire.EventCode.FAULT:
-                self._raise_if_latched(wire.Fault(event.arg))
+                self._raise_if_latched(wire.Fault(event.arg), event.value)
             yield event
 
-    def _raise_if_latched(self, fault: wire.Fault) -> None:
+    def _raise_if_latched(self, fault: wire.Fault, channel: int) -> None:
         """Raise a fault unless it was cleared since its event."""
         latched = wire.Fault.from_mask(self._client.request(wire.GetStatus()).faults)
         if fault in latched:
             others = (other.key for other in latched if other is not fault)
-            raise fault_error((fault.key, *others))
+            raise self.fault_error((fault.key, *others), channel)
+
+    def fault_error(self, faults: tuple[str, ...], channel: int | None = None) -> RobotFaultError:
+        """The typed error of latched faults, in the schema's words; a flex sensor is named.
+
+        Args:
+            faults: their names, the one to tell first.
+            channel: the first one's, if its event told it.
+        """
+        first = wire.Fault[faults[0].upper()]
+        what, _, cure = first.doc.partition("; ")
+        others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
+        if first in (wire.Fault.FLEX_OPEN, wire.Fault.FLEX_SHORT):
+            bad = self._bad_sensors(_OPEN if first is wire.Fault.FLEX_OPEN else _SHORT)
+            if channel is not None:
+                bad = sorted({*bad, channel})
+            if bad:
+                what += f": {', '.join(_sensor_name(n) for n in bad)} (0 = at the base)"
+            else:
+                what += " now and then, at present none is"
+            cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+        return RobotFaultError(f"{first.key}{others}: {what}", cure.rstrip("."), faults=faults)
+
+    def _bad_sensors(self, flag: int) -> list[int]:
+        """Enabled sensors whose report has the flag."""
+        reports = (
+            self._client.request(wire.GetSensor(n)) for n in range(len(SIDES) * SENSORS_A_SIDE)
+        )
+        return [r.sensor for r in reports if r.flags & flag and r.flags & _ENABLED]
 
     def forget(self) -> None:
         """Drop what was received and not asked for, before something new is started.
@@ -133,3 +157,9 @@ class Watch:
         for event in self.activity(activity, within_s):
             value = event.value
         return value
+
+
+def _sensor_name(sensor: int) -> str:
+    """As robot.toml and the calibration call it."""
+    side, index = divmod(sensor, SENSORS_A_SIDE)
+    return f"{SIDES[side]} {index}"

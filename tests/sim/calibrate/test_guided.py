@@ -14,6 +14,7 @@ from thigmo.calibrate.eyes import Eyes, emulated_source
 from thigmo.calibrate.procedures import tip_rows
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
+from thigmo.camera.sheet import card_decals
 from thigmo.config import SIDES
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
@@ -95,6 +96,42 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
     readings = guided.flex_readings(rows, 53.0)
     assert np.isnan(readings.tip_cm[2]).all()
     assert any("is not seen" in text for text in lab.told)
+    lost = rows[2]["key"]
+    assert any(f"{lost} is left out" in text for text in lab.told)
+    assert lost in readings.name
+    # Run once more, the step takes that one and no other.
+    again = tip_rows(bench)
+    assert calls == len(rows) + 2 + 1
+    assert [row["key"] for row in again] == [r["key"] for r in rows if r["key"] != lost] + [lost]
+    assert again[-1]["tip"][0] is not None
+
+
+def test_tip_pushed_to_the_wrong_side_is_said_and_pushed_again(lab, monkeypatch):
+    bench = lab.bench()
+    push, asked = bench.hand.push_tip, []
+
+    def mistaken(y_cm):
+        asked.append(y_cm)
+        first = y_cm is not None and asked.count(y_cm) == 1 and y_cm > 0
+        push(-y_cm if first else y_cm)
+
+    monkeypatch.setattr(bench.hand, "push_tip", mistaken)
+    rows = tip_rows(bench)
+    told = [text for text in lab.told if "to the right: push it to the left" in text]
+    assert len(told) == 2
+    assert "tip 0: the tip stands" in told[0]
+    assert all(row["asked"] is None or row["asked"] * row["tip"][1] > 0 for row in rows)
+
+
+def test_pushed_tip_without_its_marker_is_not_seen(lab, monkeypatch):
+    bench = lab.bench()
+    bench.hand.push_tip(5.0)
+    lab.robot.wait(2.0)
+    monkeypatch.setattr(
+        "thigmo.calibrate.eyes.tip_decal", lambda sheet, x, y, d: card_decals(sheet)[0]
+    )
+    with pytest.raises(MarkerMissingError, match="id 40"):
+        lab.eyes.axis(free_bend=False)
 
 
 def test_noise_pressure_and_check_of_a_sound_robot(lab):

@@ -14,6 +14,7 @@ from thigmo.camera import (
     CameraError,
     CameraMovedError,
     Clicks,
+    MarkerAstrayError,
     MarkerMissingError,
     Seen,
     Sheet,
@@ -98,6 +99,20 @@ def test_lens_board_gives_the_lens():
     assert lens.matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=0.005)
     assert lens.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
     assert glimpse(3, "lens board", lens).place_cm < 0.3
+
+
+def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
+    for dx, dy in ((-10.0, -9.0), (0.0, 6.0), (5.0, 8.0)):
+        fallen = tip_decal(SHEET, room.x + dx, room.y + dy, 3.5)
+        view = View(BodyShape(room.x, room.y), room.pegs, [*card_decals(SHEET), fallen])
+        picture = render(room.camera, view, Look(), np.random.default_rng(5))
+        seen = look(picture, model, SHEET, Seen(constant=True))
+        assert seen.tip is None
+        assert seen.axis is None
+        (problem,) = seen.problems
+        assert isinstance(problem, MarkerAstrayError)
+        assert problem.away_cm == pytest.approx(np.hypot(dx, dy), abs=1.0)
+        assert "stick it back" in str(problem)
 
 
 def test_tip_axis_and_dowels_of_one_room(room, picture, model):

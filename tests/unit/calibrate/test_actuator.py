@@ -57,8 +57,12 @@ def test_ten_percent_outliers_and_lost_pictures_are_left_out_and_said():
     assert result.verdict.good, result.verdict
     assert not result.used[wild].any()
     assert worst(result.zone.inflate, INFLATE) < 0.01 * result.full_scale
-    assert any("outliers" in note for note in result.verdict.notes)
-    assert any("camera lost" in note for note in result.verdict.notes)
+    names = clean.names()
+    outliers = next(note for note in result.verdict.notes if "outliers" in note)
+    assert all(names[row] in outliers for row in wild if row != 2)
+    lost = next(note for note in result.verdict.notes if "camera lost" in note)
+    assert names[2] in lost
+    assert names[40] in lost
 
 
 def test_swapped_muscles_are_detected():

@@ -110,7 +110,9 @@ def test_dead_sensor_is_named_and_left_out():
     assert [f.name for f in result.sensors if not f.healthy] == ["left 2", "right 2"]
     assert "open or shorted" in result.sensors[2].reason
     assert "does not answer" in result.sensors[7].reason
-    assert any("left 2" in note for note in result.verdict.notes)
+    said = [note for note in result.verdict.notes if "left out sensor" in note]
+    assert ["left 2" in said[0], "right 2" in said[1], len(said)] == [True, True, 2]
+    assert all("check its" in note for note in said)
     made = result.apply(lab.config)
     assert not made.sensors.left[2].healthy
     assert np.nanmax(np.abs(errors(result, lab))) < 0.05
@@ -123,7 +125,10 @@ def test_lost_marker_is_named_and_left_out():
     tip[5] = np.nan
     result = fit_flex(replace(readings, tip_cm=tip), lab.config)
     assert not result.row_good[5]
-    assert any("lost the marker" in note and "6" in note for note in result.verdict.notes)
+    assert any("row 6: the camera lost the marker" in note for note in result.verdict.notes)
+    named = tuple(f"tip {n}" for n in range(len(tip)))
+    notes = fit_flex(replace(readings, tip_cm=tip, name=named), lab.config).verdict.notes
+    assert any("left out tip 5: the camera lost the marker" in note for note in notes)
     assert np.abs(errors(result, lab)).max() < 0.05
 
 
@@ -139,7 +144,7 @@ def test_tip_on_the_wrong_side_is_detected(asked):
     result = fit_flex(replace(readings, tip_cm=tip, intended_y_cm=want), lab.config)
     assert not result.row_good[row]
     said = "on the other side than asked for" if asked else "the sensors say"
-    assert any(said in note for note in result.verdict.notes)
+    assert any(f"row {row + 1}: " in note and said in note for note in result.verdict.notes)
     assert np.abs(errors(result, lab)).max() < 0.05
 
 
@@ -153,7 +158,10 @@ def test_moved_camera_is_detected_and_later_rows_left_out():
         readings, tip_cm=tip, ohm=readings.ohm[order], intended_y_cm=np.full(len(order), np.nan)
     )
     result = fit_flex(shuffled, lab.config)
-    assert any("moved" in note for note in result.verdict.notes), result.verdict
+    said = [note for note in result.verdict.notes if "moved" in note]
+    assert said, result.verdict
+    assert "left out row " in said[0]
+    assert "`thigmo camera locate`" in said[0]
     assert not result.row_good[12:19].any()
     assert result.row_good[:10].all()
     assert np.nanmax(np.abs(errors(result, lab))) < 0.05
@@ -168,7 +176,10 @@ def test_ten_percent_outliers_do_not_bend_the_lines():
         ohm[wild] += lab.rng.choice([-1, 1], wild.sum()) * lab.rng.uniform(300, 5000, wild.sum())
         result = fit_flex(replace(readings, ohm=ohm), lab.config)
         assert np.nanmax(np.abs(errors(result, lab))) < 0.06
-        assert any("outliers" in note for note in result.verdict.notes)
+        said = next(note for note in result.verdict.notes if "outliers" in note)
+        for fit in result.sensors:
+            if fit.healthy and fit.rejected:
+                assert f"{fit.name}: {fit.rejected}" in said
 
 
 def test_swapped_sides_are_detected():
@@ -178,6 +189,10 @@ def test_swapped_sides_are_detected():
     result = fit_flex(replace(readings, ohm=swapped), lab.config)
     assert not result.verdict.good
     assert "swapped" in result.verdict.reason
+    # No sensor is blamed for it.
+    assert not any("left out sensor" in note for note in result.verdict.notes)
+    blind = fit_flex(lab.flex(places=20, bends=0), lab.config)
+    assert any("left and right are swapped" in note for note in blind.verdict.notes)
 
 
 def test_large_deflection_matters_and_the_thesis_formula_is_an_option():
@@ -197,6 +212,7 @@ def test_round_trip_through_csv(tmp_path):
     readings.write(tmp_path / "flex.csv", lab.config)
     again = FlexReadings.read(tmp_path / "flex.csv", lab.config)
     one, two = fit_flex(readings, lab.config), fit_flex(again, lab.config)
+    assert again.name == readings.name
     assert [f.scale_per_ohm for f in one.sensors] == pytest.approx(
         [f.scale_per_ohm for f in two.sensors], rel=1e-6
     )
