@@ -307,10 +307,22 @@ def mean_forces(
 
 
 @compiled_inner
+def fit_forces(
+    pick: Indices, places: Places, const: Array, prior: BaseMoment, factor: Factor
+) -> tuple[float, int, int]:
+    """As `choice` over all noise levels, with the weightiest term's forces left in the room."""
+    value, s, k = choice(pick, places, const, prior, factor, 0, const.shape[0])
+    if const.shape[0] > 1:
+        products(pick, places, s, factor.gram)
+    mean_forces(pick, places, s, k, prior, factor)
+    return value, s, k
+
+
+@compiled_inner
 def residual(
     i: int, pick: Indices, s: int, places: Places, y: Array, levels: Levels, factor: Factor
 ) -> tuple[float, float]:
-    """Reading `i` less what fits best, and the variance of that fit; needs `mean_forces`."""
+    """Reading `i` less what fits best, and that fit's variance; needs the forces in the room."""
     phi = places.phi
     t = places.t
     white = levels.white
@@ -343,7 +355,7 @@ def pattern_weights(
 ) -> tuple[float, int, float]:
     """Weights of the outlier patterns one reading away, over that of the present one.
 
-    Needs `mean_forces`.
+    Needs the forces in the room.
 
     Returns:
         One plus their sum; the reading that the heaviest of them changes, and its weight.
@@ -375,8 +387,8 @@ def slopes(
 ) -> None:
     """How the log likelihood changes with each contact's place, forces and nuisances refitted.
 
-    Needs `mean_forces`. Fills the gradient (C,), and its expected fall per unit of the arc,
-    `curvature` (C,). The slow change of the forces' own spread is left out.
+    Needs the forces in the room. Fills the gradient (C,), and its expected fall per unit of the
+    arc, `curvature` (C,). The slow change of the forces' own spread is left out.
     """
     _, G, force, taken = factor
     _, _, _, phi, slope, _, weighted, t, t_slope, _, bend = places
@@ -422,7 +434,7 @@ def slopes(
 def misfit_at(
     pick: Indices, s: int, places: Places, y: Array, levels: Levels, factor: Factor
 ) -> float:
-    """Squared residuals over variance; needs `mean_forces`."""
+    """Squared residuals over variance; needs the forces in the room."""
     total = 0.0
     for i in range(y.shape[0]):
         u = y[i]

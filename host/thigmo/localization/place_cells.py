@@ -19,10 +19,10 @@ from thigmo.localization.marginal import prepare_levels
 from thigmo.localization.node_choices import (
     Factor,
     Places,
-    choice,
     empty_factor,
     empty_places,
     fill_places,
+    fit_forces,
     mean_forces,
     more_room,
     pattern_weights,
@@ -224,13 +224,9 @@ def weigh_cells(cells: Indices, places: Places, model: Model, room: Room, out: W
     frame, levels, prior, _ = model
     factor = room.factor
     top = -1e300
-    noise = levels.sigma.shape[0]
     for r in range(cells.shape[0]):
-        value, s, k = choice(cells[r], places, levels.const, prior, factor, 0, noise)
+        value, s, k = fit_forces(cells[r], places, levels.const, prior, factor)
         top = max(top, value)
-        if noise > 1:
-            products(cells[r], places, s, factor.gram)
-        mean_forces(cells[r], places, s, k, prior, factor)
         slopes(
             cells[r],
             s,

@@ -20,11 +20,10 @@ from thigmo.localization.marginal import prepare_levels
 from thigmo.localization.node_choices import (
     choice,
     empty_factor,
-    mean_forces,
+    fit_forces,
     misfit_at,
     pattern_weights,
     places_at,
-    products,
 )
 from thigmo.localization.noise_levels import coarse_levels, finer_levels
 from thigmo.localization.place_cells import Leaves, Model, cell_masses, cut
@@ -91,21 +90,18 @@ def settled(
         leaves = cut(contacts, model, tolerance if leveled else LOOK)
         best = leaves.logp.argmax()
         places = places_at(leaves.arcs[best].copy(), frame, levels, stretch)
-        count = levels.sigma.shape[0]
         flagged = levels.flagged
         if not leveled:
             # Keep the noise levels that matter from here on.
-            value = np.empty(count)
-            for s in range(count):
+            value = np.empty(levels.sigma.shape[0])
+            for s in range(value.shape[0]):
                 value[s], _, _ = choice(pick, places, levels.const, prior, factor, s, s + 1)
             sigma, log_prior = finer_levels(value, levels.sigma, n)
             levels = empty_levels(frame, sigma, log_prior)
             levels.flagged[:] = flagged
             leveled = True
             continue
-        _, s, k = choice(pick, places, levels.const, prior, factor, 0, count)
-        products(pick, places, s, factor.gram)
-        mean_forces(pick, places, s, k, prior, factor)
+        _, s, _ = fit_forces(pick, places, levels.const, prior, factor)
         _, at, most = pattern_weights(pick, s, places, frame.y, levels, factor)
         if most <= 1.0 or turn == n + 3 or (not flagged[at] and 2 * (flagged.sum() + 1) > n):
             break
@@ -218,10 +214,7 @@ def several(contacts: int, frame: Frame, prior: BaseMoment, stretch: float) -> S
     pick = np.arange(c)
     factor = empty_factor(c)
     places = places_at(arcs, frame, levels, stretch)
-    count = levels.sigma.shape[0]
-    _, s, k = choice(pick, places, levels.const, prior, factor, 0, count)
-    products(pick, places, s, factor.gram)
-    mean_forces(pick, places, s, k, prior, factor)
+    _, s, _ = fit_forces(pick, places, levels.const, prior, factor)
     typical = 0.0
     for i in range(n):
         typical += frame.variance[i] / n
