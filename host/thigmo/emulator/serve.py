@@ -3,7 +3,8 @@
 Any program that opens serial ports can talk to it. As on the Mega, opening the port resets the
 board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through
 that, and goes on when the program at the other end dies: the board's own heartbeat limit is what
-makes it safe then.
+makes it safe then. Whoever stands at the regulator sets it as prompted: whenever the host tells the
+board which body pressure holds, that one does.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
 from thigmo.errors import PortError
-from thigmo.link.protocol import ResetCause
+from thigmo.link.framing import Decoder
+from thigmo.link.protocol import ResetCause, SelectZone
 
 _MOST_BEHIND_S = 0.5  # after a longer stall of this computer, virtual time slips instead
 _QUEUE = 65_536  # bytes kept for a program that does not read; beyond, they are lost
@@ -61,6 +63,7 @@ class PtyServer:
         self._poll.register(self._master, select.POLLIN | select.POLLHUP)
         self._opened = False
         self._out = bytearray()
+        self._heard = Decoder()
         self._link = link
         if link is not None:
             self._make_link(link)
@@ -117,12 +120,23 @@ class PtyServer:
             data = self._take()
             if data and not self.lockstep.faults.host_silent:
                 board.write(data)
+                self._set_regulator(data)
         self.lockstep.advance()
         self._out += board.read()
         if not opened:
             self._out.clear()
         elif self._out:
             self._give()
+
+    def _set_regulator(self, data: bytes) -> None:
+        """The body pressure of the zone that the host names, if it does."""
+        zones = self.lockstep.plant.scene.robot.body.zones
+        for frame in self._heard.feed(data):
+            if frame.id != SelectZone.ID or len(frame.payload) != SelectZone.SIZE:
+                continue
+            zone = SelectZone.unpack(frame.payload).zone
+            if zone < len(zones):
+                self.lockstep.plant.set_body_pressure(zones[zone].pressure_psi)
 
     def _take(self) -> bytes:
         try:
