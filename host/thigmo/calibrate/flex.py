@@ -35,6 +35,7 @@ from thigmo.calibrate.flex_rows import (
     Deflection,
     columns_swapped,
     judge_rows,
+    mirrored,
     model_rows,
     tip_curvature,
     usable_readings,
@@ -278,6 +279,13 @@ def _verdict(
         notes.append(
             f"left out {sum(dropped.values())} of {total} single readings as outliers ({each}); "
             "many of one sensor mean a loose wire"
+        )
+    if mirrored(readings):
+        return Verdict(
+            False,
+            "most tips stood on the other side than asked for: the camera's +y is not the robot's "
+            "left; mend the cards' places in the sheet file, run `thigmo camera locate` and repeat",
+            tuple(notes),
         )
     if swapped:
         return Verdict(

@@ -270,6 +270,13 @@ def _moved(
     return None if best is None else (best[1], best[2])
 
 
+def mirrored(readings: FlexReadings) -> bool:
+    """Whether most tips stood on the other side than asked for."""
+    same = readings.tip_cm[:, 1] * readings.intended_y_cm
+    same = same[np.isfinite(same)]
+    return len(same) >= 4 and float(np.mean(same < 0)) > 0.5
+
+
 def columns_swapped(
     readings: FlexReadings,
     sensors: list[tuple[Side, int]],

@@ -148,6 +148,17 @@ def test_tip_on_the_wrong_side_is_detected(asked):
     assert np.abs(errors(result, lab)).max() < 0.05
 
 
+def test_a_camera_whose_sides_are_exchanged_is_detected():
+    lab = Lab(7)
+    readings = lab.flex(bends=24)
+    seen = replace(
+        readings, tip_cm=readings.tip_cm * np.array([1, -1]), curvature=-readings.curvature
+    )
+    verdict = fit_flex(seen, lab.config).verdict
+    assert not verdict.good
+    assert "+y is not the robot's left" in verdict.reason
+
+
 def test_moved_camera_is_detected_and_later_rows_left_out():
     lab = Lab(8)
     readings = lab.flex(places=16)
