@@ -1,6 +1,6 @@
 """Runs the commands behind README's numbers, keeps what they print, and writes README's table.
 
-    python tools/figures.py                 run every command (about half an hour), then render
+    python tools/figures.py                 run every command (an hour or two), then render
     python tools/figures.py explore budgets
                                             run some of them, then render
     python tools/figures.py --render        render from the kept results only
@@ -127,7 +127,7 @@ SOURCES: dict[str, Source] = {
         {"map.png": "map.png"},
     ),
     "experiments": Source(
-        (THIGMO, "experiment", "all", "--json"),
+        (THIGMO, "experiment", "all", "--jobs", "2", "--json"),
         _experiments_and_claims,
         {
             "two-contacts-errors.png": "two-contacts.png",
