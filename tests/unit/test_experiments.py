@@ -16,6 +16,7 @@ from thigmo.experiments.compare import (
     assigned_errors,
     bound_cm,
     camera_errors,
+    folded,
     ours,
     thesis_method,
     workspace_errors,
@@ -112,6 +113,15 @@ def test_the_bound_is_infinite_where_the_information_is_singular() -> None:
     assert np.isfinite(bound_cm(clear)).all()
     # Only one sensor sees the region between the contacts.
     assert bound_cm(blind).max() > 20.0
+
+
+def test_the_bound_in_the_thesis_measure_holds_the_foreshortening() -> None:
+    rng = np.random.default_rng(4)
+    for offset, spread in ((0.0, 1.0), (5.6, 0.9), (1.0, 2.0)):
+        drawn = np.abs(offset + np.sqrt(np.pi / 2) * spread * rng.standard_normal(400_000))
+        told = folded(np.array([offset]), np.array([spread]))[0]
+        assert told == pytest.approx(drawn.mean(), rel=0.01)
+        assert told >= max(offset, spread) - 1e-12
 
 
 def test_the_bound_is_reached_by_an_efficient_fit() -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from thigmo.experiments import thesis
 from thigmo.experiments.trial import Trial
@@ -248,6 +249,7 @@ class Row:
     Attributes:
         perfect: the thesis's measure of a perfect arc: the foreshortening that it contains.
         bound: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
+        measured: the same estimator's error in the thesis's measure, foreshortening included.
         unbounded: number of contacts for which it is not: nothing fixes their place.
         ambiguous: number of our answers that say so.
         alone: our errors without the readings on the way; None where there are none.
@@ -262,13 +264,15 @@ class Row:
     ours: Errors
     perfect: float
     bound: float
+    measured: float
     unbounded: int
     ambiguous: int
     alone: Errors | None = None
 
     def allowed(self, workspace: bool) -> float:
         """What ours may be: the larger of half the thesis's method's error and 1.2 bounds."""
-        bound = self.bound if np.isfinite(self.bound) else 0.0
+        bound = self.bound if workspace else self.measured
+        bound = bound if np.isfinite(bound) else 0.0
         theirs = self.here.workspace if workspace else self.here.mean
         return max(0.5 * theirs, 1.2 * bound)
 
@@ -298,6 +302,7 @@ class Row:
             "here_workspace_mean": self.here.workspace,
             "ours_workspace_mean": self.ours.workspace,
             "bound_mean": self.bound,
+            "bound_measured_mean": self.measured,
             "unbounded": self.unbounded,
             "ambiguous": self.ambiguous,
             "allowed": self.allowed(True),
@@ -312,7 +317,10 @@ def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) ->
     told = thesis.published(experiment, condition)
     bounds = np.concatenate([one.bound_cm for one in solved])
     finite = bounds[np.isfinite(bounds)]
-    perfect = [np.abs(np.subtract(one.trial.arcs_cm, one.trial.obstacle_x_cm)) for one in solved]
+    ahead = np.concatenate(
+        [np.abs(np.subtract(one.trial.arcs_cm, one.trial.obstacle_x_cm)) for one in solved]
+    )
+    measured = folded(ahead, bounds)[np.isfinite(bounds)]
     return Row(
         experiment,
         condition,
@@ -321,12 +329,25 @@ def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) ->
         told.std_cm,
         errors(solved, here),
         errors(solved, OURS),
-        float(np.concatenate(perfect).mean()),
+        float(ahead.mean()),
         float(finite.mean()) if finite.size else float("inf"),
+        float(measured.mean()) if finite.size else float("inf"),
         int(bounds.size - finite.size),
         sum(one.answers[OURS].status == "ambiguous" for one in solved),
         errors(solved, ALONE) if all(ALONE in one.answers for one in solved) else None,
     )
+
+
+def folded(offset: Floats, spread: Floats) -> Floats:
+    """Mean absolute value of Gaussians.
+
+    Args:
+        offset: (K,) their means, zero or more.
+        spread: (K,) their mean absolute deviations.
+    """
+    deviation = np.maximum(np.sqrt(np.pi / 2) * spread, 1e-9)
+    share = offset / deviation
+    return np.asarray(spread * np.exp(-0.5 * share**2) + offset * special.erf(share / np.sqrt(2.0)))
 
 
 def errors(solved: Sequence[Solved], method: str) -> Errors:

@@ -95,10 +95,11 @@ def _remarks(r: Row) -> list[str]:
             f"{r.alone.workspace:.2f} cm in the workspace, {r.alone.mean:.2f} in the thesis's "
             "measure; the bound is that of all readings"
         )
-    if r.perfect > r.allowed(False):
+    if r.perfect > r.bound:
         told.append(
             f"{r.experiment}, {r.condition}: |a - x of the obstacle| of a perfect arc is "
-            f"{r.perfect:.2f} cm, for a bent robot's arc is longer than its x"
+            f"{r.perfect:.2f} cm, for a bent robot's arc is longer than its x; an estimator at the "
+            f"bound has {r.measured:.2f} in that measure"
         )
     return told
 
