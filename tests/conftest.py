@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import pytest
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.scene import Scene
 
 
 def pytest_configure() -> None:
@@ -20,3 +27,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="PORT",
         help="run the conformance suite against this port too (its configuration is put back)",
     )
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[Scene], str]]:
+    """Puts an emulated robot behind a serial port, in real time, and tells the port."""
+    from thigmo.emulator.serve import PtyServer  # has no import where there are no terminals
+
+    with ExitStack() as stack:
+
+        def served(scene: Scene) -> str:
+            lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
+            for _ in range(100):
+                lockstep.advance()  # compiled before real time begins
+            server = PtyServer(lockstep)
+            on = threading.Event()
+            on.set()
+            thread = threading.Thread(target=lambda: server.run(on.is_set))
+            thread.start()
+            stack.callback(server.close)
+            stack.callback(thread.join)
+            stack.callback(on.clear)
+            return server.path
+
+        yield served

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import PtyServer
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,19 +17,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-te
 
 
 @pytest.fixture
-def port() -> Iterator[str]:
-    lockstep = Lockstep(Scene.load("empty"), VirtualBoard(1), seed=1)
-    for _ in range(100):
-        lockstep.advance()  # compiled before real time begins
-    server = PtyServer(lockstep)
-    on = threading.Event()
-    on.set()
-    thread = threading.Thread(target=lambda: server.run(on.is_set))
-    thread.start()
-    yield server.path
-    on.clear()
-    thread.join()
-    server.close()
+def port(serve: Callable[[Scene], str]) -> str:
+    return serve(Scene.load("empty"))
 
 
 def run(port: str, tests: str) -> subprocess.CompletedProcess[str]:

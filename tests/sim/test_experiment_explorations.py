@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,8 @@ import pytest
 from test_experiment_trials import Terminal
 
 from thigmo.config import SIDES
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
-from thigmo.emulator.serve import PtyServer
 from thigmo.errors import DataError
 from thigmo.experiments.attendant import Place, Verdict
 from thigmo.experiments.explorations import (
@@ -107,20 +103,9 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
 
 
 @pytest.fixture
-def port(scene: Scene) -> Iterator[str]:
+def port(scene: Scene, serve: Callable[[Scene], str]) -> str:
     """The same robot behind a serial port, in real time."""
-    lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
-    for _ in range(100):
-        lockstep.advance()  # compiled before real time begins
-    server = PtyServer(lockstep)
-    on = threading.Event()
-    on.set()
-    thread = threading.Thread(target=lambda: server.run(on.is_set))
-    thread.start()
-    yield server.path
-    on.clear()
-    thread.join()
-    server.close()
+    return serve(scene)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")

@@ -27,6 +27,7 @@ from thigmo.errors import DataError, RunFolderError
 from thigmo.experiments import explored, thesis
 from thigmo.experiments.attendant import Place, Verdict
 from thigmo.experiments.evaluate import Results
+from thigmo.experiments.recorded import held_config
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
 from thigmo.record import MapContact, RunDocument, RunFolder
@@ -138,25 +139,7 @@ class ExplorationFolder:
     def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
         self.path = Path(path)
         self._table = self.path / "trials.csv"
-        file = self.path / "robot.toml"
-        if config is None:
-            self.config = RobotConfig.load(file)
-            return
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot make {self.path}: {error.strerror}", "choose another --out"
-            ) from error
-        if self._table.exists():
-            if RobotConfig.load(file) != config:
-                raise DataError(
-                    f"the explorations in {self.path} were made with another robot.toml",
-                    f"use {file} again, or choose another --out",
-                )
-        else:
-            config.save(file)
-        self.config = config
+        self.config = held_config(self.path, self._table, config, "explorations", "made")
 
     def rows(self) -> dict[str, dict[str, str]]:
         """Lines so far, by key; a line that a crash cut off is left out.

@@ -46,6 +46,42 @@ _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not stat
 _LEAST_GAIN_SE = 1e-3
 
 
+def held_config(
+    path: Path, table: Path, config: RobotConfig | None, things: str, done: str
+) -> RobotConfig:
+    """The robot's constants that a folder holds; a new folder is made and gets `config`.
+
+    Args:
+        path: the folder.
+        table: in it; with it the constants are fixed.
+        config: of the robot; None where the folder is only read.
+        things: what the table lists, for the message.
+        done: what was done to them, for the message.
+
+    Raises:
+        RunFolderError: the folder cannot be made.
+        DataError: what it holds is of another robot.toml.
+    """
+    file = path / "robot.toml"
+    if config is None:
+        return RobotConfig.load(file)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot make {path}: {error.strerror}", "choose another --out"
+        ) from error
+    if table.exists():
+        if RobotConfig.load(file) != config:
+            raise DataError(
+                f"the {things} in {path} were {done} with another robot.toml",
+                f"use {file} again, or choose another --out",
+            )
+    else:
+        config.save(file)
+    return config
+
+
 class TrialFolder:
     """One experiment's trials on disk.
 
@@ -61,25 +97,7 @@ class TrialFolder:
     def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
         self.path = Path(path)
         self._table = self.path / "trials.csv"
-        robot_file = self.path / "robot.toml"
-        if config is None:
-            self.config = RobotConfig.load(robot_file)
-            return
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot make {self.path}: {error.strerror}", "choose another --out"
-            ) from error
-        if robot_file.exists() and self._table.exists():
-            if RobotConfig.load(robot_file) != config:
-                raise DataError(
-                    f"the trials in {self.path} were taken with another robot.toml",
-                    f"use {robot_file} again, or choose another --out",
-                )
-        else:
-            config.save(robot_file)
-        self.config = config
+        self.config = held_config(self.path, self._table, config, "trials", "taken")
 
     def rows(self) -> dict[str, dict[str, str]]:
         """Lines so far, by key; a line that a crash cut off is left out.
