@@ -149,8 +149,8 @@ class Bench:
             if at_stop is not None and stop in stops:
                 at_stop(stop)
 
-    def ready_to_bend(self) -> None:
-        """Full length, its body pressure, sensors settled and zeroed."""
+    def ready_to_bend(self, zone: int | None = None) -> None:
+        """Full length, sensors settled and zeroed; then a zone's body pressure (None: its own)."""
         self.bring_to(self.config.body.length_cm)
         self.set_zone(len(self.config.body.zones) - 1)
         self.robot.vent()
@@ -166,12 +166,28 @@ class Bench:
                 self.say("readings still drift; waiting")
             else:
                 self.rest = self.ohm(self.robot.read(2.0)).tolist()
-                return
+                break
+        if zone is not None:
+            self.set_zone(zone)
 
-    def rows(self, procedure: str, keys: Iterable[str], take: Callable[[str], Row]) -> list[Row]:
+    def rows(
+        self,
+        procedure: str,
+        keys: Iterable[str],
+        take: Callable[[str], Row],
+        *,
+        prepare: Callable[[], None] | None = None,
+    ) -> list[Row]:
         """Take the planned rows that the folder does not hold yet, or that the camera missed.
 
-        Returns all of them in the order in which they were taken.
+        Args:
+            procedure: name of the table.
+            keys: of the planned rows.
+            take: takes one row.
+            prepare: called once before the first row that is taken; not if there is none to take.
+
+        Returns:
+            All planned rows, in the order in which they were taken.
 
         Raises:
             CameraMovedError: pictures taken from now on would be wrong.
@@ -181,6 +197,8 @@ class Bench:
         missing = [key for key in planned if held.get(key, _UNSEEN).get("unseen")]
         if len(missing) < len(planned) and missing:
             self.say(f"{procedure}: going on after {len(planned) - len(missing)} rows")
+        if missing and prepare is not None:
+            prepare()
         for number, key in enumerate(missing, start=len(planned) - len(missing) + 1):
             self.say(f"{procedure} {number} of {len(planned)}: {key}")
             row = {"key": key, **take(key)}

@@ -7,6 +7,7 @@ as it comes, so that a stopped command goes on where it was.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,14 +82,8 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
             for side in SIDES
             for branch, psi in bend_set_points(bench, side)
         ]
-        prepared = False
 
         def take(key: str, zone: int = zone, body: float = body) -> Row:
-            nonlocal prepared
-            if not prepared:
-                bench.ready_to_bend()
-                bench.set_zone(zone)
-                prepared = True
             _, _, _, trial, side, branch, psi = key.split()
             target = float(psi)
             if target == 0.0:
@@ -113,9 +108,8 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
                 **seen,
             }  # fmt: skip
 
-        rows.extend(bench.rows("bends", keys, take))
-        if prepared:
-            bench.robot.vent()
+        rows.extend(bench.rows("bends", keys, take, prepare=partial(bench.ready_to_bend, zone)))
+        bench.robot.vent()
     return rows
 
 
@@ -128,13 +122,8 @@ def tip_rows(bench: Bench) -> list[Row]:
     asked = [sign * y for y in (*far[::2], *reversed(far[1::2])) for sign in (1, -1)]
     keys = [f"straight {n}" for n in range(plan.straight)]
     keys += [f"tip {n}" for n in range(len(asked))]
-    prepared = False
 
     def take(key: str) -> Row:
-        nonlocal prepared
-        if not prepared:
-            bench.ready_to_bend()
-            prepared = True
         kind, number = key.split()
         wanted = asked[int(number)] if kind == "tip" else None
         for _ in range(_PUSHES):
@@ -154,7 +143,7 @@ def tip_rows(bench: Bench) -> list[Row]:
             "rest": bench.rest, "t_s": reading.t_s, **seen,
         }  # fmt: skip
 
-    rows = bench.rows("tips", keys, take)
+    rows = bench.rows("tips", keys, take, prepare=bench.ready_to_bend)
     bench.hand.push_tip(None)
     return rows
 
@@ -163,18 +152,14 @@ def bow_rows(bench: Bench) -> list[Row]:
     """Pictures of the body with its tip far aside, sides in turn."""
     reach, half = _tip_reach_cm(bench), bench.plan.pictures // 2
     asked = [sign * y for y in np.linspace(0.6 * reach, reach, half) for sign in (1, -1)]
-    prepared = False
 
     def take(key: str) -> Row:
-        nonlocal prepared
-        if not prepared:
-            bench.ready_to_bend()
-            prepared = True
         bench.hand.push_tip(asked[int(key.split()[1])])
         bench.robot.wait(_STEADY_S)
         return _tip_seen(bench)
 
-    rows = bench.rows("bows", [f"bow {n}" for n in range(len(asked))], take)
+    keys = [f"bow {n}" for n in range(len(asked))]
+    rows = bench.rows("bows", keys, take, prepare=bench.ready_to_bend)
     bench.hand.push_tip(None)
     return rows
 
@@ -199,13 +184,8 @@ def push_rows(bench: Bench) -> list[Row]:
     """Hard pushes at the tip, sides in turn, each with its own straight reading."""
     config = bench.config
     reach = 1.7 * config.body.critical_curvature * config.body.length_cm**2 / 3
-    prepared = False
 
     def take(key: str) -> Row:
-        nonlocal prepared
-        if not prepared:
-            bench.ready_to_bend()
-            prepared = True
         sign = 1 if int(key.split()[1]) % 2 == 0 else -1
         bench.hand.push_tip(None)
         bench.robot.wait(_STEADY_S)
@@ -216,24 +196,21 @@ def push_rows(bench: Bench) -> list[Row]:
         bench.hand.push_tip(None)
         return {"rest": bench.ohm(straight).tolist(), "ohm": bench.ohm(pushed).tolist()}
 
-    return bench.rows("pushes", [f"push {n}" for n in range(bench.plan.pushes)], take)
+    keys = [f"push {n}" for n in range(bench.plan.pushes)]
+    return bench.rows("pushes", keys, take, prepare=bench.ready_to_bend)
 
 
 def rest_rows(bench: Bench) -> list[Row]:
     """Readings of the resting robot."""
-    prepared = False
 
     def take(key: str) -> Row:
-        nonlocal prepared
-        if not prepared:
-            bench.ready_to_bend()
-            prepared = True
         # As long as a sweep's peak is averaged.
         reading = bench.robot.read(_PEAK_S)
         bench.robot.wait(0.5)
         return {"t_s": reading.t_s, "ohm": bench.ohm(reading).tolist()}
 
-    return bench.rows("rest", [f"rest {n}" for n in range(bench.plan.rest_readings)], take)
+    keys = [f"rest {n}" for n in range(bench.plan.rest_readings)]
+    return bench.rows("rest", keys, take, prepare=bench.ready_to_bend)
 
 
 def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | None:
@@ -247,8 +224,6 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
     sensors = bench.config.sensors.column(other)
 
     def take(key: str) -> Row:
-        bench.ready_to_bend()
-        bench.set_zone(zone)
         parts = []
         for seconds in _RAMPS_S:
             for target in (top, _RAMP_END_PSI):
@@ -266,7 +241,8 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
         return {"t_s": t[::step].tolist(), "psi": psi[::step].tolist(),
                 "ohm": ohm[::step].tolist()}  # fmt: skip
 
-    row = bench.rows("lag", [f"ramp {side} zone {zone}"], take)[0]
+    ready = partial(bench.ready_to_bend, zone)
+    row = bench.rows("lag", [f"ramp {side} zone {zone}"], take, prepare=ready)[0]
     live = [n for n, s in enumerate(sensors) if s.healthy]
     if not live:
         return None

@@ -11,6 +11,7 @@ from thigmo.cli.output import JsonOption, print_json
 
 if TYPE_CHECKING:
     from thigmo.camera import Clicks, Sheet, Sighting
+    from thigmo.camera.model import Picture
 
 group = typer.Typer(
     help="The overhead camera: places to 0.3 cm from a webcam about 1 m above the table.\n\n"
@@ -74,6 +75,16 @@ def sheet(
     )
 
 
+def _one_picture(source: str | Path) -> Picture:
+    from thigmo.camera import open_source
+
+    opened = open_source(source)
+    try:
+        return opened.read()
+    finally:
+        opened.close()
+
+
 def _keep_old(path: Path) -> None:
     """Set an earlier file aside as `.old`."""
     if path.exists():
@@ -127,15 +138,11 @@ def locate(
     as_json: JsonOption = False,
 ) -> None:
     """Find where the camera stands, from the workspace cards."""
-    from thigmo.camera import Lens, open_source
+    from thigmo.camera import Lens
     from thigmo.camera import locate as find
     from thigmo.camera.pose import GOOD_CM, what_helps
 
-    opened = open_source(source)
-    try:
-        picture = opened.read()
-    finally:
-        opened.close()
+    picture = _one_picture(source)
     known = Lens.load(lens_file) if lens_file.exists() or lens_file != LENS_FILE else None
     used = load_sheet(sheet_file)
     model = find(picture, used, known)
@@ -193,15 +200,11 @@ def check(
     """Show what the camera sees, drawn over the picture."""
     import numpy as np
 
-    from thigmo.camera import CameraModel, Seen, draw, look, open_source
+    from thigmo.camera import CameraModel, Seen, draw, look
     from thigmo.camera import locate as find
     from thigmo.camera.sight import write_picture
 
-    opened = open_source(source)
-    try:
-        picture = opened.read()
-    finally:
-        opened.close()
+    picture = _one_picture(source)
     used = load_sheet(sheet_file)
     if camera_file.exists() or camera_file != CAMERA_FILE:
         model = CameraModel.load(camera_file)
@@ -211,11 +214,7 @@ def check(
             typer.echo(f"no {camera_file}: the camera is located from this very picture")
     radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
     wanted = Seen(diameter, peg_height, radii, constant=free_bend)
-    empty = None
-    if background is not None:
-        shot = open_source(background)
-        empty = shot.read()
-        shot.close()
+    empty = None if background is None else _one_picture(background)
     clicks = _clicks(np.asarray(picture, np.uint8), tip, points, click)
     seen = look(picture, model, used, wanted, background=empty, clicks=clicks)
     write_picture(out, draw(picture, model, used, seen, wanted))

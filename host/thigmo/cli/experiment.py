@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,9 +12,10 @@ import typer
 from thigmo.cli.output import JsonOption, print_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-    from thigmo.cli.console import Console
+    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.config import RobotConfig
     from thigmo.experiments import Results
     from thigmo.experiments.attendant import Attendant, Place
     from thigmo.robot import Robot
@@ -90,10 +93,11 @@ def experiment(
     if robot is not None or recorded is not None:
         if robot is not None and recorded is not None:
             raise DataError("--robot and --recorded are both given", "give one of them")
-        found = _with_robot(
-            name, robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file,
-            rehearse, as_json, jobs,
+        asked = _Asked(
+            robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file, rehearse,
+            as_json, jobs,
         )  # fmt: skip
+        found = _explored(asked) if name == "exploration" else _with_robot(name, asked)
         _tell([found], out, as_json)
         return
     if name == "fit":
@@ -107,80 +111,81 @@ def experiment(
     _tell(results, out, as_json)
 
 
-def _with_robot(
-    name: str,
-    robot: str | None,
-    recorded: Path | None,
-    trials: int,
-    seed: int,
-    out: Path,
-    config: Path | None,
-    camera: str | None,
-    sheet_file: Path,
-    camera_file: Path,
-    rehearse: bool,
-    quiet: bool,
-    jobs: int,
-) -> Results:
+@dataclass(frozen=True)
+class _Asked:
+    """The options of trials with a robot, or of those recorded before."""
+
+    robot: str | None
+    recorded: Path | None
+    trials: int
+    seed: int
+    out: Path
+    config: Path | None
+    camera: str | None
+    sheet_file: Path
+    camera_file: Path
+    rehearse: bool
+    quiet: bool
+    jobs: int
+
+    def say(self, text: str) -> None:
+        """To the operator, not into JSON."""
+        if not self.quiet:
+            typer.echo(text)
+
+    @contextmanager
+    def connected(self, person: TerminalOperator) -> Iterator[tuple[Robot, RobotConfig]]:
+        """The robot and its constants, robot.toml's before those it is known by."""
+        from thigmo.config import RobotConfig
+        from thigmo.errors import DataError
+        from thigmo.robot import connect
+
+        assert self.robot is not None
+        given = RobotConfig.load(self.config) if self.config else None
+        with connect(self.robot, seed=self.seed, operator=person) as machine:
+            known = given or machine.known_config
+            if known is None:
+                raise DataError("the robot's constants are not known", "give --config robot.toml")
+            if self.rehearse and machine.scenery() is None:
+                raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
+            yield machine, known
+
+
+def _with_robot(name: str, asked: _Asked) -> Results:
     """Take the trials, or read them, and evaluate what there is."""
     from thigmo.bench.study import Context
     from thigmo.cli.console import Console, TerminalOperator
-    from thigmo.config import RobotConfig
     from thigmo.errors import DataError
     from thigmo.experiments.evaluate import evaluate, save
     from thigmo.experiments.procedure import STATIC
     from thigmo.experiments.recorded import TrialFolder, run_trials
-    from thigmo.robot import connect
 
-    if name == "exploration":
-        return _explored(
-            robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file, rehearse,
-            quiet,
-        )  # fmt: skip
     if name not in STATIC:
         raise DataError(
             f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
             "name one of these",
         )
-    if recorded is not None:
-        folder = TrialFolder(recorded)
+    if asked.recorded is not None:
+        folder = TrialFolder(asked.recorded)
     else:
-        assert robot is not None
-        console = Console(quiet=quiet)
-        given = RobotConfig.load(config) if config else None
-        person = TerminalOperator(console)
-        with console.interruptible(), connect(robot, seed=seed, operator=person) as machine:
-            known = given or machine.known_config
-            if known is None:
-                raise DataError("the robot's constants are not known", "give --config robot.toml")
-            folder = TrialFolder(out / name, known)
-            attendant = _attendant(console, machine, camera, sheet_file, camera_file, rehearse)
-            say = (lambda text: None) if quiet else _say
-            if not run_trials(machine, attendant, folder, name, trials, say):
-                say("stopped; the same command goes on")
-    results = evaluate(name, folder.trials(), Context(jobs=jobs))
+        console = Console(quiet=asked.quiet)
+        with (
+            console.interruptible(),
+            asked.connected(TerminalOperator(console)) as (machine, known),
+        ):
+            folder = TrialFolder(asked.out / name, known)
+            attendant = _attendant(console, machine, asked)
+            if not run_trials(machine, attendant, folder, name, asked.trials, asked.say):
+                asked.say("stopped; the same command goes on")
+    results = evaluate(name, folder.trials(), Context(jobs=asked.jobs))
     save(results, name, folder.path)
     return results
 
 
-def _explored(
-    robot: str | None,
-    recorded: Path | None,
-    trials: int,
-    seed: int,
-    out: Path,
-    config: Path | None,
-    camera: str | None,
-    sheet_file: Path,
-    camera_file: Path,
-    rehearse: bool,
-    quiet: bool,
-) -> Results:
+def _explored(asked: _Asked) -> Results:
     """Explore trial by trial, or read the runs, and evaluate what there is."""
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.cli.experiment_prompts import TerminalBystander
-    from thigmo.config import RobotConfig
-    from thigmo.errors import DataError
     from thigmo.experiments.evaluate import save
     from thigmo.experiments.explorations import (
         EmulatedBystander,
@@ -188,79 +193,59 @@ def _explored(
         evaluate,
         run_explorations,
     )
-    from thigmo.robot import connect
 
-    if robot is None:
-        assert recorded is not None
-        folder = ExplorationFolder(recorded)
+    if asked.robot is None:
+        assert asked.recorded is not None
+        folder = ExplorationFolder(asked.recorded)
     else:
-        console = Console(quiet=quiet)
+        console = Console(quiet=asked.quiet)
         person = TerminalOperator(console)
-        say = (lambda text: None) if quiet else _say
         with console.interruptible():
-            with connect(robot, seed=seed, operator=person) as machine:
-                known = RobotConfig.load(config) if config else machine.known_config
+            with asked.connected(person) as (machine, known):
                 emulated = machine.scenery() is not None
-            if known is None:
-                raise DataError("the robot's constants are not known", "give --config robot.toml")
-            if rehearse and not emulated:
-                raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
-            folder = ExplorationFolder(out / "exploration", known)
-            look = _look(camera, sheet_file, camera_file, known.body.diameter_cm)
+            folder = ExplorationFolder(asked.out / "exploration", known)
+            look = _look(asked, known.body.diameter_cm)
             bystander = (
-                EmulatedBystander() if emulated and not rehearse
+                EmulatedBystander() if emulated and not asked.rehearse
                 else TerminalBystander(console, look)
             )  # fmt: skip
             with console.progress() as show:
                 done = run_explorations(
-                    robot, bystander, folder, trials, seed=seed, operator=person, progress=show,
-                    say=say,
+                    asked.robot, bystander, folder, asked.trials, seed=asked.seed,
+                    operator=person, progress=show, say=asked.say,
                 )  # fmt: skip
             if not done:
-                say("stopped; the same command goes on")
+                asked.say("stopped; the same command goes on")
     results = evaluate(folder)
     save(results, "exploration", folder.path)
     return results
 
 
-def _attendant(
-    console: Console,
-    machine: Robot,
-    camera: str | None,
-    sheet_file: Path,
-    camera_file: Path,
-    rehearse: bool,
-) -> Attendant:
+def _attendant(console: Console, machine: Robot, asked: _Asked) -> Attendant:
     from thigmo.cli.experiment_prompts import TerminalAttendant
     from thigmo.errors import DataError
     from thigmo.experiments.attendant import EmulatedAttendant
 
     if machine.scenery() is not None:
-        if camera is not None:
+        if asked.camera is not None:
             raise DataError("--camera is for a real robot", "the emulator knows its dowels")
         behind = EmulatedAttendant(machine)
-        return TerminalAttendant(console, behind=behind) if rehearse else behind
-    if rehearse:
-        raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
-    return TerminalAttendant(
-        console, _look(camera, sheet_file, camera_file, machine.config.body.diameter_cm)
-    )
+        return TerminalAttendant(console, behind=behind) if asked.rehearse else behind
+    return TerminalAttendant(console, _look(asked, machine.config.body.diameter_cm))
 
 
-def _look(
-    camera: str | None, sheet_file: Path, camera_file: Path, diameter_cm: float
-) -> Callable[[], list[Place]] | None:
+def _look(asked: _Asked, diameter_cm: float) -> Callable[[], list[Place]] | None:
     """What measures the dowels' centres; None without a camera."""
-    if camera is None:
+    if asked.camera is None:
         return None
     from thigmo.calibrate.eyes import Eyes
-    from thigmo.camera import CameraModel, Sheet, open_source
+    from thigmo.camera import CameraModel, open_source
+    from thigmo.cli.camera import load_sheet
     from thigmo.experiments import thesis
 
-    sheet = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
     eyes = Eyes(
-        open_source(camera), CameraModel.load(camera_file), sheet,
-        diameter_cm, thesis.DOWEL_CM,
+        open_source(asked.camera), CameraModel.load(asked.camera_file),
+        load_sheet(asked.sheet_file), diameter_cm, thesis.DOWEL_CM,
     )  # fmt: skip
 
     def look() -> list[Place]:
@@ -268,10 +253,6 @@ def _look(
         return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
 
     return look
-
-
-def _say(text: str) -> None:
-    typer.echo(text)
 
 
 def _tell(results: list[Results], out: Path, as_json: bool) -> None:

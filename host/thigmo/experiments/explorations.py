@@ -12,7 +12,6 @@ that, and put back. The same command goes on after the last line.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,11 +22,11 @@ import numpy as np
 
 from thigmo.bench.study import Table
 from thigmo.config import RobotConfig
-from thigmo.errors import DataError, RunFolderError
+from thigmo.errors import DataError
 from thigmo.experiments import explored, thesis
 from thigmo.experiments.attendant import Place, Verdict
 from thigmo.experiments.evaluate import Results
-from thigmo.experiments.recorded import held_config
+from thigmo.experiments.trial_table import TrialTable
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
 from thigmo.record import MapContact, RunDocument, RunFolder
@@ -138,26 +137,12 @@ class ExplorationFolder:
 
     def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
         self.path = Path(path)
-        self._table = self.path / "trials.csv"
-        self.config = held_config(self.path, self._table, config, "explorations", "made")
+        self._table = TrialTable(self.path, config, _COLUMNS, things="explorations", done="made")
+        self.config = self._table.config
 
     def rows(self) -> dict[str, dict[str, str]]:
-        """Lines so far, by key; a line that a crash cut off is left out.
-
-        Raises:
-            DataError: a damaged line other than the last, or another table.
-        """
-        if not self._table.exists():
-            return {}
-        text = self._table.read_text()
-        lines = list(csv.reader(text.splitlines()))
-        if not lines or tuple(lines[0]) != _COLUMNS:
-            raise DataError(f"{self._table} is no table of explorations", "choose another --out")
-        whole = lines if text.endswith("\n") else lines[:-1]
-        for number, line in enumerate(whole[1:], start=2):
-            if len(line) != len(_COLUMNS):
-                raise DataError(f"{self._table}, line {number} is damaged", "mend or delete it")
-        return {line[0]: dict(zip(_COLUMNS, line, strict=True)) for line in whole[1:]}
+        """Lines so far, by key, as `TrialTable.rows`."""
+        return self._table.rows()
 
     def add(self, run: PlannedRun, kept: Path | None, dowel: Place | None) -> None:
         """Append an exploration that was kept, or (without a folder) skipped; on disk on return.
@@ -165,20 +150,9 @@ class ExplorationFolder:
         Raises:
             RunFolderError: the folder cannot be written.
         """
-        line = [run.key, run.protocol, run.number]
-        line += ["kept", kept.name, *dowel] if kept and dowel else ["skipped", "", "", ""]
-        held = [list(row.values()) for row in self.rows().values()]
-        partial = self._table.with_suffix(".csv.partial")
-        try:
-            with partial.open("w", newline="") as file:
-                csv.writer(file).writerows([_COLUMNS, *held, line])
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(self._table)
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot write {self._table}: {error.strerror}", "free some space, then run again"
-            ) from error
+        line = [run.key, run.protocol, str(run.number)]
+        line += ["kept", kept.name, *map(str, dowel)] if kept and dowel else ["skipped", "", "", ""]
+        self._table.add(line)
 
 
 def run_explorations(

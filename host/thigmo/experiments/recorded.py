@@ -12,7 +12,6 @@ trials are evaluated by their last reading alone.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -23,10 +22,11 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
-from thigmo.errors import DataError, RunFolderError
+from thigmo.errors import DataError
 from thigmo.experiments import thesis
 from thigmo.experiments.procedure import Planned, Row, Say, plan, prepare, take
 from thigmo.experiments.trial import Floats, Passed, Trial
+from thigmo.experiments.trial_table import TrialTable
 from thigmo.exploration.reference import FreeResponse
 from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
@@ -46,42 +46,6 @@ _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not stat
 _LEAST_GAIN_SE = 1e-3
 
 
-def held_config(
-    path: Path, table: Path, config: RobotConfig | None, things: str, done: str
-) -> RobotConfig:
-    """The robot's constants that a folder holds; a new folder is made and gets `config`.
-
-    Args:
-        path: the folder.
-        table: in it; with it the constants are fixed.
-        config: of the robot; None where the folder is only read.
-        things: what the table lists, for the message.
-        done: what was done to them, for the message.
-
-    Raises:
-        RunFolderError: the folder cannot be made.
-        DataError: what it holds is of another robot.toml.
-    """
-    file = path / "robot.toml"
-    if config is None:
-        return RobotConfig.load(file)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot make {path}: {error.strerror}", "choose another --out"
-        ) from error
-    if table.exists():
-        if RobotConfig.load(file) != config:
-            raise DataError(
-                f"the {things} in {path} were {done} with another robot.toml",
-                f"use {file} again, or choose another --out",
-            )
-    else:
-        config.save(file)
-    return config
-
-
 class TrialFolder:
     """One experiment's trials on disk.
 
@@ -96,30 +60,14 @@ class TrialFolder:
 
     def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
         self.path = Path(path)
-        self._table = self.path / "trials.csv"
-        self.config = held_config(self.path, self._table, config, "trials", "taken")
+        self._table = TrialTable(
+            self.path, config, COLUMNS, things="trials", done="taken", earlier=_EARLIER
+        )
+        self.config = self._table.config
 
     def rows(self) -> dict[str, dict[str, str]]:
-        """Lines so far, by key; a line that a crash cut off is left out.
-
-        Raises:
-            DataError: a damaged line other than the last, or another table.
-        """
-        if not self._table.exists():
-            return {}
-        found: dict[str, dict[str, str]] = {}
-        with self._table.open(newline="") as file:
-            lines = list(csv.reader(file))
-        if not lines or tuple(lines[0]) not in (COLUMNS, _EARLIER):
-            raise DataError(
-                f"{self._table} is no table of trials", "move it away, or choose another --out"
-            )
-        for number, line in enumerate(lines[1:], start=2):
-            if len(line) == len(lines[0]):
-                found[line[0]] = dict.fromkeys(COLUMNS, "") | dict(zip(lines[0], line, strict=True))
-            elif number != len(lines):
-                raise DataError(f"{self._table}, line {number} is damaged", "mend or delete it")
-        return found
+        """Lines so far, by key, as `TrialTable.rows`."""
+        return self._table.rows()
 
     def add(self, trial: Planned, row: Row) -> None:
         """Append a trial that was kept, or (with an empty row) skipped; on disk on return.
@@ -135,42 +83,7 @@ class TrialFolder:
             "pressure_psi": trial.pressure_psi,
             **row,
         }
-        try:
-            self._drop_cut_line()
-            self._widen()
-            fresh = not self._table.exists()
-            with self._table.open("a", newline="") as file:
-                writer = csv.writer(file)
-                if fresh:
-                    writer.writerow(COLUMNS)
-                writer.writerow([_cell(cells.get(name, "")) for name in COLUMNS])
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot write {self._table}: {error.strerror}", "free some space, then run again"
-            ) from error
-
-    def _drop_cut_line(self) -> None:
-        """A last line without its end was never whole."""
-        text = self._table.read_bytes() if self._table.exists() else b""
-        if text and not text.endswith(b"\n"):
-            self._table.write_bytes(text[: text.rfind(b"\n") + 1])
-
-    def _widen(self) -> None:
-        """Give a table of an earlier version the columns of today."""
-        if not self._table.exists():
-            return
-        with self._table.open(newline="") as file:
-            if tuple(next(csv.reader(file), ())) != _EARLIER:
-                return
-        rows = self.rows()
-        partial = self._table.with_suffix(".csv.partial")
-        with partial.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows.values())
-        partial.replace(self._table)
+        self._table.add([_cell(cells.get(name, "")) for name in COLUMNS])
 
     @contextmanager
     def recording(self, robot: Robot) -> Iterator[LogWriter]:
@@ -192,9 +105,9 @@ class TrialFolder:
             shown = _shown_gains(kept, self.config)
             return [_trial(row, self.config, shown) for row in kept]
         except (ValueError, IndexError) as error:
-            raise DataError(f"{self._table} is damaged: {error}", "mend or delete that line") from (
-                error
-            )
+            raise DataError(
+                f"{self._table.path} is damaged: {error}", "mend or delete that line"
+            ) from (error)
 
 
 def run_trials(

@@ -34,6 +34,7 @@ from thigmo.record.obstacles import (
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.readings_table import ReadingsTable, read_readings
 from thigmo.record.swept_shapes import outline, passed
+from thigmo.record.whole_file import write_whole
 
 __all__ = [
     "OBSTACLES_FILE",
@@ -67,4 +68,5 @@ __all__ = [
     "read_ros_map",
     "write_obstacles",
     "write_ros_map",
+    "write_whole",
 ]

@@ -15,6 +15,7 @@ from thigmo.record.document import RunDocument
 from thigmo.record.log import Log, LogWriter, read_log
 from thigmo.record.obstacles import OBSTACLES_FILE, ObstacleMap, write_obstacles
 from thigmo.record.occupancy import OccupancyGrid, write_ros_map
+from thigmo.record.whole_file import write_whole
 
 _DOCUMENT = TypeAdapter(RunDocument)
 
@@ -85,14 +86,7 @@ class RunFolder:
             RunFolderError: the folder cannot be written.
         """
         target = self.path / name
-        partial = self.path / f"{name}.partial"
-        try:
-            partial.write_bytes(_DOCUMENT.dump_json(document, indent=2) + b"\n")
-            partial.replace(target)
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot write {target}: {error.strerror}", "free some space, or check permissions"
-            ) from error
+        write_whole(target, _DOCUMENT.dump_json(document, indent=2) + b"\n")
         return target
 
     def read_document(self) -> RunDocument:

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from thigmo.errors import RunFolderError
+from thigmo.record.whole_file import write_whole
 
 OBSTACLES_FILE = "obstacles.json"
 PRIOR_FILE = "prior.json"  # the map that an exploration was given, in its run folder
@@ -118,14 +119,7 @@ def write_obstacles(known: ObstacleMap, path: Path) -> None:
     Raises:
         RunFolderError: the folder cannot be written.
     """
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        partial.write_bytes(_MAP.dump_json(known, indent=1) + b"\n")
-        partial.replace(path)
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
-        ) from error
+    write_whole(path, _MAP.dump_json(known, indent=1) + b"\n")
 
 
 def read_obstacles(path: str | os.PathLike[str]) -> ObstacleMap:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
 from thigmo.errors import RunFolderError
+from thigmo.record.whole_file import write_whole
 
 FREE, UNKNOWN, OCCUPIED = 0, -1, 100  # as in nav_msgs/OccupancyGrid
 _GREY = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
@@ -87,14 +88,7 @@ def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
         path: yaml.safe_dump(described, sort_keys=False).encode(),
     }
     for target, data in files.items():
-        partial = target.with_name(f"{target.name}.partial")
-        try:
-            partial.write_bytes(data)
-            partial.replace(target)
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot write {target}: {error.strerror}", "free some space, or check permissions"
-            ) from error
+        write_whole(target, data)
 
 
 def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:

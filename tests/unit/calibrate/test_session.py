@@ -7,6 +7,7 @@ import pytest
 from calibration_truth import bends
 
 from thigmo.calibrate.actuator import fit_actuator
+from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.from_csv import COLUMNS, FITS, fit_csv
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.session import Session, blank
@@ -28,6 +29,19 @@ def test_rows_are_kept_in_order_and_a_torn_line_is_dropped(tmp_path):
     again.forget("tips")
     assert again.rows("tips") == {}
     assert (tmp_path / "tips.jsonl.old").exists()
+
+
+def test_rows_are_prepared_for_once_and_not_where_all_are_held(tmp_path):
+    bench = Bench(None, None, None, Session(tmp_path))
+    done: list[str] = []
+
+    def take(key: str) -> dict[str, int]:
+        done.append(key)
+        return {"n": len(done)}
+
+    for keys in (["a", "b"], ["a", "b"], ["a", "b", "c"]):
+        bench.rows("tips", keys, take, prepare=lambda: done.append("ready"))
+    assert done == ["ready", "a", "b", "ready", "c"]
 
 
 def test_damage_in_the_middle_is_an_error(tmp_path):
