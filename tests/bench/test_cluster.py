@@ -34,7 +34,7 @@ def test_a_study_spreads_over_a_cluster_and_keeps_its_order() -> None:
             context = Context(
                 backend="dask", jobs=2, progress=lambda part, done, total: seen.append(done)
             )
-            found = context.map(work, range(12))
+            found = context.map(work, range(12), "norms")
         finally:
             client.close()
     assert [value for value, _ in found] == [work(item)[0] for item in range(12)]

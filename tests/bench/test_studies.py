@@ -91,7 +91,7 @@ def test_claims_know_their_direction() -> None:
 
 
 def test_work_goes_to_processes_in_order() -> None:
-    assert Context(jobs=2).map(abs, [-3, 2, -1]) == [3, 2, 1]
+    assert Context(jobs=2).map(abs, [-3, 2, -1], "numbers") == [3, 2, 1]
 
 
 def test_a_stopped_study_leaves_its_finished_parts(

@@ -296,7 +296,11 @@ def run(context: Context) -> Outcome:
     lens = board_lens()
     found = {
         way: summarise(
-            context.map(partial(glimpse, way=way, lens=lens if known.lens else None), seeds)
+            context.map(
+                partial(glimpse, way=way, lens=lens if known.lens else None),
+                seeds,
+                f"pictures, {way}",
+            )
         )
         for way, known in WAYS.items()
     }

@@ -141,8 +141,8 @@ def run(context: Context) -> Outcome:
     empty = [
         Room(seed, noise) for noise in NOISE_LEVELS for seed in range(1, 1 + context.count(1, 20))
     ]
-    explored = context.map(visit, [*with_peg, *empty])
-    pegs, rooms = explored[: len(with_peg)], explored[len(with_peg) :]
+    pegs = context.map(visit, with_peg, "rooms with a peg")
+    rooms = context.map(visit, empty, "empty rooms")
     return Outcome(
         tables=[_peg_table(pegs), _room_table(rooms), _summary(pegs)],
         figures={"pegs": _figure(pegs, rooms)},

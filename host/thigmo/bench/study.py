@@ -112,7 +112,7 @@ class Context:
         return np.random.default_rng([self.seed, *key])
 
     def map(
-        self, function: Callable[[Item], Value], items: Iterable[Item], part: str = "scenes"
+        self, function: Callable[[Item], Value], items: Iterable[Item], part: str
     ) -> list[Value]:
         """Run a picklable function over items, in order of the items; progress names the part."""
         todo: Sequence[Item] = list(items)

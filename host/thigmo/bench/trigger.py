@@ -135,37 +135,34 @@ def touch(task: Touch) -> Floats:
 def run(context: Context) -> Outcome:
     """False alarms, latencies, the chart of one against the other, and what the rule chooses."""
     few, many = context.count(1, 2), context.count(2, 15)
-    tasks: list[Empty | Touch] = [
+    quiet = [
         Empty(part, level, seed)
         for part in PARTS
         for level in LEVELS
         for seed in range(1, 1 + (many if (part, level) == DECIDING else few))
     ]
-    tasks += [Touch(s, seed) for s in STEPS for seed in range(1, 1 + context.count(1, 4))]
-    tasks += [Touch(PEGS, seed) for seed in range(1, 1 + context.count(3, 30))]
-    by_task = list(zip(tasks, context.map(_do, tasks), strict=True))
+    touched = [Touch(s, seed) for s in STEPS for seed in range(1, 1 + context.count(1, 4))]
+    touched += [Touch(PEGS, seed) for seed in range(1, 1 + context.count(3, 30))]
+    of_quiet = context.map(sweep_empty, quiet, "empty sweeps")
+    of_touched = context.map(touch, touched, "touches")
     alarms: dict[tuple[str, float], Floats] = {}
     for part in PARTS:
         for level in LEVELS:
             sessions = [
                 rates
-                for task, rates in by_task
-                if isinstance(task, Empty) and (task.part, task.level) == (part, level)
+                for task, rates in zip(quiet, of_quiet, strict=True)
+                if (task.part, task.level) == (part, level)
             ]
             alarms[part, level] = 100 * np.mean(sessions, axis=0) / _SWEEPS
     late = {}
     for step in (*STEPS, PEGS):
-        touched = [ms for task, ms in by_task if isinstance(task, Touch) and task.step == step]
-        late[step] = np.concatenate(touched, axis=1)
+        own = [ms for task, ms in zip(touched, of_touched, strict=True) if task.step == step]
+        late[step] = np.concatenate(own, axis=1)
     return Outcome(
         tables=[_alarm_table(alarms, few, many), _latency_table(late)],
         figures={"chart": _figure(alarms, late)},
         claims=_claims(alarms, late),
     )
-
-
-def _do(task: Empty | Touch) -> Floats:
-    return sweep_empty(task) if isinstance(task, Empty) else touch(task)
 
 
 def quantile(values: Floats, share: float, *, early: bool) -> float:
