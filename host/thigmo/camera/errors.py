@@ -50,7 +50,7 @@ class MarkerMissingError(CameraError):
         self.marker = marker
         super().__init__(
             f"the tip marker (id {marker}) is not seen",
-            "turn it face up and clear the view, or give the tip with `--tip X,Y`",
+            "turn it face up and clear the view",
         )
 
 

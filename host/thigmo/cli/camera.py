@@ -267,6 +267,8 @@ def sighting_data(seen: Sighting) -> dict[str, Any]:
 
 
 def _tell(seen: Sighting) -> None:
+    from thigmo.camera import MarkerMissingError
+
     if seen.tip is not None:
         typer.echo(f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm")
     if seen.axis is not None:
@@ -277,4 +279,5 @@ def _tell(seen: Sighting) -> None:
     if seen.hidden:
         typer.echo(f"hidden cards: {', '.join(seen.hidden)}")
     for problem in seen.problems:
-        typer.echo(str(problem))
+        clicked = ", or give the tip with `--tip X,Y`"
+        typer.echo(f"{problem}{clicked if isinstance(problem, MarkerMissingError) else ''}")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from thigmo.bench.camera import axis_of, board_lens, glimpse, summarise
 from thigmo.camera import (
@@ -28,6 +29,8 @@ from thigmo.camera import (
 )
 from thigmo.camera.pose import GOOD_CM
 from thigmo.camera.sheet import card_decals, tip_decal
+from thigmo.camera.sight import write_picture
+from thigmo.cli.camera import group
 from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.errors import DataError
 
@@ -138,11 +141,19 @@ def test_what_is_seen_is_drawn(picture, model):
     assert (np.abs(patch.astype(int) - [255, 255, 0]).max(axis=1) < 60).any()
 
 
-def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model):
+def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model, tmp_path):
     bare = room.picture(tip=False)
     seen = look(bare, model, SHEET)
     assert isinstance(seen.problems[0], MarkerMissingError)
-    assert "--tip X,Y" in str(seen.problems[0])
+    # The line goes to `thigmo calibrate` too, which takes no clicked tip; `camera check` does.
+    assert str(seen.problems[0]).endswith("turn it face up and clear the view")
+    write_picture(tmp_path / "bare.png", bare)
+    model.save(tmp_path / "camera.json")
+    SHEET.save(tmp_path / "sheet.toml")
+    asked = ["check", str(tmp_path / "bare.png"), "--out", str(tmp_path / "check.png")]
+    asked += ["--camera", str(tmp_path / "camera.json"), "--sheet", str(tmp_path / "sheet.toml")]
+    told = CliRunner().invoke(group, asked)
+    assert "clear the view, or give the tip with `--tip X,Y`" in told.output
     with pytest.raises(MarkerMissingError):
         see_tip(bare, model, SHEET)
     end = room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]
