@@ -154,6 +154,8 @@ def test_fault_is_named_safe_latched_and_cleared_with_its_cause(case: Case) -> N
     if case.name.startswith("flex"):
         options = {"side": "left", "sensor": 0, **dict(case.options)}
         assert f": {options['side']} {options['sensor']} (0 = at the base)" in str(caught.value)
+    elif case.name in ("over_pressure", "pressure_wire", "pressure_stuck"):
+        assert f"({dict(case.options).get('side', 'left')} muscle); " in str(caught.value)
 
     # Safe in time, and from then on; the spool is never driven in by a fault.
     if case.move is not rest:

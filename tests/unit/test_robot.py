@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from types import SimpleNamespace
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
-from thigmo.config import FlexSensor, RobotConfig, Sensors
+from thigmo.cli.main import app
+from thigmo.config import SIDES, FlexSensor, RobotConfig, Sensors
 from thigmo.errors import (
     CommandRefusedError,
     CommandTimeoutError,
@@ -39,6 +42,7 @@ class DictionaryBoard:
         }
         self.maps: dict[tuple[int, int, int], tuple[int, ...]] = {}
         self.faults = 0
+        self.lasting = 0  # faults whose cause is still there
         self.conditions = 0
         self.generation = 0
         self.sent: list[wire.Message] = []
@@ -82,7 +86,8 @@ class DictionaryBoard:
             case wire.SaveConfig():
                 self.generation += 1
             case wire.ClearFaults():
-                self.faults &= ~command.mask
+                self.faults &= ~command.mask | self.lasting
+                return wire.Ack(OK, wire.Reason.NONE, self.faults)
             case wire.GetStatus():
                 return self._status()
             case wire.GrowTo() if self.faults:
@@ -179,6 +184,39 @@ def test_a_refusal_because_of_a_fault_names_the_fault() -> None:
     board.faults = wire.Fault.OVER_PRESSURE.mask
     with pytest.raises(RobotFaultError, match="over_pressure"):
         robot.grow_to(10.0)
+
+
+def test_a_pressure_fault_names_its_muscle_as_often_as_it_is_told_and_how_to_clear_it() -> None:
+    board = DictionaryBoard()
+    board.transport.virtual = False
+    robot = Robot(board, url="/dev/ttyACM0")  # type: ignore[arg-type]
+    board.latch_at_poll = wire.Fault.PRESSURE_WIRE.mask
+    board.coming = [_event(wire.EventCode.FAULT, wire.Fault.PRESSURE_WIRE, SIDES.index("right"))]
+    told = (
+        r"of its supply \(right muscle\); check its wire, then clear "
+        r"\(`thigmo clear --robot /dev/ttyACM0`\)$"
+    )
+    for command in (lambda: robot.grow_to(10.0), robot.arm):
+        with pytest.raises(RobotFaultError, match=told):
+            command()
+
+
+def test_the_command_clears_what_it_can_and_tells_the_fault_that_lasts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, board = _robot()
+    board.faults = wire.Fault.ESTOP.mask | wire.Fault.WATCHDOG.mask
+    board.lasting = wire.Fault.ESTOP.mask
+    monkeypatch.setattr("thigmo.robot.connect", lambda url: Robot(board))  # type: ignore[arg-type]
+    first = CliRunner().invoke(app, ["clear", "--robot", "/dev/ttyACM0"])
+    assert first.output == "Cleared: watchdog.\n"
+    assert isinstance(first.exception, RobotFaultError)
+    assert "estop: The emergency stop was pressed; release it" in str(first.exception)
+    board.lasting = 0
+    then = CliRunner().invoke(app, ["clear", "--robot", "/dev/ttyACM0", "--json"])
+    assert json.loads(then.output) == {"cleared": ["estop"], "remaining": []}
+    assert then.exit_code == 0
+    assert CliRunner().invoke(app, ["clear", "--robot", "x"]).output == "No fault is latched.\n"
 
 
 def test_growth_ends_with_the_boards_length_and_only_with_its_own_event() -> None:

@@ -1,4 +1,4 @@
-"""`thigmo params` and `thigmo retract`: single commands to a board."""
+"""`thigmo params`, `thigmo clear` and `thigmo retract`: single commands to a board."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from thigmo.cli.output import JsonOption, print_json
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command()(params)
+    app.command()(clear)
     app.command()(retract)
 
 
@@ -68,6 +69,25 @@ def _described(name: str, held: list[int]) -> dict[str, Any]:
         "default": list(entry.defaults) if entry.count > 1 else entry.defaults[0],
         "doc": entry.doc,
     }
+
+
+def clear(
+    robot: Annotated[str, typer.Option(help="Where the robot is.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Clear the board's latched faults, once their cause is gone; one that lasts is told again."""
+    from thigmo.robot import connect
+
+    with connect(robot) as machine:
+        latched = machine.status().faults
+        remaining = machine.clear_faults()
+        cleared = [fault for fault in latched if fault not in remaining]
+        if not as_json:
+            told = f"Cleared: {', '.join(cleared)}." if cleared else "No fault was cleared."
+            typer.echo(told if latched else "No fault is latched.")
+        else:
+            print_json({"cleared": cleared, "remaining": list(remaining)})
+        machine.raise_faults()
 
 
 def retract(

@@ -98,7 +98,8 @@ class Robot:
 
     def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
         self._client = client
-        self._watch = Watch(client)
+        # A board that lives in this process starts anew with the next connection.
+        self._watch = Watch(client, "" if client.transport.virtual else url)
         self.url = url
         self.operator: Operator = (
             operator if operator and not client.transport.operator
@@ -308,8 +309,8 @@ class Robot:
         remaining = self._client.request(wire.ClearFaults(mask)).detail
         return tuple(fault.key for fault in wire.Fault.from_mask(remaining))
 
-    def arm(self) -> None:
-        """Leave safe for ready: outputs may be energised from now on.
+    def raise_faults(self) -> None:
+        """Tell a latched fault, if there is one.
 
         Raises:
             RobotFaultError: a fault is latched.
@@ -317,6 +318,14 @@ class Robot:
         faults = self.status().faults
         if faults:
             raise self._watch.fault_error(faults)
+
+    def arm(self) -> None:
+        """Leave safe for ready: outputs may be energised from now on.
+
+        Raises:
+            RobotFaultError: a fault is latched.
+        """
+        self.raise_faults()
         self._request(wire.Arm())
 
     def stop(self) -> None:

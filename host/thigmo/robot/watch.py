@@ -17,6 +17,8 @@ _SLICE_S = 0.25
 _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 # Of sensor_report.flags.
 _OPEN, _SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5
+_OF_A_MUSCLE = (wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK)
+_OF_A_SENSOR = (wire.Fault.FLEX_OPEN, wire.Fault.FLEX_SHORT)
 
 
 class Watch:
@@ -24,10 +26,13 @@ class Watch:
 
     Args:
         client: the link.
+        url: to clear a fault at, for its message; empty where it goes with the connection.
     """
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, url: str = "") -> None:
         self._client = client
+        self._url = url
+        self._channels: dict[wire.Fault, int] = {}
 
     def events(
         self, seconds: float, until: Callable[[], bool] | None = None
@@ -50,29 +55,41 @@ class Watch:
 
     def _taken(self) -> Iterator[wire.Event]:
         while self._client.events:
+            self._note_channels()
             event = self._client.events.popleft().message
             if event.code == wire.EventCode.FAULT:
-                self._raise_if_latched(wire.Fault(event.arg), event.value)
+                self._raise_if_latched(wire.Fault(event.arg))
             yield event
 
-    def _raise_if_latched(self, fault: wire.Fault, channel: int) -> None:
+    def _note_channels(self) -> None:
+        """Remember the channels of faults, which only their events tell."""
+        for each in self._client.events:
+            if each.message.code == wire.EventCode.FAULT:
+                self._channels[wire.Fault(each.message.arg)] = each.message.value
+
+    def _raise_if_latched(self, fault: wire.Fault) -> None:
         """Raise a fault unless it was cleared since its event."""
         latched = wire.Fault.from_mask(self._client.request(wire.GetStatus()).faults)
         if fault in latched:
             others = (other.key for other in latched if other is not fault)
-            raise self.fault_error((fault.key, *others), channel)
+            raise self.fault_error((fault.key, *others))
 
-    def fault_error(self, faults: tuple[str, ...], channel: int | None = None) -> RobotFaultError:
-        """The typed error of latched faults, in the schema's words; a flex sensor is named.
+    def fault_error(self, faults: tuple[str, ...]) -> RobotFaultError:
+        """The typed error of latched faults, in the schema's words.
+
+        A flex sensor is named, and so is a muscle, if the fault's event told which.
 
         Args:
             faults: their names, the one to tell first.
-            channel: the first one's, if its event told it.
         """
+        self._note_channels()
         first = wire.Fault[faults[0].upper()]
         what, _, cure = first.doc.partition("; ")
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
-        if first in (wire.Fault.FLEX_OPEN, wire.Fault.FLEX_SHORT):
+        channel = self._channels.get(first)
+        if first in _OF_A_MUSCLE and channel is not None:
+            what += f" ({SIDES[channel]} muscle)"
+        if first in _OF_A_SENSOR:
             bad = self._bad_sensors(_OPEN if first is wire.Fault.FLEX_OPEN else _SHORT)
             if channel is not None:
                 bad = sorted({*bad, channel})
@@ -81,6 +98,8 @@ class Watch:
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+        if self._url:
+            cure = f"{cure.rstrip('.')} (`thigmo clear --robot {self._url}`)"
         return RobotFaultError(f"{first.key}{others}: {what}", cure.rstrip("."), faults=faults)
 
     def _bad_sensors(self, flag: int) -> list[int]:
@@ -95,6 +114,7 @@ class Watch:
 
         A fault among it needs no attention here: the board refuses to start while it is latched.
         """
+        self._note_channels()
         self._client.events.clear()
 
     def wait(self, seconds: float) -> None:
