@@ -6,8 +6,7 @@ found exactly, from the tip inwards: the best cost beyond a knot is, as a functi
 at that knot, the lower envelope of quadratics, one for each place of the next knot, and those that
 are nowhere lowest are dropped (functional pruning, as in Fearnhead, Maidstone and Letchford,
 Detecting changes in slope with an L0 penalty, 2019). The knots are then refined off the grid with
-the sensors' true spans, for either norm, by steps that solve for arcs and forces together and are
-kept only if they improve.
+the sensors' true spans, for either norm (`refinement`).
 
 What is exact: the least-squares optimum over the grid, for point sensors. What is not: the
 refinement starts from the best few places on the grid and is local, so the result carries no proof
@@ -20,9 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.compiled import compiled_inner, compiled_sums
-from thigmo.localization.exact.absolute_fit import SignedFit, Simplex, Size, absolute_fit
-from thigmo.localization.exact.response import Readings, plain
+from thigmo.compiled import compiled_sums
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -214,153 +211,3 @@ def best_knots(
                     value -= 0.25 * slope * slope / curve
                 if value < values[worst]:
                     keep(value, g, i, label[i, k], values, out)
-
-
-@compiled_inner
-def columns(arcs: Floats, readings: Readings, slopes: bool, g: Floats) -> None:
-    """Influence of each contact (row j) and, below them, its slope in the arc (row C + j).
-
-    Args:
-        arcs: (C,).
-        readings: N of them.
-        slopes: whether to fill the lower half.
-        g: (>= 2 C, >= N), written.
-    """
-    _, low, span, inverse, _ = readings
-    c = arcs.shape[0]
-    for j in range(c):
-        for i in range(low.shape[0]):
-            t = arcs[j] - low[i]
-            inside = min(max(t, 0.0), span[i])
-            g[j, i] = inside * inside * inverse[i] + (max(t, span[i]) - span[i])
-            if slopes:
-                if span[i] > 0.0:
-                    g[c + j, i] = inside / span[i]
-                else:
-                    g[c + j, i] = 1.0 if t > 0.0 else 0.0
-
-
-@compiled_inner
-def free_fit(fit: SignedFit, m: int, norm: int, beta: Floats, simplex: Simplex) -> float:
-    """Least objective over free coefficients of the first m rows of g; `beta` (m,) written."""
-    g, y, w, _ = fit
-    tableau, work, _ = simplex
-    n = y.shape[0]
-    if norm == 1:
-        value, proven = absolute_fit(fit, Size(m, n, plain(0)), beta, simplex)
-        return value if proven else np.inf
-    # Orthogonal columns one after another; what is left of y is the residual.
-    total = 0.0
-    for i in range(n):
-        work[0, i] = w[i] * y[i]
-    for r in range(m):
-        before = 0.0
-        for i in range(n):
-            tableau[r, i] = w[i] * g[r, i]
-            before += tableau[r, i] * tableau[r, i]
-        for p in range(r):
-            dot = 0.0
-            for i in range(n):
-                dot += tableau[p, i] * tableau[r, i]
-            for i in range(n):
-                tableau[r, i] -= dot * tableau[p, i]
-            work[1 + p, r] = dot
-        after = 0.0
-        for i in range(n):
-            after += tableau[r, i] * tableau[r, i]
-        size = np.sqrt(after)
-        work[1 + r, r] = size if after > 1e-24 * before else 0.0
-        scale = 1.0 / size if after > 1e-24 * before else 0.0
-        dot = 0.0
-        for i in range(n):
-            tableau[r, i] *= scale
-            dot += tableau[r, i] * work[0, i]
-        for i in range(n):
-            work[0, i] -= dot * tableau[r, i]
-        beta[r] = dot
-    for r in range(m - 1, -1, -1):
-        value = beta[r]
-        for p in range(r + 1, m):
-            value -= work[1 + r, p] * beta[p]
-        beta[r] = value / work[1 + r, r] if work[1 + r, r] > 0.0 else 0.0
-    for i in range(n):
-        total += work[0, i] * work[0, i]
-    return total
-
-
-@compiled_sums
-def refine(
-    readings: Readings,
-    length: float,
-    norm: int,
-    steps: tuple[float, float],
-    arcs: Floats,
-    forces: Floats,
-) -> float:
-    """Improve arcs (C,) in place, forces free; returns the objective.
-
-    Args:
-        readings: N of them.
-        length: everted length.
-        norm: 1 or 2.
-        steps: first step of the search, and the one at which it ends.
-        arcs: (C,) start; written.
-        forces: (C,) written.
-    """
-    step, stop = steps
-    n = readings.y.shape[0]
-    c = arcs.shape[0]
-    g = np.empty((2 * c, n))
-    simplex = Simplex(
-        np.empty((2 * c, n + 2 * c)),
-        np.empty((2 * c + 6, n + 2 * c)),
-        np.empty((4, n + 2 * c), np.int64),
-    )
-    fit = SignedFit(g, readings.y, readings.w, np.zeros(2 * c, np.int64))
-    beta = np.zeros(2 * c)
-    push = np.zeros(2 * c)
-    trial = np.empty(c)
-    columns(arcs, readings, False, g)
-    best = free_fit(fit, c, norm, forces, simplex)
-    scale = best
-    while step > stop:
-        start = best
-        # Arcs and forces together: linear in (f, f da) while no sensor is passed.
-        for _ in range(8):
-            columns(arcs, readings, True, g)
-            free_fit(fit, 2 * c, norm, beta, simplex)
-            share = 1.0
-            gained = False
-            for _halving in range(4):
-                for j in range(c):
-                    move = beta[c + j] / beta[j] if beta[j] != 0.0 else 0.0
-                    move = min(max(share * move, -8.0 * step), 8.0 * step)
-                    trial[j] = min(max(arcs[j] + move, 0.0), length)
-                columns(trial, readings, False, g)
-                value = free_fit(fit, c, norm, push, simplex)
-                if value < best - 1e-12 * scale:
-                    best = value
-                    for j in range(c):
-                        arcs[j] = trial[j]
-                        forces[j] = push[j]
-                    gained = True
-                    break
-                share *= 0.4
-            if not gained:
-                break
-        # One arc at a time: crosses the kinks that the steps above stop at.
-        for j in range(c):
-            for side in range(2):
-                for k in range(c):
-                    trial[k] = arcs[k]
-                trial[j] = min(max(arcs[j] + (1.0 - 2.0 * side) * step, 0.0), length)
-                columns(trial, readings, False, g)
-                value = free_fit(fit, c, norm, push, simplex)
-                if value < best - 1e-12 * scale:
-                    best = value
-                    arcs[j] = trial[j]
-                    for k in range(c):
-                        forces[k] = push[k]
-        if best >= start - 1e-12 * scale:
-            step *= 0.35
-    return best

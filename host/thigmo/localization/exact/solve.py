@@ -15,9 +15,10 @@ from thigmo.errors import DataError
 from thigmo.localization.exact.branch_and_bound import fit_several
 from thigmo.localization.exact.cells import Search
 from thigmo.localization.exact.dense_one_contact import fit_dense_l1
-from thigmo.localization.exact.knots import best_knots, refine
+from thigmo.localization.exact.knots import best_knots
 from thigmo.localization.exact.one_contact_l1 import PIECES, fit_l1_rows
 from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
+from thigmo.localization.exact.refinement import refine
 from thigmo.localization.exact.response import Batch, ForceRange, Optima, Readings, inverse_spans
 
 Floats = NDArray[np.float64]

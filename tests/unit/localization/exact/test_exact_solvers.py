@@ -9,6 +9,7 @@ import pytest
 from exact_oracles import LENGTH, influence, inner_minimum, random_case
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from thigmo.errors import DataError
 from thigmo.localization.exact import (
@@ -17,6 +18,8 @@ from thigmo.localization.exact import (
     several_contacts,
     solve,
 )
+from thigmo.localization.exact.absolute_descent import Descent, descend
+from thigmo.localization.exact.absolute_fit import SignedFit
 from thigmo.localization.exact.knots import best_knots
 from thigmo.localization.exact.one_contact_l1 import fit_l1_rows
 from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
@@ -288,6 +291,35 @@ def test_knots_on_a_grid_are_the_best_ones() -> None:
             best = min(best, float(((y * w - model @ forces) ** 2).sum()))
         assert values[0] == pytest.approx(best, rel=1e-7)
         assert np.all(np.diff(values[np.isfinite(values)]) >= 0)
+
+
+def test_descent_reaches_the_least_deviations_from_any_start() -> None:
+    rng = np.random.default_rng(15)
+    for _ in range(60):
+        n, m = int(rng.integers(8, 60)), int(rng.integers(1, 7))
+        g, y, w = rng.standard_normal((m, n)), rng.standard_normal(n), rng.uniform(0.3, 3.0, n)
+        if rng.random() < 0.3:
+            y = np.round(y)  # ties
+        basis, beta = rng.permutation(n)[:m], np.empty(m)
+        room = Descent(
+            *np.empty((5, n)),
+            np.empty(n, np.int64),
+            np.empty((m, 2 * m)),
+            np.empty((m, m)),
+            np.empty(m),
+        )
+        value = descend(SignedFit(g, y, w, np.zeros(m, np.int64)), m, basis, beta, room)
+        eye = np.eye(n)
+        best = linprog(
+            np.concatenate([np.zeros(m), w]),
+            A_ub=np.block([[g.T, -eye], [-g.T, -eye]]),
+            b_ub=np.concatenate([y, -y]),
+            bounds=[(None, None)] * m + [(0.0, None)] * n,
+            method="highs",
+        ).fun
+        assert value == pytest.approx(best, rel=1e-7)
+        assert float((w * np.abs(y - beta @ g)).sum()) == pytest.approx(value, rel=1e-9)
+        np.testing.assert_allclose(beta @ g[:, basis], y[basis], atol=1e-8)
 
 
 @pytest.mark.parametrize("norm", [1, 2])
