@@ -13,7 +13,7 @@ from thigmo.bench import STUDIES, Context, Outcome, load
 from thigmo.bench.attempt import attempt
 from thigmo.bench.calibration import batches, root_mean, share_error
 from thigmo.bench.exploration import Room, visit
-from thigmo.bench.scenes import SCENES
+from thigmo.bench.scenes import LENGTH, SCENES, press
 from thigmo.bench.speed_accuracy import Score, pareto
 from thigmo.bench.stability import STRESSES
 from thigmo.bench.study import Claim, Table, write
@@ -21,6 +21,7 @@ from thigmo.bench.truth import readings
 from thigmo.cli.main import app
 from thigmo.cli.study_progress import lines
 from thigmo.errors import RunFolderError
+from thigmo.localization import prior
 from thigmo.mechanics import push
 
 
@@ -55,6 +56,15 @@ def test_every_scene_is_found_by_the_default_method() -> None:
     for name, draw in SCENES.items():
         errors = [attempt(draw(np.random.default_rng([7, i])), "exact")[0] for i in range(8)]
         assert np.median(errors) < 6.0, name
+
+
+def test_pegs_in_a_room_touch_the_side_and_sometimes_the_end() -> None:
+    pressed = [press(np.random.default_rng([3, i]), 0.006) for i in range(60)]
+    ends = [contact for _, contact in pressed if contact.kind != "side"]
+    # As often as the localizer's prior says.
+    assert 0.5 * prior.TIP_SHARE < len(ends) / len(pressed) < 2.0 * prior.TIP_SHARE
+    assert all(contact.arc == LENGTH and contact.tangential < 0.0 for contact in ends)
+    assert all(contact.normal < 0.0 for _, contact in pressed if contact.kind == "side")
 
 
 def test_every_stress_draws_cases_at_its_corners() -> None:

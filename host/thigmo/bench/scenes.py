@@ -2,7 +2,8 @@
 
 All lengths in cm. The robot is the thesis's (53 cm, spans of 5.5 cm); contact moments at the base
 stay below the fold's, which is a study of its own. Readings are of the large-deflection rod
-(`truth.py`) plus fresh noise, never of the model that the localizer fits.
+(`truth.py`) plus fresh noise, never of the model that the localizer fits. Where a peg stands in a
+room, the plant says where and how hard it bears.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.bench.truth import readings
+from thigmo.mechanics import Peg, PegContact, Rod, Tube
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +23,8 @@ LENGTH = 53.0
 SPAN = 5.5
 SIGMA = 6e-4
 CRITICAL = 0.01108
+RADIUS, PEG_RADIUS = 1.75, 1.05
+FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
 
@@ -78,10 +82,47 @@ def two_contacts(rng: np.random.Generator) -> Case:
 
 
 def actuated(rng: np.random.Generator) -> Case:
-    """One contact on the bent robot, read by the inactive side only: five readings."""
+    """One contact on the bent robot's side, read by its inactive side only: five readings."""
     arc = float(rng.uniform(30.0, LENGTH))
-    free = float(rng.uniform(0.02, 0.04))
+    free = float(rng.uniform(0.02, FULL_CURVATURE))
     return read(rng, (arc,), (-_moment(rng) / arc,), position=COLUMN, free=free)
+
+
+def press(rng: np.random.Generator, moment: float) -> tuple[float, PegContact]:
+    """A peg anywhere in the room, as the bending robot meets it.
+
+    Returns:
+        Free curvature at which the contact's moment at the base passes `moment`, and the contact:
+        on the side or, for about one peg in seven, on the end.
+    """
+    while True:
+        x, y = rng.uniform((-10.0, RADIUS + PEG_RADIUS), (LENGTH + PEG_RADIUS, LENGTH))
+        if np.hypot(x, y) > LENGTH + RADIUS + PEG_RADIUS:
+            continue
+        rod = Rod(Tube(2.0 * RADIUS), [Peg(float(x), float(y), PEG_RADIUS)])
+        for free in np.linspace(0.0, FULL_CURVATURE, 81).tolist():
+            rod.step(free, LENGTH)
+            if rod.approximate or rod.touching > 1:
+                break
+            if abs(rod.base_moment) > moment:
+                return free, rod.contacts()[0]
+
+
+def any_peg(rng: np.random.Generator) -> Case:
+    """One contact of the bent robot with a peg anywhere in the room, read as `actuated`."""
+    free, contact = press(rng, _moment(rng))
+    clean = readings(
+        np.array([contact.arc]),
+        np.array([contact.normal]),
+        COLUMN,
+        length=LENGTH,
+        span=SPAN,
+        free_curvature=free,
+        tangential=np.array([contact.tangential]),
+        arm=-contact.couple / contact.tangential if contact.tangential else 0.0,
+    )
+    noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
+    return Case(noisy, COLUMN, free, (contact.arc,), (contact.normal,))
 
 
 def few_sensors(rng: np.random.Generator) -> Case:
@@ -93,6 +134,7 @@ def few_sensors(rng: np.random.Generator) -> Case:
 SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
     "one contact": one_contact,
     "two contacts": two_contacts,
-    "actuated": actuated,
+    "actuated, on the side": actuated,
+    "actuated, any peg": any_peg,
     "few sensors": few_sensors,
 }

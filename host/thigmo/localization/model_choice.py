@@ -147,9 +147,9 @@ def _more_contacts(
     return winner, False
 
 
-def _turning(fit: Fit, readings: Readings) -> float:
-    """Largest turning (rad) between a contact and the base under a fit, roughly."""
-    total, far = 0.0, 0.0
+def _turning(fit: Fit, readings: Readings, *, whole: bool = False) -> float:
+    """Turning (rad) up to the last contact under a fit, or of the whole body, roughly."""
+    total, far = 0.0, 1.0 if whole else 0.0
     for arc, force in zip(fit.arcs.tolist(), fit.forces.tolist(), strict=True):
         total += abs(force) * arc * arc / 2
         far = max(far, arc)
@@ -230,7 +230,7 @@ def _on_the_end(
     attached: bool = False,
 ) -> list[Fit]:
     """A contact on the end of the body instead of its side, where a bend gives it a lever."""
-    if _turning(side, readings) < prior.CORNER_BEND:
+    if _turning(side, readings, whole=True) < prior.CORNER_BEND:
         return []
     found = tip_contact(
         readings, side.setting, side, options.radius, side.penalty, limit, attached=attached

@@ -65,9 +65,9 @@ TIP_MOMENT_PENALTY = 4.0
 DISTRIBUTED_PENALTY = 3.0
 THIRD_PENALTY = 1.5
 # Share of contacts that bear on the end of a bent body, beside the uniform density over its side.
-# Seen from the centre of a peg of one centimetre the end of a 53 cm body is 6.6 cm of an outline of
-# 113 cm (6 %); a body that bends or grows sweeps most with its outer third, so of the pegs that it
-# meets 10 to 25 % touch the end.
+# Of pegs spread evenly over the room that a bending body of 20 to 53 cm sweeps, 10 to 11 % first
+# touch its end and 15 % bear on it when their moment is measured, whatever it has turned by then
+# (as `press` of bench/scenes.py draws them). A body that grows meets more of them with its end.
 TIP_SHARE = 0.15
 # A peg can only push; a load that pulls the end is attached to it, which is rare.
 PULL_SHARE = 0.01
@@ -90,8 +90,8 @@ TUBE_RADIUS = 1.75 / 53.0
 CORNER_WIDTH = 0.01
 # Turning (rad) between base and contact from which levers are taken from the bent shape.
 BEND = 0.25
-# Turning from which a force on the end of the body has a lever of its own.
-CORNER_BEND = 0.5
+# Turning of the whole body from which a force on its end has a lever of its own.
+CORNER_BEND = 0.35
 
 # Log evidence that a second contact must add to call for any richer model at all.
 HINT_OF_MORE = 1.0

@@ -226,7 +226,9 @@ def tip_contact(
     """
     path = pulled if attached else outline
     what = "load attached to the tip" if attached else "contact on the tip"
-    share_of_it = prior.PULL_SHARE if attached else prior.TIP_SHARE
+    # A peg on the end opposes the bend, as one on the side does that a bending body meets; there
+    # the other sign, which the readings exclude, has half of the prior.
+    share_of_it = prior.PULL_SHARE if attached else 0.5 * prior.TIP_SHARE
     flagged = np.zeros(len(readings.y), dtype=np.bool_)
     out: Fit | None = None
     for _ in range(MOST_PASSES):
