@@ -15,12 +15,20 @@ from numpy.typing import NDArray
 from thigmo.compiled import compiled_sums
 from thigmo.localization.exact.dense_bound import Ends, bounded
 from thigmo.localization.exact.dense_profile import Dense, Room, dense_profile
-from thigmo.localization.exact.response import INNER_END, ForceRange, Readings, plain
+from thigmo.localization.exact.response import (
+    INNER_END,
+    RANGES,
+    ForceRange,
+    Readings,
+    plain,
+    usable,
+)
 
 Floats = NDArray[np.float64]
 
 STRETCHES = 8  # the body is cut into so many at first
 NARROWEST = 1e-12  # of the length; rounding rules below
+NEAR_BAR = 1e-3  # of the slack; so near to it is at the end of the optimum set
 
 
 @compiled_sums
@@ -180,8 +188,9 @@ def fit_dense_l1(
             stack[waiting + part, side + 2] = -force * found.slope
         waiting += 2
 
-    # Flat optimum: walk outwards over ends of spans, then halve the last stretch.
+    # Flat optimum: walk outwards over ends of spans, then along tangents within the last stretch.
     reach = np.empty(2)
+    bar = best + slack
     for side in range(2):
         good = best_arc
         towards = 1.0 - 2.0 * side
@@ -189,7 +198,7 @@ def fit_dense_l1(
             min(max(good + towards * 1e-7 * length, 0.0), length), force, dense, room
         )
         force = found.force
-        if found.value <= best + slack:
+        if found.value <= bar:
             bad = np.nan
             for k in range(ends.shape[0] + 1):
                 end = length if side == 0 else 0.0
@@ -200,18 +209,79 @@ def fit_dense_l1(
                     continue
                 found = dense_profile(end, force, dense, room)
                 force = found.force
-                if found.value > best + slack:
+                if found.value > bar:
                     bad = end
                     break
                 good = end
             if bad == bad:
-                for _ in range(40):
-                    arc = 0.5 * (good + bad)
-                    found = dense_profile(arc, force, dense, room)
-                    force = found.force
-                    if found.value <= best + slack:
+                for step in range(40):
+                    slope = -found.force * found.slope
+                    arc = bad - (found.value - bar) / slope if slope != 0.0 else good
+                    if step % 4 == 3 or not (arc - good) * (bad - arc) > 0.0:
+                        arc = 0.5 * (good + bad)
+                    found_there = dense_profile(arc, force, dense, room)
+                    force = found_there.force
+                    if found_there.value <= bar:
                         good = arc
+                        if found_there.value > bar - NEAR_BAR * slack:
+                            break
                     else:
                         bad = arc
+                        found = found_there
+                        if found.value < bar + NEAR_BAR * slack:
+                            good = arc
+                            break
         reach[side] = good
     return best, best_arc, best_force, reach[1], reach[0], looked
+
+
+@compiled_sums
+def fit_dense_rows(
+    y: Floats,
+    sensors: Floats,
+    length: Floats,
+    forces: tuple[float, float],
+    tolerance: float,
+    found: Floats,
+) -> bool:
+    """Every row of a batch; arguments as `one_contact_l1.fit_l1_rows`, forces as `fit_dense_l1`."""
+    if not usable(y, sensors, length):
+        return False
+    rows, n = y.shape
+    near = np.empty(n)
+    kept = np.empty((5, n))
+    order = np.empty(n, np.int64)
+    for b in range(rows):
+        s = b if sensors.shape[0] > 1 else 0
+        ascending = True
+        for j in range(n):
+            near[j] = sensors[s, 0, j] - 0.5 * sensors[s, 1, j]
+            ascending = ascending and (j == 0 or near[j - 1] <= near[j])
+            order[j] = j
+        if not ascending:
+            order[:] = np.argsort(near, kind="mergesort")
+        m = 0
+        for k in range(n):
+            j = order[k]
+            if y[b, j] == y[b, j] and sensors[s, 2, j] > 0.0:
+                span = sensors[s, 1, j]
+                kept[0, m] = y[b, j]
+                kept[1, m] = near[j]
+                kept[2, m] = span
+                kept[3, m] = 0.5 / span if span > 0.0 else 0.0
+                kept[4, m] = sensors[s, 2, j]
+                m += 1
+        end = float(length[b if length.shape[0] > 1 else 0])
+        best, arc, force, low, high, _ = fit_dense_l1(
+            Readings(kept[0, :m], kept[1, :m], kept[2, :m], kept[3, :m], kept[4, :m]),
+            end,
+            ForceRange(forces[0], forces[1]),
+            tolerance,
+        )
+        found[b, 0] = best
+        found[b, 1] = arc
+        found[b, 2] = force
+        found[b, 3] = 1.0
+        found[b, RANGES] = low if force != 0.0 else 0.0
+        found[b, RANGES + 1] = high if force != 0.0 else end
+    return True

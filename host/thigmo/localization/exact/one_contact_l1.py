@@ -27,19 +27,18 @@ from thigmo.localization.exact.l1_state import (
 )
 from thigmo.localization.exact.response import (
     INNER_END,
-    Batch,
+    PIECES,
+    RANGES,
     ForceRange,
-    Optima,
     Readings,
     find_edges,
     first_influence,
     objective_l1,
     plain,
+    usable,
 )
 
 Floats = NDArray[np.float64]
-
-PIECES = 4
 
 
 @compiled_part
@@ -194,50 +193,69 @@ def fit_l1(
 
 
 @compiled_sums
-def fit_l1_rows(batch: Batch, forces: ForceRange, tolerance: float, found: Optima) -> None:
-    """Every row of a batch.
+def fit_l1_rows(
+    y: Floats,
+    sensors: Floats,
+    length: Floats,
+    forces: tuple[float, float],
+    tolerance: float,
+    found: Floats,
+) -> bool:
+    """Every row of a batch; false, with nothing written, if a number is not `usable`.
+
+    Plain arrays, because numba takes microseconds to unpack a tuple of them.
 
     Args:
-        batch: B rows of readings.
-        forces: what f may be.
+        y: (B, N), NaN for a missing sensor.
+        sensors: (1 or B, 3, N) centres, spans and weights.
+        length: (1 or B,) everted lengths.
+        forces: least and largest f.
         tolerance: relative.
-        found: B of them, written.
+        found: (B, WRITTEN), written.
     """
-    y, low, span, w, length = batch
-    out, pieces, ranges = found
+    if not usable(y, sensors, length):
+        return False
     rows, n = y.shape
-    shared = low.shape[0] == 1 and span.shape[0] == 1 and length.shape[0] == 1
+    shared = sensors.shape[0] == 1 and length.shape[0] == 1
+    span = np.empty(n)
+    inverse = np.empty(n)
+    low = np.empty(n)
     r_y = np.empty(n)
-    r_low = np.empty(n)
-    r_span = np.empty(n)
-    r_inverse = np.empty(n)
-    r_w = np.empty(n)
+    w = np.empty(n)
     common = np.empty(2 * n + 2)
     own = np.empty(2 * n + 2)
+    ranges = np.empty((PIECES, 2))
     work = empty_work(n)
-    n_common = find_edges(low[0], span[0], length[0], common) if shared else 0
+    n_common = 0
+    if shared:
+        for j in range(n):
+            low[j] = sensors[0, 0, j] - 0.5 * sensors[0, 1, j]
+        n_common = find_edges(low, sensors[0, 1], length[0], common)
     for b in range(rows):
-        b_low = b if low.shape[0] > 1 else 0
-        b_span = b if span.shape[0] > 1 else 0
-        b_w = b if w.shape[0] > 1 else 0
+        s = b if sensors.shape[0] > 1 else 0
         m = 0
         for j in range(n):
             if y[b, j] == y[b, j]:
                 r_y[m] = y[b, j]
-                r_low[m] = low[b_low, j]
-                r_span[m] = span[b_span, j]
-                r_inverse[m] = 0.5 / r_span[m] if r_span[m] > 0.0 else 0.0
-                r_w[m] = w[b_w, j]
+                span[m] = sensors[s, 1, j]
+                low[m] = sensors[s, 0, j] - 0.5 * span[m]
+                inverse[m] = 0.5 / span[m] if span[m] > 0.0 else 0.0
+                w[m] = sensors[s, 2, j]
                 m += 1
         # Ends of missing sensors' spans are not edges, or a row would not be what it is alone.
         if shared and m == n:
             edges = common[:n_common]
         else:
-            b_length = b if length.shape[0] > 1 else 0
-            edges = own[: find_edges(r_low[:m], r_span[:m], length[b_length], own)]
-        row = Readings(r_y[:m], r_low[:m], r_span[:m], r_inverse[:m], r_w[:m])
-        value, arc, force, count = fit_l1(row, edges, forces, tolerance, work, ranges[b])
-        out[b, 0] = value
-        out[b, 1] = arc
-        out[b, 2] = force
-        pieces[b] = count
+            end = length[b if length.shape[0] > 1 else 0]
+            edges = own[: find_edges(low[:m], span[:m], end, own)]
+        row = Readings(r_y[:m], low[:m], span[:m], inverse[:m], w[:m])
+        allowed = ForceRange(forces[0], forces[1])
+        value, arc, force, count = fit_l1(row, edges, allowed, tolerance, work, ranges)
+        found[b, 0] = value
+        found[b, 1] = arc
+        found[b, 2] = force
+        found[b, 3] = count
+        for k in range(count):
+            found[b, RANGES + 2 * k] = ranges[k, 0]
+            found[b, RANGES + 2 * k + 1] = ranges[k, 1]
+    return True

@@ -19,20 +19,20 @@ from thigmo.compiled import compiled_inner, compiled_part, compiled_sums
 from thigmo.localization.exact.polynomial import quartic_misses_unit, unit_roots
 from thigmo.localization.exact.response import (
     INNER_END,
-    Batch,
+    PIECES,
+    RANGES,
     ForceRange,
-    Optima,
     Readings,
     find_edges,
     first_influence,
     objective_l2,
+    usable,
 )
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CANDIDATES = 256
-PIECES = 4
 
 
 class Work(NamedTuple):
@@ -291,40 +291,55 @@ def fit_l2(
 
 
 @compiled_sums
-def fit_l2_rows(batch: Batch, forces: ForceRange, tolerance: float, found: Optima) -> None:
+def fit_l2_rows(
+    y: Floats,
+    sensors: Floats,
+    length: Floats,
+    forces: tuple[float, float],
+    tolerance: float,
+    found: Floats,
+) -> bool:
     """Every row of a batch; arguments as `one_contact_l1.fit_l1_rows`."""
-    y, low, span, w, length = batch
-    out, pieces, ranges = found
+    if not usable(y, sensors, length):
+        return False
     rows, n = y.shape
-    shared = low.shape[0] == 1 and span.shape[0] == 1 and length.shape[0] == 1
+    shared = sensors.shape[0] == 1 and length.shape[0] == 1
     r_y = np.empty(n)
-    r_w = np.empty(n)
-    r_inverse = np.empty(n)
+    w = np.empty(n)
+    low = np.empty(n)
+    span = np.empty(n)
+    inverse = np.empty(n)
     edges = np.empty(2 * n + 2)
+    ranges = np.empty((PIECES, 2))
     by_low = np.empty(n, np.int64)
     inside = np.empty(n, np.int64)
     work = Work(by_low, inside, np.empty((2, CANDIDATES)), np.zeros((9, 6)))
     n_edges = 0
     for b in range(rows):
-        r_low = low[b if low.shape[0] > 1 else 0]
-        r_span = span[b if span.shape[0] > 1 else 0]
-        b_w = b if w.shape[0] > 1 else 0
+        s = b if sensors.shape[0] > 1 else 0
         if b == 0 or not shared:
-            n_edges = find_edges(r_low, r_span, length[b if length.shape[0] > 1 else 0], edges)
             for j in range(n):
+                span[j] = sensors[s, 1, j]
+                low[j] = sensors[s, 0, j] - 0.5 * span[j]
+                inverse[j] = 0.5 / span[j] if span[j] > 0.0 else 0.0
                 k = j
-                while k > 0 and r_low[by_low[k - 1]] > r_low[j]:
+                while k > 0 and low[by_low[k - 1]] > low[j]:
                     by_low[k] = by_low[k - 1]
                     k -= 1
                 by_low[k] = j
-                r_inverse[j] = 0.5 / r_span[j] if r_span[j] > 0.0 else 0.0
+            n_edges = find_edges(low, span, length[b if length.shape[0] > 1 else 0], edges)
         for j in range(n):
             known = y[b, j] == y[b, j]
             r_y[j] = y[b, j] if known else 0.0
-            r_w[j] = w[b_w, j] if known else 0.0
-        row = Readings(r_y, r_low, r_span, r_inverse, r_w)
-        value, arc, force, count = fit_l2(row, edges[:n_edges], forces, tolerance, work, ranges[b])
-        out[b, 0] = value
-        out[b, 1] = arc
-        out[b, 2] = force
-        pieces[b] = count
+            w[j] = sensors[s, 2, j] if known else 0.0
+        row = Readings(r_y, low, span, inverse, w)
+        allowed = ForceRange(forces[0], forces[1])
+        value, arc, force, count = fit_l2(row, edges[:n_edges], allowed, tolerance, work, ranges)
+        found[b, 0] = value
+        found[b, 1] = arc
+        found[b, 2] = force
+        found[b, 3] = count
+        for k in range(count):
+            found[b, RANGES + 2 * k] = ranges[k, 0]
+            found[b, RANGES + 2 * k + 1] = ranges[k, 1]
+    return True

@@ -42,37 +42,11 @@ class ForceRange(NamedTuple):
     high: float
 
 
-class Batch(NamedTuple):
-    """B rows of readings, as the kernels over rows take them.
-
-    Attributes:
-        y: (B, N), NaN for a missing sensor.
-        low: (B or 1, N) near ends of the spans.
-        span: (B or 1, N).
-        w: (B or 1, N) weights.
-        length: (B or 1,) everted lengths.
-    """
-
-    y: Floats
-    low: Floats
-    span: Floats
-    w: Floats
-    length: Floats
-
-
-class Optima(NamedTuple):
-    """What the kernels over rows write.
-
-    Attributes:
-        best: (B, 3) objective, arc, force.
-        pieces: (B,) number of ranges.
-        ranges: (B, PIECES, 2) the optimum set, written up to `pieces`.
-    """
-
-    best: Floats
-    pieces: Ints
-    ranges: Floats
-
+# Kernels over rows write one row for each: objective, arc, force, number of ranges, then both ends
+# of up to PIECES ranges.
+PIECES = 4
+RANGES = 4  # where they start
+WRITTEN = RANGES + 2 * PIECES
 
 INNER_END = 1e-9  # where in the first cell its open end is looked at, as a share of the cell
 
@@ -81,6 +55,29 @@ INNER_END = 1e-9  # where in the first cell its open end is looked at, as a shar
 def plain(value: int) -> int:
     """The same integer, but no literal: callees are not compiled once more for its value."""
     return value + 0
+
+
+@compiled_sums
+def usable(y: Floats, sensors: Floats, length: Floats) -> bool:
+    """Whether a fit can be made of these rows.
+
+    Args:
+        y: (B, N), NaN for a missing sensor; none may be infinite.
+        sensors: (1 or B, 3, N) centres, spans and weights: finite, the last two >= 0.
+        length: (1 or B,) everted lengths, finite and > 0.
+    """
+    fine = True
+    for b in range(y.shape[0]):
+        for j in range(y.shape[1]):
+            fine = fine and abs(y[b, j]) != np.inf
+    for b in range(sensors.shape[0]):
+        for j in range(sensors.shape[2]):
+            fine = fine and abs(sensors[b, 0, j]) < np.inf
+            fine = fine and 0.0 <= sensors[b, 1, j] < np.inf
+            fine = fine and 0.0 <= sensors[b, 2, j] < np.inf
+    for b in range(length.shape[0]):
+        fine = fine and 0.0 < length[b] < np.inf
+    return fine
 
 
 @compiled_sums

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,12 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from thigmo.errors import DataError
 from thigmo.localization.exact.branch_and_bound import fit_several
 from thigmo.localization.exact.cells import Search
-from thigmo.localization.exact.dense_one_contact import fit_dense_l1
+from thigmo.localization.exact.dense_one_contact import fit_dense_rows
 from thigmo.localization.exact.knots import best_knots
-from thigmo.localization.exact.one_contact_l1 import PIECES, fit_l1_rows
+from thigmo.localization.exact.one_contact_l1 import fit_l1_rows
 from thigmo.localization.exact.one_contact_l2 import fit_l2_rows
 from thigmo.localization.exact.refinement import refine
-from thigmo.localization.exact.response import Batch, ForceRange, Optima, Readings, inverse_spans
+from thigmo.localization.exact.response import (
+    PIECES,
+    RANGES,
+    WRITTEN,
+    Readings,
+    inverse_spans,
+)
 
 Floats = NDArray[np.float64]
 Norm = Literal[1, 2]
@@ -106,50 +112,30 @@ def one_contact(
     Raises:
         DataError: shapes that do not match, or values that are not finite where they must be.
     """
-    y = np.asarray(curvature, dtype=np.float64)
-    n = len(y) if y.ndim == 1 else -1
-    if n < 0 or n > ENUMERATED:
-        solved = one_contact_batch(
-            y[None],
-            position,
-            length,
-            span=span,
-            weight=weight,
-            norm=norm,
-            force_bounds=force_bounds,
-            tolerance=tolerance,
+    # The shortest way to the kernel: this is called once a frame.
+    y = np.array(curvature, np.float64)
+    n = y.size
+    sensors = np.empty((1, 3, n))
+    forces = _forces(force_bounds)
+    found = np.empty((1, WRITTEN))
+    try:
+        sensors[0, 0], sensors[0, 1], sensors[0, 2] = position, span, weight
+        ends = np.array((length,), np.float64)
+        fine = y.ndim == 1 and _kernel(norm, n, forces)(
+            y[None], sensors, ends, forces, float(tolerance), found
         )
-        out, count, ranges = (
-            np.array([solved.objective[0], solved.arc[0], solved.force[0]]),
-            int(solved.pieces[0]),
-            solved.ranges[0],
-        )
-    else:
-        # The same by the shortest way: this path is called once a frame.
-        layout = np.empty((4, 1, n))
-        try:
-            layout[0], layout[1], layout[2] = position, span, weight
-            end = float(length)
-        except (TypeError, ValueError):
-            _layout(position, span, weight, length, 1, n)
-            raise
-        forces = _forces(force_bounds)
-        known = layout[:3]
-        if not (np.isfinite(known).all() and known[1:].min(initial=0.0) >= 0.0 < end < np.inf):
-            _layout(position, span, weight, length, 1, n)
-        if np.isinf(y).any():
-            raise DataError("curvature is infinite", "use NaN for a missing sensor")
-        layout[0] -= 0.5 * layout[1]
-        layout[3] = y
-        batch = Batch(layout[3], layout[0], layout[1], layout[2], np.array([end]))
-        found = Optima(np.empty((1, 3)), np.empty(1, np.int64), np.empty((1, PIECES, 2)))
-        (fit_l1_rows if norm == 1 else fit_l2_rows)(batch, forces, float(tolerance), found)
-        out, count, ranges = found.best[0], int(found.pieces[0]), found.ranges[0]
+    except (TypeError, ValueError):
+        fine = False
+    if not fine:
+        _refuse(y[None], position, span, weight, length)
+    best = found[0]
+    _, _, _, pieces, *ranges = best.tolist()
+    last = 2 * int(pieces)
     return Solution(
-        objective=float(out[0]),
-        arc=out[1:2],
-        force=out[2:3],
-        ranges=(tuple((a, b) for a, b in ranges[:count].tolist()),),
+        objective=float(best[0]),
+        arc=best[1:2],
+        force=best[2:3],
+        ranges=(tuple(zip(ranges[0:last:2], ranges[1:last:2], strict=True)),),
         gap=0.0,
     )
 
@@ -188,47 +174,36 @@ def one_contact_batch(
     rows, n = y.shape
     x, spans, w, ends = _layout(position, span, weight, length, rows, n)
     forces = _forces(force_bounds)
-    if np.isinf(y).any():
-        raise DataError("curvature is infinite", "use NaN for a missing sensor")
-    near_ends = x - 0.5 * spans
-    found = Optima(
-        np.empty((rows, 3)),
-        np.zeros(rows, dtype=np.int64),
-        np.full((rows, PIECES, 2), np.nan),
-    )
-    fit = fit_l1_rows if norm == 1 else fit_l2_rows
-    dense = norm == 1 and n > ENUMERATED and {-forces.low, forces.high} <= {0.0, np.inf}
+    sensors = np.empty((max(len(x), len(spans), len(w)), 3, n))
+    sensors[:, 0], sensors[:, 1], sensors[:, 2] = x, spans, w
+    found = np.full((rows, WRITTEN), np.nan)
+    fit = _kernel(norm, n, forces)
 
-    def run(part: slice) -> None:
-        if dense:
-            for row in range(part.start, part.stop):
-                readings = _by_near_end(
-                    y[row], x[row % len(x)], spans[row % len(spans)], w[row % len(w)]
-                )
-                best, arc, force, low, high, _ = fit_dense_l1(
-                    readings, float(ends[row % len(ends)]), forces, float(tolerance)
-                )
-                found.best[row] = best, arc, force
-                found.ranges[row, 0] = (low, high) if force != 0.0 else (0.0, ends[row % len(ends)])
-                found.pieces[row] = 1
-            return
-        given = (near_ends, spans, w, ends)
-        batch = Batch(y[part], *(array if len(array) == 1 else array[part] for array in given))
-        written = Optima(found.best[part], found.pieces[part], found.ranges[part])
-        fit(batch, forces, float(tolerance), written)
+    def run(part: slice) -> bool:
+        return fit(
+            y[part],
+            sensors if len(sensors) == 1 else sensors[part],
+            ends if len(ends) == 1 else ends[part],
+            forces,
+            float(tolerance),
+            found[part],
+        )
 
     if threads > 1 and rows >= 2 * threads:
         cuts = np.linspace(0, rows, threads + 1).astype(int).tolist()
         parts = [slice(a, b) for a, b in itertools.pairwise(cuts)]
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, parts))
+            fine = all(pool.map(run, parts))
     else:
-        run(slice(0, rows))
-    ranges, pieces = found.ranges, found.pieces
+        fine = run(slice(0, rows))
+    if not fine:
+        _refuse(y, position, span, weight, length)
+    ranges = found[:, RANGES:].reshape(rows, PIECES, 2)
+    pieces = found[:, 3].astype(np.int64)
     return BatchSolution(
-        objective=found.best[:, 0],
-        arc=found.best[:, 1],
-        force=found.best[:, 2],
+        objective=found[:, 0],
+        arc=found[:, 1],
+        force=found[:, 2],
         low=ranges[:, 0, 0],
         high=ranges[np.arange(rows), np.maximum(pieces, 1) - 1, 1],
         pieces=pieces,
@@ -236,12 +211,23 @@ def one_contact_batch(
     )
 
 
-def _by_near_end(y: Floats, x: Floats, span: Floats, w: Floats) -> Readings:
-    """The known readings of one row, sensors ordered by their near ends."""
-    near_ends = x - 0.5 * span
-    order = np.argsort(near_ends, kind="stable")
-    order = order[np.isfinite(y[order]) & (w[order] > 0.0)]
-    return Readings(y[order], near_ends[order], span[order], inverse_spans(span[order]), w[order])
+def _kernel(norm: Norm, n: int, forces: tuple[float, float]) -> Callable[..., bool]:
+    """The kernel over rows for n sensors."""
+    if norm != 1:
+        return fit_l2_rows
+    if n > ENUMERATED and {-forces[0], forces[1]} <= {0.0, np.inf}:
+        return fit_dense_rows
+    return fit_l1_rows
+
+
+def _refuse(
+    y: Floats, position: ArrayLike, span: ArrayLike, weight: ArrayLike, length: ArrayLike
+) -> NoReturn:
+    """Say what a kernel found not usable in rows of readings."""
+    if y.ndim != 2:
+        raise DataError(f"curvature has shape {y.shape[1:]}, not (N,)", "pass one row of readings")
+    _layout(position, span, weight, length, *y.shape)
+    raise DataError("curvature is infinite", "use NaN for a missing sensor")
 
 
 def _layout(
@@ -270,11 +256,11 @@ def _layout(
     return arrays[0], arrays[1], arrays[2], ends
 
 
-def _forces(force_bounds: tuple[float, float]) -> ForceRange:
-    f_low, f_high = float(force_bounds[0]), float(force_bounds[1])
-    if not f_low <= f_high or f_low == np.inf or f_high == -np.inf:
+def _forces(force_bounds: tuple[float, float]) -> tuple[float, float]:
+    least, largest = float(force_bounds[0]), float(force_bounds[1])
+    if not least <= largest or least == np.inf or largest == -np.inf:
         raise DataError(f"force_bounds {force_bounds} hold no force", "pass (least, largest)")
-    return ForceRange(f_low, f_high)
+    return least, largest
 
 
 def several_contacts(
