@@ -28,8 +28,11 @@ from thigmo.localization.result import Contact, LocalizeResult, Status
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# Between two places along the outline, and between two curvatures of touch, so many more.
-_FINER = (2, 8)
+# Between two places along the outline, and between two curvatures of touch, so many more; and so
+# many more again between those that are no farther than this (in log likelihood) behind the best:
+# with many readings one alone would hold most of the posterior.
+_FINER = ((2, 8), (5, 2))
+_CLOSE = 8.0
 # Readings are trusted to no less than what these places resolve, 1/cm of a body of 53 cm.
 _LEAST_NOISE = 1e-4
 # Cells of the grid whose best place can only be this far behind (in log likelihood) are left out.
@@ -284,7 +287,7 @@ class _Places:
 
 
 def _weigh(table: Bodies, shown: Seen, readings: _Readings) -> _Places:
-    """Weigh all nodes of the grid, then finely those of its cells that can matter."""
+    """Weigh all nodes of the grid, then ever more finely those of its cells that can matter."""
     shape = table.arc.shape
     nodes = np.argwhere(np.ones(shape, dtype=np.bool_))
     coarse = readings.likelihood(shown, nodes, np.zeros((len(nodes), 2))).reshape(shape)
@@ -299,26 +302,38 @@ def _weigh(table: Bodies, shown: Seen, readings: _Readings) -> _Places:
         best += rise[:, :-1] if axis == 0 else rise[:-1]
     touched = np.isfinite(table.arc)
     cells = np.argwhere(best > coarse[touched].max() - _HOPELESS)
-    u, v = ((np.arange(number) + 0.5) / number for number in _FINER)
-    share = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    at, share = np.repeat(cells, len(share), axis=0), np.tile(share, (len(cells), 1))
-
-    def between(values: Array) -> Array:
-        (a, g), shape = at.T, (-1, *(1,) * (values.ndim - 2))
-        u, v = share[:, 0].reshape(shape), share[:, 1].reshape(shape)
-        near = (1.0 - v) * values[a, g] + v * values[a, g + 1]
-        far = (1.0 - v) * values[a + 1, g] + v * values[a + 1, g + 1]
-        return np.asarray((1.0 - u) * near + u * far)
-
-    arc, weight = between(table.arc), between(table.weight)
-    use = np.isfinite(arc) & (weight > 0.0)
-    log = readings.likelihood(shown, at[use], share[use]) + np.log(weight[use])
+    at, share, part, log = cells, np.full(cells.shape, 0.5), np.ones(2), np.zeros(len(cells))
+    for finer in _FINER:
+        close = log > log.max() - _CLOSE
+        steps = [(np.arange(number) + 0.5) / number - 0.5 for number in finer]
+        step = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        at = np.repeat(at[close], len(step), axis=0)
+        share = (share[close, None, :] + part * step).reshape(-1, 2)
+        part = part / finer
+        arc, weight = _between(table.arc, at, share), _between(table.weight, at, share)
+        use = np.isfinite(arc) & (weight > 0.0)
+        at, share = at[use], share[use]
+        log = readings.likelihood(shown, at, share) + np.log(weight[use] * part.prod())
     top = float(log.max())
     mass = np.exp(log - top)
-    area = table.weight[touched].sum() * len(u) * len(v)
-    evidence = top + math.log(mass.sum()) - math.log(area)
-    touch = between(np.broadcast_to(table.touch, shape))
-    return _Places(mass / mass.sum(), arc[use], between(table.peg)[use], touch[use], evidence)
+    evidence = top + math.log(mass.sum()) - math.log(table.weight[touched].sum())
+    touch = np.broadcast_to(table.touch, shape)
+    return _Places(
+        mass / mass.sum(),
+        arc[use],
+        _between(table.peg, at, share),
+        _between(touch, at, share),
+        evidence,
+    )
+
+
+def _between(values: Array, at: Indices, share: Array) -> Array:
+    """(K, ..) of a table (A, G, ..) at places between its nodes."""
+    (a, g), shape = at.T, (-1, *(1,) * (values.ndim - 2))
+    u, v = share[:, 0].reshape(shape), share[:, 1].reshape(shape)
+    near = (1.0 - v) * values[a, g] + v * values[a, g + 1]
+    far = (1.0 - v) * values[a + 1, g] + v * values[a + 1, g + 1]
+    return np.asarray((1.0 - u) * near + u * far)
 
 
 def _answer(
@@ -345,7 +360,9 @@ def _answer(
     if odds > prior.HINT:
         status = "below detection"
     if odds > prior.contact_threshold(1, known=True):
-        status = "localized" if len(pieces) == 1 and far - near <= limit else "ambiguous"
+        # The end is a place of its own, no second mode.
+        modes = np.count_nonzero(pieces[:, 0] < 1.0 - prior.CORNER_WIDTH)
+        status = "localized" if modes <= 1 and far - near <= limit else "ambiguous"
     name = f"one obstacle at rest over {len(inflation.free)} frames"
     if status not in ("localized", "ambiguous"):
         return LocalizeResult(
