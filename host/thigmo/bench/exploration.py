@@ -3,12 +3,14 @@
 Each peg is drawn where the noise-free plant says that some sweep must feel it (`emulator.reach`),
 and a robot with the default scene's noise and calibration errors then explores that room. Empty
 rooms are explored at several multiples of that noise; whatever is reported there is a false alarm.
+Last, the body bends more or less than the map says, as with a regulator that is set wrong: then the
+run has to doubt its contacts.
 """
 
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thigmo.bench.study import Cell, Claim, Context, Outcome, Table
+from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NOISE_LEVELS = (1.0, 2.0, 4.0)  # multiples of the default scene's noise and calibration errors
+BENDS = (0.7, 0.8, 0.9, 1.1, 1.2, 1.3)  # the body's bend over the map's
+_SURELY = 0.2  # so much more or less has to be noticed
 _FOUND = ("localized", "ambiguous")
 _PROMISED_CM = 3.0
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
@@ -35,7 +40,11 @@ _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no bett
 
 @dataclass(frozen=True)
 class Room:
-    """A room to explore: at most one peg, and the stage and side that must first feel it."""
+    """A room to explore: at most one peg, and the stage and side that must first feel it.
+
+    Attributes:
+        bend: how much the body bends, over what the host's maps say.
+    """
 
     seed: int
     noise: float = 1.0
@@ -43,6 +52,7 @@ class Room:
     stage_cm: float = nan
     side: str = ""
     peak: float = nan
+    bend: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,7 @@ class Explored:
         covered: whether its interval holds the true arc.
         status: of the best contact, "silent", or why the run was aborted.
         robot_time_s: of the run.
+        doubted: whether the run doubts its contacts.
     """
 
     room: Room
@@ -71,6 +82,7 @@ class Explored:
     covered: bool = False
     status: str = "silent"
     robot_time_s: float = 0.0
+    doubted: bool = False
 
 
 def random_room(seed: int) -> Room:
@@ -90,11 +102,16 @@ def visit(room: Room) -> Explored:
         for name, value in part.model_dump().items():
             if name != "hysteresis_width":
                 setattr(part, name, value * room.noise)
+    known = scene.believed(room.seed)
+    for side in SIDES:
+        for zone in scene.robot.actuators.side(side).maps:
+            zone.inflate.amplitude *= room.bend
+            zone.deflate.amplitude *= room.bend
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "room.toml"
         scene.save(file)
         try:
-            result = explore(f"emulator://{file}", seed=room.seed, out=folder)
+            result = explore(f"emulator://{file}", config=known, seed=room.seed, out=folder)
         except ThigmoError as error:
             return Explored(room, status=f"aborted: {error.what}")
     return _judged(room, result.document)
@@ -127,6 +144,7 @@ def _judged(room: Room, document: RunDocument) -> Explored:
         covered=low - _LENGTH_CM <= arc <= high + _LENGTH_CM,
         status=best.status if best else "silent",
         robot_time_s=document.robot_time_s,
+        doubted=bool(document.doubt),
     )
 
 
@@ -141,12 +159,19 @@ def run(context: Context) -> Outcome:
     empty = [
         Room(seed, noise) for noise in NOISE_LEVELS for seed in range(1, 1 + context.count(1, 20))
     ]
+    otherwise = [
+        replace(random_room(seed) if peg else Room(seed), bend=bend)
+        for bend in BENDS
+        for seed in seeds[: context.count(1, 5)]
+        for peg in (True, False)
+    ]
     pegs = context.map(visit, with_peg, "rooms with a peg")
     rooms = context.map(visit, empty, "empty rooms")
+    bent = context.map(visit, otherwise, "other bends than the map's")
     return Outcome(
-        tables=[_peg_table(pegs), _room_table(rooms), _summary(pegs)],
+        tables=[_peg_table(pegs), _room_table(rooms), _summary(pegs), _bend_table(bent)],
         figures={"pegs": _figure(pegs, rooms)},
-        claims=_claims(pegs, rooms),
+        claims=[*_claims(pegs, rooms), *_doubts(pegs, rooms, bent)],
     )
 
 
@@ -198,6 +223,28 @@ def _room_table(rooms: list[Explored]) -> Table:
     )
 
 
+def _bend_table(bent: list[Explored]) -> Table:
+    lines: list[tuple[Cell, ...]] = []
+    for bend in BENDS:
+        those = [e for e in bent if e.room.bend == bend]
+        errors = [e.error_x_cm for e in those if not np.isnan(e.error_x_cm)]
+        sure = [e for e in those if e.contacts and not e.doubted]
+        lines.append(
+            (
+                bend,
+                len(those),
+                sum(e.doubted for e in those),
+                len(sure),
+                round(float(np.median(errors)), 3) if errors else nan,
+            )
+        )
+    return Table(
+        "bends",
+        ("bend_over_map", "rooms", "doubted", "contacts_not_doubted", "median_error_x_cm"),
+        lines,
+    )
+
+
 def _summary(pegs: list[Explored]) -> Table:
     rows: list[tuple[Cell, ...]] = [
         ("pegs", len(pegs)),
@@ -243,6 +290,16 @@ def _claims(pegs: list[Explored], rooms: list[Explored]) -> list[Claim]:
             _PROMISED_CM,
             unit="cm",
         ),
+    ]
+
+
+def _doubts(pegs: list[Explored], rooms: list[Explored], bent: list[Explored]) -> list[Claim]:
+    healthy = [*pegs, *(e for e in rooms if e.room.noise == 1.0)]
+    far = [e for e in bent if abs(e.room.bend - 1.0) > _SURELY - 1e-9]
+    missed = sum(not e.doubted for e in far)
+    return [
+        Claim("rooms doubted though the map holds", sum(e.doubted for e in healthy), 0),
+        Claim("rooms not doubted, the body bending 20 % or more off the map", missed, 0),
     ]
 
 

@@ -308,7 +308,8 @@ def _touching(contact: MapContact) -> Place:
 
 
 def _summary(document: RunDocument, dowel: Place) -> str:
+    doubt = f"; {document.doubt}" if document.doubt else ""
     if not document.contacts:
-        return f"{document.outcome}; no contact"
+        return f"{document.outcome}; no contact{doubt}"
     x, plane = errors(document, dowel)
-    return f"{document.outcome}; |x error| {x:.2f} cm, in the plane {plane:.2f} cm"
+    return f"{document.outcome}; |x error| {x:.2f} cm, in the plane {plane:.2f} cm{doubt}"

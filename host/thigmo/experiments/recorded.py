@@ -27,7 +27,7 @@ from thigmo.experiments import thesis
 from thigmo.experiments.procedure import Planned, Row, Say, plan, prepare, take
 from thigmo.experiments.trial import Floats, Passed, Trial
 from thigmo.experiments.trial_table import TrialTable
-from thigmo.exploration.reference import FreeResponse
+from thigmo.exploration.reference import FreeResponse, scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
 
@@ -193,15 +193,6 @@ def _frames(row: dict[str, str]) -> Floats:
     return np.array([_numbers(part) for part in text.split("/")] if text else [], dtype=np.float64)
 
 
-def _scale_se(config: RobotConfig) -> Floats:
-    """Relative standard error of each sensor's scale, (10,)."""
-    made = np.zeros(SensorTable.of(config).healthy.size)
-    for first, name in zip((0, made.size // 2), SIDES, strict=True):
-        for index, sensor in enumerate(config.sensors.column(name), start=first):
-            made[index] = sensor.scale_se
-    return made
-
-
 def _shown_gains(
     rows: Sequence[dict[str, str]], config: RobotConfig
 ) -> dict[Side, tuple[Floats, Floats]]:
@@ -217,7 +208,7 @@ def _shown_gains(
         first = [(_numbers(r["passed_psi"])[0], _frames(r)[0]) for r in rows
                  if r["side"] == side and r["passed_psi"]]  # fmt: skip
         curve = muscle.maps[-1].inflate
-        spread = np.hypot(_scale_se(config), curve.amplitude_se / curve.amplitude)
+        spread = np.hypot(scale_errors(config), curve.amplitude_se / curve.amplitude)
         spread = np.maximum(spread, _LEAST_GAIN_SE)
         gain, error = np.ones(spread.size), spread
         if first:
@@ -257,7 +248,7 @@ def _trial(
             _frames(row)[:, use], np.copysign(on_the_way, free), float(np.median(gain_se[use])),
             _PLACE_SE_CM,
         )  # fmt: skip
-    scale_se = _scale_se(config)
+    scale_se = scale_errors(config)
     _, error = FreeResponse(config).expected(side, free)
     sigma = np.sqrt(table.noise**2 + (scale_se * (curvature - free)) ** 2)
     if free:

@@ -20,6 +20,8 @@ from thigmo.robot.readings import Floats
 # Of the moment that folds the base: close to it for the signal, below it for the errors of both.
 _SHARE = 0.65
 _SMOOTH = 5  # frames, a quarter of a second
+# Since a touch, the base has given up at least this share of what the map has gone on.
+GIVES_UP = 1 / 1.3
 _LOWEST_PSI = 4.0  # the muscle's live zero and dead band end well below
 
 

@@ -25,7 +25,6 @@ from thigmo.record import (
     OccupancyGrid,
     RunDocument,
     RunFolder,
-    Stage,
     outline,
     passed,
 )
@@ -63,7 +62,7 @@ def export_obstacles(
         RunFolderError: the folder cannot be written.
     """
     grid = _empty_grid(document, radius_cm, prior)
-    free = _free(grid, document.stages, radius_cm)
+    free = _free(grid, document, radius_cm)
     obstacles = _obstacles(document.contacts, prior, grid, free)
     occupied = np.zeros_like(free)
     for obstacle in obstacles:
@@ -87,7 +86,7 @@ def export_obstacles(
 def unfelt(document: RunDocument, prior: PriorMap, *, radius_cm: float) -> list[int]:
     """Indices of the prior map's obstacles whose place was swept without their being felt."""
     grid = _empty_grid(document, radius_cm, prior)
-    free = _free(grid, document.stages, radius_cm)
+    free = _free(grid, document, radius_cm)
     met = {contact.known for contact in document.contacts}
     return [
         index
@@ -164,17 +163,20 @@ def _pixels(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int3
     return scaled
 
 
-def _free(grid: OccupancyGrid, stages: Sequence[Stage], radius_cm: float) -> Mask:
-    """Cells that the tube covered in a sweep or standing straight."""
+def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float) -> Mask:
+    """Cells that the tube covered in a sweep or standing straight.
+
+    Where it was in a sweep, only the actuator map knows.
+    """
     canvas = np.zeros(grid.cells.shape, dtype=np.uint8)
     inner = max(radius_cm - _DRAWN_IN_CM, _RESOLUTION_CM / 2)
-    for stage in stages:
+    for stage in document.stages:
         straight = np.array([[[0.0, 0.0, 0.0], [stage.everted_length_cm, 0.0, 0.0]]])
         swept = [
             passed(shape for shape in stage.shapes if shape.side == side)
             for side in ("left", "right")
         ]
-        for lines in [straight, *swept]:
+        for lines in [straight] if document.doubt else [straight, *swept]:
             for polygon in _pixels(grid, outline(lines, inner)):
                 cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
     return canvas.astype(np.bool_)

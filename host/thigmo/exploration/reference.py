@@ -23,6 +23,15 @@ _BINS = 10
 _INDEPENDENT = 3.0
 
 
+def scale_errors(config: RobotConfig) -> Floats:
+    """Relative standard error of each sensor's scale, (10,); 0 where there is no sensor."""
+    made = np.zeros(SensorTable.of(config).healthy.size)
+    for first, name in zip((0, made.size // 2), SIDES, strict=True):
+        for index, sensor in enumerate(config.sensors.column(name), start=first):
+            made[index] = sensor.scale_se
+    return made
+
+
 class FreeResponse:
     """Departure of each sensor's free reading from the map, per side, with its standard error.
 
@@ -33,10 +42,7 @@ class FreeResponse:
     def __init__(self, config: RobotConfig) -> None:
         self._table = SensorTable.of(config)
         size = len(self._table.center_cm)
-        scale_se = np.zeros(size)
-        for offset, name in zip((0, size // 2), SIDES, strict=True):
-            for index, sensor in enumerate(config.sensors.column(name), start=offset):
-                scale_se[index] = sensor.scale_se
+        scale_se = scale_errors(config)
         # Normal equations of (constant, share of g) for each side and sensor.
         self._matrix = np.zeros((len(SIDES), size, 2, 2))
         self._vector = np.zeros((len(SIDES), size, 2))

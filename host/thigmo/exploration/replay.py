@@ -21,6 +21,7 @@ from thigmo.errors import RunFolderError
 from thigmo.exploration.deflection import deflection
 from thigmo.exploration.eversion import stall
 from thigmo.exploration.map import ContactMap
+from thigmo.exploration.map_error import with_doubt
 from thigmo.exploration.missed import judged
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
@@ -271,7 +272,8 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
             found.add_ahead(stalled)
         elif (leaning := deflection(*grown, *reader.zeros(), table)) is not None:
             found.add_leaning(leaning)
-    document = judged(_document(folder, log, found.contacts, stages), config, prior)
+    document = with_doubt(_document(folder, log, found.contacts, stages), interpreter.doubt)
+    document = judged(document, config, prior)
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")

@@ -17,6 +17,7 @@ from thigmo.exploration.deflection import Deflection, deflection
 from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.map import ContactMap, peg_ahead
+from thigmo.exploration.map_error import with_doubt
 from thigmo.exploration.measuring import (
     held_now,
     held_sides,
@@ -220,9 +221,8 @@ class Exploration:
         if self._deflection is not None:
             self.map.add_leaning(self._deflection)
         self.length_cm = self.robot.retract_to(self._start_cm)
-        document = replace(self.document, contacts=self.map.contacts, outcome="peg ahead")
-        self.document = judged(document, self.config, self.prior)
-        self.keep()
+        self.document = replace(self.document, outcome="peg ahead")
+        self._judge()
         return "peg ahead"
 
     def _settle(self) -> str:
@@ -356,9 +356,15 @@ class Exploration:
         assert self.sweep is not None
         pressure = self.config.body.zones[self.zone].pressure_psi
         stage = stage_entry(self.length_cm, pressure, self.robot.now(), self.sweep, self.feelings)
-        document = replace(
+        self.document = replace(
             self.document, stages=[*self.document.stages, stage], truth=self._truth()
         )
+        self._judge()
+
+    def _judge(self) -> None:
+        """Say what is known of the contacts felt so far, and put it on the disk."""
+        document = replace(self.document, contacts=self.map.contacts)
+        document = with_doubt(document, self.interpreter.doubt)
         self.document = judged(document, self.config, self.prior)
         self.keep()
 

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.exploration.feel import Feeling, feel
-from thigmo.exploration.measuring import held_back, held_sides, touch_curvature
+from thigmo.exploration.map_error import MapDoubt, MapError
+from thigmo.exploration.measuring import GIVES_UP, held_back, held_sides, touch_curvature
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.swept import SweptSpace
@@ -20,8 +21,8 @@ from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
 
 _SHAPES_A_SIDE = 12
 # The trigger fires when the base is held back by its threshold, so the body was touched before:
-# by so much less free curvature (1/cm), for the base gives up about as much as the map goes on.
-_TOUCH_MARGIN = 1.3 * TRIGGER_PER_CM
+# by so much less free curvature (1/cm).
+_TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 # A 95 % interval this narrow ends a sweep: less than the tube's diameter. Contacts on the tip's end
 # need it: at 5 cm they were 0.8 cm farther off, for 7 s of robot time less.
 ENOUGH_CM = 3.0
@@ -41,6 +42,12 @@ class Interpreter:
         self._prior = prior
         self._response = FreeResponse(config)
         self._swept = SweptSpace()
+        self._map_error = MapError(config)
+
+    @property
+    def doubt(self) -> MapDoubt | None:
+        """Why the contacts are doubtful, if the untouched body does not bend as the map says."""
+        return self._map_error.doubt()
 
     def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
         """Contacts of a stage: on each side on which the board's trigger fired.
@@ -51,6 +58,8 @@ class Interpreter:
             zone: index of the body-pressure zone.
         """
         fired = held_sides(sweep)
+        if sweep.peaks:
+            self._map_error.take(sweep, sweep.peaks[0].length_cm, zone)
         measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
         feelings = []
         table = SensorTable.of(self._config)
