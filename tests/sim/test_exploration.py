@@ -125,18 +125,11 @@ def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -
     assert again.document.missed == again.document.false == []
 
 
-def test_the_same_seed_gives_the_same_run_and_minutes_of_it_take_at_most_10_s(
-    default: ExplorationResult, tmp_path: Path
-) -> None:
+def test_the_same_seed_gives_the_same_run(default: ExplorationResult, tmp_path: Path) -> None:
     again = explore("emulator://default", seed=1, out=tmp_path)
     assert again.document.contacts == default.document.contacts
     assert again.document.stages == default.document.stages
     assert again.document.robot_time_s == default.document.robot_time_s
-    # The first run compiled everything.
-    robot_s, wall_s = again.document.robot_time_s, again.document.wall_time_s
-    print(f"{robot_s:.0f} s of robot time in {wall_s:.1f} s")
-    assert robot_s > 120
-    assert wall_s <= 10
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
