@@ -4,10 +4,14 @@ A peg does not move in the room, so the frames of a sweep share its place, while
 from frame to frame. Each frame's force is integrated out, what is left is a likelihood over the
 arc, and likelihoods multiply: the variance falls with the number of independent frames, and
 ambiguities that differ between frames vanish. `ArcFilter` does it one frame at a time, for live
-use; between frames the arc may slide a little along the body.
+use; between frames the arc may slide a little along the body. The first frames may be from before
+the touch, and the contact may be on the end of the body, where its place on the end's outline is
+free in each frame.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -16,14 +20,15 @@ from thigmo.compiled import compiled
 from thigmo.errors import DataError
 from thigmo.localization import prior
 from thigmo.localization.frame import Frame, Nodes, empty_levels
-from thigmo.localization.influence import STRAIGHT, shape_table
-from thigmo.localization.intervals import mixed
-from thigmo.localization.models import GRID
+from thigmo.localization.influence import shape_table
+from thigmo.localization.intervals import median, mixed
+from thigmo.localization.models import GRID, Fit, Setting, fit_one
 from thigmo.localization.models import start as plain_beam
 from thigmo.localization.outlier_search import search_pattern
 from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import Contact, LocalizeResult, Status
+from thigmo.localization.tip import tip_contact
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -49,26 +54,40 @@ class ArcFilter:
         slide_sigma: standard deviation of the arc's slide between frames.
         offset_sigma: standard deviation of an error that all readings of a frame share; it is
             taken as independent between frames.
+        tube_radius: radius of the body; 1.75/53 of the length if not given.
 
     Attributes:
         arcs: (G,) grid, caller's unit.
-        log_odds: log evidence ratio of this contact against none, over all frames.
+        log_odds: log evidence ratio of a contact by now against none, over all frames.
         frames: how many were used.
     """
 
     def __init__(
-        self, length: float, *, slide_sigma: float = 0.0, offset_sigma: float = 0.0
+        self,
+        length: float,
+        *,
+        slide_sigma: float = 0.0,
+        offset_sigma: float = 0.0,
+        tube_radius: float | None = None,
     ) -> None:
         if not (np.isfinite(length) and length > 0.0):
             raise DataError(f"length {length!r} is no length", "give the everted length")
         if not (np.isfinite(slide_sigma) and slide_sigma >= 0.0):
             raise DataError(f"slide_sigma is {slide_sigma!r}", "give a length of zero or more")
+        if tube_radius is not None and not (np.isfinite(tube_radius) and tube_radius > 0.0):
+            raise DataError(f"tube_radius is {tube_radius!r}", "give a length above zero")
         self.length = float(length)
         self.frames = 0
         self.log_odds = 0.0
         self._offset = offset_sigma * self.length
+        self._radius = prior.TUBE_RADIUS if tube_radius is None else tube_radius / self.length
         self._nodes = np.linspace(0.0, 1.0, NODES)
-        self._belief = np.zeros(NODES)
+        # Log weights, over those of a body that nothing touches: of a contact at each place of the
+        # side, of one on the end, and of one that is yet to come.
+        self._side = np.full(NODES, -np.inf)
+        self._end = -np.inf
+        self._yet = 0.0
+        self._last_end: Fit | None = None
         self._force = np.zeros(NODES)
         self._noise = 0.0
         self._blur = _blur_kernel(slide_sigma / self.length)
@@ -97,42 +116,59 @@ class ArcFilter:
             DataError: as `localize`.
         """
         readings = normalise(curvature, position, self.length, span, free_curvature, noise)
-        if self.frames:
-            self._predict()
-        logp, force, null = self._likelihood(readings, STRAIGHT)
-        arc, strength = self._place(self._belief + logp, force)
+        self.frames += 1
+        # Touch may come in any frame; how many there will be is not known.
+        hazard = 1.0 / (self.frames + 1)
+        came = self._yet + math.log(hazard)
+        self._yet += math.log(1.0 - hazard)
+        side = np.logaddexp(self._slid(), came)
+        end = float(np.logaddexp(self._end, came + math.log(prior.TIP_SHARE)))
+        setting = plain_beam(readings, self._offset)
+        logp, force, null = self._likelihood(readings, setting)
+        arc, strength = self._place(side + logp, force)
         turning = abs(readings.bend) * arc + abs(strength) * arc * arc / 2
         for _ in range(2):
             if turning <= prior.BEND:
                 break
-            table = self._shape(readings, arc, strength)
-            logp, force, null = self._likelihood(readings, table)
-            arc, strength = self._place(self._belief + logp, force)
-        joint = self._belief + logp
-        top = joint.max()
-        weight = _trapezoid(self._nodes)
-        evidence = float(top + np.log(np.sum(weight * np.exp(joint - top))))
-        self.log_odds += evidence - null
-        self._belief = joint - evidence
+            setting = setting.bent(self._shape(readings, arc, strength), readings)
+            logp, force, null = self._likelihood(readings, setting)
+            arc, strength = self._place(side + logp, force)
+        self._side = side + logp - null
+        self._end = end + self._on_the_end(readings, setting, float(logp[-1])) - null
+        top = float(self._side.max())
+        mass = float(np.sum(_trapezoid(self._nodes) * np.exp(self._side - top)))
+        self.log_odds = float(np.logaddexp(top + math.log(mass), self._end))
         self._force = force
         self._noise = float(np.sqrt(readings.variance.mean()))
-        self.frames += 1
         return self.result()
 
-    def _predict(self) -> None:
-        """Let the arc slide: convolve the belief, mirrored at both ends of the body."""
-        if len(self._blur) == 1:
-            return
+    def _slid(self) -> Array:
+        """Log weights after a slide: convolved, mirrored at both ends of the body."""
+        if len(self._blur) == 1 or self.frames == 1:
+            return self._side
         reach = len(self._blur) // 2
-        density = np.exp(self._belief)
+        top = self._side.max()
+        density = np.exp(self._side - top)
         padded = np.concatenate([density[reach:0:-1], density, density[-2 : -reach - 2 : -1]])
-        self._belief = np.log(np.maximum(np.convolve(padded, self._blur, "valid"), 1e-300))
+        blurred = np.convolve(padded, self._blur, "valid")
+        return np.asarray(np.log(np.maximum(blurred, 1e-300)) + top)
 
-    def _likelihood(self, readings: Readings, table: Array) -> tuple[Array, Array, float]:
-        frame = plain_beam(readings, self._offset).bent(table, readings).frame(readings)
+    def _likelihood(self, readings: Readings, setting: Setting) -> tuple[Array, Array, float]:
         logp, force = np.empty(NODES), np.empty(NODES)
-        null = _fill(Nodes(self._nodes, logp, force), frame, prior.BASE_MOMENT)
+        nodes = Nodes(self._nodes, logp, force)
+        null = _fill(nodes, setting.frame(readings), prior.BASE_MOMENT)
         return logp, force, null
+
+    def _on_the_end(self, readings: Readings, setting: Setting, at_tip: float) -> float:
+        """Log likelihood of a contact on the end; without a bend it is one at the tip."""
+        self._last_end = None
+        if abs(readings.bend) >= prior.CORNER_BEND:
+            side = fit_one(readings, setting)
+            self._last_end = tip_contact(readings, setting, side, self._radius)
+        if self._last_end is None:
+            return at_tip
+        # The score's half (see `tip_contact`) stays: the side's forces have either sign each time.
+        return self._last_end.score - math.log(prior.TIP_SHARE)
 
     def _place(self, belief: Array, force: Array) -> tuple[float, float]:
         arc, _, _, _ = mixed(self._nodes, belief.copy(), prior.LEVEL)
@@ -144,29 +180,50 @@ class ArcFilter:
 
     def result(self) -> LocalizeResult:
         """What all frames together say; the force is the last frame's."""
-        logp = self._belief.copy()
+        if self.frames == 0:
+            return self._result("no contact", (), np.zeros(NODES))
+        top = max(float(self._side.max()), self._end)
+        logp = self._side - top
+        last = self._nodes >= 1.0 - prior.CORNER_WIDTH - 1e-9
+        # All but flat: denser at the tip itself, so that intervals close there.
+        tilt = np.linspace(-0.05, 0.05, np.count_nonzero(last)) - math.log(prior.CORNER_WIDTH)
+        logp[last] = np.logaddexp(logp[last], self._end - top + tilt)
+        logp = np.maximum(logp, -700.0)
         arc, low, high, pieces = mixed(self._nodes, logp, prior.LEVEL)
-        scale = self.length
+        # Between side and end the median of all errs least on average.
+        arc = median(self._nodes, logp)
+        # The end is a place of its own, no second mode.
+        modes = np.count_nonzero(pieces[:, 0] < 1.0 - 1.5 * prior.CORNER_WIDTH)
         status: Status
-        if self.frames == 0 or self.log_odds <= prior.HINT:
+        if self.log_odds <= prior.HINT:
             status = "no contact"
         elif self.log_odds <= prior.contact_threshold(1, known=True):
             status = "below detection"
-        elif len(pieces) == 1 and high - low <= prior.WIDTH_SHARE:
+        elif modes <= 1 and high - low <= prior.WIDTH_SHARE:
             status = "localized"
         else:
             status = "ambiguous"
-        force = float(np.interp(arc, self._nodes, self._force)) / scale**2
+        scale = self.length
+        force, offset = float(np.interp(arc, self._nodes, self._force)), None
+        end = None if self._last_end is None else self._last_end.end
+        if self._last_end is not None and end is not None and arc >= 1.0 - prior.CORNER_WIDTH:
+            force, offset = float(self._last_end.forces[0]), end.offset * scale
         contact = Contact(
             arc * scale,
-            force,
+            force / scale**2,
             (low * scale, high * scale),
             status,
             tuple((float(p[0]) * scale, float(p[1]) * scale) for p in pieces),
+            end_offset=offset,
         )
+        felt = status in ("localized", "ambiguous")
+        return self._result(status, (contact,) if felt else (), logp)
+
+    def _result(self, status: Status, contacts: tuple[Contact, ...], logp: Array) -> LocalizeResult:
+        scale = self.length
         return LocalizeResult(
             status,
-            (contact,) if status in ("localized", "ambiguous") else (),
+            contacts,
             f"common obstacle over {self.frames} frames",
             "the frames share one place; their forces differ",
             self._noise / scale,
@@ -186,8 +243,9 @@ def localize_sweep(
     free_curvature: npt.ArrayLike = 0.0,
     slide_sigma: float = 0.0,
     offset_sigma: float = 0.0,
+    tube_radius: float | None = None,
 ) -> LocalizeResult:
-    """Joint fit of one obstacle over the frames of a sweep.
+    """Joint fit of one obstacle over the frames of a sweep, of which some may be before the touch.
 
     Args:
         curvature: (T, N) readings.
@@ -197,7 +255,7 @@ def localize_sweep(
         span: scalar or (N,).
         free_curvature: scalar, or (T,) for one value a frame.
         slide_sigma: standard deviation of the arc's slide between frames; 0 for a common arc.
-        offset_sigma: as in `localize`.
+        offset_sigma, tube_radius: as in `localize`.
 
     Raises:
         DataError: as `localize`.
@@ -209,7 +267,9 @@ def localize_sweep(
     if free.ndim > 1 or (free.ndim == 1 and len(free) != len(frames)):
         raise DataError(f"free_curvature has shape {free.shape}", "give a scalar or (T,)")
     free = np.broadcast_to(free, len(frames))
-    chain = ArcFilter(length, slide_sigma=slide_sigma, offset_sigma=offset_sigma)
+    chain = ArcFilter(
+        length, slide_sigma=slide_sigma, offset_sigma=offset_sigma, tube_radius=tube_radius
+    )
     for row, level in zip(frames, free.tolist(), strict=True):
         if np.isnan(row).all():
             continue
