@@ -19,7 +19,7 @@ from thigmo.errors import DataError
 from thigmo.localization import prior
 from thigmo.localization.answer import SENTENCE, answer, contacts_of
 from thigmo.localization.model_choice import MOST_CONTACTS, Options, best_model
-from thigmo.localization.models import fit_one, start
+from thigmo.localization.models import Setting, fit_one, start
 from thigmo.localization.point_estimates import least_absolute, point_estimate
 from thigmo.localization.readings import Readings, normalise
 from thigmo.localization.result import LocalizeResult, Range, Status
@@ -127,19 +127,24 @@ def _decide(
     options: Options,
     solve: partial[tuple[float, tuple[tuple[Range, ...], ...]]],
 ) -> LocalizeResult:
-    plain = start(readings, options.offset)
+    plain = start(readings, options.offset, options.mechanics == "auto")
     fit = fit_one(readings, plain)
     null = fit.null
     odds = fit.score - null
     threshold = prior.contact_threshold(len(readings.y), readings.known)
     found = odds > threshold
-    if contacts == 0 or (contacts == "auto" and not found):
+    # Contacts of opposed forces, or one on the end, can explain what one on the side does not.
+    odd = contacts == "auto" and not found and _not_free(readings, plain)
+    if not odd and (contacts == 0 or (contacts == "auto" and not found)):
         status: Status = "below detection" if odds > prior.HINT else "no contact"
         return answer(readings, fit, (), status, "free body", SENTENCE[status], odds, solve)
     fit, second_likely = best_model(readings, fit, contacts, options)
-    if not found and len(fit.arcs) == 1:
+    if odd:
+        odds = fit.score - null
+        found = odds > threshold
+    if not found and (odd or len(fit.arcs) == 1):
         weak: Status = "below detection"
-        listed = contacts_of(readings, fit, options, weak)
+        listed = () if odd else contacts_of(readings, fit, options, weak)
         return answer(readings, fit, listed, weak, fit.setting.name, SENTENCE[weak], odds, solve)
     listed = contacts_of(readings, fit, options, "ambiguous" if second_likely else None)
     statuses = [contact.status for contact in listed]
@@ -148,3 +153,16 @@ def _decide(
     if second_likely:
         message = "a second contact is likely, but not certain; average more readings"
     return answer(readings, fit, listed, status, fit.setting.name, message, fit.score - null, solve)
+
+
+def _not_free(readings: Readings, plain: Setting) -> bool:
+    """Whether readings of known noise are beyond those of a free body with a common offset."""
+    if not readings.known:
+        return False
+    weighted = readings.y / readings.variance
+    misfit = float(readings.y @ weighted)
+    if plain.columns.shape[1]:
+        taken = plain.columns.T @ weighted
+        gram = plain.columns.T @ (plain.columns / readings.variance[:, None])
+        misfit -= float(taken @ np.linalg.solve(gram + np.eye(len(gram)), taken))
+    return misfit > prior.free_limit(len(readings.y))

@@ -123,7 +123,7 @@ class ArcFilter:
         self._yet += math.log(1.0 - hazard)
         side = np.logaddexp(self._slid(), came)
         end = float(np.logaddexp(self._end, came + math.log(prior.TIP_SHARE)))
-        setting = plain_beam(readings, self._offset)
+        setting = plain_beam(readings, self._offset, rich=False)
         logp, force, null = self._likelihood(readings, setting)
         arc, strength = self._place(side + logp, force)
         turning = abs(readings.bend) * arc + abs(strength) * arc * arc / 2

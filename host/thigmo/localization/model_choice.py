@@ -109,8 +109,17 @@ def _given_number(
     fits = [fit_several(readings, plain, count)]
     if fold is not None:
         fits.append(fit_several(readings, fold, count, prior.FOLD_PENALTY))
+    return _best_bent(readings, fits) if rich else max(fits, key=_score)
+
+
+def _best_bent(readings: Readings, fits: list[Fit]) -> Fit:
+    """The best of fits of several contacts, the first of them without a fold, on its bent shape.
+
+    Levers of the wrong shape leave what a fold can stand for.
+    """
     best = max(fits, key=_score)
-    return _refit_bent(readings, best) if rich else best
+    bent = _refit_bent(readings, best)
+    return bent if best is fits[0] else max(bent, _refit_bent(readings, fits[0]), key=_score)
 
 
 def _margin(winner: Fit) -> float:
@@ -136,9 +145,7 @@ def _more_contacts(
         rivals = [fit_several(readings, plain, count, penalty)]
         if fold is not None:
             rivals.append(fit_several(readings, fold, count, penalty + prior.FOLD_PENALTY))
-        rival = max(rivals, key=_score)
-        if rich:
-            rival = _refit_bent(readings, rival)
+        rival = _best_bent(readings, rivals) if rich else max(rivals, key=_score)
         if rival.score <= winner.score:
             return winner, count == 2 and rival.score > winner.score - _margin(winner)
         winner = rival
@@ -170,11 +177,16 @@ def _lever_arms(readings: Readings, fit: Fit) -> Fit:
 
 
 def _refit_bent(readings: Readings, fit: Fit) -> Fit:
-    """Several contacts with levers from the bent shape."""
+    """Several contacts with levers from the bent shape, iterated as far as their intervals ask."""
     if _turning(fit, readings) < prior.BEND:
         return fit
-    setting = fit.setting.bent(bent_shape(fit, readings), readings)
-    return fit_several(readings, setting, len(fit.arcs), fit.penalty)
+    for _ in range(4):
+        before, width = fit.arcs, np.ptp(fit.intervals, axis=1)
+        setting = fit.setting.bent(bent_shape(fit, readings), readings)
+        fit = fit_several(readings, setting, len(fit.arcs), fit.penalty)
+        if (np.abs(fit.arcs - before) <= 0.1 * width).all():
+            break
+    return fit
 
 
 def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) -> Setting | None:

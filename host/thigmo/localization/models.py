@@ -155,13 +155,19 @@ class Fit:
     end: End | None = None
 
 
-def start(readings: Readings, offset: float) -> Setting:
-    """The plain beam, with a common offset of deviation `offset` if that is not zero."""
+def start(readings: Readings, offset: float, rich: bool) -> Setting:
+    """The plain beam, with a common offset of deviation `offset` if that is not zero.
+
+    With `rich` mechanics a body that actuation bends has the levers of that bend from the start.
+    """
     n = len(readings.y)
     columns = np.full((n, 1), offset) if offset > 0.0 else np.empty((n, 0))
     labels = ("",) if offset > 0.0 else ()
     sensors = Sensors(readings.low, readings.high, STRAIGHT, np.empty((n, 4)))
-    return Setting("plain beam", columns, labels, (offset,) if labels else (), sensors)
+    plain = Setting("plain beam", columns, labels, (offset,) if labels else (), sensors)
+    if not rich or abs(readings.bend) < prior.BEND:
+        return plain
+    return plain.bent(shape_table(np.full(len(GRID), readings.bend)), readings)
 
 
 def fit_one(readings: Readings, setting: Setting, penalty: float = 0.0) -> Fit:

@@ -109,10 +109,19 @@ def least_misfit(readings: int) -> float:
 
 
 def misfit_limit(readings: int) -> float:
-    """Misfit that one contact passes in 5 % of scenes (chi-squared, Wilson and Hilferty)."""
-    freedom = max(readings - 2, 1)
+    """Misfit that one contact passes in 5 % of scenes."""
+    return _chi_squared(max(readings - 2, 1), 1.645)
+
+
+def free_limit(readings: int) -> float:
+    """Misfit that a free body passes in 0.1 % of frames."""
+    return _chi_squared(readings, 3.09)
+
+
+def _chi_squared(freedom: int, deviations: float) -> float:
+    """Chi-squared from the normal deviate (Wilson and Hilferty)."""
     share = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - share + 1.645 * np.sqrt(share)) ** 3)
+    return float(freedom * (1.0 - share + deviations * np.sqrt(share)) ** 3)
 
 
 def second_threshold(readings: int, known: bool) -> float:
