@@ -11,6 +11,7 @@ contact lies: monotone without it, with it one stationary point in closed form. 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.compiled import compiled_part
 from thigmo.localization.exact.l1_state import (
@@ -22,6 +23,8 @@ from thigmo.localization.exact.l1_state import (
     profile_l1,
 )
 from thigmo.localization.exact.response import INNER_END, Readings, objective_l1
+
+Floats = NDArray[np.float64]
 
 
 @compiled_part
@@ -35,10 +38,15 @@ def try_kinks(readings: Readings, setting: Setting, best: Best, work: Work) -> B
     edges, start, idle = setting.edges, setting.start, setting.idle
     n = y.shape[0]
     n_edges = edges.shape[0]
+    points = False
+    for j in range(n):
+        points = points or span[j] == 0.0
     # What sensors beyond the contact read is lost for every f.
     for e in range(n_edges - 1, start - 1, -1):
         arc = edges[e]
         kink = e == start or e == n_edges - 1
+        if not (kink or points):
+            continue
         if e == start and idle:
             arc += INNER_END * (edges[e + 1] - arc)
         lost = setting.floor
@@ -56,15 +64,53 @@ def try_kinks(readings: Readings, setting: Setting, best: Best, work: Work) -> B
 
 
 @compiled_part
+def remember(i: int, j: int, arc: float, work: Work) -> None:
+    """Keep an arc where curves i and j meet, for both."""
+    roots, others, n_roots = work.roots, work.others, work.n_roots
+    roots[i, n_roots[i]] = arc
+    others[i, n_roots[i]] = j
+    n_roots[i] += 1
+    roots[j, n_roots[j]] = arc
+    others[j, n_roots[j]] = i
+    n_roots[j] += 1
+
+
+@compiled_part
+def meeting_apart(
+    m: int, q: int, length: float, readings: Readings, tip: Floats
+) -> tuple[float, float]:
+    """Where the curves of two readings of one sign meet, the span of m ending before that of q.
+
+    y_m phi_q - y_q phi_m has the sign of -y where q begins to answer, and changes it at most once.
+
+    Returns:
+        the arc, NaN if it does not change by the tip, where the influences are `tip`; and the end
+        of the span of q that the arc lies beyond, which rounding may not pass.
+    """
+    y, low, span, _, _ = readings
+    none = np.nan
+    sign = 1.0 if y[m] > 0.0 else -1.0
+    q_end = low[q] + span[q]
+    centre = low[m] + 0.5 * span[m]
+    if sign * (y[m] * tip[q] - y[q] * tip[m]) < 0.0:
+        return none, none
+    if q_end < length and sign * (0.5 * y[m] * span[q] - y[q] * (q_end - centre)) < 0.0:
+        return centre + y[m] * (q_end - centre - 0.5 * span[q]) / (y[m] - y[q]), q_end
+    # y_m t^2 / (2 l) = y_q (t + d), t from low[q], d = low[q] - x[m] >= 0
+    half = y[q] / y[m] * span[q]
+    return low[q] + half + np.sqrt(half * (half + 2.0 * (low[q] - centre))), low[q]
+
+
+@compiled_part
 def try_pair_roots(readings: Readings, setting: Setting, best: Best, work: Work) -> Best:
-    """Arcs where the curves of two readings meet; also remembered by curve, in order.
+    """Arcs where the curves of two readings meet; also remembered by curve.
 
     Form 0: the contact is beyond both spans; 1: beyond the first and inside the second; 2: inside
     both (q is the span that ends last).
     """
     near, slack = work.near, setting.slack
     y, low, span, inverse, w = readings
-    roots, others, n_roots = work.roots, work.others, work.n_roots
+    tip = work.signed  # influences at the tip
     forces, plus, minus = setting.forces, setting.plus, setting.minus
     n = y.shape[0]
     edges = setting.edges
@@ -72,15 +118,22 @@ def try_pair_roots(readings: Readings, setting: Setting, best: Best, work: Work)
     spanned = False
     for j in range(n):
         spanned = spanned or span[j] > 0.0
-        n_roots[j] = 0
+        work.n_roots[j] = 0
+        tip[j] = max(length - low[j], 0.0)
+        inside = min(tip[j], span[j])
+        tip[j] = inside * inside * inverse[j] + (max(tip[j], span[j]) - span[j])
     cell = setting.start
+    least = 0.0
+    known = np.inf
     for i in range(n):
         bar = best.objective + slack
         if y[i] == 0.0 or w[i] == 0.0 or (minus if y[i] > 0.0 else plus) > bar:
             continue
         # Nothing before the first open cell is looked at any more.
-        cell = first_open(cell, bar, readings, setting)
-        least = max(edges[cell], 0.0)
+        if bar < known:
+            known = bar
+            cell = first_open(cell, bar, readings, setting)
+            least = max(edges[cell], 0.0)
         for j in range(i + 1, n):
             if y[i] * y[j] <= 0.0 or w[j] == 0.0:
                 continue
@@ -89,6 +142,23 @@ def try_pair_roots(readings: Readings, setting: Setting, best: Best, work: Work)
             if low[i] + span[i] > low[j] + span[j]:
                 m = j
                 q = i
+            if low[m] + span[m] <= low[q]:
+                arc, begin = meeting_apart(m, q, length, readings, tip)
+                if not arc >= least:
+                    continue
+                arc = min(max(arc, begin), length)
+                if spanned:
+                    remember(i, j, arc, work)
+                inside = min(max(arc - low[i], 0.0), span[i])
+                phi = inside * inside * inverse[i]
+                phi += max(arc - low[i], span[i]) - span[i]
+                force = y[i] / phi
+                if phi > 0.0 and forces.low <= force <= forces.high:
+                    value = objective_l1(arc, force, y, low, span, inverse, w)
+                    best = offered(best, arc, force, value, slack, near)
+                continue
+            if low[m] == low[q] and span[m] == span[q]:
+                continue  # they meet nowhere or everywhere
             m_end = low[m] + span[m]
             q_end = low[q] + span[q]
             for form in range(3):
@@ -130,16 +200,7 @@ def try_pair_roots(readings: Readings, setting: Setting, best: Best, work: Work)
                     if not begin <= arc <= end:
                         continue
                     if spanned:
-                        for side in range(2):
-                            own = i if side == 0 else j
-                            k = n_roots[own]
-                            while k > 0 and roots[own, k - 1] > arc:
-                                roots[own, k] = roots[own, k - 1]
-                                others[own, k] = others[own, k - 1]
-                                k -= 1
-                            roots[own, k] = arc
-                            others[own, k] = j if side == 0 else i
-                            n_roots[own] += 1
+                        remember(i, j, arc, work)
                     inside = min(max(arc - low[i], 0.0), span[i])
                     phi = inside * inside * inverse[i]
                     phi += max(arc - low[i], span[i]) - span[i]
@@ -201,21 +262,19 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
             if (minus if y[i] > 0.0 else plus) > best.objective + slack:
                 continue
             i_inside = low[i] + span[i] > middle
-            # Cuts of this curve within the cell, each with the sensor that changes sign there;
-            # its roots are sorted and those beyond the cell are done with.
-            top = n_roots[i]
-            while top > 0 and roots[i, top - 1] >= end:
-                top -= 1
-            n_roots[i] = top
-            bottom = top
-            while bottom > 0 and roots[i, bottom - 1] > begin:
-                bottom -= 1
+            # Cuts of this curve within the cell, each with the sensor that changes sign there.
             cuts[0] = 0.0
             n_cuts = 1
-            for k in range(bottom, top):
-                cuts[n_cuts] = roots[i, k] - begin
-                turns[n_cuts] = place[others[i, k]]
-                n_cuts += 1
+            for r in range(n_roots[i]):
+                if begin < roots[i, r] < end:
+                    k = n_cuts
+                    while k > 1 and cuts[k - 1] > roots[i, r] - begin:
+                        cuts[k] = cuts[k - 1]
+                        turns[k] = turns[k - 1]
+                        k -= 1
+                    cuts[k] = roots[i, r] - begin
+                    turns[k] = place[others[i, r]]
+                    n_cuts += 1
             cuts[n_cuts] = width
             origin = (low[i] if i_inside else low[i] + 0.5 * span[i]) - begin
             known = False

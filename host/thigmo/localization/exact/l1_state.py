@@ -59,7 +59,7 @@ class Work(NamedTuple):
 
     Attributes:
         near: (2, CANDIDATES) arcs and objectives of near-best candidates.
-        roots: (N, 4 N) for each curve the arcs where it meets others, ascending.
+        roots: (N, 4 N) for each curve the arcs where it meets others.
         others: (N, 4 N) the readings whose curves these are.
         n_roots: (N,) how many.
         cuts: (6 N + 8,) ends of pieces of a curve within a cell; keys of a median.
@@ -128,28 +128,48 @@ def profile_l1(
         amount: (>= N,) work.
     """
     y, low, span, inverse, w = readings
-    count = 0
+    n = y.shape[0]
     half = 0.0
-    for j in range(y.shape[0]):
+    mean = 0.0
+    for j in range(n):
         inside = min(max(arc - low[j], 0.0), span[j])
         phi = inside * inside * inverse[j] + (max(arc - low[j], span[j]) - span[j])
-        if phi > 0.0 and w[j] > 0.0:
-            ratio = y[j] / phi
-            k = count
-            while k > 0 and key[k - 1] > ratio:
-                key[k] = key[k - 1]
-                amount[k] = amount[k - 1]
-                k -= 1
-            key[k] = ratio
-            amount[k] = w[j] * phi
-            half += 0.5 * w[j] * phi
-            count += 1
+        amount[j] = w[j] * phi
+        key[j] = y[j] / phi if amount[j] > 0.0 else np.inf
+        half += 0.5 * amount[j]
+        mean += w[j] * y[j] if phi > 0.0 else 0.0
     median = 0.0
-    for k in range(count):
-        median = key[k]
-        half -= amount[k]
-        if half <= 0.0:
-            break
+    if half > 0.0:
+        # From the mean of the ratios, which is seldom more than a few of them away.
+        median = 0.5 * mean / half
+        below = 0.0
+        for j in range(n):
+            below += amount[j] if key[j] < median else 0.0
+        passed = below >= half
+        while passed:
+            lower = -np.inf
+            for j in range(n):
+                lower = key[j] if lower < key[j] < median else lower
+            if lower == -np.inf:
+                break
+            median = lower
+            for j in range(n):
+                below -= amount[j] if key[j] == median else 0.0
+            if below < half:
+                break
+        first = True
+        while not passed:
+            higher = np.inf
+            for j in range(n):
+                beyond = key[j] > median or (first and key[j] == median)
+                higher = key[j] if beyond and key[j] < higher else higher
+            if higher == np.inf:
+                break
+            first = False
+            median = higher
+            for j in range(n):
+                below += amount[j] if key[j] == median else 0.0
+            passed = below >= half
     force = min(max(median, forces.low), forces.high)
     return objective_l1(arc, force, y, low, span, inverse, w), force
 
