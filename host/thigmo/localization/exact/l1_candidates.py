@@ -262,19 +262,28 @@ def try_stationary(readings: Readings, setting: Setting, best: Best, work: Work)
             if (minus if y[i] > 0.0 else plus) > best.objective + slack:
                 continue
             i_inside = low[i] + span[i] > middle
-            # Cuts of this curve within the cell, each with the sensor that changes sign there.
+            # Cuts of this curve within the cell, each with the sensor that changes sign there; the
+            # meetings in it and beyond it are done with.
             cuts[0] = 0.0
             n_cuts = 1
-            for r in range(n_roots[i]):
-                if begin < roots[i, r] < end:
+            r = 0
+            while r < n_roots[i]:
+                t = roots[i, r] - begin
+                if t <= 0.0:
+                    r += 1
+                    continue
+                if t < width:
                     k = n_cuts
-                    while k > 1 and cuts[k - 1] > roots[i, r] - begin:
+                    while k > 1 and cuts[k - 1] > t:
                         cuts[k] = cuts[k - 1]
                         turns[k] = turns[k - 1]
                         k -= 1
-                    cuts[k] = roots[i, r] - begin
+                    cuts[k] = t
                     turns[k] = place[others[i, r]]
                     n_cuts += 1
+                n_roots[i] -= 1
+                roots[i, r] = roots[i, n_roots[i]]
+                others[i, r] = others[i, n_roots[i]]
             cuts[n_cuts] = width
             origin = (low[i] if i_inside else low[i] + 0.5 * span[i]) - begin
             known = False
