@@ -36,8 +36,9 @@ BASE_MOMENT = BaseMoment(np.zeros(2), np.array([0.4, 1.5]), np.array([0.92, 0.08
 # Nearer to the base than this the prior of the force no longer widens (1 cm of 53).
 LEAST_LEVER = 0.02
 
-# One reading in fifty may be an outlier, ten times wider than the noise.
-OUTLIER_ODDS = 0.02 / 0.98
+# One reading in twenty may be an outlier, ten times wider than the noise. Rarer ones would let
+# heavy tails (Laplace) feign contacts; narrower ones let a dead sensor feign a second contact.
+OUTLIER_ODDS = 0.05 / 0.95
 OUTLIER_VARIANCE = 100.0
 
 # Mass of the intervals.
