@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.localization import prior
+from thigmo.localization.first_look import Look
 from thigmo.localization.information import place_bound
 from thigmo.localization.model_choice import Options
 from thigmo.localization.models import GRID, Fit, contact_curvature, precision, solve_columns
@@ -28,10 +29,7 @@ def contacts_of(
         low, high = fit.intervals[j]
         pieces = fit.pieces[j]
         own: Status = "localized"
-        modes = len(pieces)
-        if len(fit.arcs) == 1:
-            # The end is a place of its own: no second mode, if the interval reaches it.
-            modes = sum(near < 1.0 - 1.01 * prior.CORNER_WIDTH for near in pieces[:, 0].tolist())
+        modes = _places(pieces) if len(fit.arcs) == 1 else len(pieces)
         if modes > 1 or high - low > options.width or _open(readings, fit, options):
             own = "ambiguous"
         out.append(
@@ -46,6 +44,33 @@ def contacts_of(
             )
         )
     return tuple(out)
+
+
+def contact_of(look: Look, options: Options, status: Status | None) -> Contact:
+    """The contact of a first look that stands, in the caller's units; `status` as above."""
+    scale = look.length
+    own: Status = "localized"
+    if (
+        _places(look.pieces) > 1
+        or look.high - look.low > options.width
+        or not look.bound < options.width
+    ):
+        own = "ambiguous"
+    return Contact(
+        look.arc * scale,
+        look.force / scale**2,
+        (look.low * scale, look.high * scale),
+        status or own,
+        tuple([(near * scale, far * scale) for near, far, _ in look.pieces.tolist()]),
+        look.deviation / scale**2,
+    )
+
+
+def _places(pieces: Array) -> int:
+    """Modes of a single contact; the end is none of its own, if the interval reaches it."""
+    if len(pieces) == 1:
+        return 1
+    return sum(near < 1.0 - 1.01 * prior.CORNER_WIDTH for near in pieces[:, 0].tolist())
 
 
 def _open(readings: Readings, fit: Fit, options: Options) -> bool:
@@ -96,8 +121,41 @@ def answer(
         _parameters(readings, fit) if contacts else {},
         partial(_bend, readings, fit) if contacts else None,
         None,
-        partial(solve, count=len(contacts)),
+        solve,
     )
+
+
+def plain_answer(
+    look: Look,
+    contacts: tuple[Contact, ...],
+    status: Status,
+    message: str,
+    solve: partial[tuple[float, tuple[tuple[Range, ...], ...]]],
+) -> LocalizeResult:
+    """As `answer`, of a first look that stands, or that finds nothing."""
+    outliers: tuple[int, ...] = ()
+    if look.flagged.any():
+        outliers = tuple(look.chosen[: look.finite][look.flagged].tolist())
+    return LocalizeResult(
+        status,
+        contacts,
+        "plain beam" if contacts else "free body",
+        message,
+        look.noise / look.length,
+        look.evidence - look.null,
+        look.nodes[3],
+        look.nodes[4],
+        outliers,
+        {},
+        partial(_plain_bend, look) if contacts else None,
+        None,
+        solve,
+    )
+
+
+def _plain_bend(look: Look) -> Array:
+    readings = look.readings()
+    return _bend(readings, look.fit(readings))
 
 
 def _bend(readings: Readings, fit: Fit) -> Array:

@@ -17,11 +17,18 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization import prior
-from thigmo.localization.answer import SENTENCE, answer, contacts_of
-from thigmo.localization.model_choice import MOST_CONTACTS, Options, best_model
-from thigmo.localization.models import Setting, fit_one, start
+from thigmo.localization.answer import (
+    SENTENCE,
+    answer,
+    contact_of,
+    contacts_of,
+    plain_answer,
+)
+from thigmo.localization.first_look import Look, first_look
+from thigmo.localization.model_choice import MOST_CONTACTS, Options, best_model, stands
+from thigmo.localization.models import fit_one, start
 from thigmo.localization.point_estimates import least_absolute, point_estimate
-from thigmo.localization.readings import Readings, normalise
+from thigmo.localization.readings import normalise
 from thigmo.localization.result import LocalizeResult, Range, Status
 
 
@@ -81,16 +88,17 @@ def localize(
         or not 0 <= contacts <= MOST_CONTACTS
     ):
         raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
-    readings = normalise(curvature, position, length, span, free_curvature, noise)
-    scale = readings.length
     if method != "exact":
+        readings = normalise(curvature, position, length, span, free_curvature, noise)
         return point_estimate(method, readings, contacts)
     if mechanics not in ("auto", "plain"):
         raise DataError(f"unknown mechanics {mechanics!r}", 'use "auto" or "plain"')
     if critical_of not in ("contact", "total"):
         raise DataError(f"unknown critical_of {critical_of!r}", 'use "contact" or "total"')
+    offset = _positive("offset_sigma", offset_sigma)
+    look = first_look(curvature, position, length, span, free_curvature, noise, offset)
+    scale = look.length
     options = Options(
-        _positive("offset_sigma", offset_sigma) * scale,
         None
         if critical_curvature is None
         else max(_positive("critical_curvature", critical_curvature) * scale, 1e-6),
@@ -103,7 +111,7 @@ def localize(
         None if within is None else _range(within, scale),
     )
     solve = partial(least_absolute, curvature, position, length, span, free_curvature)
-    return _decide(readings, contacts, options, solve)
+    return _decide(look, contacts, options, solve)
 
 
 def _positive(name: str, value: float) -> float:
@@ -122,47 +130,58 @@ def _range(within: Range, scale: float) -> Range:
 
 
 def _decide(
-    readings: Readings,
+    look: Look,
     contacts: int | str,
     options: Options,
     solve: partial[tuple[float, tuple[tuple[Range, ...], ...]]],
 ) -> LocalizeResult:
-    plain = start(readings, options.offset, options.mechanics == "auto")
-    fit = fit_one(readings, plain)
-    null = fit.null
-    odds = fit.score - null
-    threshold = prior.contact_threshold(len(readings.y), readings.known)
+    fit = None
+    odds, null = look.evidence - look.null, look.null
+    if options.mechanics == "auto" and abs(look.bend) >= prior.BEND:
+        # The levers of the bend from the start.
+        readings = look.readings()
+        fit = fit_one(readings, start(readings, look.offset, True))
+        odds, null = fit.score - fit.null, fit.null
+    threshold = prior.contact_threshold(look.finite, look.known)
     found = odds > threshold
     # Contacts of opposed forces, or one on the end, can explain what one on the side does not.
-    odd = contacts == "auto" and not found and _not_free(readings, plain)
+    odd = contacts == "auto" and not found and _not_free(look)
     if not odd and (contacts == 0 or (contacts == "auto" and not found)):
         status: Status = "below detection" if odds > prior.HINT else "no contact"
+        if fit is None:
+            return plain_answer(look, (), status, SENTENCE[status], solve)
         return answer(readings, fit, (), status, "free body", SENTENCE[status], odds, solve)
+    weak: Status = "below detection"
+    if not odd and stands(look, contacts, options):
+        contact = contact_of(look, options, None if found else weak)
+        return plain_answer(look, (contact,), contact.status, SENTENCE[contact.status], solve)
+    if fit is None:
+        readings = look.readings()
+        fit = look.fit(readings)
     fit, second_likely = best_model(readings, fit, contacts, options)
+    model = fit.setting.name
     if odd:
         odds = fit.score - null
         found = odds > threshold
     if not found and (odd or len(fit.arcs) == 1):
-        weak: Status = "below detection"
         listed = () if odd else contacts_of(readings, fit, options, weak)
-        return answer(readings, fit, listed, weak, fit.setting.name, SENTENCE[weak], odds, solve)
+        return answer(readings, fit, listed, weak, model, SENTENCE[weak], odds, solve)
     listed = contacts_of(readings, fit, options, "ambiguous" if second_likely else None)
     statuses = [contact.status for contact in listed]
     status = "ambiguous" if "ambiguous" in statuses else "localized"
     message = SENTENCE[status]
     if second_likely:
         message = "a second contact is likely, but not certain; average more readings"
-    return answer(readings, fit, listed, status, fit.setting.name, message, fit.score - null, solve)
+    return answer(readings, fit, listed, status, model, message, fit.score - null, solve)
 
 
-def _not_free(readings: Readings, plain: Setting) -> bool:
+def _not_free(look: Look) -> bool:
     """Whether readings of known noise are beyond those of a free body with a common offset."""
-    if not readings.known:
+    if not look.known:
         return False
-    weighted = readings.y / readings.variance
-    misfit = float(readings.y @ weighted)
-    if plain.columns.shape[1]:
-        taken = plain.columns.T @ weighted
-        gram = plain.columns.T @ (plain.columns / readings.variance[:, None])
-        misfit -= float(taken @ np.linalg.solve(gram + np.eye(len(gram)), taken))
-    return misfit > prior.free_limit(len(readings.y))
+    y, _, _, variance = look.block[:, : look.finite]
+    misfit = float(y @ (y / variance))
+    if look.offset > 0.0:
+        taken = look.offset * float((y / variance).sum())
+        misfit -= taken**2 / (1.0 + look.offset**2 * float((1.0 / variance).sum()))
+    return misfit > prior.free_limit(look.finite)

@@ -87,6 +87,54 @@ class Work(NamedTuple):
     flips: Array
 
 
+class Tried(NamedTuple):
+    """Up to TOGETHER places at which a force is weighed in one go, and what comes out.
+
+    Attributes:
+        arc: (M,) places.
+        lever: (M,) moment at the base for a unit force.
+        phi: (N, M) readings for a unit force.
+        logp: (M,) log marginal likelihood.
+        force, variance: (M,) posterior mean and variance of the force.
+        flips: (N + 1,) of the first place alone: relative weights of outlier patterns, that of each
+            reading changed, the present one last.
+        t: (Q, M) room for products of phi with the whitened columns.
+        room: (ROWS, M) for sums.
+    """
+
+    arc: Array
+    lever: Array
+    phi: Array
+    logp: Array
+    force: Array
+    variance: Array
+    flips: Array
+    t: Array
+    room: Array
+
+
+TOGETHER = 64
+ROWS = 11
+
+
+@compiled
+def empty_tried(frame: Frame, count: int) -> Tried:
+    """Room for `count` places at once."""
+    n, q = frame.columns.shape
+    m = count
+    return Tried(
+        np.empty(m),
+        np.empty(m),
+        np.empty((n, m)),
+        np.empty(m),
+        np.empty(m),
+        np.empty(m),
+        np.empty(n + 1),
+        np.empty((q, m)),
+        np.empty((ROWS, m)),
+    )
+
+
 @compiled
 def empty_levels(frame: Frame, sigma: Array, log_prior: Array) -> Levels:
     """Levels to be filled by `prepare_levels`; no reading is flagged."""

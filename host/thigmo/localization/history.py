@@ -19,11 +19,12 @@ import numpy.typing as npt
 from thigmo.compiled import compiled
 from thigmo.errors import DataError
 from thigmo.localization import prior
-from thigmo.localization.frame import Frame, Nodes, empty_levels
+from thigmo.localization.frame import TOGETHER, Frame, Nodes, empty_levels, empty_tried
 from thigmo.localization.influence import shape_table
 from thigmo.localization.intervals import median, mixed
 from thigmo.localization.models import GRID, Fit, Setting, fit_one
 from thigmo.localization.models import start as plain_beam
+from thigmo.localization.outlier_patterns import free_evidence
 from thigmo.localization.outlier_search import search_pattern
 from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings, normalise
@@ -39,11 +40,10 @@ NODES = 531  # 0.1 cm of the 53 cm body
 @compiled
 def _fill(nodes: Nodes, frame: Frame, moment: BaseMoment) -> float:
     """Fill log likelihood and force over the nodes for one frame; returns it without contact."""
+    tried = empty_tried(frame, TOGETHER)
     levels = empty_levels(frame, np.ones(1), np.zeros(1))
-    null = search_pattern(nodes, frame, levels, moment, False)
-    levels.flagged[:] = False
-    search_pattern(nodes, frame, levels, moment, True)
-    return null
+    search_pattern(nodes, frame, levels, moment, tried)
+    return free_evidence(frame, levels.sigma, levels.log_prior, tried)
 
 
 class ArcFilter:

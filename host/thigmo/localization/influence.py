@@ -87,6 +87,61 @@ def influence(arc: float, sensors: Sensors, out: Array) -> float:
     return base
 
 
+@compiled_inner
+def influences(
+    count: int, arcs: Array, sensors: Sensors, levers: Array, out: Array, room: Array
+) -> None:
+    """`influence` at `count` arcs at once, in loops over the arcs, which vectorise.
+
+    Args:
+        count: M or fewer.
+        arcs: (M,) places of the force.
+        sensors: N of them.
+        levers: (M,) written: the levers at the base.
+        out: (N, M) written.
+        room: (3 or more, M).
+    """
+    low, high, table, edges = sensors
+    n = low.shape[0]
+    if table.shape[0] == 0:
+        for j in range(count):
+            levers[j] = arcs[j]
+        for i in range(n):
+            near = low[i]
+            span = high[i] - near
+            half = 0.5 / span if span > 0.0 else 0.0
+            for j in range(count):
+                inside = min(max(arcs[j] - near, 0.0), span)
+                beyond = max(arcs[j] - near, span) - span
+                out[i, j] = half * inside * inside + beyond
+        return
+    cosine, sine, turned = room[0], room[1], room[2]
+    last = table.shape[0] - 1
+    for j in range(count):
+        place = arcs[j] * last
+        k = min(int(place), last - 1)
+        t = place - k
+        heading = table[k, 0] * (1.0 - t) + table[k + 1, 0] * t
+        c = np.cos(heading)
+        s = np.sin(heading)
+        cosine[j] = c
+        sine[j] = s
+        levers[j] = c * (table[k, 1] * (1.0 - t) + table[k + 1, 1] * t)
+        levers[j] += s * (table[k, 2] * (1.0 - t) + table[k + 1, 2] * t)
+        turned[j] = c * (table[k, 3] * (1.0 - t) + table[k + 1, 3] * t)
+        turned[j] += s * (table[k, 4] * (1.0 - t) + table[k + 1, 4] * t)
+    for i in range(n):
+        near = low[i]
+        far = high[i]
+        share = 1.0 / (far - near) if far > near else 0.0
+        for j in range(count):
+            beyond = levers[j] - cosine[j] * edges[i, 0] - sine[j] * edges[i, 1]
+            inside = levers[j] * (arcs[j] - near) - turned[j]
+            inside += cosine[j] * edges[i, 2] + sine[j] * edges[i, 3]
+            felt = beyond if arcs[j] >= far else share * inside
+            out[i, j] = felt if arcs[j] > near else 0.0
+
+
 def shape_table(curvature: Array) -> Array:
     """Shape of a body of unit length from its curvature on uniform arcs.
 

@@ -18,12 +18,14 @@ Array = npt.NDArray[np.float64]
 
 
 @compiled_inner
-def cell_mass(width: float, left: float, right: float) -> float:
-    """Integral over a cell of a density whose log is linear, from `left` to `right`."""
-    difference = right - left
-    if abs(difference) < 1e-6:
-        return width * math.exp(0.5 * (left + right))
-    return width * (math.exp(right) - math.exp(left)) / difference
+def cell_mass(width: float, step: float, left: float, right: float) -> float:
+    """Integral over a cell of a density whose log is linear and changes by `step`.
+
+    `left` and `right` are the densities at its ends.
+    """
+    if abs(step) < 1e-6:
+        return width * 0.5 * (left + right)
+    return width * (right - left) / step
 
 
 @compiled_inner
@@ -50,9 +52,12 @@ def masses(arcs: Array, logp: Array, count: int, cumulative: Array) -> float:
     for j in range(count):
         top = max(top, logp[j])
     cumulative[0] = 0.0
+    left = math.exp(logp[0] - top)
     for j in range(count - 1):
-        mass = cell_mass(arcs[j + 1] - arcs[j], logp[j] - top, logp[j + 1] - top)
+        right = math.exp(logp[j + 1] - top)
+        mass = cell_mass(arcs[j + 1] - arcs[j], logp[j + 1] - logp[j], left, right)
         cumulative[j + 1] = cumulative[j] + mass
+        left = right
     total = cumulative[count - 1]
     for j in range(count):
         cumulative[j] /= total
@@ -73,6 +78,8 @@ def shortest(
             break
         while j < count - 2 and cumulative[j + 1] < goal:
             j += 1
+        if arcs[j] - arcs[i] >= high - low:
+            continue
         cell = max(cumulative[j + 1] - cumulative[j], 1e-300)
         share = min(max((goal - cumulative[j]) / cell, 0.0), 1.0)
         end = arcs[j] + (arcs[j + 1] - arcs[j]) * within(share, logp[j], logp[j + 1])
@@ -86,6 +93,8 @@ def shortest(
             break
         while j > 1 and cumulative[j - 1] > goal:
             j -= 1
+        if arcs[i] - arcs[j] >= high - low:
+            continue
         cell = max(cumulative[j] - cumulative[j - 1], 1e-300)
         share = min(max((goal - cumulative[j - 1]) / cell, 0.0), 1.0)
         start = arcs[j - 1] + (arcs[j] - arcs[j - 1]) * within(share, logp[j - 1], logp[j])

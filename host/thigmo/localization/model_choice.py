@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thigmo.localization import prior
+from thigmo.localization.first_look import Look
 from thigmo.localization.mixing import mix, not_beyond, restrict
 from thigmo.localization.models import (
     Fit,
@@ -24,6 +25,7 @@ from thigmo.localization.models import (
     fit_several,
     fold_column,
     same_side,
+    two_at_most,
 )
 from thigmo.localization.readings import Readings
 from thigmo.localization.result import Range
@@ -36,13 +38,45 @@ MOST_CONTACTS = 3
 class Options:
     """What the caller knows of the body, normalised by the length."""
 
-    offset: float
     critical: float | None
     critical_of: str
     mechanics: str
     radius: float
     width: float
     within: Range | None
+
+
+def stands(look: Look, contacts: int | str, options: Options) -> bool:
+    """Whether the first look is all that a frame calls for: one contact on the straight side.
+
+    As `best_model` would find at length: no bend, no moment and no misfit that another model could
+    explain.
+    """
+    if contacts not in ("auto", 1) or options.within is not None:
+        return False
+    if look.flagged.any() or look.two > look.evidence + _least_of_two(look.finite):
+        return False
+    if options.mechanics != "auto":
+        return True
+    arc, force = look.arc, abs(look.force)
+    if force * arc * arc / 2 + abs(look.bend) * arc >= prior.BEND:
+        return False
+    if (force + 2.0 * look.deviation) * arc > _suspect(options):
+        return False
+    return look.misfit <= prior.misfit_limit(look.finite)
+
+
+# Nats by which one contact must lead two, for a second one not to count as likely; and by which a
+# rare one must.
+MARGIN = 1.0
+RARE_MARGIN = 4.0
+# By so much less than its threshold does a second contact call for a fit.
+NEARLY = 0.5
+
+
+def _least_of_two(readings: int, margin: float = MARGIN) -> float:
+    """What two contacts must add to the evidence of one, of known noise, to count at all."""
+    return prior.second_threshold(readings, True) - margin - NEARLY
 
 
 def best_model(
@@ -55,13 +89,16 @@ def best_model(
         return _given_number(readings, plain.setting, fold, int(contacts), rich), False
     # What the plain beam leaves unexplained: a second contact stands for any misfit here.
     one = _lever_arms(readings, plain) if rich else plain
+    odd = one.misfit > prior.misfit_limit(len(readings.y))
     two = -math.inf
-    if _unexplained(readings, one) and len(readings.y) >= LEAST_FOR_TWO:
+    rare = odd or _turning(one, readings) >= prior.CORNER_BEND
+    least = one.score + _least_of_two(len(readings.y), RARE_MARGIN if rare else MARGIN)
+    if two_at_most(readings, one) > least:
         two = evidence_of_two(readings, one.setting)
     called = two > one.score + prior.HINT_OF_MORE
     ones = [one]
     if rich:
-        called = called or one.misfit > prior.misfit_limit(len(readings.y))
+        called = called or odd
         fold = _fold_setting(readings, one, options, called)
         if called:
             ones += _tip_moment(readings, one)
@@ -78,15 +115,13 @@ def best_model(
     likely = False
     if contacts == "auto" and math.isfinite(two):
         step = prior.second_threshold(len(readings.y), readings.known)
-        if two - step > winner.score - _margin(winner) - 0.5 or (called and fold):
+        if two - step > winner.score - _margin(winner) - NEARLY or (called and fold):
             winner, likely = _more_contacts(readings, one.setting, winner, fold, rich)
     if len(winner.arcs) > 1:
         return winner, likely
     return mix(ones if options.within is None else restrict(ones, *options.within)), likely
 
 
-# Readings from which two contacts can differ from one and noise.
-LEAST_FOR_TWO = 4
 # Readings from which a spread load can differ from a point load and noise.
 LEAST_FOR_SPREAD = 5
 
@@ -129,7 +164,7 @@ def _margin(winner: Fit) -> float:
     part: such a model must lead clearly.
     """
     rare = winner.stretch > 0.0 or "tip_moment" in winner.setting.labels
-    return 4.0 if rare or winner.end is not None else 1.0
+    return RARE_MARGIN if rare or winner.end is not None else MARGIN
 
 
 def _more_contacts(
@@ -189,11 +224,15 @@ def _refit_bent(readings: Readings, fit: Fit) -> Fit:
     return fit
 
 
+def _suspect(options: Options) -> float:
+    """Moment at the base from which a fold is suspected."""
+    return prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
+
+
 def _fold_setting(readings: Readings, fit: Fit, options: Options, called: bool) -> Setting | None:
     """The same body with a fold at its base, where base sensors or the moment suggest one."""
     arc, force = float(fit.arcs[0]), float(fit.forces[0])
-    limit = prior.SUSPECT_MOMENT if options.critical is None else 0.7 * options.critical
-    near = (abs(force) + 2.0 * fit.deviation) * arc > limit
+    near = (abs(force) + 2.0 * fit.deviation) * arc > _suspect(options)
     odd = fit.flagged.any() and bool(fit.flagged[readings.low < 2.0 * options.radius].any())
     if not (near or called or odd):
         return None

@@ -23,6 +23,7 @@ from thigmo.localization.influence import (
     sensors_on,
     shape_table,
 )
+from thigmo.localization.pair_grid import limit_of_two
 from thigmo.localization.posterior import one_contact
 from thigmo.localization.prior import BaseMoment
 from thigmo.localization.readings import Readings
@@ -233,6 +234,12 @@ def fit_several(
 def evidence_of_two(readings: Readings, setting: Setting) -> float:
     """Log evidence of two contacts, to a fraction of a nat."""
     return several_evidence(2, setting.frame(readings), setting.moment)
+
+
+def two_at_most(readings: Readings, one: Fit) -> float:
+    """What the log evidence of two contacts cannot pass; inf where only a look at them can tell."""
+    setting = one.setting
+    return limit_of_two(setting.frame(readings), setting.moment, one.misfit, one.flagged)
 
 
 # Share of the posterior at places that only the ends of the body bound, from which a fit of

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
-from thigmo.localization.frame import Frame, Levels, Nodes, empty_work, one_level
-from thigmo.localization.marginal import evaluate
+from thigmo.localization.frame import Frame, Levels, Nodes, Tried, one_level
+from thigmo.localization.marginal import evaluate_at
 from thigmo.localization.prior import BaseMoment
 
 Array = npt.NDArray[np.float64]
@@ -95,18 +95,19 @@ def finer_levels(value: Array, sigma: Array, n: int) -> tuple[Array, Array]:
 
 
 @compiled
-def level_weights(arc: float, frame: Frame, levels: Levels, prior: BaseMoment) -> Array:
+def level_weights(
+    arc: float, frame: Frame, levels: Levels, prior: BaseMoment, tried: Tried
+) -> Array:
     """(S,) log likelihood at each level alone, of a contact at an arc."""
-    work = empty_work(frame)
     out = np.empty(levels.sigma.shape[0])
     for s in range(out.shape[0]):
-        out[s], _, _ = evaluate(arc, frame, one_level(levels, s), prior, work, False)
+        out[s] = evaluate_at(arc, frame, one_level(levels, s), prior, tried, False)
     return out
 
 
 @compiled
 def levels_with_mass(
-    nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment
+    nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment, tried: Tried
 ) -> tuple[Array, Array]:
     """Fine noise levels around those that hold weight at some arc of the coarse grid."""
     value = np.full(levels.sigma.shape[0], -1e300)
@@ -114,6 +115,6 @@ def levels_with_mass(
     top = nodes.logp[:count].max()
     for j in range(count):
         if nodes.logp[j] >= top - 30.0:
-            part = level_weights(nodes.arcs[j], frame, levels, prior)
+            part = level_weights(nodes.arcs[j], frame, levels, prior, tried)
             value = np.maximum(value, part)
     return finer_levels(value, levels.sigma, frame.y.shape[0])

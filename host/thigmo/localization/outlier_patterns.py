@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.compiled import compiled
-from thigmo.localization.frame import Frame, Levels, Nodes
+from thigmo.localization.frame import Frame, Levels, Nodes, Tried, empty_levels
 from thigmo.localization.influence import influence
-from thigmo.localization.outlier_search import search_pattern
+from thigmo.localization.marginal import independent_evidence
+from thigmo.localization.outlier_search import search_free, search_pattern
 from thigmo.localization.prior import BaseMoment
 
 Array = npt.NDArray[np.float64]
@@ -66,28 +67,40 @@ def robust_flags(frame: Frame, deviation: Array, contact: bool, flagged: Flags) 
 
 @compiled
 def best_pattern(
-    nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment, contact: bool
-) -> float:
+    nodes: Nodes, frame: Frame, levels: Levels, prior: BaseMoment, tried: Tried
+) -> None:
     """The better of two climbs: from no outlier, and from the 1-norm's outliers.
 
-    With a contact, fills the levels and the nodes for the winner.
-
-    Returns:
-        Best log density (or evidence).
+    Fills the levels and the nodes for the winner.
     """
     flagged = levels.flagged
     flagged[:] = False
-    top = search_pattern(nodes, frame, levels, prior, contact)
+    top = search_pattern(nodes, frame, levels, prior, tried)
     # A second start pays only where something is odd: an outlier was found, or the scale is free.
+    if frame.known and not flagged.any():
+        return
+    first = flagged.copy()
+    robust_flags(frame, np.sqrt(frame.variance) * levels.sigma[0], True, flagged)
+    if (flagged == first).all():
+        return
+    if search_pattern(nodes, frame, levels, prior, tried) > top:
+        return
+    flagged[:] = first
+    search_pattern(nodes, frame, levels, prior, tried)
+
+
+@compiled
+def free_evidence(frame: Frame, sigma: Array, log_prior: Array, tried: Tried) -> float:
+    """Log evidence without a contact: of all patterns, or of the better of two climbs as above."""
+    if frame.columns.shape[1] == 0:
+        return independent_evidence(frame, sigma, log_prior)
+    levels = empty_levels(frame, sigma, log_prior)
+    flagged = levels.flagged
+    top = search_free(frame, levels, tried)
     if frame.known and not flagged.any():
         return top
     first = flagged.copy()
-    robust_flags(frame, np.sqrt(frame.variance) * levels.sigma[0], contact, flagged)
+    robust_flags(frame, np.sqrt(frame.variance) * sigma[0], False, flagged)
     if (flagged == first).all():
         return top
-    rival = search_pattern(nodes, frame, levels, prior, contact)
-    if rival > top or not contact:
-        return max(rival, top)
-    flagged[:] = first
-    search_pattern(nodes, frame, levels, prior, contact)
-    return top
+    return max(top, search_free(frame, levels, tried))

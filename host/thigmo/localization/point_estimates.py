@@ -89,7 +89,6 @@ def least_absolute(
     length: float,
     span: npt.ArrayLike,
     free_curvature: npt.ArrayLike,
-    *,
     count: int,
 ) -> tuple[float, tuple[tuple[Range, ...], ...]]:
     """Global 1-norm optimum for `count` contacts: objective and sets."""

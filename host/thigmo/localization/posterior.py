@@ -14,6 +14,7 @@ likelihood. An unknown noise scale is one more sum, over levels.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,23 +22,24 @@ import numpy.typing as npt
 
 from thigmo.compiled import compiled, compiled_inner
 from thigmo.localization.frame import (
+    TOGETHER,
     Frame,
     Levels,
     Nodes,
-    Work,
+    Tried,
     empty_levels,
-    empty_work,
+    empty_tried,
 )
 from thigmo.localization.information import place_bound
 from thigmo.localization.intervals import cell_mass, masses, summary
-from thigmo.localization.marginal import evaluate, prepare_levels
+from thigmo.localization.marginal import evaluate, evaluate_at, prepare_levels
 from thigmo.localization.noise_levels import (
     all_levels,
     coarse_levels,
     level_weights,
     levels_with_mass,
 )
-from thigmo.localization.outlier_patterns import best_pattern
+from thigmo.localization.outlier_patterns import best_pattern, free_evidence
 from thigmo.localization.outlier_search import evaluate_all
 from thigmo.localization.prior import LEVEL, BaseMoment
 
@@ -50,44 +52,62 @@ MAX_NODES = 900
 COARSE = 49
 
 
+class Cells(NamedTuple):
+    """Room for the cells between MAX_NODES nodes.
+
+    Attributes:
+        density: (MAX_NODES,) of each node, over that of a node with log likelihood 0.
+        split: (MAX_NODES,) which cells are to be halved.
+    """
+
+    density: Array
+    split: Flags
+
+
 @compiled_inner
 def refine(
     nodes: Nodes,
     count: int,
-    split: Flags,
+    cells: Cells,
     frame: Frame,
     levels: Levels,
     prior: BaseMoment,
-    work: Work,
+    tried: Tried,
 ) -> int:
     """Halve cells until the density is resolved where it matters.
 
     A cell is split where the density is within REACH nats of the top and changes by more than
     1 nat or holds more than 5 % of the mass, and beside local maxima that may hide a higher one.
-    The nodes (MAX_NODES,) hold `count` sorted ones and are grown in place; `split` (MAX_NODES,) is
-    room.
+    The nodes (MAX_NODES,) hold `count` sorted ones and are grown in place.
 
     Returns:
         The new count.
     """
     arcs, logp, force = nodes
+    density, split = cells
+    reference = -1e300
     for _ in range(26):
-        top = -1e300
+        top = logp[0]
         for j in range(count):
             top = max(top, logp[j])
+        if top > reference + 1.0:
+            reference = top
+            for j in range(count):
+                density[j] = math.exp(logp[j] - reference)
         mass = 0.0
         for j in range(count - 1):
-            mass += cell_mass(arcs[j + 1] - arcs[j], logp[j] - top, logp[j + 1] - top)
+            mass += cell_mass(
+                arcs[j + 1] - arcs[j], logp[j + 1] - logp[j], density[j], density[j + 1]
+            )
         added = 0
         for j in range(count - 1):
             width = arcs[j + 1] - arcs[j]
-            left = logp[j] - top
-            right = logp[j + 1] - top
+            step = logp[j + 1] - logp[j]
             want = False
-            if max(left, right) > -REACH:
-                want = abs(left - right) > 1.0
-                want = want or cell_mass(width, left, right) > 0.05 * mass
-            if not want and width > 1e-9:
+            if max(logp[j], logp[j + 1]) - top > -REACH:
+                want = abs(step) > 1.0
+                want = want or cell_mass(width, step, density[j], density[j + 1]) > 0.05 * mass
+            if not want:
                 # Beside a local maximum the peak may stand higher than its samples.
                 for peak in range(j, j + 2):
                     before = logp[peak] - logp[peak - 1] if peak > 0 else 0.0
@@ -96,25 +116,35 @@ def refine(
                         drop = max(before, after)
                         if drop > 0.5 and logp[peak] - top + 0.5 * drop > -REACH:
                             want = True
-            if want and width < 1e-9:
-                want = False
-            split[j] = want and count + added + 1 < MAX_NODES
+            split[j] = want and width >= 1e-9 and count + added + 1 < MAX_NODES
             if split[j]:
                 added += 1
+                if added == TOGETHER:
+                    split[j + 1 : count] = False
+                    break
         if added == 0:
             break
+        write = 0
+        for j in range(count - 1):
+            if split[j]:
+                tried.arc[write] = 0.5 * (arcs[j] + arcs[j + 1])
+                write += 1
+        evaluate(added, frame, levels, prior, tried, False)
         write = count + added - 1
+        read = added - 1
         for j in range(count - 1, -1, -1):
             arcs[write] = arcs[j]
             logp[write] = logp[j]
             force[write] = force[j]
+            density[write] = density[j]
             write -= 1
             if j > 0 and split[j - 1]:
-                arcs[write] = 0.5 * (arcs[j - 1] + arcs[j])
-                logp[write], force[write], _ = evaluate(
-                    arcs[write], frame, levels, prior, work, False
-                )
+                arcs[write] = tried.arc[read]
+                logp[write] = tried.logp[read]
+                force[write] = tried.force[read]
+                density[write] = math.exp(logp[write] - reference)
                 write -= 1
+                read -= 1
         count += added
     return count
 
@@ -161,26 +191,27 @@ def one_contact(frame: Frame, prior: BaseMoment) -> OnePosterior:
         arcs[j] = j / (count - 1.0)
     grid = Nodes(arcs[:count], logp, force)
     sigma, log_prior = all_levels(frame)
-    levels = empty_levels(frame, sigma, log_prior)
-    null = best_pattern(grid, frame, levels, prior, False)
+    tried = empty_tried(frame, TOGETHER)
+    null = free_evidence(frame, sigma, log_prior, tried)
     sigma, log_prior = coarse_levels(frame)
     levels = empty_levels(frame, sigma, log_prior)
-    best_pattern(grid, frame, levels, prior, True)
-    work = empty_work(frame)
+    best_pattern(grid, frame, levels, prior, tried)
     if not frame.known:
-        sigma, log_prior = levels_with_mass(grid, frame, levels, prior)
+        sigma, log_prior = levels_with_mass(grid, frame, levels, prior, tried)
         flagged = levels.flagged
         levels = empty_levels(frame, sigma, log_prior)
         levels.flagged[:] = flagged
         prepare_levels(frame, 0.0, levels)
-        evaluate_all(grid, frame, levels, prior, work)
-    split = np.empty(MAX_NODES, dtype=np.bool_)
-    count = refine(nodes, count, split, frame, levels, prior, work)
+        evaluate_all(grid, frame, levels, prior, tried)
+    cells = Cells(np.empty(MAX_NODES), np.empty(MAX_NODES, dtype=np.bool_))
+    count = refine(nodes, count, cells, frame, levels, prior, tried)
     cumulative = np.empty(count)
     evidence = masses(arcs, logp, count, cumulative)
     arc, low, high, pieces = summary(arcs, logp, count, cumulative, LEVEL)
     logp -= evidence
-    _, strength, square = evaluate(arc, frame, levels, prior, work, False)
+    evaluate_at(arc, frame, levels, prior, tried, False)
+    strength = tried.force[0]
+    square = tried.variance[0]
     # Spread of the force: within the arc, and as it slides with the arc.
     slide = 0.0
     for j in range(count - 1):
@@ -189,10 +220,10 @@ def one_contact(frame: Frame, prior: BaseMoment) -> OnePosterior:
     # Noise level with the most weight at the arc, and the misfit there.
     s = 0
     if sigma.shape[0] > 1:
-        s = int(level_weights(arc, frame, levels, prior).argmax())
+        s = int(level_weights(arc, frame, levels, prior, tried).argmax())
     typical = 0.0
     misfit = 0.0
-    phi = work.phi
+    phi = tried.phi[:, 0]
     for i in range(n):
         typical += frame.variance[i] / n
         misfit -= levels.W[s, i] * phi[i] * strength * (2.0 * y[i] - strength * phi[i])

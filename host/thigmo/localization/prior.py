@@ -6,10 +6,13 @@ EI times length. None depends on the data.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from thigmo.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
@@ -98,6 +101,11 @@ CORNER_BEND = 0.35
 HINT_OF_MORE = 1.0
 
 
+# Readings from which two contacts can differ from one and noise.
+LEAST_FOR_TWO = 4
+
+
+@compiled
 def least_misfit(readings: int) -> float:
     """Misfit (sum of squared residuals over variance) below which no further contact is sought.
 
@@ -122,7 +130,7 @@ def free_limit(readings: int) -> float:
 def _chi_squared(freedom: int, deviations: float) -> float:
     """Chi-squared from the normal deviate (Wilson and Hilferty)."""
     share = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - share + deviations * np.sqrt(share)) ** 3)
+    return freedom * (1.0 - share + deviations * math.sqrt(share)) ** 3
 
 
 def second_threshold(readings: int, known: bool) -> float:

@@ -69,20 +69,29 @@ class Readings:
 
 
 @compiled
-def _normalise(
+def normalise_into(
     curvature: Array,
     position: Array,
     span: Array,
     free: Array,
     noise: Array,
     length: float,
-    y: Array,
-    low: Array,
-    high: Array,
-    variance: Array,
+    block: Array,
     index: Indices,
 ) -> tuple[int, int, float]:
-    """Check and scale; returns (problem or 0, number of finite readings, mean free curvature)."""
+    """Check and scale a frame, as `vectors` gives it.
+
+    Args:
+        curvature, position, span, free, noise: (n,) or, but for the first two, one for all; no
+            noise if it is not known.
+        length: everted length.
+        block: (4, n) written: y, low, high and variance of the finite readings, as in `Readings`.
+        index: (n,) written: their places.
+
+    Returns:
+        problem (see `fault`) or 0; number of finite readings; mean free curvature times length.
+    """
+    y, low, high, variance = block[0], block[1], block[2], block[3]
     n = curvature.shape[0]
     if position.shape[0] != n:
         return 1, 0, 0.0
@@ -154,19 +163,18 @@ _UNKNOWN = np.zeros(0)
 _ZERO = np.zeros(1)
 
 
-def normalise(
+def vectors(
     curvature: npt.ArrayLike,
     position: npt.ArrayLike,
     length: float,
     span: npt.ArrayLike,
     free_curvature: npt.ArrayLike,
     noise: npt.ArrayLike | None,
-) -> Readings:
-    """Check one frame and normalise it.
+) -> tuple[Array, Array, Array, Array, Array, float]:
+    """One frame as `normalise_into` takes it: curvature, position, span, free, noise, length.
 
     Raises:
-        DataError: wrong shapes, no finite reading, sensors beyond the length, negative spans or
-            noise, infinite values, a length that is no length.
+        DataError: what is not numeric, not one row of numbers, or no length.
     """
     k = _vector(curvature, "curvature")
     x = _vector(position, "position")
@@ -183,15 +191,33 @@ def normalise(
         raise DataError("length is not a number", "give the everted length") from error
     if not (math.isfinite(total) and 1e-9 <= total <= 1e9):
         raise DataError(f"length {total:g} is no length", "give the everted length, in cm, m or mm")
-    n = len(k)
-    block = np.empty((4, n))
-    index = np.empty(n, dtype=np.int64)
-    problem, count, bend = _normalise(
-        k, x, width, g, s, total, block[0], block[1], block[2], block[3], index
-    )
+    return k, x, width, g, s, total
+
+
+def fault(problem: int) -> DataError:
+    """What `normalise_into` found wrong."""
+    return DataError(*_PROBLEMS[problem])
+
+
+def normalise(
+    curvature: npt.ArrayLike,
+    position: npt.ArrayLike,
+    length: float,
+    span: npt.ArrayLike,
+    free_curvature: npt.ArrayLike,
+    noise: npt.ArrayLike | None,
+) -> Readings:
+    """Check one frame and normalise it.
+
+    Raises:
+        DataError: wrong shapes, no finite reading, sensors beyond the length, negative spans or
+            noise, infinite values, a length that is no length.
+    """
+    k, x, width, g, s, total = vectors(curvature, position, length, span, free_curvature, noise)
+    block = np.empty((4, len(k)))
+    index = np.empty(len(k), dtype=np.int64)
+    problem, count, bend = normalise_into(k, x, width, g, s, total, block, index)
     if problem:
-        raise DataError(*_PROBLEMS[problem])
-    block = block[:, :count]
-    return Readings(
-        block[0], block[1], block[2], block[3], noise is not None, bend, index[:count], total
-    )
+        raise fault(problem)
+    y, low, high, variance = block[:, :count]
+    return Readings(y, low, high, variance, noise is not None, bend, index[:count], total)

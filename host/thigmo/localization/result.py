@@ -69,12 +69,12 @@ class LocalizeResult:
     parameters: dict[str, float] = field(default_factory=dict)
     _shape: Callable[[], Array] | None = None
     _bend: Array | None = None
-    _solve: Callable[[], tuple[float, tuple[tuple[Range, ...], ...]]] | None = None
+    _solve: Callable[[int], tuple[float, tuple[tuple[Range, ...], ...]]] | None = None
     _solved: tuple[float, tuple[tuple[Range, ...], ...]] | None = None
 
     def _exact(self) -> tuple[float, tuple[tuple[Range, ...], ...]]:
         if self._solved is None:
-            self._solved = self._solve() if self._solve is not None else (0.0, ())
+            self._solved = (0.0, ()) if self._solve is None else self._solve(len(self.contacts))
         return self._solved
 
     @property

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from thigmo.compiled import compiled
 from thigmo.localization import prior
-from thigmo.localization.frame import Frame, empty_levels, empty_work, one_level
+from thigmo.localization.frame import TOGETHER, Frame, empty_levels, empty_tried, one_level
 from thigmo.localization.influence import end_influence
 from thigmo.localization.marginal import prepare_levels, weigh
 from thigmo.localization.models import (
@@ -113,25 +113,36 @@ def _weigh_places(
     levels = empty_levels(frame, sigma, log_prior)
     levels.flagged[:] = flagged
     prepare_levels(frame, 0.0, levels)
-    work = empty_work(frame)
+    tried = empty_tried(frame, TOGETHER)
     y = frame.y
     at = 0
-    for k in range(phis.shape[0]):
-        value, force[k], square = weigh(levers[k], phis[k], y, levels, moment, work, False)
-        # The place says which way the force pushes: all of its prior is on that side.
-        z = -force[k] / np.sqrt(2.0 * max(square, 1e-300))
-        logp[k] = value + np.log(max(math.erfc(z), 1e-300))
-        if logp[k] > logp[at]:
-            at = k
+    first = 0
+    while first < phis.shape[0]:
+        count = min(phis.shape[0] - first, TOGETHER)
+        for j in range(count):
+            tried.lever[j] = levers[first + j]
+            tried.phi[:, j] = phis[first + j]
+        weigh(count, y, levels, moment, tried, False)
+        for j in range(count):
+            k = first + j
+            force[k] = tried.force[j]
+            # The place says which way the force pushes: all of its prior is on that side.
+            z = -force[k] / np.sqrt(2.0 * max(tried.variance[j], 1e-300))
+            logp[k] = tried.logp[j] + np.log(max(math.erfc(z), 1e-300))
+            if logp[k] > logp[at]:
+                at = k
+        first += count
+    tried.lever[0] = levers[at]
+    tried.phi[:, 0] = phis[at]
     level = 0
     top = -1e300
     for s in range(sigma.shape[0]):
-        value, _, _ = weigh(levers[at], phis[at], y, one_level(levels, s), moment, work, False)
-        if value > top:
-            top = value
+        weigh(1, y, one_level(levels, s), moment, tried, False)
+        if tried.logp[0] > top:
+            top = tried.logp[0]
             level = s
-    weigh(levers[at], phis[at], y, levels, moment, work, True)
-    flips[:] = work.flips
+    weigh(1, y, levels, moment, tried, True)
+    flips[:] = tried.flips
     return float(sigma[level])
 
 
