@@ -20,7 +20,7 @@ from thigmo.localization.models import (
     MomentLimit,
     Setting,
     bent_shape,
-    evidence_of_two,
+    evidence_of,
     fit_one,
     fit_several,
     fold_column,
@@ -59,7 +59,10 @@ def stands(look: Look, contacts: int | str, options: Options) -> bool:
     if options.mechanics != "auto":
         return True
     arc, force = look.arc, abs(look.force)
-    if force * arc * arc / 2 + abs(look.bend) * arc >= prior.BEND:
+    turning = force * arc * arc / 2
+    if turning + abs(look.bend) * arc >= prior.BEND:
+        return False
+    if turning + abs(look.bend) >= prior.CORNER_BEND:
         return False
     if (force + 2.0 * look.deviation) * arc > _suspect(options):
         return False
@@ -91,10 +94,10 @@ def best_model(
     one = _lever_arms(readings, plain) if rich else plain
     odd = one.misfit > prior.misfit_limit(len(readings.y))
     two = -math.inf
-    rare = odd or _turning(one, readings) >= prior.CORNER_BEND
+    rare = odd or _turning(one, readings, whole=True) >= prior.CORNER_BEND
     least = one.score + _least_of_two(len(readings.y), RARE_MARGIN if rare else MARGIN)
     if two_at_most(readings, one) > least:
-        two = evidence_of_two(readings, one.setting)
+        two = evidence_of(2, readings, one.setting)
     called = two > one.score + prior.HINT_OF_MORE
     ones = [one]
     if rich:
@@ -177,9 +180,22 @@ def _more_contacts(
         if len(readings.y) < 2 * count:
             break
         penalty = (count - 1) * step + (prior.THIRD_PENALTY if count > 2 else 0.0)
-        rivals = [fit_several(readings, plain, count, penalty)]
+        likely = [(plain, penalty)]
         if fold is not None:
-            rivals.append(fit_several(readings, fold, count, penalty + prior.FOLD_PENALTY))
+            likely.append((fold, penalty + prior.FOLD_PENALTY))
+        if count > 2:
+            # On the shape that two give the body a look is enough, where three are far from them.
+            shape = winner.setting.sensors.table
+            if len(shape):
+                likely = [(setting.bent(shape, readings), cost) for setting, cost in likely]
+            likely = [
+                (setting, cost)
+                for setting, cost in likely
+                if evidence_of(count, readings, setting) - cost > winner.score - NEARLY
+            ]
+            if not likely:
+                break
+        rivals = [fit_several(readings, setting, count, cost) for setting, cost in likely]
         rival = _best_bent(readings, rivals) if rich else max(rivals, key=_score)
         if rival.score <= winner.score:
             return winner, count == 2 and rival.score > winner.score - _margin(winner)

@@ -231,9 +231,9 @@ def fit_several(
     )
 
 
-def evidence_of_two(readings: Readings, setting: Setting) -> float:
-    """Log evidence of two contacts, to a fraction of a nat."""
-    return several_evidence(2, setting.frame(readings), setting.moment)
+def evidence_of(contacts: int, readings: Readings, setting: Setting) -> float:
+    """Log evidence of two or three contacts, to a fraction of a nat."""
+    return several_evidence(contacts, setting.frame(readings), setting.moment)
 
 
 def two_at_most(readings: Readings, one: Fit) -> float:
