@@ -316,8 +316,8 @@ def evaluate_at(
 def independent_evidence(frame: Frame, sigma: Array, log_prior: Array) -> float:
     """Log evidence without a contact where there are no columns: the sum over all patterns.
 
-    Nothing then ties the readings together, so that it is a product. At most half of the readings
-    may be outliers: beyond that, those that gain least by it are none.
+    Nothing then ties the readings together, so that it is a product. As with a contact, half of the
+    readings and one more may be outliers: beyond that, those that gain least by it are none.
     """
     n = frame.y.shape[0]
     top = -1e300
@@ -338,9 +338,10 @@ def independent_evidence(frame: Frame, sigma: Array, log_prior: Array) -> float:
                 gain[i] = wide + np.log(broader)
             if gain[i] > np.log(2.0):
                 outliers += 1
-        if 2 * outliers > n:
+        most = n // 2 + 1
+        if outliers > most:
             gain.sort()
-            gain[: n - n // 2] = 0.0
+            gain[: n - most] = 0.0
         value += gain.sum()
         if value > top:
             total *= np.exp(top - value) if s > 0 else 0.0

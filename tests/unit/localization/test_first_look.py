@@ -49,7 +49,7 @@ def test_evidence_of_the_free_body_is_the_sum_over_patterns_of_outliers() -> Non
         patterns = itertools.product([False, True], repeat=6)
         total = 0.0
         for pattern in patterns:
-            if 2 * sum(pattern) > 6:
+            if sum(pattern) > 4:
                 continue
             w = 1.0 / np.where(pattern, prior.OUTLIER_VARIANCE * variance, variance)
             total += (
