@@ -148,6 +148,7 @@ def normalise_into(
 
 
 def _vector(value: npt.ArrayLike, name: str) -> Array:
+    """One row of numbers, in the one layout that the compiled code takes."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -156,7 +157,8 @@ def _vector(value: npt.ArrayLike, name: str) -> Array:
         array = array.reshape(1)
     elif array.ndim != 1:
         raise DataError(f"{name} has {array.ndim} dimensions", f"give {name} as one row of numbers")
-    return array
+    # A row of a transposed table or one that is read-only would have everything compiled again.
+    return array if array.flags.carray else array.copy()
 
 
 _UNKNOWN = np.zeros(0)

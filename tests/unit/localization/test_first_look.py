@@ -10,7 +10,7 @@ import pytest
 from thigmo.bench.scenes import BOTH, LENGTH, SIGMA, SPAN, one_contact, two_contacts
 from thigmo.localization import prior
 from thigmo.localization.answer import contact_of, contacts_of
-from thigmo.localization.first_look import Look, first_look
+from thigmo.localization.first_look import Look, _look, first_look
 from thigmo.localization.frame import Frame, empty_tried
 from thigmo.localization.influence import STRAIGHT, influence, influences, sensors_on, shape_table
 from thigmo.localization.marginal import independent_evidence
@@ -58,6 +58,19 @@ def test_evidence_of_the_free_body_is_the_sum_over_patterns_of_outliers() -> Non
         frame = Frame(y, variance, True, np.empty((6, 0)), sensors_on(STRAIGHT, y, y))
         found = independent_evidence(frame, np.ones(1), np.zeros(1))
         assert found == pytest.approx(np.log(total), abs=0.05)
+
+
+def test_rows_of_any_layout_take_the_same_compiled_code() -> None:
+    rows = np.zeros((10, 3))
+    rows[:, 1] = one_contact(np.random.default_rng(1)).curvature
+    fixed = np.array(BOTH)
+    fixed.flags.writeable = False
+    spans = np.full(20, SPAN)[::2]
+    first_look(np.zeros(10), BOTH.copy(), LENGTH, np.full(10, SPAN), 0.0, SIGMA, 0.0)
+    before = len(_look.signatures)  # type: ignore[attr-defined]
+    look = first_look(rows[:, 1], fixed, LENGTH, spans, 0.0, SIGMA, 0.0)
+    assert len(_look.signatures) == before  # type: ignore[attr-defined]
+    assert look.arc == look_at(rows[:, 1].copy()).arc
 
 
 def test_a_first_look_that_stands_is_what_all_models_find() -> None:
