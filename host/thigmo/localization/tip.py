@@ -249,10 +249,11 @@ def tip_contact(
             return _weigh(place, width, readings, on, radius, limit, flagged, path)
 
         found = _resolved(weigh_at)
-        top = float(found.logp.max())
-        share = np.where(found.force > 0.0, np.exp(found.logp - top), 0.0)
-        if not share.sum() > 0.0:
+        pushes = found.force > 0.0
+        if not pushes.any():
             return None
+        top = float(found.logp[pushes].max())
+        share = np.where(pushes, np.exp(np.minimum(found.logp - top, 0.0)), 0.0)
         score = top + math.log(share.sum() * share_of_it) - penalty
         share /= share.sum()
         weights, offset = path(found.place)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import thigmo
+from thigmo.bench.calibration import prior_scene
 from thigmo.bench.truth import readings as true_readings
 from thigmo.localization import identifiability
 
@@ -223,3 +224,9 @@ def test_other_methods_answer_points_behind_the_same_interface(method):
         felt(40.0, 2e-4) / 10, BOTH * 10, length=LENGTH * 10, span=SPAN * 10, method=method
     )
     assert scaled.contacts[0].arc / 10 == pytest.approx(result.contacts[0].arc, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", [1989, 6278])
+def test_a_push_on_the_end_that_is_all_but_impossible_is_no_error(seed: int) -> None:
+    # So strong a bend that hardly any place on the end can push: its weight came to nothing.
+    assert prior_scene((0, seed)).reported
