@@ -77,6 +77,10 @@ RARE_MARGIN = 4.0
 NEARLY = 0.5
 
 
+# Outliers beside one contact from which three are tried even if two explain no more.
+MANY_OUTLIERS = 3
+
+
 def _least_of_two(readings: int, margin: float = MARGIN) -> float:
     """What two contacts must add to the evidence of one, of known noise, to count at all."""
     return prior.second_threshold(readings, True) - margin - NEARLY
@@ -175,6 +179,7 @@ def _more_contacts(
 ) -> tuple[Fit, bool]:
     """Two and three contacts, as long as each adds enough evidence."""
     step = prior.second_threshold(len(readings.y), readings.known)
+    second = False
     for count in range(2, MOST_CONTACTS + 1):
         # Each contact takes two numbers.
         if len(readings.y) < 2 * count:
@@ -198,11 +203,15 @@ def _more_contacts(
         rivals = [fit_several(readings, setting, count, cost) for setting, cost in likely]
         rival = _best_bent(readings, rivals) if rich else max(rivals, key=_score)
         if rival.score <= winner.score:
-            return winner, count == 2 and rival.score > winner.score - _margin(winner)
-        winner = rival
+            second = second or (count == 2 and rival.score > winner.score - _margin(winner))
+            # Where much is thrown out, three can explain what two do not.
+            if np.count_nonzero(winner.flagged) < MANY_OUTLIERS:
+                break
+            continue
+        winner, second = rival, False
         if not _unexplained(readings, winner):
             break
-    return winner, False
+    return winner, second
 
 
 def _turning(fit: Fit, readings: Readings, *, whole: bool = False) -> float:

@@ -230,3 +230,19 @@ def test_other_methods_answer_points_behind_the_same_interface(method):
 def test_a_push_on_the_end_that_is_all_but_impossible_is_no_error(seed: int) -> None:
     # So strong a bend that hardly any place on the end can push: its weight came to nothing.
     assert prior_scene((0, seed)).reported
+
+
+@pytest.mark.parametrize("seed", [4, 9, 10, 42, 51])
+def test_three_contacts_are_not_one_and_a_row_of_outliers(seed: int) -> None:
+    # Two explain less than one, a tip moment and ten outliers; three explain all.
+    rng = np.random.default_rng([31, seed])
+    arcs = np.sort([rng.uniform(10, 17), rng.uniform(26, 34), rng.uniform(44, 53)])
+    side = rng.choice([-1, 1])
+    forces = np.array([side, -side, side]) * rng.uniform(0.008, 0.02, 3) / arcs
+    position = np.linspace(2.5, 50.5, 20)
+    clean = true_readings(arcs, forces, position, length=53.0, span=2.0)
+    result = thigmo.localize(
+        clean + 1e-4 * rng.standard_normal(20), position, length=53.0, span=2.0, noise=1e-4
+    )
+    assert result.status == "localized"
+    assert [contact.arc for contact in result.contacts] == pytest.approx(arcs, abs=1.0)
