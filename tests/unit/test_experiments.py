@@ -174,15 +174,15 @@ def test_results_do_not_depend_on_the_number_of_processes(name: str, tmp_path: P
     tables = sorted((tmp_path / "1").glob("*.csv"))
     assert tables
     for made in tables:
-        alone = cells(made)
-        shared = cells(tmp_path / "2" / made.name)
+        alone = entries(made)
+        shared = entries(tmp_path / "2" / made.name)
         assert len(alone) == len(shared)
         for one, other in zip(alone, shared, strict=True):
             # What one process compiled and the other loads may round the last digit otherwise.
             assert one == other or float(one) == pytest.approx(float(other), rel=1e-8)
 
 
-def cells(table: Path) -> list[str]:
+def entries(table: Path) -> list[str]:
     return table.read_text().replace("\n", ",").split(",")
 
 
