@@ -198,7 +198,6 @@ class Controller {
   uint32_t tick_ = 0;
   uint32_t elapsed_ = 0;  // ticks since the one before
   uint32_t beat_tick_ = 0;
-  uint32_t energised_tick_ = 0;  // when an output was first energised, this time
   uint16_t telemetry_tick_ = 0;  // its low half
   uint32_t zeroing_tick_ = 0;
   int32_t encoder_ = 0;

@@ -103,6 +103,7 @@ inline Outcome Controller::wind_to(Permit kind, int32_t length_um, uint32_t spee
   if (length_um > most) return {Reason::kOverLimit, most};
   const int32_t usual = config_.get(Param::kSpoolSpeedUmS);
   const int32_t speed = speed_um_s == 0 ? usual : static_cast<int32_t>(speed_um_s);
+  if (speed > derived_.top_speed_um_s) return {Reason::kOverLimit, derived_.top_speed_um_s};
   const int32_t target = zero_count_ + derived_.counts(length_um);
   const bool reached = growing ? target <= encoder_ : target >= encoder_;
   start_spool(growing ? Activity::kGrowing : Activity::kRetracting, reached ? encoder_ : target,

@@ -334,7 +334,6 @@ inline Reading Controller::reading() const {
 inline void Controller::assemble_conditions() {
   const uint16_t in_use = static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask());
   const bool energised = outputs_.drive[0] >= 0 || outputs_.drive[1] >= 0 || outputs_.motor != 0;
-  if (energised && (conditions_ & mask(Condition::kEnergised)) == 0) energised_tick_ = tick_;
   const uint32_t patience = static_cast<uint32_t>(config_.get(Param::kHeartbeatMs));
   uint16_t c = 0;
   if (length_known_) {
@@ -392,13 +391,10 @@ inline uint16_t Controller::causes() const {
 
 inline void Controller::watch_faults() {
   const auto is = [this](Condition condition) { return (conditions_ & mask(condition)) != 0; };
-  if (is(Condition::kEnergised)) {
-    // Dead-man time: from the last heartbeat, or from switching on if that was later.
-    uint32_t silent = tick_ - energised_tick_;
-    if (beaten_) silent = lesser(silent, tick_ - beat_tick_);
-    if (silent > static_cast<uint32_t>(config_.get(Param::kHeartbeatMs))) {
-      raise(Fault::kHostSilent, static_cast<int32_t>(silent));
-    }
+  // The dead-man looks at the last beat alone: outputs flicker, as a tail that overruns its profile
+  // is braked and driven in turn.
+  if (may_energise(state_) && !is(Condition::kHostAlive)) {
+    raise(Fault::kHostSilent, static_cast<int32_t>(tick_ - beat_tick_));
   }
   for (uint8_t side = 0; side < kSides; ++side) {
     if (over_steps_[side] >= kOverPressureSteps) raise(Fault::kOverPressure, side);

@@ -99,6 +99,7 @@ class Desk:
         host.hello()
         if self.stored is None:
             self.stored = self._read()
+        host.beating = False
         host.get(wire.Stop())
         host.get(wire.LoadDefaults())
         host.get(wire.ClearFaults(0xFFFF))
@@ -115,6 +116,8 @@ class Desk:
         faults = host.get(wire.GetStatus()).faults
         if faults and self.board is None:
             pytest.skip(f"faults keep {self.name} from arming: {wire.Fault.from_mask(faults)}")
+        host.beating = True
+        host.listen(0.05)
         host.get(wire.Arm())
         return host
 

@@ -12,6 +12,7 @@ from thigmo.link.transport import Transport
 
 M = TypeVar("M", bound=wire.Message)
 ANSWER_S = 0.5
+BEAT_S = 0.1
 LONG_S = 15.0  # of commands that answer at their end
 
 
@@ -31,6 +32,7 @@ class RawHost:
 
     Attributes:
         session, seq: of the conversation that `hello` opened.
+        beating: sends heartbeats while it waits, as an armed board needs them.
     """
 
     def __init__(self, transport: Transport) -> None:
@@ -38,6 +40,9 @@ class RawHost:
         self.session = 0
         self.seq = 0
         self.decoder = Decoder()
+        self.beating = False
+        self._beat = 0
+        self._beat_s = 0.0
         self._nonce = 1000
         self._frames: deque[Frame] = deque()
 
@@ -63,7 +68,18 @@ class RawHost:
             left = until - self.transport.now()
             if left <= 0:
                 return None
+            if self.beating:
+                self.beat()
+                left = min(left, BEAT_S)
             self._frames += self.decoder.feed(self.transport.read(left))
+
+    def beat(self) -> None:
+        """A heartbeat, if one is due."""
+        now = self.transport.now()
+        if now >= self._beat_s:
+            self._beat_s = now + BEAT_S
+            self._beat += 1
+            self.send(wire.Heartbeat(self._beat), seq=0)
 
     def listen(self, seconds: float) -> list[Frame]:
         """Everything that comes in so long."""
@@ -95,6 +111,8 @@ class RawHost:
         reply = frame.message()
         assert isinstance(reply, wire.HelloReply)
         self.session, self.seq = reply.session, seq
+        self.beating = False
+        self._beat, self._beat_s = 0, 0.0
         return reply
 
     def ask(self, message: wire.Message, timeout_s: float = ANSWER_S) -> wire.Message:

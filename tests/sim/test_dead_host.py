@@ -1,7 +1,7 @@
 """A host that dies or stalls in mid-sweep, in real time over a pseudo-terminal.
 
 The real firmware core in the emulated body, zeroed in virtual time, is then served on a port; a
-host in a process of its own starts a sweep.
+host in a process of its own arms it and starts a sweep.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.transport import open_transport
 client = Client(open_transport(sys.argv[1]))
+while not client.request(wire.GetStatus()).conditions & wire.Condition.HOST_ALIVE.mask:
+    client.poll(0.01)
+client.request(wire.Arm())
 client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
 print("sweeping", flush=True)
 """
@@ -65,6 +68,7 @@ class Served:
         report = client.request(wire.GetStatus())
         assert client.wait_for(lambda: any(done(e.message) for e in client.events), 30.0), report
         client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
+        client.request(wire.Stop())  # armed, it would miss this host: the next one arms it
         self.lockstep = transport.lockstep
         self.board = transport.lockstep.board
         # A board that keeps running while hosts come and go: opening does not reset it.

@@ -23,6 +23,13 @@ constexpr uint8_t kZoneUnknown = 255;
 constexpr int16_t kGuessedMap[protocol::kMapPoints] THIGMO_PROGMEM = {
     0, 790, 1520, 2148, 2656, 3046, 3335, 3541, 3687, 3787, 3856};
 
+// A host that dies while the body grows is noticed after heartbeat_ms; what follows until the spool
+// stands still (a control step, the output, the braked motor's run-out) takes no longer than this.
+constexpr int32_t kReactionMs = 100;
+// The farthest that the body may grow after its host has died. The promise is 2 cm; the rest is for
+// a loop that overshoots its speed and for a tail that pulls.
+constexpr int32_t kOrphanUm = 17000;
+
 struct Configuration {
   int32_t value[protocol::kParamCount];
   int16_t map[kZones][kSides][kBranches][protocol::kMapPoints];
@@ -85,6 +92,11 @@ struct Configuration {
     return -1;
   }
 
+  // The fastest tip whose host may die: speed x (heartbeat + reaction) stays within kOrphanUm.
+  int32_t top_speed_um_s() const {
+    return kOrphanUm * 1000 / (get(Param::kHeartbeatMs) + kReactionMs);
+  }
+
   // Index of the first parameter that contradicts another, or -1. A robot whose configuration
   // contradicts itself is not armed.
   int16_t first_conflict() const {
@@ -95,6 +107,12 @@ struct Configuration {
     // Set points must stay clear of the fault, or overshoot would be one.
     if (get(Param::kOverPressureCpsi) <= get(Param::kMaxPressureCpsi)) {
       return static_cast<int16_t>(Param::kOverPressureCpsi);
+    }
+    if (get(Param::kSpoolSpeedUmS) > top_speed_um_s()) {
+      return static_cast<int16_t>(Param::kSpoolSpeedUmS);
+    }
+    if (get(Param::kHomeSpeedUmS) > top_speed_um_s()) {
+      return static_cast<int16_t>(Param::kHomeSpeedUmS);
     }
     return -1;
   }

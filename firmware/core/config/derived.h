@@ -47,6 +47,7 @@ struct Derived {
   uint32_t counts_per_um_q24;             // and the other way
   uint32_t step_per_um_s_q32;             // counts in a control step at a tip speed
   int32_t accel_q16;                      // counts per control step and step, in 1/65536
+  int32_t top_speed_um_s;                 // the fastest tip whose host may die
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
@@ -178,6 +179,7 @@ struct Derived {
   }
 
   void update_rest(const Configuration& c) {
+    top_speed_um_s = c.top_speed_um_s();
     slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
     stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
     stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xE4D44695u;
+constexpr uint32_t kSchemaHash = 0x61864BACu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -111,19 +111,20 @@ enum class Reason : uint8_t {
   kNotVented = 13,    // A muscle still holds pressure; vent and wait.
   kNotSettled = 14,   // A sensor everted too recently; wait for its settling time.
   kDrifting = 15,     // Readings still drift; wait, and look for a touch or a loose wire.
-  kOverLimit = 16,    // The set point exceeds the configured maximum pressure or length; ask for
-                      // less, or raise the limit in robot.toml.
+  kOverLimit = 16,    // The pressure, length or speed exceeds its configured maximum; ask for less,
+                      // or raise the limit in robot.toml.
   kNoSnapshot = 17,   // No such reading was captured; sweep first, past the peak.
   kEstop = 18,        // The emergency stop is pressed; release it first.
   kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
+  kHostSilent = 21,  // No heartbeat has arrived lately; keep the host beating, then arm again.
 };
-constexpr uint8_t kReasonCount = 21;
+constexpr uint8_t kReasonCount = 22;
 
 // Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
 enum class Fault : uint8_t {
-  kHostSilent = 0,  // No heartbeat from the host while an output was energised; check the cable and
-                    // the host, then clear.
+  kHostSilent = 0,  // No heartbeat from the host while the robot was armed; check the cable and the
+                    // host, then clear.
   kOverPressure =
       1,  // A muscle exceeded the pressure limit; check the transducer and its supply, then clear.
   kPressureWire =
@@ -351,7 +352,8 @@ struct GetStatus {
   }
 };
 
-// Leave safe for ready. Refused while a fault is latched or the configuration is bad.
+// Leave safe for ready. Refused while a fault is latched, the configuration is bad or no heartbeat
+// arrives.
 struct Arm {
   static constexpr uint8_t kId = kArm;
   static constexpr uint8_t kSize = 0;
@@ -423,7 +425,8 @@ struct GrowTo {
   static constexpr uint8_t kId = kGrowTo;
   static constexpr uint8_t kSize = 8;
   int32_t length_um;    // Target everted length. (um)
-  uint32_t speed_um_s;  // Tip speed; 0 = as configured. (um/s)
+  uint32_t speed_um_s;  // Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so
+                        // that a dead host costs no more than 2 cm. (um/s)
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(length_um));
     detail::put32(out + 4, static_cast<uint32_t>(speed_um_s));
@@ -1200,9 +1203,10 @@ enum class Param : uint16_t {
   kStallMs = 82,            // Driven and still for so long is a stall. (ms)
   kSlipUm = 83,             // Movement with the motor off that is a slip. (um)
   kHomeSpeedUmS = 84,       // Tip speed of homing. (um/s)
-  kHeartbeatMs = 85,        // Host silence, with an output energised, that is a fault. (ms)
-  kSupplyMinMv = 86,        // Supply below this is a brown-out. (mV)
-  kTelemetryMs = 87,        // Telemetry period; 0 = off. (ms)
+  kHeartbeatMs = 85,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+                      // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm. (ms)
+  kSupplyMinMv = 86,  // Supply below this is a brown-out. (mV)
+  kTelemetryMs = 87,  // Telemetry period; 0 = off. (ms)
 };
 constexpr uint16_t kParamCount = 88;
 struct ParamRow {

@@ -50,6 +50,10 @@ struct Transition {
 
 constexpr uint8_t kAnyState = 0x1F;
 
+// What arming needs: among it a beating host, for from then on its silence is a fault.
+constexpr uint16_t kArmable = static_cast<uint16_t>(
+    mask(Condition::kConfigValid) | mask(Condition::kSupplyGood) | mask(Condition::kHostAlive));
+
 constexpr Transition kTransitions[] THIGMO_PROGMEM = {
     // A fault takes the outputs from everyone, in any state.
     {kAnyState & static_cast<uint8_t>(~bit(State::kFault)), bit(Signal::kFaultLatched), 0, 0, 0,
@@ -59,9 +63,8 @@ constexpr Transition kTransitions[] THIGMO_PROGMEM = {
     {bit(State::kBoot), bit(Signal::kHello), 0, 0, 0, State::kSafe},
     {static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving)), bit(Signal::kStop), 0, 0, 0,
      State::kSafe},
-    {bit(State::kSafe), bit(Signal::kArm), bit(Signal::kStop),
-     static_cast<uint16_t>(mask(Condition::kConfigValid) | mask(Condition::kSupplyGood)),
-     mask(Condition::kEstop), State::kReady},
+    {bit(State::kSafe), bit(Signal::kArm), bit(Signal::kStop), kArmable, mask(Condition::kEstop),
+     State::kReady},
     {bit(State::kReady), bit(Signal::kActive), 0, 0, 0, State::kMoving},
     {bit(State::kMoving), 0, bit(Signal::kActive), 0, 0, State::kReady},
 };
@@ -122,8 +125,7 @@ constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBo
 // In the order of Permit.
 constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
     {static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
-     static_cast<uint16_t>(mask(Condition::kConfigValid) | mask(Condition::kSupplyGood)),
-     mask(Condition::kEstop)},
+     kArmable, mask(Condition::kEstop)},
     {kArmed, bit(Activity::kIdle), static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)),
      mask(Condition::kHalfEverted)},
     {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)), kWholeBody,
@@ -151,6 +153,7 @@ constexpr Complaint kComplaints[] THIGMO_PROGMEM = {
     {mask(Condition::kEstop), Reason::kEstop},
     {mask(Condition::kConfigValid), Reason::kBadConfig},
     {mask(Condition::kSupplyGood), Reason::kWrongState},
+    {mask(Condition::kHostAlive), Reason::kHostSilent},
     {mask(Condition::kLengthKnown), Reason::kLengthUnknown},
     {mask(Condition::kHalfEverted), Reason::kHalfEverted},
     {mask(Condition::kZoneKnown), Reason::kZoneUnknown},

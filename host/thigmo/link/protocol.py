@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0xE4D44695
+SCHEMA_HASH = 0x61864BAC
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -158,14 +158,15 @@ class Reason(Documented):
     OVER_LIMIT = (
         16,
         (
-            "The set point exceeds the configured maximum pressure or length; ask for less, "
-            "or raise the limit in robot.toml."
+            "The pressure, length or speed exceeds its configured maximum; ask for less, or "
+            "raise the limit in robot.toml."
         ),
     )
     NO_SNAPSHOT = 17, "No such reading was captured; sweep first, past the peak."
     ESTOP = 18, "The emergency stop is pressed; release it first."
     BAD_CONFIG = 19, "The stored configuration is damaged; load defaults, configure and save again."
     NOT_ZEROED = 20, "Sensors have no valid zero; vent, wait for settling, and zero."
+    HOST_SILENT = 21, "No heartbeat has arrived lately; keep the host beating, then arm again."
 
 
 class Fault(Documented):
@@ -174,8 +175,8 @@ class Fault(Documented):
     HOST_SILENT = (
         0,
         (
-            "No heartbeat from the host while an output was energised; check the cable and "
-            "the host, then clear."
+            "No heartbeat from the host while the robot was armed; check the cable and the "
+            "host, then clear."
         ),
     )
     OVER_PRESSURE = (
@@ -1038,7 +1039,9 @@ class GetStatus(Command[StatusReport]):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Command[Ack]):
-    """Leave safe for ready. Refused while a fault is latched or the configuration is bad."""
+    """Leave safe for ready. Refused while a fault is latched, the configuration is bad or no
+    heartbeat arrives.
+    """
 
     ID: ClassVar[int] = 0x03
     SIZE: ClassVar[int] = 0
@@ -1179,7 +1182,9 @@ class GrowTo(Command[Ack]):
     length_um: int
     """Target everted length. [um]"""
     speed_um_s: int
-    """Tip speed; 0 = as configured. [um/s]"""
+    """Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so that a dead host
+    costs no more than 2 cm. [um/s]
+    """
 
     def pack(self) -> bytes:
         """The payload."""
@@ -2024,7 +2029,10 @@ PARAMETERS: dict[str, Parameter] = {
             50,
             10000,
             (500,),
-            "Host silence, with an output energised, that is a fault.",
+            (
+                "Host silence, while armed, that is a fault. Bounds spool_speed_um_s and "
+                "home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm."
+            ),
         ),
         Parameter(
             "supply_min_mv", 86, 1, "mV", 3000, 5500, (4500,), "Supply below this is a brown-out."

@@ -27,6 +27,7 @@ inline State expected(State state, int conditions, int signals) {
     case State::kSafe: {
       const bool good = (conditions & mask(Condition::kConfigValid)) != 0 &&
                         (conditions & mask(Condition::kSupplyGood)) != 0 &&
+                        (conditions & mask(Condition::kHostAlive)) != 0 &&
                         (conditions & mask(Condition::kEstop)) == 0;
       return arm && !stop && good ? State::kReady : State::kSafe;
     }
@@ -90,6 +91,8 @@ TEST(every_refusal_has_its_reason) {
             want = Reason::kBadConfig;
           } else if (arm && !has(c, Condition::kSupplyGood)) {
             want = Reason::kWrongState;
+          } else if (arm && !has(c, Condition::kHostAlive)) {
+            want = Reason::kHostSilent;
           } else if ((bend || wind || permit == Permit::kZero) &&
                      !has(c, Condition::kLengthKnown)) {
             want = Reason::kLengthUnknown;

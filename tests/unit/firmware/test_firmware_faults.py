@@ -92,13 +92,68 @@ def test_host_silent(busy: Callable[[], Bench]) -> None:
     recover(bench, F.HOST_SILENT)
 
 
-def test_a_silent_host_is_no_fault_while_nothing_is_energised() -> None:
+def test_a_silent_host_is_a_fault_while_armed_and_none_while_safe() -> None:
     bench = Bench()
     bench.zeroed()
     bench.beating = False
+    bench.step(1000)
+    assert bench.faults() == (F.HOST_SILENT,)
+    bench.beating = True
+    bench.step(200)
+    bench.do(wire.ClearFaults(0xFFFF))
+    bench.beating = False
     bench.step(5000)
     assert bench.faults() == ()
-    assert bench.status().state == wire.State.READY
+    assert bench.status().state == wire.State.SAFE
+    assert bench.refused(wire.Arm()) == R.HOST_SILENT  # arming needs a beat
+    bench.beating = True
+    bench.step(200)
+    bench.do(wire.Arm())
+
+
+@pytest.mark.parametrize("pull", [100.0, 400.0, 800.0])
+def test_a_tail_that_overruns_the_spool_does_not_restart_the_dead_man(pull: float) -> None:
+    """The output then alternates between brake and drive, as the body's air pulls."""
+    bench = growing()
+    bench.spool.pull = pull  # counts/s, whenever the loop brakes
+    bench.beating = False
+    start = bench.board.now_us
+    bench.until(lambda: bool(bench.event(wire.EventCode.FAULT, F.HOST_SILENT)), 1000)
+    assert bench.safe()
+    assert bench.board.now_us - start < 520_000
+
+
+@pytest.mark.parametrize("heartbeat_ms", [150, 500, 3000, 10_000])
+def test_every_legal_speed_ends_within_two_centimetres_of_the_last_beat(heartbeat_ms: int) -> None:
+    bench = Bench()
+    top = 17_000_000 // (heartbeat_ms + 100)
+    speed = min(top, 50_000)  # the bench's motor can no more
+    bench.grown(100_000, heartbeat_ms=heartbeat_ms, spool_speed_um_s=speed, home_speed_um_s=1000)
+    if top < 200_000:
+        assert bench.refused(wire.GrowTo(500_000, top + 1)) == R.OVER_LIMIT
+    bench.do(wire.GrowTo(500_000, 0))
+    bench.step(2000)
+    bench.beat()
+    bench.beating = False
+    begun = bench.spool.counts
+    bench.until(lambda: bool(bench.event(wire.EventCode.FAULT, F.HOST_SILENT)), 12_000)
+    bench.step(500)
+    assert (bench.spool.counts - begun) / (2 * 76) < 2.0  # cm of the tip
+    assert bench.safe()
+
+
+@pytest.mark.parametrize("name", ["spool_speed_um_s", "home_speed_um_s"])
+def test_a_speed_that_outruns_the_heartbeat_does_not_arm(name: str) -> None:
+    bench = Bench()
+    bench.prepare()
+    bench.do(wire.Stop())
+    bench.set(name, 17_000_000 // 600 + 1)
+    index = wire.PARAMETERS[name].index
+    ack = bench.ask(wire.Arm())
+    assert isinstance(ack, wire.Ack)
+    assert (ack.reason, ack.detail) == (R.BAD_CONFIG, index)
+    bench.set("heartbeat_ms", 499)
+    bench.do(wire.Arm())
 
 
 def test_a_replayed_heartbeat_keeps_nobody_alive() -> None:
@@ -420,7 +475,7 @@ def test_not_vented() -> None:
 def test_not_settled_after_growth() -> None:
     bench = Bench()
     bench.zeroed(settle_ms=5000)
-    bench.do(wire.GrowTo(200_000, 50_000))
+    bench.do(wire.GrowTo(200_000, 25_000))
     bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.GROWING)))
     assert bench.refused(wire.ZeroSensors(0b0001000010)) == R.NOT_SETTLED
     assert bench.refused(SWEEP) == R.NOT_ZEROED
