@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from thigmo.bench import STUDIES, Context, Outcome, load
-from thigmo.bench.attempt import attempt
-from thigmo.bench.calibration import batches, root_mean, share_error
-from thigmo.bench.exploration import Room, visit
-from thigmo.bench.scenes import LENGTH, SCENES, press
-from thigmo.bench.speed_accuracy import Score, pareto
-from thigmo.bench.stability import STRESSES
-from thigmo.bench.study import Claim, Table, write
-from thigmo.bench.truth import readings
 from thigmo.cli.main import app
 from thigmo.cli.study_progress import lines
 from thigmo.errors import RunFolderError
 from thigmo.localization import prior
 from thigmo.mechanics import push
+from thigmo.studies import STUDIES, Context, Outcome, load
+from thigmo.studies.attempt import attempt
+from thigmo.studies.calibration import batches, root_mean, share_error
+from thigmo.studies.engine import Claim, Table, write
+from thigmo.studies.exploration import Room, visit
+from thigmo.studies.rod import readings
+from thigmo.studies.scenes import LENGTH, SCENES, press
+from thigmo.studies.speed_accuracy import Score, pareto
+from thigmo.studies.stability import STRESSES
 
 
 def test_truth_agrees_with_the_plants_mechanics_without_sharing_code() -> None:
@@ -112,7 +112,7 @@ def test_a_stopped_study_leaves_its_finished_parts(
         context.save(Outcome([Table("first", ("x",), [(1,)])], {}, [Claim("c", 1.0, 2.0)]))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("thigmo.bench.load", lambda name: stopped)
+    monkeypatch.setattr("thigmo.studies.load", lambda name: stopped)
     done = CliRunner().invoke(app, ["bench", "calibration", "--out", str(tmp_path), "--json"])
     assert done.exit_code == 130
     assert f"finished parts are in {tmp_path}/calibration-*" in done.stderr

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thigmo.bench.trigger import (
+from thigmo.studies.trigger import (
     THRESHOLD,
     chosen,
     default_setting,
@@ -13,7 +13,7 @@ from thigmo.bench.trigger import (
     room,
     settings,
 )
-from thigmo.bench.trigger_sessions import (
+from thigmo.studies.trigger_sessions import (
     Session,
     Setting,
     false_alarms,

@@ -16,8 +16,8 @@ from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
-from thigmo.experiments.attendant import Place, Verdict
-from thigmo.experiments.explorations import (
+from thigmo.studies.experiments.attendant import Place, Verdict
+from thigmo.studies.experiments.explorations import (
     EmulatedBystander,
     ExplorationFolder,
     PlannedRun,

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 from thigmo.errors import DataError
-from thigmo.experiments.attendant import EmulatedAttendant, Verdict
-from thigmo.experiments.evaluate import evaluate
-from thigmo.experiments.procedure import Planned, plan
-from thigmo.experiments.recorded import TrialFolder, run_trials
 from thigmo.record.log import read_log
 from thigmo.robot import Robot, connect
+from thigmo.studies.experiments.attendant import EmulatedAttendant, Verdict
+from thigmo.studies.experiments.evaluate import evaluate
+from thigmo.studies.experiments.procedure import Planned, plan
+from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thigmo.bench.truth import readings
 from thigmo.errors import DataError
-from thigmo.localization.baselines import BASELINES, Problem
-from thigmo.localization.baselines.problem import best_forces, influence, objective
+from thigmo.studies.baselines import BASELINES, Problem
+from thigmo.studies.baselines.problem import best_forces, influence, objective
+from thigmo.studies.rod import readings
 
 LENGTH = 53.0
 BOTH = np.tile([5.0, 15.0, 25.0, 35.0, 45.0], 2)

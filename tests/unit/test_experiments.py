@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thigmo.bench.study import Context
-from thigmo.experiments import EXPERIMENTS, conditions, run, thesis
-from thigmo.experiments.compare import (
+from thigmo.mechanics import push
+from thigmo.studies.engine import Context
+from thigmo.studies.experiments import EXPERIMENTS, conditions, run, thesis
+from thigmo.studies.experiments.compare import (
     Answer,
     alone,
     assigned_errors,
@@ -21,11 +22,10 @@ from thigmo.experiments.compare import (
     thesis_method,
     workspace_errors,
 )
-from thigmo.experiments.fit import frozen, misfit, table
-from thigmo.experiments.sensitivity import cells
-from thigmo.experiments.specimen import Constants, Specimen
-from thigmo.experiments.trial import Trial
-from thigmo.mechanics import push
+from thigmo.studies.experiments.fit import frozen, misfit, table
+from thigmo.studies.experiments.sensitivity import cells
+from thigmo.studies.experiments.specimen import Constants, Specimen
+from thigmo.studies.experiments.trial import Trial
 
 PERFECT = Constants(noise=0.0, gain_spread=0.0, position_cm=0.0, fold_rad=0.0)
 
@@ -194,8 +194,8 @@ def test_the_bound_counts_gains_and_places() -> None:
 
 
 def test_the_flow_chart_shows_every_state_and_outcome() -> None:
-    from thigmo.experiments import flow
     from thigmo.exploration.states import TRANSITIONS, State
+    from thigmo.studies.experiments import flow
 
     texts = [text.get_text() for text in flow.figure().axes[0].texts]
     assert all(state.value in texts for state in State)
@@ -203,7 +203,7 @@ def test_the_flow_chart_shows_every_state_and_outcome() -> None:
 
 
 def test_predictions_say_what_holds_and_what_fails() -> None:
-    from thigmo.experiments.predictions import Cell, remarks
+    from thigmo.studies.experiments.predictions import Cell, remarks
 
     cells = [
         Cell("as fitted", "two-contacts", "far", 4.0, 4.4, 4.0),

@@ -47,10 +47,10 @@ def bench(
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from thigmo.bench import STUDIES, Context, Outcome, load
-    from thigmo.bench.study import connect_cluster, write
     from thigmo.cli.study_progress import study_progress
     from thigmo.errors import DataError
+    from thigmo.studies import STUDIES, Context, Outcome, load
+    from thigmo.studies.engine import connect_cluster, write
 
     names = list(studies or STUDIES)
     if names == ["list"]:

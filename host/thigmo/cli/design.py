@@ -43,9 +43,9 @@ def design(
         raise DataError(f"--centers is {centers!r}", "give numbers, e.g. 5,15,25") from error
     if columns < 1:
         raise DataError(f"--columns is {columns}", "give 1 or more")
-    from thigmo.bench.study import Outcome, Table, write
     from thigmo.localization import identifiability
     from thigmo.report.design_figure import draw_design
+    from thigmo.studies.engine import Outcome, Table, write
 
     position = places * columns
     found = identifiability(

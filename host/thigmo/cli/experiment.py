@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.config import RobotConfig
-    from thigmo.experiments import Results
-    from thigmo.experiments.attendant import Attendant, Place
     from thigmo.robot import Robot
+    from thigmo.studies.experiments import Results
+    from thigmo.studies.experiments.attendant import Attendant, Place
 
 
 def register(app: typer.Typer) -> None:
@@ -79,7 +79,7 @@ def experiment(
     after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
     from thigmo.errors import DataError
-    from thigmo.experiments import EXPERIMENTS, run
+    from thigmo.studies.experiments import EXPERIMENTS, run
 
     names = list(EXPERIMENTS) if name == "all" else [name]
     if name not in (*EXPERIMENTS, "all", "fit"):
@@ -153,12 +153,12 @@ class _Asked:
 
 def _with_robot(name: str, asked: _Asked) -> Results:
     """Take the trials, or read them, and evaluate what there is."""
-    from thigmo.bench.study import Context
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.errors import DataError
-    from thigmo.experiments.evaluate import evaluate, save
-    from thigmo.experiments.procedure import STATIC
-    from thigmo.experiments.recorded import TrialFolder, run_trials
+    from thigmo.studies.engine import Context
+    from thigmo.studies.experiments.evaluate import evaluate, save
+    from thigmo.studies.experiments.procedure import STATIC
+    from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
     if name not in STATIC:
         raise DataError(
@@ -186,8 +186,8 @@ def _explored(asked: _Asked) -> Results:
     """Explore trial by trial, or read the runs, and evaluate what there is."""
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.cli.experiment_prompts import TerminalBystander
-    from thigmo.experiments.evaluate import save
-    from thigmo.experiments.explorations import (
+    from thigmo.studies.experiments.evaluate import save
+    from thigmo.studies.experiments.explorations import (
         EmulatedBystander,
         ExplorationFolder,
         evaluate,
@@ -224,7 +224,7 @@ def _explored(asked: _Asked) -> Results:
 def _attendant(console: Console, machine: Robot, asked: _Asked) -> Attendant:
     from thigmo.cli.experiment_prompts import TerminalAttendant
     from thigmo.errors import DataError
-    from thigmo.experiments.attendant import EmulatedAttendant
+    from thigmo.studies.experiments.attendant import EmulatedAttendant
 
     if machine.scenery() is not None:
         if asked.camera is not None:
@@ -241,7 +241,7 @@ def _look(asked: _Asked, diameter_cm: float) -> Callable[[], list[Place]] | None
     from thigmo.calibrate.eyes import Eyes
     from thigmo.camera import CameraModel, open_source
     from thigmo.cli.camera import load_sheet
-    from thigmo.experiments import thesis
+    from thigmo.studies.experiments import thesis
 
     eyes = Eyes(
         open_source(asked.camera), CameraModel.load(asked.camera_file),
@@ -279,8 +279,8 @@ def _plain(result: Results) -> dict[str, Any]:
 def _fit(seed: int, out: Path, as_json: bool) -> None:
     from rich.progress import Progress
 
-    from thigmo.experiments.fit import as_json as fit_json
-    from thigmo.experiments.fit import fit
+    from thigmo.studies.experiments.fit import as_json as fit_json
+    from thigmo.studies.experiments.fit import fit
 
     with Progress(disable=as_json) as bar:
         task = bar.add_task("fitting the constants to section 3.2", total=None)

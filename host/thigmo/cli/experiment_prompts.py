@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from thigmo.cli.console import Console
-    from thigmo.experiments.attendant import Attendant, Known, Place, Verdict
-    from thigmo.experiments.explorations import PlannedRun
-    from thigmo.experiments.procedure import Planned
+    from thigmo.studies.experiments.attendant import Attendant, Known, Place, Verdict
+    from thigmo.studies.experiments.explorations import PlannedRun
+    from thigmo.studies.experiments.procedure import Planned
 
 _WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}
 
 
 class TerminalAttendant:
-    """Asks a person; see `thigmo.experiments.attendant.Attendant`.
+    """Asks a person; see `thigmo.studies.experiments.attendant.Attendant`.
 
     Args:
         console: to ask at.
@@ -99,7 +99,7 @@ class TerminalAttendant:
 
     def truth(self) -> Known:
         """In a rehearsal what the emulated room knows."""
-        from thigmo.experiments.attendant import Known
+        from thigmo.studies.experiments.attendant import Known
 
         return self._behind.truth() if self._behind else Known()
 
@@ -119,7 +119,7 @@ class TerminalAttendant:
 
 
 class TerminalBystander:
-    """Asks a person; see `thigmo.experiments.explorations.Bystander`.
+    """Asks a person; see `thigmo.studies.experiments.explorations.Bystander`.
 
     Args:
         console: to ask at.

@@ -29,9 +29,7 @@ def localize(
         float | None, typer.Option(help="One sigma of a reading; estimated when left out.")
     ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
-    method: Annotated[
-        str, typer.Option(help="exact, l1, l2, or a baseline; a wrong name lists them all.")
-    ] = "exact",
+    method: Annotated[str, typer.Option(help="exact, l1 or l2.")] = "exact",
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""

@@ -62,8 +62,7 @@ def localize(
         free_curvature: scalar or (N,) curvature that actuation alone would cause.
         noise: standard deviation of a reading, scalar or (N,); None if it is not known.
         contacts: how many (0 to 3), or "auto" to let the evidence decide.
-        method: "exact"; or "l2" and the names of `thigmo.localization.baselines`, which give
-            point estimates without intervals.
+        method: "exact"; or "l1" and "l2", which give point estimates without intervals.
         offset_sigma: standard deviation of an error that all readings share (of the free
             curvature or the zero); it is marginalised.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure

@@ -1,4 +1,4 @@
-"""Answers without a posterior: the exact norms, and the methods that one would pick instead."""
+"""Answers without a posterior: the exact norms."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from thigmo.errors import DataError
 from thigmo.localization.readings import Readings
 from thigmo.localization.result import Contact, LocalizeResult, Range
 
-# Baselines work in cm with tolerances in cm: any body is handed to them as one of this length.
-_BASELINE_LENGTH = 53.0
+METHODS = ("exact", "l1", "l2")
 
 
 def point_estimate(
@@ -27,39 +26,19 @@ def point_estimate(
     position = 0.5 * (readings.low + readings.high)
     span = readings.high - readings.low
     deviation = np.sqrt(readings.variance)
-    if method in ("l1", "l2"):
-        from thigmo.localization.exact import one_contact, several_contacts
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
+    from thigmo.localization.exact import one_contact, several_contacts
 
-        norm: Literal[1, 2] = 1 if method == "l1" else 2
-        weight = deviation.min() / deviation
-        if count == 1:
-            solved = one_contact(readings.y, position, 1.0, span=span, weight=weight, norm=norm)
-        elif count > 1:
-            solved = several_contacts(
-                readings.y, position, 1.0, contacts=count, span=span, weight=weight, norm=norm
-            )
-        arcs, forces = (solved.arc, solved.force) if count else (np.zeros(0), np.zeros(0))
-    else:
-        from thigmo.localization.baselines import BASELINES, Problem
-
-        if method not in BASELINES:
-            known = ", ".join(("exact", "l1", "l2", *BASELINES))
-            raise DataError(f"unknown method {method!r}", f"use one of {known}")
-        unit = _BASELINE_LENGTH
-        arcs, forces = np.zeros(0), np.zeros(0)
-        if count:
-            noise = float(deviation.mean()) / unit if readings.known else 6e-4
-            arcs, forces = BASELINES[method](
-                Problem(
-                    readings.y / unit,
-                    position * unit,
-                    span * unit,
-                    unit,
-                    contacts=count,
-                    noise=noise,
-                )
-            )
-            arcs, forces = np.asarray(arcs) / unit, np.asarray(forces) * unit**2
+    norm: Literal[1, 2] = 1 if method == "l1" else 2
+    weight = deviation.min() / deviation
+    if count == 1:
+        solved = one_contact(readings.y, position, 1.0, span=span, weight=weight, norm=norm)
+    elif count > 1:
+        solved = several_contacts(
+            readings.y, position, 1.0, contacts=count, span=span, weight=weight, norm=norm
+        )
+    arcs, forces = (solved.arc, solved.force) if count else (np.zeros(0), np.zeros(0))
     order = np.argsort(arcs)
     listed = tuple(
         Contact(

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from thigmo.bench.camera import axis_of, board_lens, glimpse, summarise
 from thigmo.camera import (
     BodyNotSeenError,
     CameraError,
@@ -33,6 +32,7 @@ from thigmo.camera.sight import write_picture
 from thigmo.cli.camera import group
 from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.errors import DataError
+from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
 
 SHEET = Sheet(camera_height_cm=105.0)
 

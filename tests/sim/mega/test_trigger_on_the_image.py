@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from thigmo.bench.scripted_host import ScriptedHost
-from thigmo.bench.trigger import THRESHOLD, default_setting, room
-from thigmo.bench.trigger_sessions import (
+from thigmo.emulator.mega_sim import SimulatedMega
+from thigmo.emulator.plant import STEP_MS
+from thigmo.studies.scripted_host import ScriptedHost
+from thigmo.studies.trigger import THRESHOLD, default_setting, room
+from thigmo.studies.trigger_sessions import (
     OTHERS,
     Session,
     Setting,
@@ -17,8 +19,6 @@ from thigmo.bench.trigger_sessions import (
     replay,
     with_setting,
 )
-from thigmo.emulator.mega_sim import SimulatedMega
-from thigmo.emulator.plant import STEP_MS
 
 
 @pytest.fixture(scope="module")

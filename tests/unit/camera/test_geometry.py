@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from thigmo.bench.camera import axis_of
 from thigmo.camera import (
     CameraModel,
     CameraMovedError,
@@ -28,6 +27,7 @@ from thigmo.camera.obstacles import circle_through
 from thigmo.camera.pose import Problem, fit_pose, what_helps
 from thigmo.emulator.render import TrueCamera, overhead_camera
 from thigmo.errors import DataError
+from thigmo.studies.camera import axis_of
 
 
 def corners_seen(camera: TrueCamera, sheet: Sheet, rng: np.random.Generator) -> dict:

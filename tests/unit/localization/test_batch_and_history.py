@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.bench.truth import readings as true_readings
 from thigmo.errors import DataError
 from thigmo.localization import (
     ArcFilter,
@@ -15,6 +14,7 @@ from thigmo.localization import (
     localize_rows,
     localize_sweep,
 )
+from thigmo.studies.rod import readings as true_readings
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])

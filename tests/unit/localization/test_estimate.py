@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.bench.calibration import prior_scene
-from thigmo.bench.truth import readings as true_readings
 from thigmo.localization import identifiability
+from thigmo.studies.calibration import prior_scene
+from thigmo.studies.rod import readings as true_readings
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])

@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import pytest
 
-from thigmo.bench.scenes import BOTH, LENGTH, SIGMA, SPAN, one_contact, two_contacts
 from thigmo.localization import prior
 from thigmo.localization.answer import contact_of, contacts_of
 from thigmo.localization.first_look import Look, _look, first_look
@@ -16,6 +15,7 @@ from thigmo.localization.influence import STRAIGHT, influence, influences, senso
 from thigmo.localization.marginal import independent_evidence
 from thigmo.localization.model_choice import Options, best_model, stands
 from thigmo.localization.models import evidence_of
+from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, one_contact, two_contacts
 
 AUTO = Options(None, "contact", "auto", prior.TUBE_RADIUS, prior.WIDTH_SHARE, None)
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from thigmo.bench import truth
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg, PointForce, Tube, peg_for, push, solve
+from thigmo.studies import rod
 
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 
@@ -77,7 +77,7 @@ def test_pushed_body_agrees_with_an_independent_integration(
 ) -> None:
     forces = [data.draw(st.floats(-0.02, 0.02)) / arc for arc in arcs]
     found = push(forces, arcs, free_curvature=g, length=53.0)
-    other = truth.readings(
+    other = rod.readings(
         np.array(arcs), np.array(forces), CENTERS, length=53.0, span=5.5, free_curvature=g
     )
     assert found.averages(CENTERS, 5.5) == pytest.approx(other, abs=2e-7)

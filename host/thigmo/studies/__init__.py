@@ -1,0 +1,30 @@
+"""`thigmo bench`: speed against accuracy, stability where methods fail, scaling, and honesty.
+
+One module a study; `STUDIES` names them in the order in which they run. Studies load on use: some
+need the extra packages of `pip install thigmo[bench]`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from thigmo.studies.engine import Context, Outcome, Study
+
+STUDIES: dict[str, str] = {
+    "speed-accuracy": "speed against accuracy of every method",
+    "stability": "error and failures as conditions get harder",
+    "calibration": "coverage, false contacts, efficiency and separation",
+    "scaling": "time over sensors, contacts and batch size",
+    "camera": "errors of the overhead camera over painted rooms",
+    "exploration": "random pegs found, empty rooms silent, over noise",
+    "trigger": "contact trigger's latency against its false alarms",
+    "plant-models": "time against error of the plant's mechanics",
+}
+
+__all__ = ["STUDIES", "Context", "Outcome", "load"]
+
+
+def load(name: str) -> Study:
+    """The study of that name (a key of STUDIES)."""
+    study: Study = import_module(f"thigmo.studies.{name.replace('-', '_')}").run
+    return study

@@ -1,0 +1,79 @@
+"""One method on one case: its error and its time, as every study counts them.
+
+Error is the mean |arc - true arc| over the contacts, ordered along the body (cm). No answer, or
+another number of contacts than asked for, is an infinite error; more than 10 cm is a failure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+
+from thigmo.errors import ThigmoError
+from thigmo.localization import METHODS, localize
+from thigmo.studies.baselines import BASELINES, Problem
+from thigmo.studies.scenes import LENGTH, SIGMA, SPAN, Case
+
+FAILURE_CM = 10.0
+
+Draw = Callable[[np.random.Generator], Case]
+
+
+def attempt(
+    case: Case, method: str, *, noise: float = SIGMA, start: float | None = None
+) -> tuple[float, float]:
+    """Error (cm, infinite for no answer) and wall time (us) of one call.
+
+    Args:
+        case: what is read, and the truth.
+        method: of `localize`, or the name of a baseline.
+        noise: that the method is told, 1/cm.
+        start: arc from which a baseline starts; the others take none.
+    """
+    begun = perf_counter()
+    try:
+        found = _arcs(case, method, noise, start)
+    except ThigmoError:
+        found = []
+    elapsed = (perf_counter() - begun) * 1e6
+    if len(found) != len(case.arcs):
+        return float("inf"), elapsed
+    return float(np.mean(np.abs(np.subtract(sorted(found), sorted(case.arcs))))), elapsed
+
+
+def _arcs(case: Case, method: str, noise: float, start: float | None) -> list[float]:
+    count = len(case.arcs)
+    if method in METHODS:
+        result = localize(
+            case.curvature,
+            case.position,
+            length=LENGTH,
+            span=SPAN,
+            free_curvature=case.free,
+            noise=noise,
+            contacts=count,
+            method=method,
+        )
+        return [contact.arc for contact in result.contacts]
+    read = np.isfinite(case.curvature)
+    arcs, _ = BASELINES[method](
+        Problem(
+            case.curvature[read] - case.free,
+            case.position[read],
+            np.full(int(read.sum()), SPAN),
+            LENGTH,
+            count,
+            noise,
+            start=None if start is None else np.full(count, start),
+        )
+    )
+    return list(arcs)
+
+
+def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:
+    """Mean error of the answers (cm; NaN without any) and the share of failures."""
+    answered = errors[np.isfinite(errors)]
+    mean = float(answered.mean()) if answered.size else float("nan")
+    return mean, float(np.mean(~(errors <= FAILURE_CM)))

@@ -1,0 +1,208 @@
+"""What a study is, and how studies run: over cores or a cluster, into tables, figures and claims.
+
+A study is a function from a `Context` to an `Outcome`. Tables become CSV and JSON, figures PNG;
+claims are the numbers that the project promises, each with its limit, printed with a verdict.
+Called by `thigmo bench`; a study adds itself to `thigmo.studies.STUDIES`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import numpy as np
+
+from thigmo.errors import DataError, RunFolderError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Scale = Literal["quick", "full"]
+Item = TypeVar("Item")
+Value = TypeVar("Value")
+Cell = float | int | str | bool
+
+WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows with named columns; units stand in the column names."""
+
+    name: str
+    columns: tuple[str, ...]
+    rows: list[tuple[Cell, ...]]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A promised number: what, how much, and the limit that it is held against."""
+
+    text: str
+    value: float
+    limit: float
+    at_most: bool = True
+    unit: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value keeps the promise."""
+        return self.value <= self.limit if self.at_most else self.value >= self.limit
+
+    def record(self) -> dict[str, Any]:
+        """As plain data, for JSON."""
+        return {
+            "claim": self.text,
+            "value": self.value,
+            "limit": self.limit,
+            "at_most": self.at_most,
+            "unit": self.unit,
+            "holds": self.holds,
+        }
+
+    def __str__(self) -> str:
+        sign = "<=" if self.at_most else ">="
+        verdict = "holds" if self.holds else "MISSED"
+        return (
+            f"{self.text}: {self.value:.4g} {self.unit} (promised {sign} {self.limit:g}): {verdict}"
+        )
+
+
+@dataclass
+class Outcome:
+    """What a study found."""
+
+    tables: list[Table] = field(default_factory=list)
+    figures: dict[str, Figure] = field(default_factory=dict)
+    claims: list[Claim] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Context:
+    """How to run: the seed, the size, and where the work goes.
+
+    Attributes:
+        seed: every random number of a study comes from it.
+        scale: "quick" for a look (a minute a study), "full" for the published figures.
+        jobs: processes on this machine (ignored by the dask backend).
+        backend: joblib's: "loky" (processes here) or "dask" (a cluster).
+        progress: called with (part, done, total) as items finish.
+        save: called with what a study has found so far, when a part of it is done: what it has of
+            tables and claims is then written, and stopping the rest loses nothing.
+    """
+
+    seed: int = 0
+    scale: Scale = "full"
+    jobs: int = 1
+    backend: str = "loky"
+    progress: Callable[[str, int, int], None] = lambda part, done, total: None
+    save: Callable[[Outcome], None] = lambda outcome: None
+
+    def count(self, quick: int, full: int) -> int:
+        """Number of cases at this scale."""
+        return quick if self.scale == "quick" else full
+
+    def rng(self, *key: int) -> np.random.Generator:
+        """An independent generator for a part of a study."""
+        return np.random.default_rng([self.seed, *key])
+
+    def map(
+        self, function: Callable[[Item], Value], items: Iterable[Item], part: str
+    ) -> list[Value]:
+        """Run a picklable function over items, in order of the items; progress names the part."""
+        todo: Sequence[Item] = list(items)
+        self.progress(part, 0, len(todo))
+        results: list[Value] = []
+        if self.jobs == 1 and self.backend == "loky":
+            for item in todo:
+                results.append(function(item))
+                self.progress(part, len(results), len(todo))
+            return results
+        from joblib import Parallel, delayed, parallel_config
+
+        # Ctrl-C reaches every process of a terminal; workers leave it to this one.
+        deaf = {"initializer": _ignore_interrupts} if self.backend == "loky" else {}
+        with parallel_config(backend=self.backend, n_jobs=self.jobs, **deaf):
+            calls = (delayed(function)(item) for item in todo)
+            for value in Parallel(return_as="generator")(calls):
+                results.append(value)
+                self.progress(part, len(results), len(todo))
+        return results
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+Study = Callable[[Context], Outcome]
+
+
+def connect_cluster(address: str) -> Any:
+    """Connect joblib's "dask" backend to a scheduler.
+
+    Args:
+        address: of a Dask scheduler, e.g. "tcp://127.0.0.1:8786".
+
+    Raises:
+        DataError: dask is not installed, nobody answers at the address, or nobody works for it.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise DataError(
+            "the dask backend needs dask", "run `pip install 'thigmo[bench]'`"
+        ) from error
+    try:
+        client: Any = Client(address, timeout="5s")  # type: ignore[no-untyped-call]
+    except (OSError, TimeoutError, ValueError) as error:
+        raise DataError(
+            f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_WITHIN_S)
+    except TimeoutError as error:
+        client.close()
+        raise DataError(
+            f"the Dask scheduler at {address} has no workers",
+            f"start some with `dask worker {address}`, in an environment like this one",
+        ) from error
+    return client
+
+
+def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
+    """Write a study's tables (CSV, JSON), figures (PNG) and claims (JSON) into a folder.
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+    """
+    paths: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for table in outcome.tables:
+            path = folder / f"{name}-{table.name}.csv"
+            with path.open("w", newline="") as file:
+                writer = csv.writer(file)
+                writer.writerow(table.columns)
+                writer.writerows(table.rows)
+            as_json = path.with_suffix(".json")
+            records = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+            as_json.write_text(json.dumps(records, indent=1, default=lambda number: number.item()))
+            paths += [path, as_json]
+        for label, figure in outcome.figures.items():
+            path = folder / f"{name}-{label}.png"
+            figure.savefig(path, dpi=150)
+            paths.append(path)
+        claims = [claim.record() for claim in outcome.claims]
+        path = folder / f"{name}-claims.json"
+        path.write_text(json.dumps(claims, indent=1))
+        paths.append(path)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot write to {folder}: {error.strerror}", "choose another --out"
+        ) from error
+    return paths

@@ -1,0 +1,185 @@
+"""Simulated robots of the thesis: what an imperfect robot reads when dowels press on it.
+
+Truth is the large-deflection rod (`thigmo.mechanics.push`); what spoils it are four constants,
+each apart: white noise of an averaged reading, spread of the sensors' gains, errors of their
+places, and the angle of the base's fold at high force. `fit.py` finds them once, from section 3.2;
+everything else is then prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.mechanics import Solution, Tube, peg_for, push
+from thigmo.studies.experiments import thesis
+from thigmo.studies.experiments.trial import Passed, Trial
+
+Floats = NDArray[np.float64]
+
+_STEP_CM = 1e-3
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What the thesis does not state, and its results imply.
+
+    Attributes:
+        noise: standard deviation of an averaged reading, 1/cm.
+        gain_spread: relative standard deviation of the sensors' gains.
+        position_cm: standard deviation of the sensors' places.
+        fold_rad: angle of the base's fold under the high force.
+    """
+
+    noise: float
+    gain_spread: float
+    position_cm: float
+    fold_rad: float
+
+
+class Specimen:
+    """One robot as built: its gains and places are drawn once and stay.
+
+    Args:
+        constants: how imperfect it is.
+        rng: draws the robot, then the noise of its trials.
+        centers_cm: believed sensor centres of a column.
+    """
+
+    def __init__(
+        self,
+        constants: Constants,
+        rng: np.random.Generator,
+        centers_cm: Sequence[float] = thesis.CENTERS_CM,
+    ) -> None:
+        self.constants = constants
+        self.believed: Floats = np.tile(np.asarray(centers_cm, dtype=np.float64), 2)
+        count = self.believed.size
+        half = thesis.SPAN_CM / 2
+        true = self.believed + constants.position_cm * rng.standard_normal(count)
+        self._true = np.clip(true, min(half, self.believed.min()), thesis.LENGTH_CM - half)
+        self._gain = 1.0 + constants.gain_spread * rng.standard_normal(count)
+        self._shown = np.ones(count)
+        self._gain_se = constants.gain_spread
+        self._rng = rng
+
+    @property
+    def gain_sigma(self) -> float:
+        """Relative standard deviation of what is still unknown of a gain."""
+        return self._gain_se
+
+    def learn_gains(self, readings: Floats, believed: float) -> None:
+        """Take readings of the untouched robot, bent by its muscle: all sensors bend alike there.
+
+        Args:
+            readings: (R, N) of the first N sensors, 1/cm.
+            believed: what the map says that they are, 1/cm.
+        """
+        noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
+        # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
+        precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
+        departure = believed / noise**2 * (readings - believed).sum(axis=0)
+        self._shown[: readings.shape[1]] = 1 + departure / precision
+        self._gain_se = float(precision**-0.5)
+
+    def press(
+        self,
+        condition: str,
+        place: str,
+        arcs_cm: Sequence[float],
+        forces: Sequence[float],
+        *,
+        free: float = 0.0,
+        fold_rad: float = 0.0,
+        one_side: bool = False,
+    ) -> Trial:
+        """Readings while contacts press with given normal forces at given arcs.
+
+        Args:
+            condition, place: labels.
+            arcs_cm, forces: the contacts (1/cm^2), base first.
+            free: free curvature, 1/cm.
+            fold_rad: fold of the base.
+            one_side: only one column reads, as in an actuated robot.
+        """
+        body = push(
+            np.array(forces),
+            np.array(arcs_cm),
+            free_curvature=free,
+            length=thesis.LENGTH_CM,
+            tube=Tube(thesis.DIAMETER_CM),
+            fold_angle=fold_rad,
+        )
+        return self.observe(condition, place, body, self.read(body, one_side), free=free)
+
+    def read(self, body: Solution, one_side: bool = False) -> Floats:
+        """Readings of a body in a known equilibrium, (N,)."""
+        count = self.believed.size // 2 if one_side else self.believed.size
+        clean = body.averages(self._true[:count], thesis.SPAN_CM)
+        # Zeroing takes the straight robot as zero, so a gain error scales the reading only.
+        return np.asarray(
+            self._gain[:count] * clean + self.constants.noise * self._rng.standard_normal(count)
+        )
+
+    def observe(
+        self,
+        condition: str,
+        place: str,
+        body: Solution,
+        noisy: Floats,
+        *,
+        free: float = 0.0,
+        passed: Passed | None = None,
+    ) -> Trial:
+        """A trial from readings of a body.
+
+        Args:
+            condition, place: labels.
+            body: in a known equilibrium.
+            noisy: what `read` gave.
+            free: believed free curvature, 1/cm.
+            passed: what was read on the way.
+        """
+        contacts = sorted(body.contacts, key=lambda contact: contact.arc)
+        count = len(noisy)
+        at = self._true[:count]
+        clean = body.averages(at, thesis.SPAN_CM)
+        slope = (body.averages(at + _STEP_CM, thesis.SPAN_CM) - clean) / _STEP_CM
+        return Trial(
+            condition,
+            place,
+            noisy,
+            self.believed[:count],
+            np.full(count, thesis.SPAN_CM),
+            free,
+            self.constants.noise,
+            self._shown[:count],
+            # A lab knows how well it calibrated, not the errors themselves.
+            self._deviation(noisy, _slope(self.believed[:count], noisy)),
+            self._deviation(clean, slope),
+            tuple(contact.arc for contact in contacts),
+            tuple(contact.normal for contact in contacts),
+            tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
+            tuple(contact.x for contact in contacts),
+            passed=passed,
+        )
+
+    def _deviation(self, curvature: Floats, slope: Floats) -> Floats:
+        """Standard deviation of readings over robots: noise, gain and place together.
+
+        Of a gain what is still unknown counts.
+        """
+        c = self.constants
+        variance = c.noise**2 + (self._gain_se * curvature) ** 2 + (c.position_cm * slope) ** 2
+        return np.asarray(np.sqrt(variance))
+
+
+def _slope(position: Floats, curvature: Floats) -> Floats:
+    """Change of the readings along the body (1/cm^2) at each sensor, both columns together."""
+    places, index = np.unique(position, return_inverse=True)
+    mean = np.bincount(index, curvature) / np.bincount(index)
+    slope: Floats = np.gradient(mean, places)[index]
+    return slope

@@ -1,0 +1,141 @@
+"""Models of the body by need: what each costs and how wrong it is, on the same scenes.
+
+Random scenes of three kinds (free, gently touched, swept into a peg) are followed step by step by
+`arc`, `beam`, `elastica` and the automatic choice at several tolerances. Error is the largest
+distance, along the body at the end, from an elastica with a four times finer mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thigmo.mechanics import Body, ModelChoice, Peg, Tube
+from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LENGTH = 53.0
+_STEPS = 200
+_KINDS = ("free", "touched gently", "swept into a peg")
+_WAYS: tuple[tuple[str, ModelChoice, float], ...] = (
+    ("arc", "arc", 0.05),
+    ("beam", "beam", 0.05),
+    ("elastica", "elastica", 0.05),
+    ("auto, 1 cm", "auto", 1.0),
+    ("auto, 0.2 cm", "auto", 0.2),
+    ("auto, 0.05 cm", "auto", 0.05),
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One scene by one way: time a step, error, the bound that was stated, and the models used."""
+
+    kind: str
+    way: str
+    step_us: float
+    error_cm: float
+    bound_cm: float
+    models: str
+
+
+def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
+    """Pegs and the free curvature at the end of the sweep."""
+    rng = np.random.default_rng(seed)
+    if kind == "free":
+        return [], float(rng.uniform(-0.04, 0.04))
+    g = float(rng.uniform(0.001, 0.004) if kind == "touched gently" else rng.uniform(0.015, 0.035))
+    x = float(rng.uniform(15.0, 45.0))
+    # Where the free body would be at a third to two thirds of the sweep.
+    reach = 0.5 * g * float(rng.uniform(0.3, 0.7)) * x**2
+    return [Peg(x, 1.75 + 0.6 + max(reach, 0.05), 0.6)], g
+
+
+def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell: float) -> Body:
+    """Sweep from straight to g in equal steps."""
+    tube = Tube(3.5, 0.01108)
+    body = Body(tube, pegs, model=model, tolerance_cm=tolerance, cell_cm=cell)
+    body.step(0.0, LENGTH)
+    for k in range(1, _STEPS + 1):
+        body.step(g * k / _STEPS, LENGTH)
+    return body
+
+
+def compare(seed: int, kind: str) -> list[Run]:
+    """All ways on one scene."""
+    pegs, g = scene(kind, seed)
+    exact = follow(pegs, g, "elastica", 0.05, 0.25)
+    arcs = np.linspace(0.0, LENGTH, 107)[1:]
+    truth = np.array([exact.pose(float(s))[:2] for s in arcs])
+    runs = []
+    for way, model, tolerance in _WAYS:
+        follow(pegs, g, model, tolerance, 1.0)  # compiled and warm
+        began = perf_counter()
+        body = follow(pegs, g, model, tolerance, 1.0)
+        step_us = (perf_counter() - began) / _STEPS * 1e6
+        found = np.array([body.pose(float(s))[:2] for s in arcs])
+        error = float(np.hypot(*(found - truth).T).max())
+        models = "+".join(sorted(body.counts))
+        runs.append(Run(kind, way, step_us, error, body.error_bound_cm, models))
+    return runs
+
+
+def _figure(runs: list[Run]) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    axes = figure.subplots()
+    for index, (way, _, _) in enumerate(_WAYS):
+        mine = [run for run in runs if run.way == way]
+        axes.loglog(
+            [run.step_us for run in mine],
+            [max(run.error_cm, 1e-8) for run in mine],
+            "os^Dvx"[index],
+            alpha=0.5,
+            label=way,
+        )
+    axes.set_xlabel("time of a step (us)")
+    axes.set_ylabel("largest error of position (cm)")
+    axes.set_title("Models of the body, on the same scenes")
+    axes.grid(visible=True, which="both", alpha=0.2)
+    axes.legend()
+    return figure
+
+
+def run(context: Context) -> Outcome:
+    """Time against error of the plant's models."""
+    count = context.count(5, 40)
+    runs: list[Run] = []
+    for number, kind in enumerate(_KINDS):
+        seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
+        for found in context.map(partial(compare, kind=kind), seeds, kind):
+            runs += found
+    rows: list[tuple[Cell, ...]] = []
+    for kind in _KINDS:
+        for way, _, _ in _WAYS:
+            mine = [r for r in runs if r.kind == kind and r.way == way]
+            rows.append((
+                kind, way, round(float(np.median([r.step_us for r in mine])), 2),
+                float(np.median([r.error_cm for r in mine])), max(r.error_cm for r in mine),
+                "; ".join(sorted({r.models for r in mine})),
+            ))  # fmt: skip
+    excess = [
+        r.error_cm - float(r.way.split()[1])
+        for r in runs
+        if r.way.startswith("auto") and r.models != "arc"
+    ]
+    touched = [r.step_us for r in runs if r.way == "elastica" and r.kind != "free"]
+    return Outcome(
+        [Table("models", ("scene", "model", "step_us", "median_cm", "worst_cm", "used"), rows)],
+        {"time-error": _figure(runs)},
+        [
+            Claim("error above the stated tolerance, worst scene", max(excess), 0.0, unit="cm"),
+            Claim("a warm elastica step among pegs", float(np.median(touched)), 150.0, unit="us"),
+        ],
+    )

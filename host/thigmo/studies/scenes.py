@@ -1,0 +1,140 @@
+"""Random scenes of the studies: what touches where, and what the sensors then read.
+
+All lengths in cm. The robot is the thesis's (53 cm, spans of 5.5 cm); contact moments at the base
+stay below the fold's, which is a study of its own. Readings are of the large-deflection rod
+(`rod.py`) plus fresh noise, never of the model that the localizer fits. Where a peg stands in a
+room, the plant says where and how hard it bears.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.mechanics import Peg, PegContact, Rod, Tube
+from thigmo.studies.rod import readings
+
+Floats = NDArray[np.float64]
+
+LENGTH = 53.0
+SPAN = 5.5
+SIGMA = 6e-4
+CRITICAL = 0.01108
+RADIUS, PEG_RADIUS = 1.75, 1.05
+FULL_CURVATURE = 0.04  # of the bent robot
+COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+BOTH: Floats = np.tile(COLUMN, 2)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One set of readings and the truth behind it."""
+
+    curvature: Floats
+    position: Floats
+    free: float
+    arcs: tuple[float, ...]
+    forces: tuple[float, ...]
+
+
+def read(
+    rng: np.random.Generator,
+    arcs: tuple[float, ...],
+    forces: tuple[float, ...],
+    *,
+    position: Floats = BOTH,
+    free: float = 0.0,
+    sigma: float = SIGMA,
+) -> Case:
+    """Readings of normal contact forces, with Gaussian noise."""
+    clean = readings(
+        np.array(arcs),
+        np.array(forces),
+        position,
+        length=LENGTH,
+        span=SPAN,
+        free_curvature=free,
+    )
+    return Case(clean + sigma * rng.standard_normal(position.size), position, free, arcs, forces)
+
+
+def _moment(rng: np.random.Generator) -> float:
+    return float(rng.uniform(0.3, 1.0)) * CRITICAL
+
+
+def one_contact(rng: np.random.Generator) -> Case:
+    """One contact on the straight robot, ten readings."""
+    arc = float(rng.uniform(20.0, LENGTH))
+    return read(rng, (arc,), (float(rng.choice([-1.0, 1.0])) * _moment(rng) / arc,))
+
+
+def two_contacts(rng: np.random.Generator) -> Case:
+    """Two opposed contacts at least 18.5 cm apart, the distal one near the tip, ten readings."""
+    distal = float(rng.uniform(45.0, LENGTH))
+    proximal = float(rng.uniform(18.0, distal - 18.5))
+    sign = float(rng.choice([-1.0, 1.0]))
+    force = _moment(rng) / distal
+    # The forces' moments at the base partly cancel; equal sizes keep both contacts visible.
+    return read(rng, (proximal, distal), (-sign * force * distal / proximal, sign * 1.5 * force))
+
+
+def actuated(rng: np.random.Generator) -> Case:
+    """One contact on the bent robot's side, read by its inactive side only: five readings."""
+    arc = float(rng.uniform(30.0, LENGTH))
+    free = float(rng.uniform(0.02, FULL_CURVATURE))
+    return read(rng, (arc,), (-_moment(rng) / arc,), position=COLUMN, free=free)
+
+
+def press(rng: np.random.Generator, moment: float) -> tuple[float, PegContact]:
+    """A peg anywhere in the room, as the bending robot meets it.
+
+    Returns:
+        Free curvature at which the contact's moment at the base passes `moment`, and the contact:
+        on the side or, for about one peg in seven, on the end.
+    """
+    while True:
+        x, y = rng.uniform((-10.0, RADIUS + PEG_RADIUS), (LENGTH + PEG_RADIUS, LENGTH))
+        if np.hypot(x, y) > LENGTH + RADIUS + PEG_RADIUS:
+            continue
+        rod = Rod(Tube(2.0 * RADIUS), [Peg(float(x), float(y), PEG_RADIUS)])
+        for free in np.linspace(0.0, FULL_CURVATURE, 81).tolist():
+            rod.step(free, LENGTH)
+            if rod.approximate or rod.touching > 1:
+                break
+            if abs(rod.base_moment) > moment:
+                return free, rod.contacts()[0]
+
+
+def any_peg(rng: np.random.Generator) -> Case:
+    """One contact of the bent robot with a peg anywhere in the room, read as `actuated`."""
+    free, contact = press(rng, _moment(rng))
+    clean = readings(
+        np.array([contact.arc]),
+        np.array([contact.normal]),
+        COLUMN,
+        length=LENGTH,
+        span=SPAN,
+        free_curvature=free,
+        tangential=np.array([contact.tangential]),
+        arm=-contact.couple / contact.tangential if contact.tangential else 0.0,
+    )
+    noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
+    return Case(noisy, COLUMN, free, (contact.arc,), (contact.normal,))
+
+
+def few_sensors(rng: np.random.Generator) -> Case:
+    """One contact, three readings."""
+    arc = float(rng.uniform(38.0, LENGTH))
+    return read(rng, (arc,), (_moment(rng) / arc,), position=COLUMN[[0, 2, 3]])
+
+
+SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
+    "one contact": one_contact,
+    "two contacts": two_contacts,
+    "actuated, on the side": actuated,
+    "actuated, any peg": any_peg,
+    "few sensors": few_sensors,
+}

@@ -1,0 +1,315 @@
+"""Trigger latency against false alarms over the board's averaging and debounce.
+
+Empty rooms are swept under each of the three parts of the sensors' noise (METHODS: white,
+hysteresis, offset at each eversion), alone and together, at multiples of the default scene's; each
+report there is a false alarm. Latency is measured three ways, under all three parts at their
+default: from a step of base curvature of 1.5 and of 2 times the threshold, and from the moment at
+which the true base contact curvature of a sweep into a peg passes the threshold. The firmware's own
+trigger is measured, on the virtual board; `RULE` chooses the defaults in protocol/schema.yaml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thigmo.config import SIDES
+from thigmo.emulator.board import Floats
+from thigmo.emulator.reach import random_peg
+from thigmo.emulator.scene import PegTable, Scene
+from thigmo.link.protocol import PARAMETERS
+from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
+from thigmo.studies.trigger_sessions import (
+    RISE_MS,
+    Setting,
+    false_alarms,
+    halves_of,
+    latencies,
+    record,
+    replay,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WHITE = ("white_counts", "pressure_counts")
+PARTS: dict[str, tuple[str, ...]] = {
+    "white": WHITE,
+    "hysteresis": ("hysteresis",),
+    "offset per eversion": ("per_eversion",),
+    "all three": (*WHITE, "hysteresis", "per_eversion"),
+}
+LEVELS = (2.0, 4.0)  # multiples of the default scene's noise
+FILTERS = (0, 2, 3, 4, 5, 6)
+DEBOUNCES_MS = (1, 3, 6, 9, 12)
+STEPS = (1.5, 2.0)  # of the threshold
+PEGS = 0.0  # in place of a step: a sweep into a peg
+DECIDING = ("all three", 2.0)
+ALLOWED_PER_100 = 1.0
+EQUAL_MS = 10.0
+RULE = (
+    "at most 1 false alarm in 100 empty sweeps with all three noise parts at twice their default;"
+    " of those the shortest latency in 90 % of sweeps into pegs; where these differ by less than"
+    " 10 ms, the shortest latency for 95 % of the steps of 1.5 times the threshold"
+)
+_SWEEPS = 10  # both sides each, a session
+DEAD_TIME_MS = 63.0  # of valve and muscle: a faster trigger stops the muscle no sooner
+
+
+@dataclass(frozen=True)
+class Empty:
+    """A session of empty sweeps: which noise, how much of it, which seed."""
+
+    part: str
+    level: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A session of steps of so many thresholds, or (`PEGS`) of one sweep into a random peg."""
+
+    step: float
+    seed: int
+
+
+def default_setting() -> Setting:
+    """The schema's."""
+    values = (PARAMETERS[f"trigger_{name}"].defaults[0] for name in _NAMES)
+    return Setting(*values)
+
+
+_NAMES = ("filter_log2", "debounce_ms", "e5")
+THRESHOLD = default_setting().threshold_e5 * 1e-5
+
+
+def settings() -> list[Setting]:
+    """All that are tried; the schema's is among them."""
+    e5 = default_setting().threshold_e5
+    tried = [Setting(f, d, e5) for f in FILTERS for d in DEBOUNCES_MS]
+    return tried if default_setting() in tried else [*tried, default_setting()]
+
+
+def room(part: str, level: float) -> Scene:
+    """An empty room at full length with only that part of the noise, and exact calibration."""
+    scene = Scene.load("default").model_copy(deep=True)
+    scene.pegs = []
+    scene.start_length_cm = scene.robot.body.length_cm
+    for name in type(scene.belief).model_fields:
+        setattr(scene.belief, name, 0.0)
+    for name in PARTS["all three"]:
+        value = getattr(scene.noise, name) * level if name in PARTS[part] else 0.0
+        setattr(scene.noise, name, value)
+    return scene
+
+
+def sweep_empty(task: Empty) -> Floats:
+    """False alarms of each setting in a session of sweeps: (settings,)."""
+    session = record(
+        room(task.part, task.level), task.seed, halves_of([0, 1] * _SWEEPS), threshold=THRESHOLD
+    )
+    counts = [false_alarms(session, replay(session, setting)) for setting in settings()]
+    return np.array(counts, dtype=np.float64)
+
+
+def touch(task: Touch) -> Floats:
+    """Latencies (ms) of each setting: (settings, touches)."""
+    rng = np.random.default_rng([task.seed, 0x7016])
+    scene = room("all three", 1.0)
+    if task.step != PEGS:
+        at = rng.integers(100, 350, 2 * _SWEEPS) * 10
+        halves = halves_of([0, 1] * _SWEEPS, at.tolist())
+    else:
+        peg, felt = random_peg(scene.robot, rng)
+        scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
+        scene.start_length_cm = felt.length_cm
+        halves = halves_of([SIDES.index(felt.side)])
+    session = record(scene, task.seed, halves, step=task.step * THRESHOLD, threshold=THRESHOLD)
+    return np.array([latencies(session, replay(session, setting)) for setting in settings()])
+
+
+def run(context: Context) -> Outcome:
+    """False alarms, latencies, the chart of one against the other, and what the rule chooses."""
+    few, many = context.count(1, 2), context.count(2, 15)
+    quiet = [
+        Empty(part, level, seed)
+        for part in PARTS
+        for level in LEVELS
+        for seed in range(1, 1 + (many if (part, level) == DECIDING else few))
+    ]
+    touched = [Touch(s, seed) for s in STEPS for seed in range(1, 1 + context.count(1, 4))]
+    touched += [Touch(PEGS, seed) for seed in range(1, 1 + context.count(3, 30))]
+    of_quiet = context.map(sweep_empty, quiet, "empty sweeps")
+    of_touched = context.map(touch, touched, "touches")
+    alarms: dict[tuple[str, float], Floats] = {}
+    for part in PARTS:
+        for level in LEVELS:
+            sessions = [
+                rates
+                for task, rates in zip(quiet, of_quiet, strict=True)
+                if (task.part, task.level) == (part, level)
+            ]
+            alarms[part, level] = 100 * np.mean(sessions, axis=0) / _SWEEPS
+    late = {}
+    for step in (*STEPS, PEGS):
+        own = [ms for task, ms in zip(touched, of_touched, strict=True) if task.step == step]
+        late[step] = np.concatenate(own, axis=1)
+    return Outcome(
+        tables=[_alarm_table(alarms, few, many), _latency_table(late)],
+        figures={"chart": _figure(alarms, late)},
+        claims=_claims(alarms, late),
+    )
+
+
+def quantile(values: Floats, share: float, *, early: bool) -> float:
+    """A quantile of latencies; missed contacts are infinite.
+
+    Args:
+        values: ms, shape (n,).
+        share: 0..1.
+        early: whether what fired before the touch counts (a peg bends the base before it passes the
+            threshold) or is a false alarm and left out (before a step there is nothing).
+
+    Returns:
+        ms; NaN when false alarms came before every touch.
+    """
+    good = np.sort(values if early else values[values >= 0])
+    return float(good[min(int(np.ceil(share * len(good))), len(good)) - 1]) if len(good) else np.nan
+
+
+def step_ms(late: dict[float, Floats], step: float = STEPS[0]) -> list[float]:
+    """Latency of 95 % of the steps, for each setting."""
+    return [quantile(row, 0.95, early=False) for row in late[step]]
+
+
+def peg_ms(late: dict[float, Floats]) -> list[float]:
+    """Latency of 90 % of the sweeps into pegs, for each setting."""
+    return [quantile(row, 0.9, early=True) for row in late[PEGS]]
+
+
+def chosen(alarms: Sequence[float], steps: Sequence[float], pegs: Sequence[float]) -> int:
+    """Index of the setting that `RULE` chooses, from its three figures of each."""
+    allowed = [n for n, rate in enumerate(alarms) if rate <= ALLOWED_PER_100]
+    shortest = min(pegs[n] for n in allowed)
+    return min((n for n in allowed if pegs[n] < shortest + EQUAL_MS), key=lambda n: steps[n])
+
+
+def _alarm_table(alarms: dict[tuple[str, float], Floats], few: int, many: int) -> Table:
+    hours = 2 * RISE_MS / 3.6e6  # of sweeping, a sweep
+    rows: list[tuple[Cell, ...]] = []
+    for (part, level), rates in alarms.items():
+        sweeps = _SWEEPS * (many if (part, level) == DECIDING else few)
+        for setting, rate in zip(settings(), rates, strict=True):
+            rows.append((
+                part, level, 2**setting.filter_log2, setting.debounce_ms, sweeps,
+                round(float(rate), 2), round(float(rate) / 100 / hours, 1),
+            ))  # fmt: skip
+    columns = (
+        "noise_part", "times_default", "samples_averaged", "debounce_ms", "empty_sweeps",
+        "false_alarms_per_100_sweeps", "false_alarms_per_hour_of_sweeping",
+    )  # fmt: skip
+    return Table("alarms", columns, rows)
+
+
+def _latency_table(late: dict[float, Floats]) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for n, setting in enumerate(settings()):
+        row: list[Cell] = [2**setting.filter_log2, setting.debounce_ms]
+        for step in (*STEPS, PEGS):
+            values, early = late[step][n], step == PEGS
+            row += [round(quantile(values, share, early=early), 1) for share in (0.5, 0.9, 0.95)]
+            row.append(int(np.isinf(values).sum()))
+        rows.append(tuple(row))
+    names = [f"step_{step:g}_threshold" for step in STEPS] + ["peg"]
+    columns = [
+        f"{name}_{what}" for name in names for what in ("median_ms", "90_ms", "95_ms", "missed")
+    ]
+    return Table("latency", ("samples_averaged", "debounce_ms", *columns), rows)
+
+
+def _claims(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> list[Claim]:
+    steps, pegs, rates = step_ms(late), peg_ms(late), alarms[DECIDING].tolist()
+    ours, best = settings().index(default_setting()), chosen(rates, steps, pegs)
+    return [
+        Claim(
+            "default trigger: false alarms in 100 empty sweeps at twice the noise",
+            rates[ours],
+            ALLOWED_PER_100,
+        ),
+        Claim(
+            "default trigger: 90 % of sweeps into pegs, behind the fastest setting allowed",
+            pegs[ours] - min(p for p, rate in zip(pegs, rates, strict=True) if rate <= 1.0),
+            EQUAL_MS,
+            unit="ms",
+        ),
+        Claim(
+            "default trigger: 95 % of steps of 1.5 thresholds, behind the setting the rule chooses",
+            steps[ours] - steps[best],
+            0.0,
+            unit="ms",
+        ),
+        Claim(
+            "default trigger: 95 % of steps of 1.5 thresholds (limit: the muscle's dead time)",
+            steps[ours],
+            DEAD_TIME_MS,
+            unit="ms",
+        ),
+    ]
+
+
+def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4 * len(PARTS), 8), layout="constrained")
+    axes = figure.subplots(2, len(PARTS), sharey=True)
+    kinds = (
+        (step_ms(late), "latency, 95 % of steps of 1.5 thresholds (ms)", (0.0, 70.0)),
+        (peg_ms(late), "latency, 90 % of sweeps into pegs (ms)", (-60.0, 150.0)),
+    )
+    for row, (latency, label, limits) in enumerate(kinds):
+        for column, part in enumerate(PARTS):
+            axis: Axes = axes[row, column]
+            _draw(axis, latency, [(level, alarms[part, level]) for level in LEVELS])
+            axis.set(xlim=limits, xlabel=label, title=f"{part}" if row == 0 else "")
+            if column == 0:
+                axis.set_ylabel("false alarms in 100 empty sweeps")
+    axes[0, -1].legend(fontsize=7, loc="upper right", title="samples averaged", title_fontsize=7)
+    figure.suptitle(
+        "Contact trigger: latency against false alarms. Noise in each column at 2 (full line) and"
+        f" 4 times its default (dotted).\nPoints along a line: debounce of"
+        f" {', '.join(map(str, DEBOUNCES_MS))} ms. Star: the board's default. Grey: at most"
+        f" {ALLOWED_PER_100:g} in 100.",
+        fontsize=11,
+    )
+    return figure
+
+
+def _draw(axis: Axes, latency: list[float], levels: list[tuple[float, Floats]]) -> None:
+    tried = settings()
+    axis.axhspan(-0.4, ALLOWED_PER_100, color="0.9", zorder=0)
+    for level, rates in levels:
+        first = level == LEVELS[0]
+        for color, log2 in enumerate(FILTERS):
+            those = [n for n, setting in enumerate(tried) if setting.filter_log2 == log2]
+            axis.plot(
+                [latency[n] for n in those],
+                [rates[n] for n in those],
+                color=f"C{color}",
+                linestyle="-" if first else ":",
+                marker="o",
+                markersize=5 if first else 3,
+                markerfacecolor=f"C{color}" if first else "white",
+                label=f"{2**log2}" if first else None,
+            )
+        ours = tried.index(default_setting())
+        axis.plot(
+            latency[ours], rates[ours], "*", color="black", markersize=15 if first else 9, zorder=5
+        )
+    axis.set_yscale("symlog", linthresh=1.0)
+    axis.set_ylim(-0.4, 300)
+    axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
+    axis.grid(alpha=0.2)
