@@ -32,6 +32,8 @@ LOG_S = 0.1  # between entries of the truth's history
 _OPEN_COUNT = 0.0
 _SHORT_COUNT = 1023.9
 _SENSORS = 10
+_TAUT_CM = 1e-3
+_PASCAL = 6894.757  # of one psi
 _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 
@@ -109,7 +111,8 @@ class Plant:
         body_psi: body pressure (set through `set_body_pressure`).
         forced_outlet: transducer output forced to a pressure, nan = free, shape (2,).
         spool_stuck: the spool does not turn.
-        slip_cm_s: line speed with which the body pulls the braked spool.
+        slip_cm_s: line speed to which a failing brake lets the body pull the spool; 0 = it holds.
+        windings_open: the motor's circuit is broken: neither drive nor damping.
         cut, shorted: flex sensors with a broken or shorted circuit (left base first).
         pressure_cut: pressure sensors with a broken wire.
         pushes: (arc, y) of points of the body that are held (set through `hold`); () = none.
@@ -128,6 +131,7 @@ class Plant:
         self.forced_outlet = np.full(2, np.nan)
         self.spool_stuck = False
         self.slip_cm_s = 0.0
+        self.windings_open = False
         self.cut: set[int] = set()
         self.shorted: set[int] = set()
         self.pressure_cut: set[int] = set()
@@ -150,8 +154,11 @@ class Plant:
         self._swing = np.zeros(2)
         self._transition = _second_order(scene.body.frequency_hz, scene.body.damping, STEP_S)
         self._spool = np.array([robot.spool.payout_ratio * scene.start_length_cm, 0.0])
+        s = scene.spool
+        sliding = s.stall_n * s.dead_zone / 800.0
+        damping = (s.stall_n - sliding) / s.line_cm_s
         self._spool_constants = np.array(
-            [scene.spool.line_cm_s, scene.spool.lag_s, scene.spool.dead_zone, 0.02, STEP_S]
+            [damping, s.lag_s, s.stall_n, sliding, max(s.holding_n, sliding), STEP_S]
         )
         self.length_cm = scene.start_length_cm
         self._sensors, self._sensor_state = self._make_sensors()
@@ -365,13 +372,33 @@ class Plant:
         )  # fmt: skip
         k.swing(self._swing, target, self._transition)
         before = self._encoder()
-        k.spool(self._spool, motor, braked, self.spool_stuck, self.slip_cm_s, self._spool_constants)
+        if self.windings_open:
+            motor, braked = 0, False
+        k.spool(
+            self._spool, motor, braked or motor != 0, self.spool_stuck, self.pull_n,
+            self._spool_constants,
+        )  # fmt: skip
         self.encoder = (before, self._encoder())
         length = self._grown()
         moved = abs(self._swing[0] - self._solved_g) > 1e-8
         if moved or length != self.length_cm or isnan(self._solved_g):
             self._solve(length)
         self._sense()
+
+    @property
+    def pull_n(self) -> float:
+        """Tension of the tail: half of body pressure times section while it is taut (HARDWARE.md).
+
+        A tip that stands still while line is paid out leaves the tail slack.
+        """
+        if self.slip_cm_s != 0.0:
+            constants = self._spool_constants
+            return float(constants[k.SLIDING] + constants[k.DAMPING] * self.slip_cm_s)
+        slack = self._spool[k.LINE] / self._robot.spool.payout_ratio - self.length_cm
+        if slack > _TAUT_CM:
+            return 0.0
+        area = pi * self._robot.body.radius_cm**2 * 1e-4
+        return 0.5 * self.body_psi * _PASCAL * area
 
     def _grown(self) -> float:
         """Length that line, body pressure and tail allow."""

@@ -27,8 +27,10 @@ RING = 32  # plant steps of delay that can be held
 # Entries of the spool's state and constants.
 LINE, SPEED = 0, 1
 (
-    LINE_SPEED, MOTOR_LAG, DEAD_ZONE, BRAKE_LAG, SPOOL_DT
-) = range(5)  # fmt: skip
+    DAMPING, MOTOR_LAG, STALL, SLIDING, HOLDING, SPOOL_DT
+) = range(6)  # fmt: skip
+STICKING_CM_S = 0.5  # line speed over which friction falls from holding to sliding [G]
+OPEN_WINDINGS = 0.1  # damping that is left without a closed circuit: bearings and brushes [G]
 # Columns of the sensors' constants (one row a sensor).
 (
     SCALE, ZERO, DIRECTION, LOOP, CREEP_TAU, STOWED, PHASE_1, PHASE_2, CENTER, SPAN
@@ -133,25 +135,27 @@ def swing(x: Floats, target: float, transition: Floats) -> None:
 
 @compiled
 def spool(
-    state: Floats, duty: int, held: bool, stuck: bool, slip: float, constants: Floats
+    state: Floats, duty: int, shorted: bool, stuck: bool, pull: float, constants: Floats
 ) -> None:
-    """Advance motor and line by one step. slip: line speed forced by the body's pull (cm/s)."""
+    """Advance motor and line by one step. pull: the tail's tension, N, which pays out.
+
+    Windings that are shorted (braked, or between the pulses of the drive) damp: they take as much
+    force as the line is fast, and none at rest. What holds at rest is friction; it falls from
+    HOLDING to SLIDING as the line begins to move.
+    """
     dt = constants[SPOOL_DT]
-    drive = 0.0
-    dead = constants[DEAD_ZONE]
-    if duty > dead:
-        drive = (duty - dead) / (800.0 - dead)
-    elif duty < -dead:
-        drive = (duty + dead) / (800.0 - dead)
-    goal = drive * constants[LINE_SPEED]
-    lag = constants[MOTOR_LAG]
-    if held or duty == 0:
-        goal = 0.0
-        lag = constants[BRAKE_LAG]
-        if slip != 0.0:
-            goal = slip
-    state[SPEED] += (goal - state[SPEED]) * (1.0 - exp(-dt / lag))
-    if fabs(state[SPEED]) < 1e-6 and goal == 0.0:
+    sliding = constants[SLIDING]
+    drive = constants[STALL] * duty / 800.0 + pull
+    speed = state[SPEED]
+    friction = sliding + (constants[HOLDING] - sliding) * exp(-fabs(speed) / STICKING_CM_S)
+    if speed == 0.0 and fabs(drive) <= friction:
+        return
+    way = speed if speed != 0.0 else drive
+    damping = constants[DAMPING] * (1.0 if shorted else OPEN_WINDINGS)
+    lag = constants[MOTOR_LAG] * constants[DAMPING] / damping
+    goal = (drive - (friction if way > 0.0 else -friction)) / damping
+    state[SPEED] = goal + (speed - goal) * exp(-dt / lag)
+    if state[SPEED] * way <= 0.0 and fabs(drive) <= constants[HOLDING]:
         state[SPEED] = 0.0
     if stuck:
         state[SPEED] = 0.0

@@ -105,7 +105,9 @@ class SpoolMotor(Model):
 
     line_cm_s: Positive = 23.6  # no-load speed of the line at full duty
     lag_s: Positive = 0.07
-    dead_zone: NonNegative = 60.0  # duty, of 800
+    dead_zone: NonNegative = 60.0  # duty, of 800, that overcomes sliding friction
+    stall_n: Positive = 60.0  # pull on the line at which full duty stalls
+    holding_n: NonNegative = 6.0  # pull that friction, or a power-off brake, holds at rest
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 

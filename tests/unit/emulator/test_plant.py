@@ -149,16 +149,19 @@ def test_line_is_paid_out_twice_as_fast_as_the_tip_grows() -> None:
     run(plant, 5.0, motor=200)
     line = (plant.encoder[1] - before) / 76.0
     assert line == pytest.approx(2 * plant.length_cm, rel=1e-6)
-    # (200 - 60) / 740 of 23.6 cm/s, after a lag of 0.07 s.
-    assert line == pytest.approx(140 / 740 * 23.6 * (5.0 - 0.07), rel=0.01)
+    # A quarter of 60 N, 4.9 N of the body's pull, 4.5 N of friction, damped by what brings 60 N to
+    # 23.6 cm/s; after a lag of 0.07 s.
+    assert line == pytest.approx((15 + 4.88 - 4.5) / 55.5 * 23.6 * (5.0 - 0.07), rel=0.01)
 
 
-def test_duty_inside_the_dead_zone_and_the_brake_move_nothing() -> None:
+def test_duty_that_friction_holds_and_the_brake_move_nothing() -> None:
+    """6 N at rest: with the pull's 4.9 N, 15 of 800 to pay out and 145 to wind in."""
     plant = out(20.0)
-    run(plant, 2.0, motor=55)
-    plant.step((0, 0), (False, False), 400, True)
-    run(plant, 1.0)
+    for motor in (14, -144, 0):
+        run(plant, 2.0, motor=motor)
     assert plant.length_cm == 20.0
+    run(plant, 0.5, motor=-147)
+    assert plant.length_cm < 20.0
 
 
 def test_winding_in_ends_at_the_base() -> None:
@@ -391,3 +394,58 @@ def test_no_command_breaks_the_plant(
             assert (plant.analog >= 0).all()
             assert (plant.analog < 1024).all()
             assert 0 <= plant.length_cm <= 53.0
+
+
+# The tail's pull: half of body pressure times section, 4.9 N at 1.47 psi.
+
+
+def test_the_tail_pulls_with_half_the_tips_force_while_it_is_taut() -> None:
+    plant = out(20.0)
+    for psi, newton in ((1.47, 4.88), (0.49, 1.63)):
+        plant.set_body_pressure(psi)
+        assert plant.pull_n == pytest.approx(newton, abs=0.01)
+    plant.set_body_pressure(0.2)  # too little to evert: what is paid out lies slack
+    run(plant, 1.0, motor=300)
+    assert plant.pull_n == 0.0
+
+
+def test_friction_holds_the_usual_pull_and_shorted_windings_only_slow_a_stronger_one() -> None:
+    speeds = []
+    for holding_n, shorted in ((6.0, True), (4.0, True), (4.0, False)):
+        scene = quiet(start_length_cm=20.0)
+        scene.spool.holding_n = holding_n
+        scene.spool.dead_zone = 40.0  # 3 N of sliding friction
+        plant = Plant(scene)
+        plant.windings_open = not shorted
+        plant.set_body_pressure(1.47)
+        run(plant, 1.0)
+        before = plant.length_cm
+        run(plant, 1.0)
+        speeds.append(plant.length_cm - before)
+    held, damped, free = speeds
+    assert held == 0.0
+    assert 0.05 < damped < 1.0  # cm/s of the tip, without end
+    assert free > 3 * damped
+
+
+def test_the_body_drives_the_spool_while_it_grows() -> None:
+    plant = out(20.0)
+    plant.set_body_pressure(0.49)
+    run(plant, 3.0, motor=150)
+    slow = plant.length_cm
+    helped = out(20.0)
+    helped.set_body_pressure(1.47)
+    run(helped, 3.0, motor=150)
+    assert helped.length_cm > slow + 1.0
+
+
+def test_a_braked_spool_comes_to_rest_soon_under_the_usual_pull() -> None:
+    plant = out(20.0)
+    plant.set_body_pressure(1.47)
+    run(plant, 2.0, motor=150)
+    at = plant.length_cm
+    run(plant, 0.5)
+    assert plant.length_cm - at < 0.3
+    at = plant.length_cm
+    run(plant, 5.0)
+    assert plant.length_cm == at
