@@ -400,6 +400,7 @@ inline void Controller::watch_faults() {
     if (over_steps_[side] >= kOverPressureSteps) raise(Fault::kOverPressure, side);
     if (pressure_[side].wire_broken()) raise(Fault::kPressureWire, side);
     if (loop_[side].stuck()) raise(Fault::kPressureStuck, side);
+    if (loop_[side].mismatched(derived_)) raise(Fault::kPressureMismatch, side);
   }
   for (uint8_t i = 0; flex_.any_bad() && i < kSensors; ++i) {
     if (!enabled(i)) continue;
@@ -444,7 +445,7 @@ inline void Controller::supervise(uint8_t requests) {
 // Valves to 0 mA, motor braked, activity ended. Never a retraction.
 inline void Controller::make_safe(Reason reason) {
   for (uint8_t side = 0; side < kSides; ++side) {
-    loop_[side].cut();
+    loop_[side].disarm();
     outputs_.drive[side] = PressureLoop::kOff;
   }
   outputs_.motor = 0;

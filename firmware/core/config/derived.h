@@ -12,6 +12,9 @@ namespace thigmo {
 
 constexpr uint8_t kControlMs = 5;  // one control step of each loop
 constexpr int32_t kControlHz = 200;
+// The transducer is never driven further above the highest set point, by its map: room for the
+// loop's corrections, whatever a sensor claims.
+constexpr int32_t kDriveMarginCpsi = 100;
 constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 
 // A gain below 1 as 16 bits and a shift: gain = mantissa / 2^(16 + shift). Products then take two
@@ -42,6 +45,7 @@ struct Derived {
   Gain16 pressure_gain[kSides];           // 0.01 psi per 1/64 count of a sum of five
   uint32_t reversal_inverse_q24[kSides];  // rounded up, so that the whole width gives 256 / 256
   uint16_t lag_alpha_q16[kSides];         // share of the way to the input in one control step
+  int16_t drive_ceiling_cpsi;             // highest transducer output that a loop may ask for
   uint16_t drive_slope_q16;               // duty per 0.01 psi
   uint32_t um_per_count_q16;              // tip movement per encoder count
   uint32_t counts_per_um_q24;             // and the other way
@@ -67,7 +71,6 @@ struct Derived {
     }
     update_spool(c);
     update_drive(c);
-    update_rest(c);
   }
 
   // After a change of one parameter: only what follows from it, to keep the pass short.
@@ -176,9 +179,12 @@ struct Derived {
         greater<int32_t>(c.get(Param::kDrive20maCpsi) - c.get(Param::kDrive4maCpsi), 1300);
     drive_slope_q16 =
         static_cast<uint16_t>(static_cast<int32_t>(kDriveFull) * 65536 / 5 * 4 / span);
+    update_rest(c);
   }
 
   void update_rest(const Configuration& c) {
+    drive_ceiling_cpsi = static_cast<int16_t>(
+        lesser(c.get(Param::kMaxPressureCpsi) + kDriveMarginCpsi, c.get(Param::kDrive20maCpsi)));
     top_speed_um_s = c.top_speed_um_s();
     slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
     stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);

@@ -21,6 +21,10 @@ class PressurePid {
   // The correction is meant for a transducer's errors, not for the whole range.
   static constexpr int32_t kIntegralLimitCpsi = 600;
 
+  // As near as this to the highest output, and as far as this from the set point, the output does
+  // not suffice; more than noise, and less than would hurt.
+  static constexpr int32_t kShortCpsi = 25;
+
   struct Gains {
     int16_t kp;
     int16_t ki;
@@ -40,6 +44,7 @@ class PressurePid {
     const int32_t wanted = feed_forward + proportional + integral_cpsi() - derivative;
     const int32_t output = limited(wanted, low, high);
     // Integrate unless the output is at a limit and the error pushes further into it.
+    short_ = wanted > high - kShortCpsi && error > kShortCpsi;
     if (!((wanted > high && error > 0) || (wanted < low && error < 0))) {
       constexpr int32_t kLimit = kIntegralLimitCpsi * 256 * kControlHz;
       sum_ = limited<int32_t>(sum_ + gains.ki * error, -kLimit, kLimit);
@@ -54,12 +59,18 @@ class PressurePid {
 
   int32_t integral_cpsi() const { return integral_output(sum_); }
 
+  // The highest output does not suffice, at the last step.
+  bool falls_short() const { return short_; }
+
  private:
   int32_t sum_ = 0;  // of ki * error, per step
   int16_t last_ = 0;
+  bool short_ = false;
 };
 
-// Set point slew, live zero, PID, output map, and the check that the pressure follows.
+// Set point slew, live zero, PID, output map, and two checks: that the pressure follows its set
+// point, and that it is the one that the transducer's current stands for. The second is what tells
+// a sensor that lies: the loop makes its reading follow, whatever the muscle then holds.
 class PressureLoop {
  public:
   static constexpr int16_t kOff = -1;  // output: true zero
@@ -75,10 +86,16 @@ class PressureLoop {
     slew_q8_ = slew_q8;
   }
 
-  // True zero at once (vent, stop, fault).
+  // True zero at once; what the integrator has learnt of the transducer stays (vent).
   void cut() {
     target_ = 0;
     set_q8_ = 0;
+  }
+
+  // True zero, and nothing is remembered: the integral may have been wound up by what went wrong.
+  void disarm() {
+    cut();
+    pid_.reset();
   }
 
   // One control step; returns the duty 0..kDriveFull, or kOff.
@@ -87,6 +104,8 @@ class PressureLoop {
       // At rest: nothing moves but what should not.
       watch_following(0, measured, c.get(Param::kStuckCpsi), d.stuck_steps);
       pid_.idle(measured);
+      drive_q12_ = 0;
+      mismatch_steps_ = 0;
       output_ = kOff;
       return output_;
     }
@@ -100,6 +119,7 @@ class PressureLoop {
     watch_following(due, measured, c.get(Param::kStuckCpsi), d.stuck_steps);
     if (!on) {
       pid_.idle(measured);
+      watch_drive(0, measured, c, d);
       output_ = kOff;
       return output_;
     }
@@ -107,8 +127,9 @@ class PressureLoop {
                                       static_cast<int16_t>(c.get(Param::kPressureKi)),
                                       static_cast<int16_t>(c.get(Param::kPressureKd))};
     const int32_t floor = c.get(Param::kDrive4maCpsi);
-    const int32_t ceiling = lesser(c.get(Param::kOverPressureCpsi), c.get(Param::kDrive20maCpsi));
-    const int32_t wanted = pid_.step(due, measured, set, gains, floor, greater(floor, ceiling));
+    const int32_t wanted =
+        pid_.step(due, measured, set, gains, floor, greater<int32_t>(floor, d.drive_ceiling_cpsi));
+    watch_drive(static_cast<int16_t>(wanted), measured, c, d);
     output_ = duty(wanted, c, d);
     return output_;
   }
@@ -127,6 +148,8 @@ class PressureLoop {
   int16_t target_cpsi() const { return target_; }
   int16_t output() const { return output_; }
   bool stuck() const { return stuck_; }
+  // What the transducer gives out by its map is not what is measured, or is not enough.
+  bool mismatched(const Derived& d) const { return mismatch_steps_ >= d.stuck_steps; }
   bool astray() const { return stuck_steps_ > 0; }  // off its follower, for however short a time
 
  private:
@@ -139,13 +162,29 @@ class PressureLoop {
     stuck_ = stuck_steps_ >= steps;
   }
 
+  // The transducer's output by its map, lagged as the pressure is, against the pressure. An output
+  // at its ceiling that still falls short is one as well.
+  void watch_drive(int16_t output_cpsi, int16_t measured, const Configuration& c,
+                   const Derived& d) {
+    drive_q12_ += (q12(output_cpsi) - drive_q12_) * (1 << (8 - kFollowLog2)) >> 8;
+    const int32_t off = magnitude(static_cast<int32_t>(shifted16<12>(drive_q12_)) - measured);
+    const bool wrong = off > c.get(Param::kDriveToleranceCpsi) || pid_.falls_short();
+    if (output_cpsi == 0 || !wrong) {
+      mismatch_steps_ = 0;
+    } else if (mismatch_steps_ < d.stuck_steps) {
+      ++mismatch_steps_;
+    }
+  }
+
   PressurePid pid_;
+  int32_t drive_q12_ = 0;
   int32_t set_q8_ = 0;
   int32_t follower_q12_ = 0;
   int16_t target_ = 0;
   int16_t output_ = kOff;
   int32_t slew_q8_ = 0;
   uint16_t stuck_steps_ = 0;
+  uint16_t mismatch_steps_ = 0;
   bool stuck_ = false;
 };
 

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x61864BACu;
+constexpr uint32_t kSchemaHash = 0x431B8CFDu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -141,14 +141,17 @@ enum class Fault : uint8_t {
                     // then clear and confirm the length.
   kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,    // No valid configuration is stored; configure and save, then clear.
-  kEstop = 11,        // The emergency stop was pressed; release it, then clear.
-  kInterlock = 12,    // The length became unknown or a sensor half everted during a bend; vented.
-                      // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
+  kBadConfig = 10,  // No valid configuration is stored; configure and save, then clear.
+  kEstop = 11,      // The emergency stop was pressed; release it, then clear.
+  kInterlock = 12,  // The length became unknown or a sensor half everted during a bend; vented.
+                    // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
+  kPressureMismatch = 14,  // Muscle pressure and the transducer's current disagree; check the
+                           // pressure sensor's zero and gain, the transducer and its map
+                           // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
 };
-constexpr uint8_t kFaultCount = 14;
+constexpr uint8_t kFaultCount = 15;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
@@ -1176,39 +1179,43 @@ enum class Param : uint16_t {
   kPressureSlewCpsiS = 59,  // Fastest set-point change. (0.01 psi/s)
   kStuckCpsi = 60,          // Set-point error that counts as stuck. (0.01 psi)
   kStuckMs = 61,            // For so long. (ms)
-  kLagMs = 62,  // Lag from measured pressure to bend, by which pressure is filtered before the map.
+  kDriveToleranceCpsi =
+      62,  // Difference between pressure and transducer output by its map that is a fault, when it
+           // lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 psi), 2 % of gain
+           // and what the lags leave. (0.01 psi)
+  kLagMs = 63,  // Lag from measured pressure to bend, by which pressure is filtered before the map.
                 // (ms) [2]
   kReversalCpsi =
-      64,  // Pressure change over which the inflate map turns into the deflate map. (0.01 psi) [2]
-  kTriggerE5 = 66,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back,
+      65,  // Pressure change over which the inflate map turns into the deflate map. (0.01 psi) [2]
+  kTriggerE5 = 67,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back,
                     // or a vented one pushed. (1e-5/cm)
-  kTriggerDebounceMs = 67,  // The threshold must be passed for so long, counted in samples of 1 ms.
+  kTriggerDebounceMs = 68,  // The threshold must be passed for so long, counted in samples of 1 ms.
                             // Default: see trigger_filter_log2. (ms)
-  kTriggerFilterLog2 = 68,  // Samples of 1 ms averaged in the trigger's base reading, as a power of
+  kTriggerFilterLog2 = 69,  // Samples of 1 ms averaged in the trigger's base reading, as a power of
                             // two. Default: by the rule of `thigmo bench trigger`, at most 1 false
                             // alarm in 100 empty sweeps at twice the noise, then the fastest.
-  kPeakSpacingMs = 69,      // Between the ten readings around a sweep's peak. (ms)
-  kFullLengthUm = 70,       // Deployable length. (um)
-  kPitchUm = 71,            // Sensor pitch. (um)
-  kCountsPerM = 72,         // Encoder counts per metre of line. (count/m)
-  kPayoutQ8 = 73,           // Line paid out per length grown (base-fed eversion: 2). (1/256)
-  kSpoolSpeedUmS = 74,      // Tip speed of growth. (um/s)
-  kSpoolAccelUmS2 = 75,     // Acceleration of the trapezoid profile. (um/s2)
-  kSpoolKp = 76,            // Position gain. (1/256 duty per count)
-  kSpoolKi = 77,            // Integral gain. (1/256 duty per count s)
-  kSpoolKd = 78,            // Derivative gain. (1/256 duty s per count)
-  kSpoolKff = 79,           // Feed-forward of speed. (1/256 duty s per count)
-  kSpoolDeadZone = 80,      // Duty at which the motor begins to turn. (1/800 of full)
-  kSpoolToleranceUm = 81,   // At the target within this. (um)
-  kStallMs = 82,            // Driven and still for so long is a stall. (ms)
-  kSlipUm = 83,             // Movement with the motor off that is a slip. (um)
-  kHomeSpeedUmS = 84,       // Tip speed of homing. (um/s)
-  kHeartbeatMs = 85,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+  kPeakSpacingMs = 70,      // Between the ten readings around a sweep's peak. (ms)
+  kFullLengthUm = 71,       // Deployable length. (um)
+  kPitchUm = 72,            // Sensor pitch. (um)
+  kCountsPerM = 73,         // Encoder counts per metre of line. (count/m)
+  kPayoutQ8 = 74,           // Line paid out per length grown (base-fed eversion: 2). (1/256)
+  kSpoolSpeedUmS = 75,      // Tip speed of growth. (um/s)
+  kSpoolAccelUmS2 = 76,     // Acceleration of the trapezoid profile. (um/s2)
+  kSpoolKp = 77,            // Position gain. (1/256 duty per count)
+  kSpoolKi = 78,            // Integral gain. (1/256 duty per count s)
+  kSpoolKd = 79,            // Derivative gain. (1/256 duty s per count)
+  kSpoolKff = 80,           // Feed-forward of speed. (1/256 duty s per count)
+  kSpoolDeadZone = 81,      // Duty at which the motor begins to turn. (1/800 of full)
+  kSpoolToleranceUm = 82,   // At the target within this. (um)
+  kStallMs = 83,            // Driven and still for so long is a stall. (ms)
+  kSlipUm = 84,             // Movement with the motor off that is a slip. (um)
+  kHomeSpeedUmS = 85,       // Tip speed of homing. (um/s)
+  kHeartbeatMs = 86,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm. (ms)
-  kSupplyMinMv = 86,  // Supply below this is a brown-out. (mV)
-  kTelemetryMs = 87,  // Telemetry period; 0 = off. (ms)
+  kSupplyMinMv = 87,  // Supply below this is a brown-out. (mV)
+  kTelemetryMs = 88,  // Telemetry period; 0 = off. (ms)
 };
-constexpr uint16_t kParamCount = 88;
+constexpr uint16_t kParamCount = 89;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1275,6 +1282,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {10, 10000, 1500},           // pressure_slew_cpsi_s
     {10, 6000, 200},             // stuck_cpsi
     {100, 60000, 1500},          // stuck_ms
+    {50, 600, 250},              // drive_tolerance_cpsi
     {0, 2000, 200},              // lag_ms
     {0, 2000, 200},              // lag_ms
     {1, 1000, 100},              // reversal_cpsi

@@ -1,8 +1,9 @@
 """Faults that a scene injects, from a moment or a condition on, for a while or for good.
 
 What `value` means: over_pressure, psi (default 30); pressure_stuck, psi (default: where it is);
-spool_slip, cm/s of line to which a failing brake lets it run (default 2); brown_out, mV (default 3800); power_cut_saving, bytes written
-before the cut (default 100). host_silent mutes the host: its bytes and heartbeats are lost.
+spool_slip, cm/s of line to which a failing brake lets it run (default 2); brown_out, mV (default
+3800); power_cut_saving, bytes written before the cut (default 100). host_silent mutes the host: its
+bytes and heartbeats are lost.
 power_cut takes the board's power for `duration_s` (default 1 s).
 """
 

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x61864BAC
+SCHEMA_HASH = 0x431B8CFD
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -231,6 +231,14 @@ class Fault(Documented):
         (
             "The length became unknown or a sensor half everted during a bend; vented. Clear,"
             " confirm the length if unknown, and grow or retract to a whole pitch."
+        ),
+    )
+    PRESSURE_MISMATCH = (
+        14,
+        (
+            "Muscle pressure and the transducer's current disagree; check the pressure "
+            "sensor's zero and gain, the transducer and its map (drive_4ma_cpsi, "
+            "drive_20ma_cpsi), then clear."
         ),
     )
     LINK_OVERRUN = (
@@ -1886,8 +1894,22 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter("stuck_ms", 61, 1, "ms", 100, 60000, (1500,), "For so long."),
         Parameter(
-            "lag_ms",
+            "drive_tolerance_cpsi",
             62,
+            1,
+            "0.01 psi",
+            50,
+            600,
+            (250,),
+            (
+                "Difference between pressure and transducer output by its map that is a fault, "
+                "when it lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 "
+                "psi), 2 % of gain and what the lags leave."
+            ),
+        ),
+        Parameter(
+            "lag_ms",
+            63,
             2,
             "ms",
             0,
@@ -1897,7 +1919,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "reversal_cpsi",
-            64,
+            65,
             2,
             "0.01 psi",
             1,
@@ -1907,7 +1929,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "trigger_e5",
-            66,
+            67,
             1,
             "1e-5/cm",
             10,
@@ -1920,7 +1942,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "trigger_debounce_ms",
-            67,
+            68,
             1,
             "ms",
             1,
@@ -1933,7 +1955,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "trigger_filter_log2",
-            68,
+            69,
             1,
             "",
             0,
@@ -1947,7 +1969,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "peak_spacing_ms",
-            69,
+            70,
             1,
             "ms",
             5,
@@ -1955,11 +1977,11 @@ PARAMETERS: dict[str, Parameter] = {
             (50,),
             "Between the ten readings around a sweep's peak.",
         ),
-        Parameter("full_length_um", 70, 1, "um", 10000, 5000000, (530000,), "Deployable length."),
-        Parameter("pitch_um", 71, 1, "um", 1000, 1000000, (100000,), "Sensor pitch."),
+        Parameter("full_length_um", 71, 1, "um", 10000, 5000000, (530000,), "Deployable length."),
+        Parameter("pitch_um", 72, 1, "um", 1000, 1000000, (100000,), "Sensor pitch."),
         Parameter(
             "counts_per_m",
-            72,
+            73,
             1,
             "count/m",
             100,
@@ -1969,7 +1991,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "payout_q8",
-            73,
+            74,
             1,
             "1/256",
             64,
@@ -1977,10 +1999,10 @@ PARAMETERS: dict[str, Parameter] = {
             (512,),
             "Line paid out per length grown (base-fed eversion: 2).",
         ),
-        Parameter("spool_speed_um_s", 74, 1, "um/s", 100, 200000, (20000,), "Tip speed of growth."),
+        Parameter("spool_speed_um_s", 75, 1, "um/s", 100, 200000, (20000,), "Tip speed of growth."),
         Parameter(
             "spool_accel_um_s2",
-            75,
+            76,
             1,
             "um/s2",
             100,
@@ -1988,15 +2010,15 @@ PARAMETERS: dict[str, Parameter] = {
             (40000,),
             "Acceleration of the trapezoid profile.",
         ),
-        Parameter("spool_kp", 76, 1, "1/256 duty per count", 0, 32767, (1024,), "Position gain."),
-        Parameter("spool_ki", 77, 1, "1/256 duty per count s", 0, 32767, (1024,), "Integral gain."),
-        Parameter("spool_kd", 78, 1, "1/256 duty s per count", 0, 32767, (26,), "Derivative gain."),
+        Parameter("spool_kp", 77, 1, "1/256 duty per count", 0, 32767, (1024,), "Position gain."),
+        Parameter("spool_ki", 78, 1, "1/256 duty per count s", 0, 32767, (1024,), "Integral gain."),
+        Parameter("spool_kd", 79, 1, "1/256 duty s per count", 0, 32767, (26,), "Derivative gain."),
         Parameter(
-            "spool_kff", 79, 1, "1/256 duty s per count", 0, 32767, (106,), "Feed-forward of speed."
+            "spool_kff", 80, 1, "1/256 duty s per count", 0, 32767, (106,), "Feed-forward of speed."
         ),
         Parameter(
             "spool_dead_zone",
-            80,
+            81,
             1,
             "1/800 of full",
             0,
@@ -2005,14 +2027,14 @@ PARAMETERS: dict[str, Parameter] = {
             "Duty at which the motor begins to turn.",
         ),
         Parameter(
-            "spool_tolerance_um", 81, 1, "um", 50, 50000, (500,), "At the target within this."
+            "spool_tolerance_um", 82, 1, "um", 50, 50000, (500,), "At the target within this."
         ),
         Parameter(
-            "stall_ms", 82, 1, "ms", 50, 10000, (400,), "Driven and still for so long is a stall."
+            "stall_ms", 83, 1, "ms", 50, 10000, (400,), "Driven and still for so long is a stall."
         ),
         Parameter(
             "slip_um",
-            83,
+            84,
             1,
             "um",
             100,
@@ -2020,10 +2042,10 @@ PARAMETERS: dict[str, Parameter] = {
             (3000,),
             "Movement with the motor off that is a slip.",
         ),
-        Parameter("home_speed_um_s", 84, 1, "um/s", 100, 100000, (8000,), "Tip speed of homing."),
+        Parameter("home_speed_um_s", 85, 1, "um/s", 100, 100000, (8000,), "Tip speed of homing."),
         Parameter(
             "heartbeat_ms",
-            85,
+            86,
             1,
             "ms",
             50,
@@ -2035,9 +2057,9 @@ PARAMETERS: dict[str, Parameter] = {
             ),
         ),
         Parameter(
-            "supply_min_mv", 86, 1, "mV", 3000, 5500, (4500,), "Supply below this is a brown-out."
+            "supply_min_mv", 87, 1, "mV", 3000, 5500, (4500,), "Supply below this is a brown-out."
         ),
-        Parameter("telemetry_ms", 87, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
+        Parameter("telemetry_ms", 88, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
     )
 }
-PARAMETER_COUNT = 88
+PARAMETER_COUNT = 89

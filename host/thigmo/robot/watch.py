@@ -17,7 +17,10 @@ _SLICE_S = 0.25
 _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 # Of sensor_report.flags.
 _OPEN, _SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5
-_OF_A_MUSCLE = (wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK)
+_OF_A_MUSCLE = (
+    wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
+    wire.Fault.PRESSURE_MISMATCH,
+)  # fmt: skip
 _OF_A_SENSOR = (wire.Fault.FLEX_OPEN, wire.Fault.FLEX_SHORT)
 
 

@@ -41,13 +41,15 @@ class FlowingAir:
 
     def __init__(self, lag_s: float = 0.25) -> None:
         self.lag_s = lag_s
+        self.gain = 1.0  # of the transducers
         self.psi = [0.0, 0.0]
         self.stuck = [False, False]
 
     def step(self, board: VirtualBoard, dt: float) -> None:
         for side in range(2):
             milliampere = 20 * board.drive[side] / 1599 if board.drive_enabled[side] else 0.0
-            wanted = 2 + 58 * (milliampere - 4) / 16 if milliampere >= 4 else 0.0
+            mapped = 2 + 58 * (milliampere - 4) / 16 if milliampere >= 4 else 0.0
+            wanted = self.gain * mapped
             if not self.stuck[side]:
                 self.psi[side] += (wanted - self.psi[side]) * dt / self.lag_s
 
@@ -92,6 +94,8 @@ class Bench:
     beating: bool = True
     # Curvature that each sensor feels, as a function of both pressures; a test may replace it.
     body: Callable[[float, float], float] = lambda left, right: 0.0
+    # What a pressure sensor makes of the true pressure, psi; a test may replace it.
+    sensor: Callable[[float], float] = lambda psi: psi
     curvature: np.ndarray = field(default_factory=lambda: np.zeros(10))
     override: dict[int, float] = field(default_factory=dict)  # channel -> ideal count
 
@@ -116,7 +120,7 @@ class Bench:
         counts = np.zeros(16)
         bend = self.curvature + self.body(*self.air.psi)
         counts[:10] = [flex_count(k) for k in bend]
-        counts[10:12] = [pressure_count(p) for p in self.air.psi]
+        counts[10:12] = [pressure_count(self.sensor(p)) for p in self.air.psi]
         for channel, value in self.override.items():
             counts[channel] = value
         return counts

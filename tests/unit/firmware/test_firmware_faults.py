@@ -202,6 +202,103 @@ def test_pressure_stuck() -> None:
     recover(bench, F.PRESSURE_STUCK)
 
 
+def frozen_at(psi: float) -> Callable[[float], float]:
+    """A sensor that follows up to a pressure and no further."""
+    return lambda true: min(true, psi)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "asked_psi", "most_psi"),
+    [
+        (frozen_at(17.0), 18.0, 20.0),
+        (frozen_at(17.0), 18.5, 20.0),
+        (frozen_at(9.5), 11.0, 18.0),
+        (lambda true: 0.9 * true, 18.5, 20.0),
+        (lambda true: 0.75 * true, 12.0, 17.0),
+        (frozen_at(0.4), 2.3, 9.0),
+        (lambda true: true - 3.0 if true > 4 else true, 14.0, 19.0),
+    ],
+    ids=[
+        "17 of 18",
+        "17 of 18.5",
+        "9.5 of 11",
+        "gain of 0.9",
+        "gain of 0.75",
+        "0.4 of 2.3",
+        "offset",
+    ],
+)
+def test_a_pressure_sensor_that_lies_is_found_by_the_transducers_current(
+    sensor: Callable[[float], float], asked_psi: float, most_psi: float
+) -> None:
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000)
+    bench.sensor = sensor
+    bench.do(wire.SetPressure(round(100 * asked_psi), 0, 0))
+    most = 0.0
+    for _ in range(1600):
+        bench.step()
+        most = max(most, bench.air.psi[0])
+        if bench.event(wire.EventCode.FAULT, F.PRESSURE_MISMATCH):
+            break
+    assert most <= most_psi
+    expect(bench, F.PRESSURE_MISMATCH, 100, value=0)
+    assert F.OVER_PRESSURE not in bench.faults()
+    bench.sensor = lambda true: true
+    bench.step(2000)
+    recover(bench, F.PRESSURE_MISMATCH)
+
+
+@pytest.mark.parametrize(("offset_psi", "gain"), [(-1.2, 1.02), (-1.2, 0.98), (0.2, 0.98), (0, 1)])
+@pytest.mark.parametrize("asked_psi", [2.3, 6.0, 18.0])
+def test_a_bring_up_without_calibration_is_no_fault(
+    offset_psi: float, gain: float, asked_psi: float
+) -> None:
+    """The sensor's error band before zeroing, and the transducer's gain (HARDWARE.md)."""
+    bench = Bench()
+    bench.air.gain = gain
+    bench.sensor = lambda true: true + offset_psi
+    bench.zeroed(trigger_e5=10_000)
+    for _ in range(2):
+        bench.do(wire.SetPressure(round(100 * asked_psi), 0, 0))
+        bench.step(8000)
+        bench.do(wire.SetPressure(0, 0, 0))
+        bench.step(3000)
+    assert bench.faults() == ()
+
+
+@pytest.mark.parametrize("ended_by", ["fault", "stop"])
+def test_the_integral_does_not_survive_a_fault_or_a_stop(ended_by: str) -> None:
+    """Wound up while the air was away, it would overshoot when the air is back."""
+    press = wire.SetPressure(500, 0, 0)
+
+    def highest(bench: Bench) -> float:
+        bench.do(press)
+        most = 0.0
+        for _ in range(800):
+            bench.step()
+            most = max(most, bench.air.psi[0])
+        return most
+
+    fresh = Bench()
+    fresh.zeroed(trigger_e5=10_000)
+    usual = highest(fresh)
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000)
+    bench.air.stuck[0] = True
+    bench.do(press)
+    if ended_by == "fault":
+        bench.until(lambda: bool(bench.event(wire.EventCode.FAULT, F.PRESSURE_STUCK)))
+    else:
+        bench.step(1200)
+        bench.do(wire.Stop())
+    bench.air.stuck[0] = False
+    bench.step(3000)
+    bench.do(wire.ClearFaults(0xFFFF))
+    bench.do(wire.Arm())
+    assert highest(bench) == pytest.approx(usual, abs=0.05)
+
+
 @pytest.mark.parametrize("sensor", [0, 3, 5, 9])
 @pytest.mark.parametrize(("fault", "count"), [(F.FLEX_OPEN, 0.0), (F.FLEX_SHORT, 1023.0)])
 def test_flex_wire(sensor: int, fault: wire.Fault, count: float) -> None:
