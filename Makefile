@@ -2,8 +2,8 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-# Rebuild the extension when the firmware core, its schema or the packaging changes.
-CORE   := $(shell find firmware/core firmware/virtual -name '*.h' -o -name '*.cpp' -o -name CMakeLists.txt) pyproject.toml
+# Rebuild the extensions when their sources, the schema or the packaging change.
+CORE   := $(shell find firmware/core firmware/virtual host/thigmo -name '*.h' -o -name '*.cpp') CMakeLists.txt pyproject.toml
 
 .PHONY: help install explore test lint bench soak figures firmware clean
 help:

@@ -8,7 +8,6 @@ here from the seed. Driven by `transport.py`, `serve.py` and the tests.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, exp, hypot, isnan, nan, pi, sin, sqrt
@@ -311,7 +310,7 @@ class Plant:
             pegs = tuple(peg_for(c, self._dowel_cm) for c in self._held_contacts())
         return Truth(
             robot=self._robot, pegs=pegs, now=self._moment(), history=tuple(self._history),
-            models=dict(Counter(self.body.counts)),
+            models=self.body.counts,
         )  # fmt: skip
 
     def _held_contacts(self) -> tuple[PegContact, ...]:

@@ -9,13 +9,10 @@ face of the end.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, sin
+from math import hypot
 from typing import Literal
 
-from thigmo.mechanics import kernel
-
 Kind = Literal["side", "corner", "face"]
-_KINDS: tuple[Kind, ...] = ("side", "corner", "face", "corner", "side")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,32 +57,3 @@ class PegContact:
     def magnitude(self) -> float:
         """Size of the force (1/cm^2)."""
         return hypot(self.normal, self.tangential)
-
-
-def describe(
-    peg: int,
-    force: float,
-    place: float,
-    pose: tuple[float, float, float],
-    length: float,
-    tube_radius: float,
-    peg_radius: float,
-) -> PegContact:
-    """Turn a contact's force and skin place into a record; pose = x, y, heading at its arc."""
-    arc, off, ot, on, kind = kernel.skin(place, length, tube_radius, peg_radius)
-    x, y, heading = pose
-    c, s = cos(heading), sin(heading)
-    tangential, normal = -force * ot, -force * on
-    end = kind in (1, 2, 3)
-    return PegContact(
-        peg=peg,
-        arc=arc,
-        kind=_KINDS[kind],
-        normal=normal,
-        tangential=tangential,
-        couple=-off * tangential if end else 0.0,
-        x=x - off * s,
-        y=y + off * c,
-        force_x=tangential * c - normal * s,
-        force_y=tangential * s + normal * c,
-    )

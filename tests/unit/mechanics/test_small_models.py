@@ -1,4 +1,4 @@
-"""Spans, shapes, fold and the small-deflection beam against closed forms."""
+"""Spans, fold and the small-deflection beam against closed forms."""
 
 from __future__ import annotations
 
@@ -8,17 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from thigmo.mechanics import (
-    Body,
-    Peg,
-    Tube,
-    critical_moment,
-    from_curvature,
-    mean_curvature,
-    phi,
-    skin_point,
-    solve,
-)
+from thigmo.mechanics import Body, Peg, Tube, critical_moment, phi, solve
 
 
 @given(arc=st.floats(0.0, 60.0), center=st.floats(3.0, 50.0), span=st.floats(0.01, 6.0))
@@ -31,26 +21,6 @@ def test_phi_is_the_mean_lever_over_the_span(arc: float, center: float, span: fl
 def test_phi_without_span_is_the_lever_and_arguments_broadcast() -> None:
     found = phi(np.array([[10.0], [30.0]]), np.array([5.0, 15.0, 45.0]), 0.0)
     assert found.tolist() == [[5.0, 0.0, 0.0], [25.0, 15.0, 0.0]]
-
-
-@given(center=st.floats(4.0, 49.0), span=st.floats(0.5, 8.0), g=st.floats(-0.05, 0.05))
-def test_mean_curvature_of_a_circle(center: float, span: float, g: float) -> None:
-    s = np.linspace(0.0, 53.0, 54)
-    assert mean_curvature(s, g * s, [center], span)[0] == pytest.approx(g, abs=1e-12)
-
-
-def test_shape_of_linear_curvature_has_the_exact_heading() -> None:
-    s = np.linspace(0.0, 40.0, 21)
-    shape = from_curvature(s, 0.001 * s)
-    assert shape.heading[-1] == pytest.approx(0.001 * 40**2 / 2)
-    fine = from_curvature(np.linspace(0, 40, 2001), 0.001 * np.linspace(0, 40, 2001))
-    assert shape.at(40.0) == pytest.approx(fine.at(40.0), abs=1e-5)
-    assert shape.x[0] == shape.y[0] == 0.0
-
-
-def test_skin_is_a_tube_radius_beside_the_centreline() -> None:
-    assert skin_point(10.0, 2.0, 0.0, 1.75, 1.0) == pytest.approx((10.0, 3.75))
-    assert skin_point(10.0, 2.0, np.pi / 2, 1.75, -1.0) == pytest.approx((11.75, 2.0))
 
 
 def test_critical_moment_scales_with_body_pressure() -> None:

@@ -1,0 +1,149 @@
+"""The loaded body: a compiled extension (rod.h, centreline.h and what they need)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.mechanics.contact import Kind
+from thigmo.mechanics.elastica import Model, ModelChoice, Status
+
+Floats = NDArray[np.float64]
+_ContactRow = tuple[int, float, Kind, float, float, float, float, float, float, float]
+
+class Rod:
+    """A body that remembers: each `step` starts from the last equilibrium, as a real one does."""
+
+    def __init__(
+        self,
+        diameter: float,
+        critical_moment: float | None,
+        pegs: Sequence[tuple[float, float, float]],
+        cell: float,
+        model: ModelChoice,
+        tolerance: float,
+    ) -> None:
+        """Lay the body down; `elastica.Rod` explains the arguments."""
+
+    def step(self, free_curvature: float | Floats, length: float) -> None:
+        """Follow the equilibrium to a new free curvature (1/cm) and everted length (cm).
+
+        The elastica cuts the way into pieces in which the free tip would travel at most 1 cm. Free
+        curvature that varies along the body, as nodes evenly spaced over [0, length], is always the
+        elastica's.
+
+        Raises:
+            DataError: values that are not finite, or a length that is not positive.
+        """
+
+    def reset(self) -> None:
+        """Forget everything: the next step starts from the straight body."""
+
+    def assume_free(self, free_curvature: float, length: float) -> None:
+        """Start from a body that touches nothing."""
+
+    def _place(self, pegs: Sequence[tuple[float, float, float]]) -> None: ...
+    def press(
+        self,
+        force: Floats,
+        place: Floats,
+        fold_angle: float,
+        free_curvature: Floats,
+        length: float,
+    ) -> None:
+        """Take forces at places around the skin and a fold for given: one integration."""
+
+    def load(
+        self,
+        loads: Sequence[tuple[float, float, float, float, float]],
+        free_curvature: Floats,
+        length: float,
+    ) -> bool:
+        """Raise given forces in steps; False if that finds no equilibrium."""
+
+    def save(self) -> Rod:
+        """A copy to come back to with `restore`."""
+
+    def restore(self, saved: Rod) -> None:
+        """Return to a saved state."""
+
+    def nodes(self) -> Floats:
+        """Copy of the centreline: columns s, heading, curvature (without fold), x, y."""
+
+    def averages_into(self, centers: Floats, spans: Floats, out: Floats) -> None:
+        """Mean curvature (1/cm) over spans (cm) around arcs, fold included, into `out`; all (N,).
+
+        A span of 0 gives the value at the centre; what lies beyond the body is cut off.
+        """
+
+    def pose(self, arc: float) -> tuple[float, float, float]:
+        """(x, y, heading) of the centreline at an arc length."""
+
+    def _contacts(self) -> list[_ContactRow]: ...
+    def axial_push(self) -> float:
+        """Force (1/cm^2) with which pegs push the tip back towards the base."""
+
+    @property
+    def touching(self) -> int:
+        """Number of pegs in contact."""
+
+    @property
+    def base_moment(self) -> float:
+        """Contact moment at the base (1/cm)."""
+
+    @property
+    def fold_angle(self) -> float:
+        """Fold angle at the base (rad)."""
+
+    @property
+    def length(self) -> float:
+        """Everted length (cm); 0 before the first step."""
+
+    @property
+    def free_curvature(self) -> float:
+        """Free curvature at the base (1/cm)."""
+
+    @property
+    def free_curvature_nodes(self) -> Floats:
+        """Free curvature as given: one value, or nodes over [0, length]."""
+
+    @property
+    def diameter_cm(self) -> float:
+        """Inflated diameter."""
+
+    @property
+    def critical_moment(self) -> float | None:
+        """Moment at which the base folds (1/cm); body pressure changes it. None = never."""
+
+    @critical_moment.setter
+    def critical_moment(self, value: float | None) -> None: ...
+    @property
+    def status(self) -> Status:
+        """How the last equilibrium was found; see `Solution`."""
+
+    @property
+    def model(self) -> Model:
+        """Model of the last step."""
+
+    @property
+    def error_bound_cm(self) -> float:
+        """Bound on the error of positions in the last step."""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Steps by each model that was used."""
+
+def pose(
+    nodes: Floats, fold_angle: float, diameter: float, arc: float
+) -> tuple[float, float, float]:
+    """(x, y, heading) at an arc length of a body of these nodes (n, 5)."""
+
+def averages_into(
+    nodes: Floats, fold_angle: float, diameter: float, centers: Floats, spans: Floats, out: Floats
+) -> None:
+    """As `Rod.averages_into`, of a body of these nodes (n, 5)."""
+
+def locate(
+    nodes: Floats, fold_angle: float, diameter: float, x: float, y: float, radius: float
+) -> tuple[float, float]:
+    """(gap, arc) of a peg beside a body of these nodes (n, 5)."""

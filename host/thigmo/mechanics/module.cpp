@@ -1,0 +1,221 @@
+// Python's view of the rod: the extension module thigmo.mechanics._rod.
+//
+// Types are in _rod.pyi; elastica.py is its only user.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <tuple>
+
+#include "rod.h"
+
+namespace nb = nanobind;
+using namespace thigmo::mechanics;
+
+namespace {
+
+using Values = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Result = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Table = nb::ndarray<const double, nb::shape<-1, 5>, nb::c_contig, nb::device::cpu>;
+using PegRows = std::vector<std::tuple<double, double, double>>;
+using LoadRows = std::vector<std::tuple<double, double, double, double, double>>;
+
+constexpr const char* kModels[] = {"arc", "beam", "elastica"};
+constexpr const char* kStatuses[] = {"converged", "relaxed", "approximate"};
+constexpr const char* kKinds[] = {"side", "corner", "face", "corner", "side"};
+
+template <typename Enum>
+const char* name(const char* const* names, Enum value) {
+  return names[static_cast<int>(value)];
+}
+
+std::optional<Model> model_named(const std::string& name) {
+  if (name == "auto") return std::nullopt;
+  for (int i = 0; i < 3; ++i) {
+    if (name == kModels[i]) return static_cast<Model>(i);
+  }
+  throw BadInput("a model is 'auto', 'arc', 'beam' or 'elastica'");
+}
+
+double moment_or_none(std::optional<double> critical) {
+  return critical.value_or(std::numeric_limits<double>::infinity());
+}
+
+std::vector<Peg> pegs_of(const PegRows& rows) {
+  std::vector<Peg> pegs;
+  for (const auto& [x, y, radius] : rows) pegs.push_back({x, y, radius});
+  return pegs;
+}
+
+std::vector<double> vector_of(const Values& values) {
+  return {values.data(), values.data() + values.size()};
+}
+
+template <std::size_t kDimensions>
+auto array_of(std::vector<double> values, std::array<std::size_t, kDimensions> shape) {
+  auto* kept = new std::vector<double>(std::move(values));
+  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+  return nb::ndarray<nb::numpy, double, nb::ndim<kDimensions>>(kept->data(), kDimensions,
+                                                               shape.data(), owner);
+}
+
+Centreline line_of(const Table& nodes, double fold_angle, double diameter) {
+  return {reinterpret_cast<const Node*>(nodes.data()),
+          static_cast<int>(nodes.shape(0)),
+          {fold_angle, diameter}};
+}
+
+void fill_means(const Centreline& line, const Values& centers, const Values& spans,
+                const Result& out) {
+  for (std::size_t i = 0; i < std::min({centers.size(), spans.size(), out.size()}); ++i) {
+    out.data()[i] = line.mean(centers.data()[i], spans.data()[i]);
+  }
+}
+
+auto tuple_of(const Pose& pose) { return std::make_tuple(pose.x, pose.y, pose.heading); }
+
+}  // namespace
+
+NB_MODULE(_rod, m) {
+  m.doc() = "The loaded body: arc, beam and large-deflection rod among pegs.";
+  nb::register_exception_translator([](const std::exception_ptr& error, void*) {
+    try {
+      std::rethrow_exception(error);
+    } catch (const BadInput& bad) {
+      const nb::object type = nb::module_::import_("thigmo.errors").attr("DataError");
+      PyErr_SetString(type.ptr(), bad.what());
+    }
+  });
+  nb::class_<Rod>(m, "Rod")
+      .def(
+          "__init__",
+          [](Rod* self, double diameter, std::optional<double> critical, const PegRows& pegs,
+             double cell, const std::string& model, double tolerance) {
+            new (self) Rod(diameter, moment_or_none(critical), pegs_of(pegs), cell,
+                           model_named(model), tolerance);
+          },
+          nb::arg("diameter"), nb::arg("critical_moment").none(), nb::arg("pegs"), nb::arg("cell"),
+          nb::arg("model"), nb::arg("tolerance"))
+      // Relaxation after a snap takes milliseconds.
+      .def(
+          "step", [](Rod& rod, double g, double length) { rod.step({g}, length); },
+          nb::arg("free_curvature"), nb::arg("length"), nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "step", [](Rod& rod, const Values& g, double length) { rod.step(vector_of(g), length); },
+          nb::arg("free_curvature"), nb::arg("length"), nb::call_guard<nb::gil_scoped_release>())
+      .def("reset", &Rod::reset)
+      .def("assume_free", &Rod::assume_free, nb::arg("free_curvature"), nb::arg("length"))
+      .def(
+          "_place", [](Rod& rod, const PegRows& pegs) { rod.place(pegs_of(pegs)); },
+          nb::arg("pegs"))
+      .def(
+          "press",
+          [](Rod& rod, const Values& force, const Values& place, double fold_angle, const Values& g,
+             double length) {
+            std::vector<Contact> contacts;
+            for (std::size_t j = 0; j < force.size(); ++j) {
+              contacts.push_back({static_cast<int>(j), force.data()[j], place.data()[j]});
+            }
+            rod.press(std::move(contacts), fold_angle, vector_of(g), length);
+          },
+          nb::arg("force"), nb::arg("place"), nb::arg("fold_angle"), nb::arg("free_curvature"),
+          nb::arg("length"))
+      .def(
+          "load",
+          [](Rod& rod, const LoadRows& rows, const Values& g, double length) {
+            std::vector<Load> loads;
+            for (const auto& [arc, normal, tangential, x, y] : rows) {
+              loads.push_back({arc, normal, tangential, x, y});
+            }
+            return rod.load(loads, vector_of(g), length);
+          },
+          nb::arg("loads"), nb::arg("free_curvature"), nb::arg("length"))
+      .def("save", [](const Rod& rod) { return Rod(rod); })
+      .def(
+          "restore", [](Rod& rod, const Rod& saved) { rod = saved; }, nb::arg("saved"))
+      .def("nodes",
+           [](const Rod& rod) {
+             const auto* first = reinterpret_cast<const double*>(rod.nodes().data());
+             const std::size_t rows = rod.nodes().size();
+             return array_of<2>({first, first + 5 * rows}, {rows, 5});
+           })
+      .def(
+          "averages_into",
+          [](const Rod& rod, const Values& centers, const Values& spans, const Result& out) {
+            fill_means(rod.centreline(), centers, spans, out);
+          },
+          nb::arg("centers"), nb::arg("spans"), nb::arg("out"))
+      .def(
+          "pose", [](const Rod& rod, double arc) { return tuple_of(rod.centreline().pose(arc)); },
+          nb::arg("arc"))
+      .def("_contacts",
+           [](const Rod& rod) {
+             nb::list rows;
+             for (const ContactReport& c : rod.contacts()) {
+               rows.append(nb::make_tuple(c.peg, c.arc, name(kKinds, c.kind), c.normal,
+                                          c.tangential, c.couple, c.x, c.y, c.force_x, c.force_y));
+             }
+             return rows;
+           })
+      .def("axial_push", &Rod::axial_push)
+      .def_prop_ro("touching", &Rod::touching)
+      .def_prop_ro("base_moment", &Rod::base_moment)
+      .def_prop_ro("fold_angle", &Rod::fold_angle)
+      .def_prop_ro("length", &Rod::length)
+      .def_prop_ro("free_curvature", [](const Rod& rod) { return rod.natural()[0]; })
+      .def_prop_ro(
+          "free_curvature_nodes",
+          [](const Rod& rod) { return array_of<1>(rod.natural(), {rod.natural().size()}); },
+          nb::rv_policy::automatic)
+      .def_prop_ro("diameter_cm", &Rod::diameter)
+      .def_prop_rw(
+          "critical_moment",
+          [](const Rod& rod) {
+            return std::isfinite(rod.critical()) ? std::optional(rod.critical()) : std::nullopt;
+          },
+          [](Rod& rod, std::optional<double> value) { rod.set_critical(moment_or_none(value)); },
+          nb::for_setter(nb::arg("value").none()))
+      .def_prop_ro("status", [](const Rod& rod) { return name(kStatuses, rod.status()); })
+      .def_prop_ro("model", [](const Rod& rod) { return name(kModels, rod.model()); })
+      .def_prop_ro("error_bound_cm", &Rod::error_bound)
+      .def_prop_ro("counts", [](const Rod& rod) {
+        nb::dict counts;
+        for (int i = 0; i < 3; ++i) {
+          if (rod.counts()[i] > 0) counts[kModels[i]] = rod.counts()[i];
+        }
+        return counts;
+      });
+  m.def(
+      "pose",
+      [](const Table& nodes, double fold_angle, double diameter, double arc) {
+        return tuple_of(line_of(nodes, fold_angle, diameter).pose(arc));
+      },
+      nb::arg("nodes"), nb::arg("fold_angle"), nb::arg("diameter"), nb::arg("arc"));
+  m.def(
+      "averages_into",
+      [](const Table& nodes, double fold_angle, double diameter, const Values& centers,
+         const Values& spans, const Result& out) {
+        fill_means(line_of(nodes, fold_angle, diameter), centers, spans, out);
+      },
+      nb::arg("nodes"), nb::arg("fold_angle"), nb::arg("diameter"), nb::arg("centers"),
+      nb::arg("spans"), nb::arg("out"));
+  m.def(
+      "locate",
+      [](const Table& nodes, double fold_angle, double diameter, double x, double y,
+         double radius) {
+        const Centreline line = line_of(nodes, fold_angle, diameter);
+        const Gap gap = line.gap_to({x, y, radius}, 0.5 * diameter);
+        return std::make_tuple(gap.distance,
+                               skin_at(gap.place, line.length(), 0.5 * diameter, radius).arc);
+      },
+      nb::arg("nodes"), nb::arg("fold_angle"), nb::arg("diameter"), nb::arg("x"), nb::arg("y"),
+      nb::arg("radius"));
+}

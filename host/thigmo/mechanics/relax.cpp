@@ -1,0 +1,205 @@
+// Walks downhill in energy when Newton's branch has ended: Gauss-Newton in the contact curvature of
+// each cell and the fold's angle, with a step limit of a centimetre, so that no peg is jumped over.
+// Penalties stand for the pegs; an augmented Lagrangian makes their forces exact.
+#include <algorithm>
+#include <cmath>
+
+#include "linear.h"
+#include "rod.h"
+
+namespace thigmo::mechanics {
+namespace {
+
+constexpr double kStiff = 0.3;  // of a penalty, 1/cm^3
+
+class Descent {
+ public:
+  Descent(const Room& room, std::vector<double> bend, double fold_angle)
+      : room_(room),
+        h_(room.length / room.cells),
+        folds_(std::isfinite(room.critical)),
+        unknown_(std::move(bend)),
+        nodes_(room.cells + 1),
+        hold_(room.pegs.size(), 0.0),
+        gaps_(room.pegs.size()) {
+    // Breaks the symmetry of a straight rod pushed head-on.
+    for (int i = 0; i < room_.cells; ++i) unknown_[i] += 1e-6 * (i + 1) / room_.cells;
+    if (folds_) unknown_.push_back(fold_angle);
+  }
+
+  Relaxed run() {
+    for (int outer = 0; outer < 8; ++outer) {
+      walk(outer == 0 ? 400 : 60);
+      double worst = 0.0;
+      for (std::size_t j = 0; j < hold_.size(); ++j) {
+        hold_[j] = pressing(j);
+        const double gap = gaps_[j].distance;
+        worst = std::max(worst, hold_[j] > 0.0 ? std::fabs(gap) : -gap);
+      }
+      if (worst < 1e-6) break;
+    }
+    Relaxed relaxed{
+        {unknown_.begin(), unknown_.begin() + room_.cells}, fold_angle(unknown_), {}, nodes_};
+    for (std::size_t j = 0; j < hold_.size(); ++j) {
+      if (hold_[j] > 1e-9) {
+        relaxed.contacts.push_back({static_cast<int>(j), hold_[j], gaps_[j].place});
+      }
+    }
+    return relaxed;
+  }
+
+ private:
+  // A peg that presses: how far each unknown moves the skin away from it.
+  using Levers = std::vector<double>;
+
+  double fold_angle(const std::vector<double>& unknown) const {
+    return folds_ ? unknown.back() : 0.0;
+  }
+
+  double pressing(std::size_t peg) const {
+    return std::max(hold_[peg] - kStiff * gaps_[peg].distance, 0.0);
+  }
+
+  // Lays the body out, measures all gaps and returns the energy: bending, fold and penalties.
+  double lay_out(const std::vector<double>& unknown) {
+    const Fold fold{fold_angle(unknown), 2.0 * room_.tube_radius};
+    Section at{};
+    double energy = 0.0;
+    for (int i = 0; i <= room_.cells; ++i) {
+      const double s = i * h_;
+      const double bend =
+          0.5 * (unknown[std::max(i - 1, 0)] + unknown[std::min(i, room_.cells - 1)]);
+      nodes_[i] = {s, at.heading, room_.natural.at(s) + bend, at.x, at.y};
+      if (i == room_.cells) break;
+      const auto turned = [&](double arc) { return room_.natural.turn(arc) + fold.turn(arc); };
+      at.moment = unknown[i];
+      at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_));
+      energy += 0.5 * h_ * unknown[i] * unknown[i];
+    }
+    if (folds_) energy += room_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);
+    const Centreline line{nodes_.data(), room_.cells + 1, fold};
+    for (std::size_t j = 0; j < room_.pegs.size(); ++j) {
+      gaps_[j] = line.gap_to(room_.pegs[j], room_.tube_radius);
+      energy += 0.5 * pressing(j) * pressing(j) / kStiff;
+    }
+    return energy;
+  }
+
+  Levers levers(std::size_t peg) const {
+    const double width = 2.0 * room_.tube_radius;
+    const Skin on =
+        skin_at(gaps_[peg].place, room_.length, room_.tube_radius, room_.pegs[peg].radius);
+    const Pose pose =
+        Centreline{nodes_.data(), room_.cells + 1, {fold_angle(unknown_), width}}.pose(on.arc);
+    const double c = std::cos(pose.heading);
+    const double d = std::sin(pose.heading);
+    const double x = pose.x - on.offset * d;
+    const double y = pose.y + on.offset * c;
+    const double out_x = on.out_t * c - on.out_n * d;
+    const double out_y = on.out_t * d + on.out_n * c;
+    Levers levers(unknown_.size(), 0.0);
+    for (int i = 0; i < room_.cells && i * h_ < on.arc; ++i) {
+      const double part = std::min(h_, on.arc - i * h_);
+      const double u = 0.5 * part / h_;
+      const double middle_x = nodes_[i].x + u * (nodes_[i + 1].x - nodes_[i].x);
+      const double middle_y = nodes_[i].y + u * (nodes_[i + 1].y - nodes_[i].y);
+      const double lever = out_x * (y - middle_y) - out_y * (x - middle_x);
+      levers[i] = part * lever;
+      if (folds_) {
+        levers.back() += std::max(std::min(i * h_ + part, width) - i * h_, 0.0) / width * lever;
+      }
+    }
+    return levers;
+  }
+
+  // Gauss-Newton with a line search and, where that fails, damping, at fixed `hold_`.
+  void walk(int most) {
+    const std::size_t n = unknown_.size();
+    double energy = lay_out(unknown_);
+    double damping = 0.0;
+    std::vector<double> gradient(n), stiffness(n), step(n), next(n);
+    for (int iteration = 0; iteration < most; ++iteration) {
+      for (int i = 0; i < room_.cells; ++i) {
+        gradient[i] = h_ * unknown_[i];
+        stiffness[i] = h_ * (1.0 + damping);
+      }
+      if (folds_) {
+        const double root = std::hypot(unknown_.back(), 1e-4);
+        gradient.back() = room_.critical * unknown_.back() / root;
+        stiffness.back() = room_.critical / root * (1.0 + damping);
+      }
+      std::vector<Levers> active;
+      for (std::size_t j = 0; j < room_.pegs.size(); ++j) {
+        const double force = pressing(j);
+        if (force <= 0.0) continue;
+        active.push_back(levers(j));
+        for (std::size_t i = 0; i < n; ++i) gradient[i] -= force * active.back()[i];
+      }
+      // The Hessian is diagonal plus a penalty of rank one for each active peg.
+      const std::size_t pegs = active.size();
+      const auto over_stiffness = [&](const Levers& a, const std::vector<double>& b) {
+        double sum = 0.0;
+        for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i] / stiffness[i];
+        return sum;
+      };
+      std::vector<double> small(pegs * pegs), rhs(pegs);
+      for (std::size_t r = 0; r < pegs; ++r) {
+        rhs[r] = over_stiffness(active[r], gradient);
+        for (std::size_t c = 0; c < pegs; ++c) {
+          small[r * pegs + c] = over_stiffness(active[r], active[c]);
+        }
+        small[r * pegs + r] += 1.0 / kStiff;
+      }
+      if (solve_linear(small, rhs, static_cast<int>(pegs)) == 0)
+        std::fill(rhs.begin(), rhs.end(), 0.0);
+      double slope = 0.0;
+      double travel = 0.0;
+      for (std::size_t i = 0; i < n; ++i) {
+        step[i] = gradient[i];
+        for (std::size_t r = 0; r < pegs; ++r) step[i] -= active[r][i] * rhs[r];
+        step[i] /= -stiffness[i];
+        slope += step[i] * gradient[i];
+        const bool cell = i < static_cast<std::size_t>(room_.cells);
+        travel += std::fabs(step[i]) *
+                  (cell ? h_ * (room_.length - static_cast<double>(i) * h_) : room_.length);
+      }
+      if (travel < 1e-9 || slope >= 0.0) return;
+      double scale = std::min(1.0, 1.0 / travel);
+      bool lower = false;
+      double energy_next = 0.0;
+      for (int halving = 0; halving < 14 && !lower; ++halving) {
+        for (std::size_t i = 0; i < n; ++i) next[i] = unknown_[i] + scale * step[i];
+        energy_next = lay_out(next);
+        lower = energy_next <= energy + 1e-4 * scale * slope;
+        if (!lower) scale *= 0.5;
+      }
+      if (!lower) {
+        energy = lay_out(unknown_);
+        damping = std::max(4.0 * damping, 0.1);
+        if (damping > 1e6) return;
+        continue;
+      }
+      damping *= 0.3;
+      unknown_.swap(next);
+      const double gain = energy - energy_next;
+      energy = energy_next;
+      if (gain <= 1e-14 * std::fabs(energy) && scale * travel < 1e-6) return;
+    }
+  }
+
+  const Room& room_;
+  double h_;
+  bool folds_;
+  std::vector<double> unknown_;  // contact curvature of each cell, then the fold's angle
+  std::vector<Node> nodes_;
+  std::vector<double> hold_;  // forces of the augmented Lagrangian
+  std::vector<Gap> gaps_;
+};
+
+}  // namespace
+
+Relaxed relax(const Room& room, std::vector<double> bend, double fold_angle) {
+  return Descent(room, std::move(bend), fold_angle).run();
+}
+
+}  // namespace thigmo::mechanics

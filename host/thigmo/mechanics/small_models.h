@@ -1,0 +1,32 @@
+// The two models that are cheaper than the large-deflection rod: a free body's arc, and the beam of
+// small deflections with contacts and fold. rod.cpp decides where they are good enough.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "centreline.h"
+
+namespace thigmo::mechanics {
+
+// A touching peg: the force with which it pushes (1/cm^2) and where on the skin (see skin_at).
+struct Contact {
+  int peg;
+  double force, place;
+};
+
+// Nodes of a free body of one natural curvature: exactly a circular arc.
+std::vector<Node> arc_nodes(double curvature, double length, int cells);
+
+struct Beam {
+  std::vector<Node> nodes;
+  std::vector<Contact> contacts;
+  double fold_angle, base_moment;
+  double error_bound;  // cm, of positions against the large-deflection rod
+};
+
+// A straight beam of natural curvature g among pegs; nothing if the contacts cannot be told.
+std::optional<Beam> bend_beam(double g, double length, double tube_radius, double critical,
+                              const std::vector<Peg>& pegs, int cells);
+
+}  // namespace thigmo::mechanics

@@ -1,0 +1,59 @@
+"""What must hold of a bent rod, computed from its points alone, and its energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.mechanics import Peg, PointForce, Solution
+
+Floats = npt.NDArray[np.float64]
+
+
+def moment_imbalance(found: Solution, forces: Sequence[PointForce] = ()) -> float:
+    """Largest difference between the carried moment and that of all forces beyond a node."""
+    pushes = [(c.arc, c.x, c.y, c.force_x, c.force_y) for c in found.contacts]
+    for force in forces:
+        x, y, heading = found.pose(force.arc)
+        c, s = np.cos(heading), np.sin(heading)
+        pushes.append((
+            force.arc, x, y, force.tangential * c - force.normal * s + force.x,
+            force.tangential * s + force.normal * c + force.y,
+        ))  # fmt: skip
+    moment = np.zeros(found.s.size)
+    for arc, x, y, force_x, force_y in pushes:
+        beyond = found.s <= arc + 1e-9
+        moment += beyond * ((x - found.x) * force_y - (y - found.y) * force_x)
+    return float(np.abs(carried_moment(found) - moment).max())
+
+
+def carried_moment(found: Solution) -> Floats:
+    """Contact moment at the nodes, for one natural curvature."""
+    (free,) = found.free_curvature
+    return np.asarray(found.curvature - free)
+
+
+def bending_energy(found: Solution) -> float:
+    """Energy of the contact moment, linear between nodes (EI = 1, 1/cm); no fold."""
+    m, step = carried_moment(found), np.diff(found.s)
+    return float(np.sum(step * (m[:-1] ** 2 + m[:-1] * m[1:] + m[1:] ** 2)) / 6)
+
+
+def lagrangian(found: Solution, pegs: Sequence[Peg], arcs: Floats, turn: Floats) -> float:
+    """Bending energy less the contacts' forces times the gaps, of the body turned by `turn`.
+
+    arcs: evenly spaced from 0 to the length; turn: added to the heading there. Contacts on sides.
+    """
+    (free,) = found.free_curvature
+    step = arcs[1]
+    heading = np.array([found.pose(float(arc))[2] for arc in arcs]) + turn
+    middle = (heading[1:] + heading[:-1]) / 2
+    x, y = np.cumsum(np.cos(middle)) * step, np.cumsum(np.sin(middle)) * step
+    value = float(np.sum((np.diff(heading) / step - free) ** 2)) * step / 2
+    for contact in found.contacts:
+        peg = pegs[contact.peg]
+        gap = np.hypot(x - peg.x, y - peg.y).min() - found.tube.radius_cm - peg.radius
+        value -= contact.magnitude * float(gap)
+    return value
