@@ -114,13 +114,22 @@ class Controller {
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
-  static constexpr uint8_t kSparePhase = 2;         // the spool's, which stands still then
+  static constexpr uint8_t kSparePhase = 2;  // the spool's, which stands still then
+  static constexpr uint16_t kBaseSensors = 1u | 1u << kSensorsPerSide;
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
   static constexpr uint8_t kRestSteps = 250;        // 1.25 s: the body has swung back
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint16_t kRearmMs = 200;
   static constexpr uint16_t kHoldSettleMs = 500;  // beyond twice the lag, before a hold is read
   static constexpr int32_t kHomingExcess = 5;     // homing gives up beyond the body's length by 1/5
+  // After its first touch, homing backs off, bounded in time and duty as well, for the encoder may
+  // be what fails; and touches again, at the same place.
+  static constexpr int32_t kBackOffUm = 3000;
+  static constexpr int32_t kBackOffUmS = 5000;
+  static constexpr uint16_t kBackOffMs = 1500;
+  static constexpr int16_t kBackOffDuty = kMotorFull / 8;  // beyond the dead zone
+  static constexpr int32_t kTouchUm = 1500;                // between the two touches
+  static constexpr int32_t kHomeUm = 10000;  // between the base and a known length's 0
 
   bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
   uint32_t t_us() const { return tick_ * 1000u + kFrameUs; }
@@ -154,6 +163,8 @@ class Controller {
   void start(Activity activity);
   void finish_activity(protocol::EventCode code, int32_t value);
   void finish_spool(bool arrived);
+  void finish_homing_stage(bool arrived);
+  void lose_home();
   void start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s);
   Outcome wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s);
   // Scales whose change voids what was measured.
@@ -201,7 +212,9 @@ class Controller {
   uint16_t telemetry_tick_ = 0;  // its low half
   uint32_t zeroing_tick_ = 0;
   int32_t encoder_ = 0;
-  int32_t zero_count_ = 0;  // encoder at everted length 0
+  int32_t zero_count_ = 0;   // encoder at everted length 0
+  int32_t touch_count_ = 0;  // encoder at homing's first touch
+  uint32_t back_off_tick_ = 0;
   int32_t length_um_ = 0;
   uint16_t conditions_ = 0;
   uint16_t supply_mv_ = 0;
@@ -224,6 +237,7 @@ class Controller {
   uint8_t defaults_next_ = Configuration::kItems;
   uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
   uint8_t peak_side_ = 0;
+  enum class Homing : uint8_t { kSeek, kBackOff, kTouch } homing_ = Homing::kSeek;
   bool side_known_[kSides] = {};
   bool greeted_ = false;
   bool beaten_ = false;

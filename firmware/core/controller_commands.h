@@ -122,6 +122,7 @@ inline Outcome Controller::retract_to(int32_t length_um, uint32_t speed_um_s) {
 inline Outcome Controller::home() {
   const Outcome allowed = permit(Permit::kHome);
   if (allowed.reason != Reason::kNone) return allowed;
+  homing_ = Homing::kSeek;
   const int32_t full = config_.get(Param::kFullLengthUm);
   start_spool(Activity::kHoming, encoder_ - derived_.counts(full + full / kHomingExcess),
               config_.get(Param::kHomeSpeedUmS));

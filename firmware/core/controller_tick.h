@@ -131,7 +131,11 @@ inline void Controller::pressure_step(uint8_t side) {
 
 inline void Controller::spool_step() {
   if (winding()) {
-    const SpoolLoop::Outcome outcome = spool_.step(encoder_, config_, derived_);
+    SpoolLoop::Outcome outcome = spool_.step(encoder_, config_, derived_);
+    if (activity_ == Activity::kHoming && homing_ == Homing::kBackOff &&
+        outcome == SpoolLoop::Outcome::kMoving && tick_ - back_off_tick_ > kBackOffMs) {
+      outcome = SpoolLoop::Outcome::kStalled;
+    }
     outputs_.motor = may_energise(state_) ? spool_.duty() : static_cast<int16_t>(0);
     if (outcome == SpoolLoop::Outcome::kStalled) {
       finish_spool(false);
@@ -146,17 +150,11 @@ inline void Controller::spool_step() {
 
 inline void Controller::finish_spool(bool arrived) {
   outputs_.motor = 0;
-  const bool homing = activity_ == Activity::kHoming;
-  if (homing && !arrived) {
-    zero_count_ = encoder_;
-    length_known_ = true;
-  } else if (homing) {
-    // Further than the whole body, and no base met: the tail is loose.
-    length_known_ = false;
-    finish_activity(protocol::EventCode::kActivityAborted,
-                    static_cast<uint8_t>(Reason::kLengthUnknown));
+  if (activity_ == Activity::kHoming) {
+    finish_homing_stage(arrived);
     return;
-  } else if (!arrived) {
+  }
+  if (!arrived) {
     length_known_ = false;
     raise(Fault::kSpoolStall, length_um_);
     return;  // the supervisor ends the activity
@@ -164,6 +162,51 @@ inline void Controller::finish_spool(bool arrived) {
   length_um_ = derived_.um(encoder_ - zero_count_);
   finish_activity(protocol::EventCode::kActivityDone, length_um_);
   body_step();
+}
+
+THIGMO_NOINLINE inline void Controller::finish_homing_stage(bool arrived) {
+  const auto wind = [this](Homing stage, int32_t um, int32_t speed_um_s, int16_t duty) {
+    homing_ = stage;
+    spool_.start(encoder_, encoder_ + derived_.counts(um), derived_.speed_q16(speed_um_s),
+                 derived_.accel_q16, duty);
+  };
+  switch (homing_) {
+    case Homing::kSeek:
+      // Further than the whole body, and no base met: the tail is loose.
+      if (arrived) return lose_home();
+      touch_count_ = encoder_;
+      back_off_tick_ = tick_;
+      wind(Homing::kBackOff, kBackOffUm, kBackOffUmS,
+           static_cast<int16_t>(config_.get(Param::kSpoolDeadZone) + kBackOffDuty));
+      return;
+    case Homing::kBackOff:
+      if (!arrived) {
+        // Nothing turns, or the encoder does not see it: the stall was not the base's.
+        length_known_ = false;
+        raise(Fault::kSpoolStall, length_um_);
+        return;
+      }
+      wind(Homing::kTouch, -2 * kBackOffUm, config_.get(Param::kHomeSpeedUmS),
+           SpoolLoop::kHomingDuty);
+      return;
+    case Homing::kTouch:
+      break;
+  }
+  const auto apart = [this](int32_t count, int32_t um) {
+    return magnitude(derived_.um(encoder_ - count)) > um;
+  };
+  if (arrived || apart(touch_count_, kTouchUm)) return lose_home();
+  if (length_known_ && apart(zero_count_, kHomeUm)) return lose_home();
+  // An unknown length stays unknown: a jam stalls twice at one place as well.
+  zero_count_ = encoder_;
+  finish_activity(protocol::EventCode::kActivityDone, 0);
+  body_step();
+}
+
+inline void Controller::lose_home() {
+  length_known_ = false;
+  finish_activity(protocol::EventCode::kActivityAborted,
+                  static_cast<uint8_t>(Reason::kLengthUnknown));
 }
 
 inline void Controller::body_step() {
@@ -341,6 +384,7 @@ inline void Controller::assemble_conditions() {
     if ((in_use & ~eversion_.settled_mask()) == 0) c |= mask(Condition::kSettled);
     if ((in_use & ~zeros_.valid_mask()) == 0) c |= mask(Condition::kZeroed);
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
+    if ((in_use & zeros_.valid_mask() & kBaseSensors) != 0) c |= mask(Condition::kBaseUsable);
   }
   if (zone_ < kZones) c |= mask(Condition::kZoneKnown);
   if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);

@@ -46,7 +46,7 @@ class SpoolLoop {
       duty_ = 0;
       return Outcome::kArrived;
     }
-    watch_stall(counts, way, error, c);
+    watch_stall(counts, way, error);
     if (still_steps_ >= d.stall_steps) {
       duty_ = 0;
       return Outcome::kStalled;
@@ -79,15 +79,15 @@ class SpoolLoop {
  private:
   static constexpr uint8_t kSpeedSteps = 4;
 
-  void watch_stall(int32_t counts, int32_t way, int32_t error, const Configuration& c) {
+  // However small the duty: it never is below the dead zone, and homing's may be no more than that.
+  void watch_stall(int32_t counts, int32_t way, int32_t error) {
     if (way * (counts - furthest_) > 0) {
       furthest_ = counts;
       still_steps_ = 0;
       return;
     }
-    const bool driven = magnitude(duty_) > c.get(Param::kSpoolDeadZone);
     const bool behind = way * error >= kStallLag || profile_.done();
-    if (driven && behind && still_steps_ < 0xFFFF) ++still_steps_;
+    if (duty_ != 0 && behind && still_steps_ < 0xFFFF) ++still_steps_;
   }
 
   Profile profile_;

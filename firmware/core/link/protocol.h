@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x431B8CFDu;
+constexpr uint32_t kSchemaHash = 0x88DB1D05u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -40,12 +40,12 @@ enum class Activity : uint8_t {
   kIdle = 0,        // Nothing.
   kGrowing = 1,     // The spool pays out towards a length.
   kRetracting = 2,  // The spool winds in towards a length.
-  kHoming = 3,      // The spool winds in until it stalls at the base: length zero.
-  kSweeping = 4,    // The muscles follow the sine.
-  kPressing = 5,    // A muscle is held at a commanded pressure.
-  kZeroing = 6,     // Sensor zeros are being averaged.
-  kHolding = 7,     // A contact stopped the sweep; its pressure is held.
-  kSaving = 8,      // The configuration is being written.
+  kHoming = 3,  // The spool winds in until it stalls at the base, backs off, and touches it again.
+  kSweeping = 4,  // The muscles follow the sine.
+  kPressing = 5,  // A muscle is held at a commanded pressure.
+  kZeroing = 6,   // Sensor zeros are being averaged.
+  kHolding = 7,   // A contact stopped the sweep; its pressure is held.
+  kSaving = 8,    // The configuration is being written.
 };
 constexpr uint8_t kActivityCount = 9;
 
@@ -102,8 +102,8 @@ enum class Reason : uint8_t {
       7,  // The supervisor's state does not allow it; arm the robot, or clear its faults, first.
   kBusy = 8,            // Another activity runs; stop it or wait for its end.
   kFaultLatched = 9,    // A fault is latched; remove its cause and clear it.
-  kLengthUnknown = 10,  // The everted length is unknown since the reset; measure it and confirm it,
-                        // or home the robot.
+  kLengthUnknown = 10,  // The everted length is unknown since a reset, a stall or a slip; measure
+                        // it and confirm it.
   kHalfEverted = 11,  // A sensor lies in the tip's fold and a bend would crease it; grow or retract
                       // to a whole sensor pitch.
   kZoneUnknown = 12,  // The board has not been told which body pressure holds; set the regulator
@@ -117,9 +117,11 @@ enum class Reason : uint8_t {
   kEstop = 18,        // The emergency stop is pressed; release it first.
   kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
+  kNoBaseSensor =
+      22,  // Neither base sensor can feel a contact; grow past them, and mend, enable or zero one.
   kHostSilent = 21,  // No heartbeat has arrived lately; keep the host beating, then arm again.
 };
-constexpr uint8_t kReasonCount = 22;
+constexpr uint8_t kReasonCount = 23;
 
 // Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
 enum class Fault : uint8_t {
@@ -168,9 +170,10 @@ enum class Condition : uint8_t {
       9,  // The running configuration came whole from the store, or was set and checked since.
   kSupplyGood = 10,        // The supply is within limits.
   kContact = 11,           // The contact trigger is latched.
+  kBaseUsable = 13,        // At least one base sensor is everted, enabled and zeroed.
   kTelemetryDropped = 12,  // Telemetry was dropped for want of room since the last report.
 };
-constexpr uint8_t kConditionCount = 13;
+constexpr uint8_t kConditionCount = 14;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
@@ -460,7 +463,10 @@ struct RetractTo {
   }
 };
 
-// Wind in slowly until the spool stalls at the base; length becomes 0. Refused unless vented.
+// Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a back-off
+// that the encoder does not see is a spool_stall. A known length becomes 0 if it agrees within 1
+// cm, and unknown if not; an unknown one stays unknown, for a jam stalls twice at the same place:
+// confirm it. Refused unless vented.
 struct Home {
   static constexpr uint8_t kId = kHome;
   static constexpr uint8_t kSize = 0;
@@ -1301,7 +1307,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {0, 32767, 1024},            // spool_ki
     {0, 32767, 26},              // spool_kd
     {0, 32767, 106},             // spool_kff
-    {0, 400, 60},                // spool_dead_zone
+    {0, 200, 60},                // spool_dead_zone
     {50, 50000, 500},            // spool_tolerance_um
     {50, 10000, 400},            // stall_ms
     {100, 100000, 3000},         // slip_um

@@ -116,8 +116,9 @@ struct Interlock {
   uint16_t forbidden;   // conditions that must not
 };
 
-constexpr uint16_t kWholeBody = static_cast<uint16_t>(
-    mask(Condition::kLengthKnown) | mask(Condition::kZoneKnown) | mask(Condition::kZeroed));
+constexpr uint16_t kWholeBody =
+    static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kZoneKnown) |
+                          mask(Condition::kZeroed) | mask(Condition::kBaseUsable));
 // While something moves, the activity is what stands in the way: busy.
 constexpr uint8_t kArmed = static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving));
 constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBoot));
@@ -159,6 +160,7 @@ constexpr Complaint kComplaints[] THIGMO_PROGMEM = {
     {mask(Condition::kZoneKnown), Reason::kZoneUnknown},
     {mask(Condition::kVented), Reason::kNotVented},
     {mask(Condition::kZeroed), Reason::kNotZeroed},
+    {mask(Condition::kBaseUsable), Reason::kNoBaseSensor},
     {mask(Condition::kEnergised), Reason::kBusy},
 };
 constexpr uint8_t kComplaintCount = sizeof(kComplaints) / sizeof(kComplaints[0]);

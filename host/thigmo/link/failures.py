@@ -34,7 +34,7 @@ def restarted(cause: wire.ResetCause) -> BoardResetError:
     return BoardResetError(
         f"the board restarted ({cause.key.replace('_', ' ')}): outputs are safe, "
         "the everted length is unknown",
-        "connect again, then measure and confirm the length, or home the robot",
+        "connect again, then measure and confirm the length",
     )
 
 

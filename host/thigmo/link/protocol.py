@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x431B8CFD
+SCHEMA_HASH = 0x88DB1D05
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -65,7 +65,7 @@ class Activity(Documented):
     IDLE = 0, "Nothing."
     GROWING = 1, "The spool pays out towards a length."
     RETRACTING = 2, "The spool winds in towards a length."
-    HOMING = 3, "The spool winds in until it stalls at the base: length zero."
+    HOMING = 3, "The spool winds in until it stalls at the base, backs off, and touches it again."
     SWEEPING = 4, "The muscles follow the sine."
     PRESSING = 5, "A muscle is held at a commanded pressure."
     ZEROING = 6, "Sensor zeros are being averaged."
@@ -134,8 +134,8 @@ class Reason(Documented):
     LENGTH_UNKNOWN = (
         10,
         (
-            "The everted length is unknown since the reset; measure it and confirm it, or "
-            "home the robot."
+            "The everted length is unknown since a reset, a stall or a slip; measure it and "
+            "confirm it."
         ),
     )
     HALF_EVERTED = (
@@ -166,6 +166,10 @@ class Reason(Documented):
     ESTOP = 18, "The emergency stop is pressed; release it first."
     BAD_CONFIG = 19, "The stored configuration is damaged; load defaults, configure and save again."
     NOT_ZEROED = 20, "Sensors have no valid zero; vent, wait for settling, and zero."
+    NO_BASE_SENSOR = (
+        22,
+        ("Neither base sensor can feel a contact; grow past them, and mend, enable or zero one."),
+    )
     HOST_SILENT = 21, "No heartbeat has arrived lately; keep the host beating, then arm again."
 
 
@@ -268,6 +272,7 @@ class Condition(Documented):
     )
     SUPPLY_GOOD = 10, "The supply is within limits."
     CONTACT = 11, "The contact trigger is latched."
+    BASE_USABLE = 13, "At least one base sensor is everted, enabled and zeroed."
     TELEMETRY_DROPPED = 12, "Telemetry was dropped for want of room since the last report."
 
 
@@ -1238,8 +1243,10 @@ class RetractTo(Command[Ack]):
 
 @dataclass(frozen=True, slots=True)
 class Home(Command[Ack]):
-    """Wind in slowly until the spool stalls at the base; length becomes 0. Refused unless
-    vented.
+    """Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a
+    back-off that the encoder does not see is a spool_stall. A known length becomes 0 if it
+    agrees within 1 cm, and unknown if not; an unknown one stays unknown, for a jam stalls
+    twice at the same place: confirm it. Refused unless vented.
     """
 
     ID: ClassVar[int] = 0x0A
@@ -2022,7 +2029,7 @@ PARAMETERS: dict[str, Parameter] = {
             1,
             "1/800 of full",
             0,
-            400,
+            200,
             (60,),
             "Duty at which the motor begins to turn.",
         ),

@@ -406,11 +406,20 @@ class Robot:
         return self._watch.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
 
     def home(self) -> None:
-        """Vent, then wind in slowly until the spool stalls at the base: length zero."""
+        """Vent, then wind in slowly until the spool stalls at the base, twice: length zero.
+
+        After a reset the operator confirms the length, for a jam stalls like the base.
+
+        Raises:
+            DataError: the length was unknown, and there is no operator to measure it.
+            RobotFaultError: nothing turns, or the encoder does not see it.
+        """
         self.vent()
         self._start(wire.Home())
         slowest_cm_s = self.parameter("home_speed_um_s")[0] / 1e4
         self._watch.finish(wire.Activity.HOMING, 2 * self.config.body.length_cm / slowest_cm_s + 10)
+        if self.status().length_cm is None:
+            self.confirm_length(self.operator.everted_length_cm())
 
     def _travel_s(self) -> float:
         spool = self.config.spool

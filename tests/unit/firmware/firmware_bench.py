@@ -63,6 +63,8 @@ class TurningSpool:
         self.jammed = False
         self.pull = 0.0  # counts/s while braked
         self.wall = -math.inf
+        self.unseen = False  # the encoder is unplugged
+        self.seen = 0.0
 
     def step(self, board: VirtualBoard, dt: float) -> None:
         duty = board.motor
@@ -72,7 +74,10 @@ class TurningSpool:
             self.speed = 0.0
         elif duty == 0:
             self.speed = self.pull
+        before = self.counts
         self.counts = max(self.wall, self.counts + self.speed * dt)
+        if not self.unseen:
+            self.seen += self.counts - before
 
 
 @dataclass
@@ -131,12 +136,12 @@ class Bench:
         for _ in range(ms // STEP_MS):
             if self.beating and self.session and self.board.now_us // 1000 % 100 == 0:
                 self.beat()
-            before = self.spool.counts
+            before = self.spool.seen
             self.air.step(self.board, STEP_MS * 1e-3)
             self.spool.step(self.board, STEP_MS * 1e-3)
             now = self._inputs()
             self.board.set_analog(np.ascontiguousarray(np.stack([self.counts, now], axis=1)))
-            self.board.set_encoder(before, self.spool.counts)
+            self.board.set_encoder(before, self.spool.seen)
             self.counts = now
             self.board.step(STEP_MS)
             fresh += self.listen()

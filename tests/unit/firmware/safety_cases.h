@@ -106,6 +106,8 @@ TEST(every_refusal_has_its_reason) {
             want = Reason::kNotVented;
           } else if (bend && !has(c, Condition::kZeroed)) {
             want = Reason::kNotZeroed;
+          } else if (bend && !has(c, Condition::kBaseUsable)) {
+            want = Reason::kNoBaseSensor;
           } else if (setup && has(c, Condition::kEnergised)) {
             want = Reason::kBusy;
           }

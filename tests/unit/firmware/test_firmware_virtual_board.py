@@ -164,16 +164,123 @@ def test_growth_follows_the_profile_and_ends_at_the_target() -> None:
     assert all(e.value == pytest.approx(82_500, abs=700) for e in everted)
 
 
-def test_homing_ends_at_the_stall_and_length_is_zero() -> None:
+def homed(bench: Bench) -> wire.Event:
+    """Home; the event that ends it."""
+    bench.do(wire.Home())
+
+    def ended() -> list[wire.Event]:
+        done = bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.HOMING)
+        return done + bench.event(wire.EventCode.ACTIVITY_ABORTED, wire.Activity.HOMING)
+
+    bench.until(lambda: bool(ended()))
+    return ended()[-1]
+
+
+def knows_length(bench: Bench) -> bool:
+    return bool(bench.status().conditions & wire.Condition.LENGTH_KNOWN.mask)
+
+
+def test_homing_touches_the_base_twice_and_a_length_that_agrees_becomes_zero() -> None:
+    bench = Bench()
+    bench.grown(25_000)  # 5 mm off: the base is 2 cm away
+    bench.spool.wall = -304.0
+    lowest, highest, touched = 0.0, -1e9, False
+    bench.do(wire.Home())
+    while not bench.event(wire.EventCode.ACTIVITY_DONE):
+        bench.step()
+        touched = touched or bench.spool.counts == bench.spool.wall
+        highest = max(highest, bench.spool.counts) if touched else highest
+        lowest = min(lowest, bench.spool.counts)
+    assert (highest - lowest) / 152 == pytest.approx(0.3, abs=0.1)  # cm backed off between them
+    assert bench.spool.counts == bench.spool.wall
+    assert knows_length(bench)
+    assert abs(bench.status().length_um) < 100
+    assert bench.faults() == ()
+
+
+def test_homing_with_an_unknown_length_leaves_it_to_the_operator() -> None:
+    """A jam stalls twice at the same place, too."""
     bench = Bench()
     bench.prepare()
     bench.spool.wall = -300.0
+    assert homed(bench).code == wire.EventCode.ACTIVITY_DONE
+    assert not knows_length(bench)
+    assert bench.refused(wire.GrowTo(100_000, 0)) == wire.Reason.LENGTH_UNKNOWN
+    bench.do(wire.ConfirmLength(0, 1))
+    assert knows_length(bench)
+
+
+@pytest.mark.parametrize(("length_cm", "off_cm"), [(5.0, -1.3), (5.0, 1.3), (40.0, 38.0)])
+def test_homing_that_disagrees_with_a_known_length_forgets_it(
+    length_cm: float, off_cm: float
+) -> None:
+    """The spool jams for winding in, away from the base."""
+    bench = Bench()
+    bench.grown(round(1e4 * length_cm))
+    bench.spool.wall = 152.0 * (off_cm - length_cm)
+    ended = homed(bench)
+    assert (ended.code, ended.value) == (
+        wire.EventCode.ACTIVITY_ABORTED,
+        wire.Reason.LENGTH_UNKNOWN,
+    )
+    assert not knows_length(bench)
+    assert bench.safe()
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("failure", ["motor", "encoder"])
+def test_homing_fails_when_nothing_turns_or_nobody_sees_it(failure: str, known: bool) -> None:
+    bench = Bench()
+    bench.grown(400_000) if known else bench.prepare()
+    bench.spool.jammed = failure == "motor"
+    bench.spool.unseen = failure == "encoder"
+    begun = bench.spool.counts
+    wound_in = 0.0
     bench.do(wire.Home())
-    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE)))
-    status = bench.status()
-    assert abs(status.length_um) < 100
-    assert status.conditions & wire.Condition.LENGTH_KNOWN.mask
-    assert status.faults == 0
+    while not bench.event(wire.EventCode.FAULT, wire.Fault.SPOOL_STALL):
+        bench.step()
+        wound_in = min(wound_in, bench.spool.counts - begun)
+        assert bench.board.now_us < 30_000_000
+    assert bench.safe()
+    assert not knows_length(bench)
+    assert (bench.spool.counts - begun - wound_in) / 152 < 2.0  # cm paid out unseen
+
+
+def test_a_second_touch_elsewhere_is_no_base() -> None:
+    bench = Bench()
+    bench.grown(20_000)
+    bench.spool.wall = -304.0
+    bench.do(wire.Home())
+    bench.until(lambda: bench.board.motor > 0)
+    bench.spool.wall = -math.inf  # what it met first gave way
+    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_ABORTED)))
+    assert not knows_length(bench)
+
+
+def test_a_sweep_needs_a_base_sensor() -> None:
+    bench = Bench()
+    bench.grown(0)
+    sweep = wire.Sweep(1800, 0, 20_000, 1, 0)
+    assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
+    bench.do(wire.ConfirmLength(100_000, 1))
+    for element in (0, 5):
+        bench.set("flex_enabled", 0, element=element)
+    assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
+    assert bench.refused(wire.SetPressure(500, 0, 0)) == wire.Reason.NO_BASE_SENSOR
+    bench.set("flex_enabled", 1, element=5)
+    bench.do(wire.ZeroSensors(1 << 5))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
+    bench.do(sweep)
+
+
+@pytest.mark.parametrize("dead_zone", [0, 60, wire.PARAMETERS["spool_dead_zone"].high])
+def test_homing_stalls_with_every_dead_zone(dead_zone: int) -> None:
+    bench = Bench()
+    bench.grown(20_000, spool_dead_zone=dead_zone)
+    bench.spool.wall = -304.0
+    assert homed(bench).code == wire.EventCode.ACTIVITY_DONE
+    assert bench.safe()
+    assert wire.PARAMETERS["spool_dead_zone"].high < 400  # homing's whole duty
 
 
 def test_homing_without_a_base_leaves_the_length_unknown() -> None:
