@@ -340,6 +340,7 @@ class Soak:
             value = chance.choice((row.low - 1, row.high + 1))
         if self.ask(wire.SetParameter(index, value)) is not None:
             self.held[index] = value
+            self.ask(wire.ApplyParameters())
 
     def _break_something(self) -> None:
         chance, transport = self.random, self.transport
@@ -372,6 +373,7 @@ class Soak:
         for index, (held, wanted) in enumerate(zip(self.held, self.wanted, strict=True)):
             if held != wanted and self.ask(wire.SetParameter(index, wanted)) is not None:
                 self.held[index] = wanted
+        self.ask(wire.ApplyParameters())
         self.client.poll(0.2)
         before = self.ask(wire.GetStatus())
         left = self.ask(wire.ClearFaults(ALL_FAULTS))

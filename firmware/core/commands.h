@@ -86,6 +86,8 @@ class Commands {
         if (outcome.reason != Reason::kNone) return answer.ack(outcome);
         return parameter(answer, m.index);
       }
+      case protocol::kApplyParameters:
+        return deferred(answer, controller_.begin_apply());
       case protocol::kSetMap: {
         const auto m = read<protocol::SetMap>(command);
         return answer.ack(controller_.set_map(m));
@@ -101,7 +103,7 @@ class Commands {
         return Handled::kDeferred;
       }
       case protocol::kLoadDefaults:
-        return load_defaults(answer);
+        return deferred(answer, controller_.begin_defaults());
       case protocol::kGetSnapshot: {
         const auto m = read<protocol::GetSnapshot>(command);
         return snapshot(answer, m.index);
@@ -156,8 +158,7 @@ class Commands {
     return answer.send(m);
   }
 
-  Handled load_defaults(Reply& answer) {
-    const Outcome outcome = controller_.begin_defaults();
+  static Handled deferred(Reply& answer, const Outcome& outcome) {
     return outcome.reason == Reason::kNone ? Handled::kDeferred : answer.ack(outcome);
   }
 
@@ -170,8 +171,8 @@ class Commands {
 
   Handled parameter(Reply& answer, uint16_t index) {
     if (index >= protocol::kParamCount) return answer.ack({Reason::kBadValue, index});
-    return answer.send(protocol::ParameterValue{protocol::Status::kOk, index,
-                                                controller_.configuration().value[index]});
+    return answer.send(
+        protocol::ParameterValue{protocol::Status::kOk, index, controller_.parameter(index)});
   }
 
   Handled map(Reply& answer, const protocol::GetMap& wanted) {

@@ -19,6 +19,7 @@
 
 #include "config/configuration.h"
 #include "config/derived.h"
+#include "config/staged.h"
 #include "config/store.h"
 #include "control/pressure_loop.h"
 #include "control/spool.h"
@@ -82,9 +83,10 @@ class Controller {
   Outcome zero_sensors(uint16_t mask);
   Outcome set_parameter(uint16_t index, int32_t value);
   Outcome set_map(const protocol::SetMap& wanted);
+  Outcome begin_apply();
   Outcome begin_defaults();
-  bool defaults_step();  // once a tick; true when the defaults are loaded
-  Outcome begin_save();  // the robot then drives the store, and calls end_save()
+  bool configure_step();  // once a tick; true when the parameters are applied or defaults loaded
+  Outcome begin_save();   // the robot then drives the store, and calls end_save()
   void end_save(bool good, uint8_t slot, uint32_t generation);
 
   // A host said hello; a heartbeat arrived.
@@ -102,6 +104,7 @@ class Controller {
 
   const Outputs& outputs() const { return outputs_; }
   const Configuration& configuration() const { return config_; }
+  int32_t parameter(uint16_t index) const { return staged_.get(config_, index); }
   Configuration* mutable_configuration() { return &config_; }  // for the store, at start
   const Snapshots& snapshots() const { return snapshots_; }
   EventQueue& events() { return events_; }
@@ -119,6 +122,7 @@ class Controller {
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
   static constexpr uint8_t kRestSteps = 250;        // 1.25 s: the body has swung back
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
+  static constexpr uint8_t kAppliedAtOnce = 16;     // parameters looked at in a control period
   static constexpr uint16_t kRearmMs = 200;
   static constexpr uint16_t kHoldSettleMs = 500;  // beyond twice the lag, before a hold is read
   static constexpr int32_t kHomingExcess = 5;     // homing gives up beyond the body's length by 1/5
@@ -177,6 +181,9 @@ class Controller {
     return {derived_.um_per_count_q16, derived_.oversample_log2, derived_.trigger_log2};
   }
   void take_over(const Scales& before);
+  void take_parameter(uint8_t index);
+  bool apply_step();
+  bool defaults_step();
   uint8_t active_side() const;
   bool bending() const {
     return activity_ == Activity::kSweeping || activity_ == Activity::kPressing ||
@@ -188,6 +195,7 @@ class Controller {
   }
 
   Configuration config_;
+  StagedParameters staged_;
   Derived derived_;
   FlexReadings flex_;
   PressureReading pressure_[kSides];
@@ -235,6 +243,7 @@ class Controller {
   uint8_t sweep_options_ = 0;
   uint8_t zeroing_next_ = 0;
   uint8_t defaults_next_ = Configuration::kItems;
+  uint8_t apply_next_ = protocol::kParamCount;
   uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
   uint8_t peak_side_ = 0;
   enum class Homing : uint8_t { kSeek, kBackOff, kTouch } homing_ = Homing::kSeek;

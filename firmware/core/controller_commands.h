@@ -14,13 +14,12 @@ constexpr Outcome kAccepted = {Reason::kNone, 0};
 
 inline void Controller::greet() {
   greeted_ = true;
+  staged_.clear();  // what another host has left
   events_.resend();
   supervise(0);
 }
 
 inline Outcome Controller::arm() {
-  const int16_t conflict = config_.first_conflict();
-  if (conflict >= 0) return {Reason::kBadConfig, conflict};
   const Outcome allowed = permit(Permit::kArm);
   if (allowed.reason != Reason::kNone) return allowed;
   supervise(bit(Signal::kArm));
@@ -196,11 +195,42 @@ inline Outcome Controller::zero_sensors(uint16_t wanted) {
 inline Outcome Controller::set_parameter(uint16_t index, int32_t value) {
   const Outcome allowed = permit(Permit::kConfigure);
   if (allowed.reason != Reason::kNone) return allowed;
-  if (!config_.set(index, value)) return {Reason::kBadValue, index};
+  if (!staged_.set(index, value)) return {Reason::kBadValue, index};
+  return kAccepted;
+}
+
+inline Outcome Controller::begin_apply() {
+  const Outcome allowed = permit(Permit::kConfigure);
+  if (allowed.reason != Reason::kNone) return allowed;
+  const int16_t conflict = staged_.first_conflict(config_);
+  if (conflict >= 0) return {Reason::kContradiction, conflict};
+  activity_ = Activity::kSaving;
+  apply_next_ = 0;
+  return kAccepted;
+}
+
+inline void Controller::take_parameter(uint8_t index) {
   const Scales before = scales();
   derived_.update(config_, index);
   take_over(before);
-  return kAccepted;
+}
+
+inline bool Controller::apply_step() {
+  for (uint8_t tries = 0; tries < kAppliedAtOnce; ++tries) {
+    const uint8_t index = apply_next_++;
+    const bool changes = staged_.waits(index);
+    if (changes) {
+      config_.value[index] = staged_.get(config_, index);
+      take_parameter(index);
+    }
+    if (apply_next_ == protocol::kParamCount) {
+      staged_.clear();
+      activity_ = Activity::kIdle;
+      return true;
+    }
+    if (changes) break;
+  }
+  return false;
 }
 
 // After a change of the scaled constants: what it voids.
@@ -233,26 +263,28 @@ inline Outcome Controller::set_map(const protocol::SetMap& wanted) {
   return kAccepted;
 }
 
-// All at once would keep the loop busy for 2 ms: so one item that changes in a control period, as
-// if each were set by a command, and no activity may begin meanwhile.
+// All at once would keep the loop busy for 2 ms: so one item that changes in a control period, and
+// nothing else may begin meanwhile.
+inline bool Controller::configure_step() {
+  if (phase_ != kSparePhase) return false;
+  if (apply_next_ != protocol::kParamCount) return apply_step();
+  return defaults_next_ != Configuration::kItems && defaults_step();
+}
+
 inline Outcome Controller::begin_defaults() {
   const Outcome allowed = permit(Permit::kConfigure);
   if (allowed.reason != Reason::kNone) return allowed;
+  staged_.clear();
   activity_ = Activity::kSaving;
   defaults_next_ = 0;
   return kAccepted;
 }
 
 inline bool Controller::defaults_step() {
-  if (defaults_next_ == Configuration::kItems || phase_ != kSparePhase) return false;
   for (uint8_t tries = 0; tries < 8; ++tries) {
     const uint8_t item = defaults_next_++;
     const bool changed = config_.load_default(item);
-    if (changed && item < protocol::kParamCount) {
-      const Scales before = scales();
-      derived_.update(config_, item);
-      take_over(before);
-    }
+    if (changed && item < protocol::kParamCount) take_parameter(item);
     if (defaults_next_ == Configuration::kItems) {
       activity_ = Activity::kIdle;
       config_valid_ = true;
@@ -267,8 +299,6 @@ inline bool Controller::defaults_step() {
 inline Outcome Controller::begin_save() {
   const Outcome allowed = permit(Permit::kSave);
   if (allowed.reason != Reason::kNone) return allowed;
-  const int16_t conflict = config_.first_conflict();
-  if (conflict >= 0) return {Reason::kBadConfig, conflict};
   activity_ = Activity::kSaving;
   return kAccepted;
 }

@@ -81,7 +81,7 @@ class Robot {
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
-    if (controller_.defaults_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
+    if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     write_outputs();
     board_.task(static_cast<uint8_t>(Task::kTelemetry));
     if (controller_.telemetry_due()) {

@@ -46,10 +46,16 @@ class BoardResetError(LinkError):
 
 
 class CommandRefusedError(ThigmoError):
-    """The board answered, and refused: `reason` is the schema's name for why."""
+    """The board answered, and refused: `reason` is the schema's name for why.
 
-    def __init__(self, what: str, next_step: str = "", *, reason: str = "") -> None:
+    `detail` is what the board's answer adds: a limit, or the parameter that is at fault.
+    """
+
+    def __init__(
+        self, what: str, next_step: str = "", *, reason: str = "", detail: int = 0
+    ) -> None:
         self.reason = reason
+        self.detail = detail
         super().__init__(what, next_step)
 
 

@@ -128,6 +128,7 @@ class Desk:
         host = self.calm()
         for index, value in enumerate(self.stored.parameters):
             host.get(wire.SetParameter(index, value))
+        host.get(wire.ApplyParameters())
         for place, values in zip(MAPS, self.stored.maps, strict=True):
             host.get(wire.SetMap(*place, values))
         if host.get(wire.GetStatus()).config_generation != self.stored.generation:

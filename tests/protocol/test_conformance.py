@@ -363,6 +363,7 @@ def test_each_session_counts_its_heartbeats_anew(host: RawHost) -> None:
 def test_telemetry_keeps_its_period_and_its_numbers(desk: Desk, period_ms: int) -> None:
     host = desk.calm()
     host.get(wire.SetParameter(TELEMETRY_MS, period_ms))
+    host.get(wire.ApplyParameters())
     host.listen(0.2)
     frames = [f for f in host.listen(2.0) if f.id == wire.Telemetry.ID]
     if desk.board is not None:  # in virtual time; a port's host may be late
@@ -384,6 +385,7 @@ def test_telemetry_counts_from_each_hello(host: RawHost) -> None:
 
 def test_telemetry_can_be_turned_off(host: RawHost) -> None:
     host.get(wire.SetParameter(TELEMETRY_MS, 0))
+    host.get(wire.ApplyParameters())
     host.listen(0.1)
     assert not telemetry(host.listen(0.5))
 
@@ -524,6 +526,7 @@ def test_there_is_no_other_map(host: RawHost, place: tuple[int, int, int]) -> No
 def test_what_was_saved_comes_back_after_a_restart(desk: Desk) -> None:
     host = desk.calm()
     host.get(wire.SetParameter(SETTLE, 12_345))
+    host.get(wire.ApplyParameters())
     host.get(wire.SetMap(1, wire.Side.RIGHT, wire.Branch.DEFLATE, tuple(range(11))))
     generation = host.save()
     host.get(wire.SetParameter(SETTLE, 54_321))  # not saved
@@ -586,11 +589,28 @@ def test_a_fault_is_an_event(desk: Desk) -> None:
     assert (wire.EventCode.FAULT, wire.Fault.ESTOP) in {(e.code, e.arg) for e in heard}
 
 
-def test_a_configuration_that_contradicts_itself_neither_arms_nor_saves(host: RawHost) -> None:
-    index = wire.PARAMETERS["over_pressure_cpsi"].index
-    host.get(wire.SetParameter(index, 1000))  # below the highest set point
-    assert host.refusal(wire.Arm()) == (R.BAD_CONFIG, index)
-    assert host.refusal(wire.SaveConfig()) == (R.BAD_CONFIG, index)
+def test_parameters_are_applied_as_a_whole_or_not_at_all(host: RawHost) -> None:
+    index = {name: wire.PARAMETERS[name].index for name in ("over_pressure_cpsi", "heartbeat_ms")}
+    most = wire.PARAMETERS["max_pressure_cpsi"].index
+    host.get(wire.SetParameter(index["heartbeat_ms"], 400))
+    host.get(wire.SetParameter(index["over_pressure_cpsi"], 1000))  # below the highest set point
+    refused = (R.CONTRADICTION, index["over_pressure_cpsi"])
+    assert host.refusal(wire.ApplyParameters()) == refused
+    assert host.refusal(wire.ApplyParameters()) == refused  # what was set waits
+    host.get(wire.SetParameter(most, 900))
+    host.get(wire.ApplyParameters())
+    host.hello()
+    held = [host.get(wire.GetParameter(i)).value for i in (*index.values(), most)]
+    assert held == [1000, 400, 900]
+
+
+def test_a_hello_forgets_what_was_set_and_not_applied(host: RawHost) -> None:
+    host.get(wire.SetParameter(SETTLE, 12_345))
+    assert host.get(wire.GetParameter(SETTLE)).value == 12_345
+    host.hello()
+    assert host.get(wire.GetParameter(SETTLE)).value == DEFAULTS[SETTLE]
+    host.get(wire.ApplyParameters())
+    assert host.get(wire.GetParameter(SETTLE)).value == DEFAULTS[SETTLE]
 
 
 def test_a_board_that_does_not_know_its_length_neither_bends_nor_grows(desk: Desk) -> None:

@@ -1,6 +1,6 @@
 // The running configuration: every parameter of the schema and the free-curvature maps.
 //
-// The host sets it value by value (range-checked against the schema) and has it stored
+// The host sets it value by value (config/staged.h), has it applied as a whole, and has it stored
 // (config/store.h). Control code never reads it at its own rate: derived.h turns it into the scaled
 // constants that the loops use, once after each change.
 #ifndef THIGMO_CORE_CONFIG_CONFIGURATION_H_
@@ -45,11 +45,16 @@ struct Configuration {
             static_cast<int32_t>(THIGMO_FLASH_U32(&at->initial))};
   }
 
-  // Sets one parameter; false when index or value is out of range.
-  bool set(uint16_t index, int32_t wanted) {
+  // Whether there is such a parameter and the value lies within its limits.
+  static bool allows(uint16_t index, int32_t wanted) {
     if (index >= protocol::kParamCount) return false;
     const protocol::ParamRow limits = row(index);
-    if (wanted < limits.low || wanted > limits.high) return false;
+    return wanted >= limits.low && wanted <= limits.high;
+  }
+
+  // Sets one parameter; false when index or value is out of range.
+  bool set(uint16_t index, int32_t wanted) {
+    if (!allows(index, wanted)) return false;
     value[index] = wanted;
     return true;
   }
@@ -93,27 +98,29 @@ struct Configuration {
   }
 
   // The fastest tip whose host may die: speed x (heartbeat + reaction) stays within kOrphanUm.
-  int32_t top_speed_um_s() const {
-    return kOrphanUm * 1000 / (get(Param::kHeartbeatMs) + kReactionMs);
+  static int32_t top_speed_um_s(int32_t heartbeat_ms) {
+    return kOrphanUm * 1000 / (heartbeat_ms + kReactionMs);
   }
 
-  // Index of the first parameter that contradicts another, or -1. A robot whose configuration
-  // contradicts itself is not armed.
+  // Index of the first parameter that contradicts another, or -1.
   int16_t first_conflict() const {
+    return conflict_of([this](Param name) { return get(name); });
+  }
+
+  // The same of parameters that are got by a function of their name.
+  template <typename Get>
+  static int16_t conflict_of(const Get& of) {
     // The transducer's span divides the feed-forward; from 13 psi on its slope fits 16 bits.
-    if (get(Param::kDrive20maCpsi) < get(Param::kDrive4maCpsi) + 1300) {
+    if (of(Param::kDrive20maCpsi) < of(Param::kDrive4maCpsi) + 1300) {
       return static_cast<int16_t>(Param::kDrive20maCpsi);
     }
     // Set points must stay clear of the fault, or overshoot would be one.
-    if (get(Param::kOverPressureCpsi) <= get(Param::kMaxPressureCpsi)) {
+    if (of(Param::kOverPressureCpsi) <= of(Param::kMaxPressureCpsi)) {
       return static_cast<int16_t>(Param::kOverPressureCpsi);
     }
-    if (get(Param::kSpoolSpeedUmS) > top_speed_um_s()) {
-      return static_cast<int16_t>(Param::kSpoolSpeedUmS);
-    }
-    if (get(Param::kHomeSpeedUmS) > top_speed_um_s()) {
-      return static_cast<int16_t>(Param::kHomeSpeedUmS);
-    }
+    const int32_t fastest = top_speed_um_s(of(Param::kHeartbeatMs));
+    if (of(Param::kSpoolSpeedUmS) > fastest) return static_cast<int16_t>(Param::kSpoolSpeedUmS);
+    if (of(Param::kHomeSpeedUmS) > fastest) return static_cast<int16_t>(Param::kHomeSpeedUmS);
     return -1;
   }
 };

@@ -185,7 +185,7 @@ struct Derived {
   void update_rest(const Configuration& c) {
     drive_ceiling_cpsi = static_cast<int16_t>(
         lesser(c.get(Param::kMaxPressureCpsi) + kDriveMarginCpsi, c.get(Param::kDrive20maCpsi)));
-    top_speed_um_s = c.top_speed_um_s();
+    top_speed_um_s = Configuration::top_speed_um_s(c.get(Param::kHeartbeatMs));
     slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
     stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
     stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);

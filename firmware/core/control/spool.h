@@ -31,6 +31,8 @@ class SpoolLoop {
     top_duty_ = top_duty;
     sum_ = 0;
     still_steps_ = 0;
+    rest_steps_ = 0;
+    brake_steps_ = 0;
     duty_ = 0;
     for (uint8_t i = 0; i < kSpeedSteps; ++i) past_[i] = from_counts;
     oldest_ = 0;
@@ -44,7 +46,7 @@ class SpoolLoop {
     const int32_t ahead = way * (target_ - counts);
     if (profile_.done() && ahead <= d.tolerance_counts) {
       duty_ = 0;
-      return Outcome::kArrived;
+      return rests(counts) ? Outcome::kArrived : Outcome::kMoving;
     }
     watch_stall(counts, way, error);
     if (still_steps_ >= d.stall_steps) {
@@ -78,6 +80,16 @@ class SpoolLoop {
 
  private:
   static constexpr uint8_t kSpeedSteps = 4;
+  static constexpr uint8_t kRestSteps = 10;   // 50 ms without a count
+  static constexpr uint8_t kBrakeSteps = 60;  // 0.3 s, as SlipWatch grants
+
+  // At its target, braked: a pulled tail runs on for a while, and the length is the one at rest. A
+  // tail that the brake does not hold is for the slip watch.
+  bool rests(int32_t counts) {
+    rest_steps_ = counts == past_[0] ? static_cast<uint8_t>(rest_steps_ + 1) : 0;
+    past_[0] = counts;
+    return rest_steps_ >= kRestSteps || ++brake_steps_ >= kBrakeSteps;
+  }
 
   // However small the duty: it never is below the dead zone, and homing's may be no more than that.
   void watch_stall(int32_t counts, int32_t way, int32_t error) {
@@ -99,6 +111,8 @@ class SpoolLoop {
   int16_t top_duty_ = 0;
   uint16_t still_steps_ = 0;
   uint8_t oldest_ = 0;
+  uint8_t rest_steps_ = 0;
+  uint8_t brake_steps_ = 0;
 };
 
 // Movement while the motor is off: the body's air pulls the tail out.

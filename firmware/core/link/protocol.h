@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x88DB1D05u;
+constexpr uint32_t kSchemaHash = 0x56C21F6Cu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -117,11 +117,13 @@ enum class Reason : uint8_t {
   kEstop = 18,        // The emergency stop is pressed; release it first.
   kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
+  kContradiction = 23,  // Parameters contradict each other, and none of those that were set runs;
+                        // correct the one that is named.
   kNoBaseSensor =
       22,  // Neither base sensor can feel a contact; grow past them, and mend, enable or zero one.
   kHostSilent = 21,  // No heartbeat has arrived lately; keep the host beating, then arm again.
 };
-constexpr uint8_t kReasonCount = 23;
+constexpr uint8_t kReasonCount = 24;
 
 // Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
 enum class Fault : uint8_t {
@@ -231,6 +233,7 @@ constexpr uint8_t kSaveConfig = 0x14;
 constexpr uint8_t kLoadDefaults = 0x15;
 constexpr uint8_t kGetSnapshot = 0x16;
 constexpr uint8_t kAckEvent = 0x17;
+constexpr uint8_t kApplyParameters = 0x1B;
 constexpr uint8_t kGetLinkStats = 0x18;
 constexpr uint8_t kAck = 0x80;
 constexpr uint8_t kHelloReply = 0x81;
@@ -296,6 +299,8 @@ constexpr uint8_t inboundSize(uint8_t id) {
       return 1;
     case kAckEvent:
       return 2;
+    case kApplyParameters:
+      return 0;
     case kGetLinkStats:
       return 0;
     case kHeartbeat:
@@ -563,7 +568,7 @@ struct GetSensor {
   }
 };
 
-// Read a parameter.
+// Read a parameter, as set last; what was set runs once it is applied.
 struct GetParameter {
   static constexpr uint8_t kId = kGetParameter;
   static constexpr uint8_t kSize = 2;
@@ -576,7 +581,8 @@ struct GetParameter {
   }
 };
 
-// Set a parameter in memory (save_config stores it). Range-checked. Refused while energised.
+// Set a parameter, to be applied with apply_parameters; hello forgets what was not. Checked against
+// its limits. Refused while energised.
 struct SetParameter {
   static constexpr uint8_t kId = kSetParameter;
   static constexpr uint8_t kSize = 6;
@@ -688,6 +694,19 @@ struct AckEvent {
   static bool decode(const uint8_t* in, uint8_t length, AckEvent* out) {
     if (length != kSize) return false;
     out->number = static_cast<uint16_t>(detail::get16(in + 0));
+    return true;
+  }
+};
+
+// Check the parameters that were set, together with those that stay, and let all of them run, or
+// none; detail of a contradiction = the parameter's index. save_config stores them. Refused while
+// energised.
+struct ApplyParameters {
+  static constexpr uint8_t kId = kApplyParameters;
+  static constexpr uint8_t kSize = 0;
+  void encode(uint8_t*) const {}
+  static bool decode(const uint8_t*, uint8_t length, ApplyParameters*) {
+    if (length != kSize) return false;
     return true;
   }
 };
@@ -1173,7 +1192,7 @@ enum class Param : uint16_t {
   kPressureSpan = 47,       // Reading span of full scale, in 1/64 of an ADC count. (1/64 count) [2]
   kPressureFullCpsi = 49,   // Full scale of the pressure sensors. (0.01 psi)
   kMaxPressureCpsi = 50,    // Highest set point accepted (the thesis: 18 psi is the most the muscle
-                            // holds reliably). (0.01 psi)
+                            // holds reliably). The limit of 20 psi is compiled in. (0.01 psi)
   kOverPressureCpsi = 51,   // Fault above this. (0.01 psi)
   kVentCpsi = 52,           // A muscle below this is vented. (0.01 psi)
   kLiveZeroCpsi = 53,       // Set points below this are unreachable: 0 mA. (0.01 psi)
@@ -1276,9 +1295,9 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {5000, 65000, 52429},        // pressure_span
     {5000, 65000, 52429},        // pressure_span
     {100, 20000, 6000},          // pressure_full_cpsi
-    {100, 6000, 1850},           // max_pressure_cpsi
-    {100, 6000, 2300},           // over_pressure_cpsi
-    {5, 500, 50},                // vent_cpsi
+    {100, 2000, 1850},           // max_pressure_cpsi
+    {100, 2500, 2300},           // over_pressure_cpsi
+    {5, 100, 50},                // vent_cpsi
     {0, 1000, 220},              // live_zero_cpsi
     {0, 2000, 200},              // drive_4ma_cpsi
     {500, 20000, 6000},          // drive_20ma_cpsi
@@ -1286,8 +1305,8 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {0, 32767, 512},             // pressure_ki
     {0, 32767, 5},               // pressure_kd
     {10, 10000, 1500},           // pressure_slew_cpsi_s
-    {10, 6000, 200},             // stuck_cpsi
-    {100, 60000, 1500},          // stuck_ms
+    {10, 600, 200},              // stuck_cpsi
+    {100, 5000, 1500},           // stuck_ms
     {50, 600, 250},              // drive_tolerance_cpsi
     {0, 2000, 200},              // lag_ms
     {0, 2000, 200},              // lag_ms
@@ -1309,7 +1328,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {0, 32767, 106},             // spool_kff
     {0, 200, 60},                // spool_dead_zone
     {50, 50000, 500},            // spool_tolerance_um
-    {50, 10000, 400},            // stall_ms
+    {50, 2000, 400},             // stall_ms
     {100, 100000, 3000},         // slip_um
     {100, 100000, 8000},         // home_speed_um_s
     {50, 10000, 500},            // heartbeat_ms

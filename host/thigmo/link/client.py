@@ -224,7 +224,7 @@ class Client(Inbox):
                     self._resume(command, limit, until_s)
                 raise failures.timed_out(command, limit)
         if isinstance(reply, wire.Ack) and reply.status is wire.Status.REFUSED:
-            raise failures.refused(command, reply.reason)
+            raise failures.refused(command, reply.reason, reply.detail)
         return cast("R", reply)
 
     # Waiting.

@@ -13,12 +13,13 @@ from thigmo.link import protocol as wire
 from thigmo.link.transport import Transport
 
 
-def refused(command: wire.Message, reason: wire.Reason) -> CommandRefusedError:
+def refused(command: wire.Message, reason: wire.Reason, detail: int) -> CommandRefusedError:
     """The board said no, with a reason whose sentence the schema has."""
     what, _, step = reason.doc.rstrip(".").partition("; ")
     return CommandRefusedError(
-        f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}", step, reason=reason.key
-    )
+        f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}", step, reason=reason.key,
+        detail=detail,
+    )  # fmt: skip
 
 
 def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x88DB1D05
+SCHEMA_HASH = 0x56C21F6C
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -166,6 +166,13 @@ class Reason(Documented):
     ESTOP = 18, "The emergency stop is pressed; release it first."
     BAD_CONFIG = 19, "The stored configuration is damaged; load defaults, configure and save again."
     NOT_ZEROED = 20, "Sensors have no valid zero; vent, wait for settling, and zero."
+    CONTRADICTION = (
+        23,
+        (
+            "Parameters contradict each other, and none of those that were set runs; correct "
+            "the one that is named."
+        ),
+    )
     NO_BASE_SENSOR = (
         22,
         ("Neither base sensor can feel a contact; grow past them, and mend, enable or zero one."),
@@ -1419,7 +1426,7 @@ class GetSensor(Command[SensorReport]):
 
 @dataclass(frozen=True, slots=True)
 class GetParameter(Command[ParameterValue]):
-    """Read a parameter."""
+    """Read a parameter, as set last; what was set runs once it is applied."""
 
     ID: ClassVar[int] = 0x10
     SIZE: ClassVar[int] = 2
@@ -1446,7 +1453,9 @@ class GetParameter(Command[ParameterValue]):
 
 @dataclass(frozen=True, slots=True)
 class SetParameter(Command[ParameterValue]):
-    """Set a parameter in memory (save_config stores it). Range-checked. Refused while energised."""
+    """Set a parameter, to be applied with apply_parameters; hello forgets what was not. Checked
+    against its limits. Refused while energised.
+    """
 
     ID: ClassVar[int] = 0x11
     SIZE: ClassVar[int] = 6
@@ -1642,6 +1651,32 @@ class AckEvent(Command[Ack]):
 
 
 @dataclass(frozen=True, slots=True)
+class ApplyParameters(Command[Ack]):
+    """Check the parameters that were set, together with those that stay, and let all of them
+    run, or none; detail of a contradiction = the parameter's index. save_config stores them.
+    Refused while energised.
+    """
+
+    ID: ClassVar[int] = 0x1B
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "apply_parameters"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ApplyParameters:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class GetLinkStats(Command[LinkStats]):
     """Counters of the link, as the board sees it."""
 
@@ -1688,6 +1723,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x15: LoadDefaults,
     0x16: GetSnapshot,
     0x17: AckEvent,
+    0x1B: ApplyParameters,
     0x18: GetLinkStats,
     0x80: Ack,
     0x81: HelloReply,
@@ -1840,15 +1876,15 @@ PARAMETERS: dict[str, Parameter] = {
             1,
             "0.01 psi",
             100,
-            6000,
+            2000,
             (1850,),
             (
                 "Highest set point accepted (the thesis: 18 psi is the most the muscle holds "
-                "reliably)."
+                "reliably). The limit of 20 psi is compiled in."
             ),
         ),
-        Parameter("over_pressure_cpsi", 51, 1, "0.01 psi", 100, 6000, (2300,), "Fault above this."),
-        Parameter("vent_cpsi", 52, 1, "0.01 psi", 5, 500, (50,), "A muscle below this is vented."),
+        Parameter("over_pressure_cpsi", 51, 1, "0.01 psi", 100, 2500, (2300,), "Fault above this."),
+        Parameter("vent_cpsi", 52, 1, "0.01 psi", 5, 100, (50,), "A muscle below this is vented."),
         Parameter(
             "live_zero_cpsi",
             53,
@@ -1895,11 +1931,11 @@ PARAMETERS: dict[str, Parameter] = {
             1,
             "0.01 psi",
             10,
-            6000,
+            600,
             (200,),
             "Set-point error that counts as stuck.",
         ),
-        Parameter("stuck_ms", 61, 1, "ms", 100, 60000, (1500,), "For so long."),
+        Parameter("stuck_ms", 61, 1, "ms", 100, 5000, (1500,), "For so long."),
         Parameter(
             "drive_tolerance_cpsi",
             62,
@@ -2037,7 +2073,7 @@ PARAMETERS: dict[str, Parameter] = {
             "spool_tolerance_um", 82, 1, "um", 50, 50000, (500,), "At the target within this."
         ),
         Parameter(
-            "stall_ms", 83, 1, "ms", 50, 10000, (400,), "Driven and still for so long is a stall."
+            "stall_ms", 83, 1, "ms", 50, 2000, (400,), "Driven and still for so long is a stall."
         ),
         Parameter(
             "slip_um",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from thigmo.config import RobotConfig
-from thigmo.errors import ConfigError
+from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
 from thigmo.robot.settings import map_settings, parameter_settings
 
@@ -27,13 +27,13 @@ def send_config(client: Client, config: RobotConfig) -> bool:
         ConfigError: a value that the board cannot hold, or does not give back.
         CommandRefusedError: an output is energised, or a value is out of range.
     """
-    changed = False
-    for name, values in parameter_settings(config).items():
-        held = get_parameter(client, name)
-        if held != values:
-            changed = True
-            set_parameter(client, name, values)
+    wanted_values = parameter_settings(config)
+    differing = {n: v for n, v in wanted_values.items() if get_parameter(client, n) != v}
+    if differing:
+        set_parameters(client, differing)
+        for name, values in differing.items():
             _verify(f"parameter {name}", get_parameter(client, name), values)
+    changed = bool(differing)
     for setting in map_settings(config):
         where = wire.GetMap(setting.zone, wire.Side(setting.side), wire.Branch(setting.branch))
         wanted = setting.curvature_e5
@@ -55,17 +55,35 @@ def get_parameter(client: Client, name: str) -> list[int]:
     return [client.request(wire.GetParameter(entry.index + i)).value for i in range(entry.count)]
 
 
-def set_parameter(client: Client, name: str, values: list[int]) -> None:
-    """Set a parameter in the board's memory.
+def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
+    """Set parameters in the board's memory; all of them run from then on, or none.
 
     Args:
         client: the link.
-        name: of the schema.
-        values: in its wire unit, one for each element, or one for all of them.
+        wanted: by the schema's names; in their wire units, one for each element, or one for all.
 
     Raises:
-        ConfigError: no such parameter, a wrong number of values, or one out of range.
+        ConfigError: no such parameter, a wrong number of values, one out of range, or values that
+            contradict each other or those that the board holds.
     """
+    for name, values in wanted.items():
+        _stage(client, name, values)
+    try:
+        client.request(wire.ApplyParameters())
+    except CommandRefusedError as error:
+        if error.reason != wire.Reason.CONTRADICTION.key:
+            raise
+        name = next(
+            n for n, p in wire.PARAMETERS.items() if p.index <= error.detail < p.index + p.count
+        )
+        raise ConfigError(
+            f"{name} contradicts other parameters, and nothing was changed",
+            f"see what bounds it: {wire.PARAMETERS[name].doc.rstrip('.')}",
+        ) from error
+
+
+def _stage(client: Client, name: str, values: list[int]) -> None:
+    """Have the board check and keep a parameter until it is applied."""
     entry = _named(name)
     if len(values) not in (1, entry.count):
         raise ConfigError(

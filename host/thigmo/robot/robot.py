@@ -21,7 +21,7 @@ from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
-from thigmo.robot.configuration import get_parameter, send_config, set_parameter
+from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.peaks import snapshot_reading
@@ -265,9 +265,10 @@ class Robot:
         """Set a parameter in the board's memory, in its wire unit; `save` stores it.
 
         Raises:
-            ConfigError: no such parameter, a wrong number of values, or one out of range.
+            ConfigError: no such parameter, a wrong number of values, or one out of range or that
+                contradicts another.
         """
-        set_parameter(self._client, name, values)
+        set_parameters(self._client, {name: values})
 
     def save(self) -> int:
         """Store the configuration in the board; returns its generation. Takes seconds."""

@@ -128,12 +128,13 @@ def script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> S
     zone = robot.body.zone_at(length_cm)
     period_ms = round(rising_period_s(robot, zone) * 1e3)
     says: list[tuple[int, wire.Message]] = [
-        (100, wire.SetParameter(wire.PARAMETERS["telemetry_ms"].index, 0)),
+        (50, wire.SetParameter(wire.PARAMETERS["telemetry_ms"].index, 0)),
         # The study is of the trigger: noise must not keep the zero from being taken.
-        (150, wire.SetParameter(wire.PARAMETERS["drift_limit_e5"].index, 10_000)),
-        (350, wire.ConfirmLength(round(length_cm * 1e4), 1)),
-        (350, wire.SelectZone(zone)),
-        (400, wire.Arm()),
+        (100, wire.SetParameter(wire.PARAMETERS["drift_limit_e5"].index, 10_000)),
+        (300, wire.ApplyParameters()),
+        (400, wire.ConfirmLength(round(length_cm * 1e4), 1)),
+        (400, wire.SelectZone(zone)),
+        (450, wire.Arm()),
         (1000, wire.ZeroSensors(_everted(robot, length_cm))),
     ]
     for half in halves:
@@ -231,7 +232,7 @@ def with_setting(script: Script, setting: Setting) -> Script:
         "trigger_e5": setting.threshold_e5,
     }
     first = [
-        (200 + 50 * n, wire.SetParameter(wire.PARAMETERS[name].index, value))
+        (150 + 50 * n, wire.SetParameter(wire.PARAMETERS[name].index, value))
         for n, (name, value) in enumerate(values.items())
     ]
     return sorted([*script, *first], key=lambda said: said[0])

@@ -102,8 +102,9 @@ def test_power_that_fails_in_a_save_comes_back_to_the_old_configuration(
 ) -> None:
     mega, session = booted(stored_config)
     ask(mega, wire.SetParameter(SETTLE, 12_345), 1, session)
+    ask(mega, wire.ApplyParameters(), 2, session)
     mega.cut_power_after(byte)
-    mega.write(encode(wire.SaveConfig(), 2, session))
+    mega.write(encode(wire.SaveConfig(), 3, session))
     for _ in range(3000):
         mega.step(1)
         if not mega.powered:

@@ -219,6 +219,10 @@ class Bench:
         return self.get(wire.GetStatus(), wire.StatusReport)
 
     def set(self, name: str, value: int, element: int = 0) -> None:
+        self.stage(name, value, element)
+        self.do(wire.ApplyParameters())
+
+    def stage(self, name: str, value: int, element: int = 0) -> None:
         self.do(wire.SetParameter(wire.PARAMETERS[name].index + element, value))
 
     def event(self, code: wire.EventCode, arg: int | None = None) -> list[wire.Event]:
@@ -239,9 +243,10 @@ class Bench:
         self.hello()
         self.do(wire.LoadDefaults())
         for name, value in {"settle_ms": 1000, "zero_ms": 200, **parameters}.items():
-            self.set(name, value)
+            self.stage(name, value)
         for side in range(2):
-            self.set("lag_ms", 0, side)  # this body bends at once
+            self.stage("lag_ms", 0, side)  # this body bends at once
+        self.do(wire.ApplyParameters())
         assert self.do(wire.ClearFaults(0xFFFF)) == 0
         self.do(wire.Arm())
 

@@ -143,17 +143,15 @@ def test_every_legal_speed_ends_within_two_centimetres_of_the_last_beat(heartbea
 
 
 @pytest.mark.parametrize("name", ["spool_speed_um_s", "home_speed_um_s"])
-def test_a_speed_that_outruns_the_heartbeat_does_not_arm(name: str) -> None:
+def test_a_speed_that_outruns_the_heartbeat_is_not_applied(name: str) -> None:
     bench = Bench()
     bench.prepare()
-    bench.do(wire.Stop())
-    bench.set(name, 17_000_000 // 600 + 1)
-    index = wire.PARAMETERS[name].index
-    ack = bench.ask(wire.Arm())
+    bench.stage(name, 17_000_000 // 600 + 1)
+    ack = bench.ask(wire.ApplyParameters())
     assert isinstance(ack, wire.Ack)
-    assert (ack.reason, ack.detail) == (R.BAD_CONFIG, index)
-    bench.set("heartbeat_ms", 499)
-    bench.do(wire.Arm())
+    assert (ack.reason, ack.detail) == (R.CONTRADICTION, wire.PARAMETERS[name].index)
+    bench.stage("heartbeat_ms", 499)
+    bench.do(wire.ApplyParameters())
 
 
 def test_a_replayed_heartbeat_keeps_nobody_alive() -> None:
@@ -628,21 +626,47 @@ def test_configuration_is_closed_while_something_runs() -> None:
         assert bench.refused(command) == R.BUSY, command
 
 
-def test_a_configuration_that_contradicts_itself_is_not_armed() -> None:
+def test_no_set_of_parameters_presses_beyond_the_compiled_limits() -> None:
+    """The thesis presses its muscles to 18 psi."""
     bench = Bench()
     bench.prepare()
-    bench.do(wire.Stop())
-    bench.set("over_pressure_cpsi", 1800)
-    reply = bench.ask(wire.Arm())
+    assert wire.PARAMETERS["max_pressure_cpsi"].high == 2000
+    for name in ("max_pressure_cpsi", "over_pressure_cpsi"):
+        entry = wire.PARAMETERS[name]
+        assert bench.refused(wire.SetParameter(entry.index, entry.high + 1)) == R.BAD_VALUE
+        bench.stage(name, entry.high)
+    bench.do(wire.ApplyParameters())
+    bench.do(wire.ConfirmLength(100_000, 1))
+    bench.do(wire.SelectZone(0))
+    bench.do(wire.ZeroSensors(0b00001_00001))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
+    assert bench.refused(wire.SetPressure(2001, 0, 0)) == R.OVER_LIMIT
+    bench.sensor = lambda true: 0.0  # whatever the sensor says
+    bench.do(wire.SetPressure(2000, 0, 0))
+    most = 0.0
+    for _ in range(600):
+        bench.step()
+        most = max(most, bench.air.psi[0])
+    assert most < 21.1
+    assert bench.safe()
+
+
+def test_contradictions_are_refused_and_the_running_parameters_stay() -> None:
+    bench = Bench()
+    bench.prepare()
+    index = wire.PARAMETERS["over_pressure_cpsi"].index
+    bench.stage("vent_cpsi", 15)
+    bench.stage("over_pressure_cpsi", 1800)
+    reply = bench.ask(wire.ApplyParameters())
     assert isinstance(reply, wire.Ack)
-    assert (reply.reason, reply.detail) == (
-        R.BAD_CONFIG,
-        wire.PARAMETERS["over_pressure_cpsi"].index,
-    )
-    assert bench.refused(wire.SaveConfig()) == R.BAD_CONFIG
-
-
-# --- stop and vent -------------------------------------------------------------------------------
+    assert (reply.reason, reply.detail) == (R.CONTRADICTION, index)
+    bench.override[11] = pressure_count(0.3)
+    bench.step(500)
+    assert bench.status().conditions & wire.Condition.VENTED.mask  # by the 0.5 psi that runs on
+    bench.stage("max_pressure_cpsi", 1700)
+    bench.do(wire.ApplyParameters())
+    bench.step(500)
+    assert not bench.status().conditions & wire.Condition.VENTED.mask
 
 
 @pytest.mark.parametrize("busy", [bending, growing])
