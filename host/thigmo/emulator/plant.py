@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, exp, hypot, isnan, nan, pi, sin, sqrt
+from math import hypot, isnan, nan, pi
 
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIDES, RobotConfig, TanhMap
-from thigmo.emulator import plant_kernel as k
+from thigmo import config
+from thigmo.config import SIDES, RobotConfig
+from thigmo.emulator import _plant
+from thigmo.emulator._plant import Ailments, FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
 from thigmo.emulator.hand import hold
 from thigmo.emulator.scene import Scene
@@ -25,12 +27,14 @@ from thigmo.mechanics import Body, Peg, PegContact, Solution, Tube, critical_mom
 
 Floats = npt.NDArray[np.float64]
 
-STEP_S = 0.01
+STEP_S = _plant.STEP_S
 STEP_MS = 10
 LOG_S = 0.1  # between entries of the truth's history
 _OPEN_COUNT = 0.0
 _SHORT_COUNT = 1023.9
 _SENSORS = 10
+# An input without a sensor hangs on its divider alone, and never everts.
+_NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
 _PASCAL = 6894.757  # of one psi
 _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
@@ -138,45 +142,39 @@ class Plant:
         self._dowel_cm = 0.0
         self._held: Solution | None = None
 
-        self._muscles = np.zeros((2, k.MUSCLE_STATE))
-        self._drive_ring = np.zeros((2, k.RING))
-        self._outlet_ring = np.zeros((2, k.RING))
         t, m = scene.transducer, scene.muscle
-        self._air = np.array([
-            t.at_4ma_psi, t.at_20ma_psi - t.at_4ma_psi, t.lag_s, t.delay_s, t.hysteresis_psi,
-            t.slew_psi_s, t.supply_psi, m.inflate_tau_s, m.deflate_tau_s, m.delay_s, STEP_S,
-        ])  # fmt: skip
-        self._gain = 1 + t.gain_error * rng.standard_normal(2)
+        self._muscles = tuple(
+            Muscle(
+                at_4ma_psi=t.at_4ma_psi,
+                at_20ma_psi=t.at_20ma_psi,
+                gain=1 + t.gain_error * draw,
+                lag_s=t.lag_s,
+                delay_s=t.delay_s,
+                play_psi=t.hysteresis_psi,
+                slew_psi_s=t.slew_psi_s,
+                supply_psi=t.supply_psi,
+                inflate_tau_s=m.inflate_tau_s,
+                deflate_tau_s=m.deflate_tau_s,
+                muscle_delay_s=m.delay_s,
+                reversal_psi=robot.actuators.side(side).reversal_psi,
+            )
+            for side, draw in zip(SIDES, rng.standard_normal(2), strict=True)
+        )
         self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(2)
-        self._reversal = np.array([robot.actuators.side(s).reversal_psi for s in SIDES])
-        self._maps = np.zeros((2, 2, 3))
-        self._swing = np.zeros(2)
-        self._transition = _second_order(scene.body.frequency_hz, scene.body.damping, STEP_S)
-        self._spool = np.array([robot.spool.payout_ratio * scene.start_length_cm, 0.0])
+        self._swing = Swing(frequency_hz=scene.body.frequency_hz, damping=scene.body.damping)
         s = scene.spool
         sliding = s.stall_n * s.dead_zone / 800.0
-        damping = (s.stall_n - sliding) / s.line_cm_s
-        self._spool_constants = np.array(
-            [damping, s.lag_s, s.stall_n, sliding, max(s.holding_n, sliding), STEP_S]
-        )
-        self.length_cm = scene.start_length_cm
-        self._sensors, self._sensor_state = self._make_sensors()
-        f = scene.flex
-        self._ailments = np.array([
-            scene.noise.hysteresis_width, f.wrong_direction_gain, f.wrinkle, f.wrinkle_start_psi,
-            max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1), f.fold_bend,
-            robot.sensors.divider_ohm,
-        ])  # fmt: skip
-        self._rows = np.array(
-            [i for s, side in enumerate(SIDES)
-             for i in range(FLEX_RIGHT * s, FLEX_RIGHT * s + len(robot.sensors.column(side)))]
+        self._spool = Spool(
+            damping=(s.stall_n - sliding) / s.line_cm_s, lag_s=s.lag_s, stall_n=s.stall_n,
+            sliding_n=sliding, holding_n=max(s.holding_n, sliding),
+            line_cm=robot.spool.payout_ratio * scene.start_length_cm,
         )  # fmt: skip
-        self._centers = np.ascontiguousarray(self._sensors[:, k.CENTER])
-        self._spans = np.ascontiguousarray(self._sensors[:, k.SPAN])
+        self.length_cm = scene.start_length_cm
+        self._sensors = self._make_sensors()
+        self._centers = np.array([sensor.center_cm for sensor in self._sensors])
+        self._spans = np.array([sensor.span_cm for sensor in self._sensors])
         self._ends = self._centers + self._spans / 2
         self._curvature = np.zeros(_SENSORS)
-        self._flex_counts = np.zeros(_SENSORS)
-        self._current = np.zeros(2)
         self.body = Body(
             Tube(robot.body.diameter_cm, self._critical()),
             self.pegs,
@@ -198,31 +196,31 @@ class Plant:
 
     # Construction.
 
-    def _make_sensors(self) -> tuple[Floats, Floats]:
+    def _make_sensors(self) -> list[FlexSensor]:
         scene, rng = self.scene, self._rng
-        constants = np.zeros((_SENSORS, k.SENSOR_CONSTANTS))
-        state = np.zeros((_SENSORS, k.SENSOR_STATE))
+        f = scene.flex
+        ailments = Ailments(
+            loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
+            wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
+            wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
+            fold_bend=f.fold_bend,
+        )  # fmt: skip
         draws = rng.standard_normal((_SENSORS, 2))
         phases = rng.uniform(0, 2 * pi, (_SENSORS, 2))
-        for s, side in enumerate(SIDES):
-            column = scene.robot.sensors.column(side)
-            for j in range(FLEX_RIGHT):
-                i = FLEX_RIGHT * s + j
-                if j < len(column):
-                    sensor = column[j]
-                    constants[i, :5] = (
-                        sensor.scale_per_ohm, sensor.zero_ohm, sensor.valid_direction,
-                        scene.noise.hysteresis * draws[i, 0], sensor.settle_tau_s,
-                    )  # fmt: skip
-                    constants[i, k.CENTER] = sensor.center_cm
-                    constants[i, k.SPAN] = sensor.span_cm
-                else:
-                    # No sensor: the input hangs on its divider alone and never everts.
-                    constants[i, :5] = (3.5e-5, 12_000.0, 0.0, 0.0, 8.0)
-                    constants[i, k.CENTER] = 1e9
-                constants[i, k.STOWED] = scene.flex.stowed * draws[i, 1]
-                constants[i, k.PHASE_1 : k.PHASE_2 + 1] = phases[i]
-        return constants, state
+        sensors = []
+        for i in range(_SENSORS):
+            column = scene.robot.sensors.column(SIDES[i // FLEX_RIGHT])
+            sensor = column[i % FLEX_RIGHT] if i % FLEX_RIGHT < len(column) else _NO_SENSOR
+            sensors.append(
+                FlexSensor(
+                    ailments, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
+                    scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
+                    divider_ohm=scene.robot.sensors.divider_ohm, direction=sensor.valid_direction,
+                    loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
+                    stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
+                )
+            )  # fmt: skip
+        return sensors
 
     def _critical(self) -> float | None:
         body = self._robot.body
@@ -235,14 +233,14 @@ class Plant:
         self.body_psi = pressure_psi
         self.body.critical_moment = self._critical()
         self._solved_g = nan
-        for s, side in enumerate(SIDES):
+        for muscle, side in zip(self._muscles, SIDES, strict=True):
             maps = sorted(self._robot.actuators.side(side).maps, key=lambda m: m.body_pressure_psi)
             at = [m.body_pressure_psi for m in maps]
-            for b, branch in enumerate(("inflate", "deflate")):
-                curves: list[TanhMap] = [getattr(m, branch) for m in maps]
-                for c, key in enumerate(("amplitude", "scale_psi", "offset_psi")):
-                    values = [getattr(curve, key) for curve in curves]
-                    self._maps[s, b, c] = np.interp(pressure_psi, at, values)
+            muscle.set_maps(*(
+                [np.interp(pressure_psi, at, [getattr(getattr(m, branch), key) for m in maps])
+                 for key in ("amplitude", "scale_psi", "offset_psi")]
+                for branch in ("inflate", "deflate")
+            ))  # fmt: skip
 
     def hold(self, pushes: Sequence[tuple[float, float]], dowel_cm: float = 0.0) -> None:
         """Hold points of the centreline aside; the room's pegs are out of reach meanwhile.
@@ -291,12 +289,13 @@ class Plant:
     @property
     def muscle_psi(self) -> tuple[float, float]:
         """True pressures of the left and right muscle."""
-        return float(self._muscles[0, k.OUTLET]), float(self._muscles[1, k.OUTLET])
+        left, right = self._muscles
+        return left.outlet_psi, right.outlet_psi
 
     @property
     def free_curvature(self) -> float:
         """Present free curvature of the swinging body, 1/cm."""
-        return float(self._swing[0])
+        return self._swing.curvature
 
     @property
     def sensor_curvature(self) -> Floats:
@@ -362,24 +361,19 @@ class Plant:
             braked: the driver brakes.
         """
         self.steps += 1
-        for side in range(2):
-            self._current[side] = 20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0
-        head = self.steps % k.RING
-        target = k.air(
-            self._current, self._muscles, self._drive_ring, self._outlet_ring, head, self._air,
-            self._gain, self._maps, self._reversal, self.forced_outlet,
+        left, right = (
+            muscle.advance(20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0,
+                           self.forced_outlet[side])
+            for side, muscle in enumerate(self._muscles)
         )  # fmt: skip
-        k.swing(self._swing, target, self._transition)
+        self._swing.follow(left - right)
         before = self._encoder()
         if self.windings_open:
             motor, braked = 0, False
-        k.spool(
-            self._spool, motor, braked or motor != 0, self.spool_stuck, self.pull_n,
-            self._spool_constants,
-        )  # fmt: skip
+        self._spool.advance(motor, braked or motor != 0, self.spool_stuck, self.pull_n)
         self.encoder = (before, self._encoder())
         length = self._grown()
-        moved = abs(self._swing[0] - self._solved_g) > 1e-8
+        moved = abs(self._swing.curvature - self._solved_g) > 1e-8
         if moved or length != self.length_cm or isnan(self._solved_g):
             self._solve(length)
         self._sense()
@@ -391,9 +385,8 @@ class Plant:
         A tip that stands still while line is paid out leaves the tail slack.
         """
         if self.slip_cm_s != 0.0:
-            constants = self._spool_constants
-            return float(constants[k.SLIDING] + constants[k.DAMPING] * self.slip_cm_s)
-        slack = self._spool[k.LINE] / self._robot.spool.payout_ratio - self.length_cm
+            return self._spool.sliding_n + self._spool.damping * self.slip_cm_s
+        slack = self._spool.line_cm / self._robot.spool.payout_ratio - self.length_cm
         if slack > _TAUT_CM:
             return 0.0
         area = pi * self._robot.body.radius_cm**2 * 1e-4
@@ -402,7 +395,7 @@ class Plant:
     def _grown(self) -> float:
         """Length that line, body pressure and tail allow."""
         robot, body = self._robot, self.scene.body
-        paid = self._spool[k.LINE] / robot.spool.payout_ratio
+        paid = self._spool.line_cm / robot.spool.payout_ratio
         most = min(paid, robot.body.length_cm)
         if most <= self.length_cm:
             return float(most)
@@ -412,7 +405,7 @@ class Plant:
 
     def _solve(self, length: float) -> None:
         """Find the body's shape; a tip that is pushed back too hard does not grow."""
-        g = float(self._swing[0])
+        g = self._swing.curvature
         if self.pushes:
             held = [(min(arc, length), y) for arc, y in self.pushes]
             self._held = hold(held, g, length, self.body.tube)
@@ -447,32 +440,24 @@ class Plant:
 
     def _evert(self, *, settled: bool) -> None:
         """Sensors that have just come out start to creep; those drawn in forget."""
-        out = self._ends <= self.length_cm
-        state = self._sensor_state
-        was = state[:, k.EVERTED] > 0
-        if np.array_equal(out, was):
-            return
-        for i in np.flatnonzero(out & ~was):
-            offset, creep = self._rng.standard_normal(2)
-            sign = self._sensors[i, k.DIRECTION] or 1.0
-            state[i, k.EVERTED] = 1.0
-            state[i, k.EVERTED_AT] = -1e9 if settled else self.t_s
-            state[i, k.OFFSET] = self.scene.noise.per_eversion * offset
-            state[i, k.CREEP] = self.scene.flex.creep * sign * abs(creep)
-            state[i, k.TURN] = 0.0
-        state[~out, k.EVERTED] = 0.0
+        noise, flex = self.scene.noise, self.scene.flex
+        for sensor, end in zip(self._sensors, self._ends, strict=True):
+            if end > self.length_cm:
+                sensor.stow()
+            elif not sensor.everted:
+                offset, creep = self._rng.standard_normal(2)
+                began = -1e9 if settled else self.t_s
+                sensor.evert(began, noise.per_eversion * offset, flex.creep * abs(creep))
 
     def _sense(self) -> None:
-        k.sense(
-            self._curvature, self.length_cm, self.t_s, self._muscles, self._sensors,
-            self._sensor_state, self._ailments, self._flex_counts,
-        )  # fmt: skip
         analog = self.analog
         analog[:, 0] = analog[:, 1]
-        analog[:_SENSORS, 1] = self._flex_counts
+        for i, sensor in enumerate(self._sensors):
+            under = self._muscles[i // FLEX_RIGHT].bend_psi
+            analog[i, 1] = sensor.count(self._curvature[i], self.length_cm, self.t_s, under)
         full = self.scene.transducer.sensor_full_psi
         for side in range(2):
-            psi = self._muscles[side, k.OUTLET] + self._pressure_zero[side]
+            psi = self._muscles[side].outlet_psi + self._pressure_zero[side]
             analog[PRESSURE + side, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
         if self.cut or self.shorted or self.pressure_cut:
             for i in self.cut:
@@ -490,7 +475,7 @@ class Plant:
         return sigma
 
     def _encoder(self) -> float:
-        line = float(self._spool[k.LINE])
+        line = self._spool.line_cm
         per_cm = self._robot.spool.counts_per_cm
         return per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
 
@@ -501,19 +486,3 @@ class Plant:
         self._logged_s = self.t_s
         self._logged_touching = touching
         self._history.append(self._moment())
-
-
-def _second_order(frequency_hz: float, damping: float, dt: float) -> Floats:
-    """Transition matrix of (distance, rate) of a second-order system over dt."""
-    w = 2 * pi * frequency_hz
-    a = damping * w
-    if damping < 1:
-        d = w * sqrt(1 - damping**2)
-        c, s = cos(d * dt), sin(d * dt) / d
-    elif damping == 1:
-        c, s = 1.0, dt
-    else:
-        d = w * sqrt(damping**2 - 1)
-        c, s = float(np.cosh(d * dt)), float(np.sinh(d * dt)) / d
-    e = exp(-a * dt)
-    return np.array([[e * (c + a * s), e * s], [-e * w * w * s, e * (c - a * s)]])
