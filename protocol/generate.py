@@ -137,6 +137,7 @@ class Parameter:
     """One parameter, perhaps an array."""
 
     name: str
+    id: int
     index: int
     count: int
     unit: str
@@ -163,6 +164,7 @@ class Schema:
     max_wire: int
     crc: str
     deadline_ms: int
+    map_id: int
     map_points: int
     map_step_cpsi: int
     hash: int
@@ -181,18 +183,39 @@ def camel(name: str) -> str:
     return "".join(part.capitalize() for part in name.split("_"))
 
 
-def without_docs(node: Any) -> Any:
-    """The schema's tree without its documentation, which changes no byte on the wire."""
-    if isinstance(node, dict):
-        return {k: without_docs(v) for k, v in node.items() if k != "doc"}
-    if isinstance(node, list):
-        return [without_docs(v) for v in node]
-    return node
+def wire_layout(tree: Any) -> Any:
+    """The part of the schema that bytes on the wire and their meaning depend on.
+
+    Names belong to it: two fields of one type that change places change what a byte means.
+    """
+    return {
+        "frame": {key: tree[key] for key in ("protocol", "max_wire_bytes", "crc", "map")},
+        "enums": {
+            name: {key: body["value"] for key, body in members.items() if key != "doc"}
+            for name, members in tree["enums"].items()
+        },
+        "messages": {
+            name: [
+                body["id"],
+                body["kind"],
+                body.get("reply", ""),
+                [
+                    [f["name"], f["type"], f.get("count", 1), f.get("unit", ""), f.get("enum", "")]
+                    for f in body.get("fields", [])
+                ],
+            ]
+            for name, body in tree["messages"].items()
+        },
+        "parameters": [
+            [name, body["id"], body.get("count", 1), body.get("unit", "")]
+            for name, body in tree["parameters"].items()
+        ],
+    }
 
 
 def schema_hash(tree: Any) -> int:
-    """First four bytes of SHA-256 over the canonical JSON of the schema without docs."""
-    canonical = json.dumps(without_docs(tree), sort_keys=True, separators=(",", ":"))
+    """First four bytes of SHA-256 over the canonical JSON of the wire's layout."""
+    canonical = json.dumps(wire_layout(tree), sort_keys=True, separators=(",", ":"))
     return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "big")
 
 
@@ -281,8 +304,9 @@ def load(path: Path) -> Schema:
     index = 0
     for name, body in tree["parameters"].items():
         where = f"parameters.{name}"
-        unknown = set(body) - {"count", "unit", "range", "default", "doc"}
+        unknown = set(body) - {"id", "count", "unit", "range", "default", "doc"}
         _require(not unknown, f"{where}: unknown keys {sorted(unknown)}")
+        _require("id" in body, f"{where}: give it an id; the next free one stands above the list")
         count = body.get("count", 1)
         low, high = body["range"]
         default = body["default"]
@@ -293,14 +317,28 @@ def load(path: Path) -> Schema:
         )
         _require(all(low <= d <= high for d in defaults), f"{where}: default outside its range")
         parameters.append(
-            Parameter(name, index, count, body.get("unit", ""), low, high, defaults, body["doc"])
+            Parameter(
+                name,
+                body["id"],
+                index,
+                count,
+                body.get("unit", ""),
+                low,
+                high,
+                defaults,
+                body["doc"],
+            )
         )
         index += count
+    stored = [tree["map"]["id"], *(p.id for p in parameters)]
+    _require(all(0 < i < 256 for i in stored), "parameters: ids must be 1..255")
+    _require(len(set(stored)) == len(stored), "parameters: a stored id is used twice")
     return Schema(
         tree["protocol"],
         tree["max_wire_bytes"],
         tree["crc"],
         tree["deadline_ms"],
+        tree["map"]["id"],
         tree["map"]["points"],
         tree["map"]["step_cpsi"],
         schema_hash(tree),
@@ -403,6 +441,7 @@ def cpp(schema: Schema) -> str:
         f"constexpr uint8_t kMaxPayload = {schema.max_wire - OVERHEAD};",
         f"constexpr uint8_t kHeaderSize = {HEADER.size};  // id u8, seq u16, session u16",
         f"constexpr uint8_t kCrcSize = {CRC_BYTES};",
+        f"constexpr uint8_t kMapId = {schema.map_id};  // under which the store keeps the maps",
         f"constexpr uint8_t kMapPoints = {schema.map_points};",
         f"constexpr int16_t kMapStepCpsi = {schema.map_step_cpsi};",
         "",
@@ -475,6 +514,15 @@ def cpp(schema: Schema) -> str:
     for p in schema.parameters:
         out += [f"    {{{p.low}, {p.high}, {d}}},  // {p.name}" for d in p.defaults]
     out += [
+        "};",
+        "",
+        "// What the store keeps them under, in the order of their indices.",
+        "struct ParamKey {",
+        "  uint8_t id, count;",
+        "};",
+        f"constexpr uint8_t kParamKeys = {len(schema.parameters)};",
+        "constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {",
+        *[f"    {{{p.id}, {p.count}}},  // {p.name}" for p in schema.parameters],
         "};",
         "",
         "}  // namespace protocol",
@@ -581,6 +629,7 @@ def python(schema: Schema) -> str:
         f"MAX_FRAME = {schema.max_wire - 2}",
         f"MAX_PAYLOAD = {schema.max_wire - OVERHEAD}",
         f'CRC = "{schema.crc}"',
+        f"MAP_ID = {schema.map_id}",
         f"MAP_POINTS = {schema.map_points}",
         f"MAP_STEP_CPSI = {schema.map_step_cpsi}",
         "",
@@ -670,6 +719,7 @@ def python(schema: Schema) -> str:
         '    """A row of the parameter table; arrays take `count` consecutive indices."""',
         "",
         "    name: str",
+        "    id: int",
         "    index: int",
         "    count: int",
         "    unit: str",
@@ -685,8 +735,8 @@ def python(schema: Schema) -> str:
     ]
     for p in schema.parameters:
         out.append(
-            f"        Parameter({json.dumps(p.name)}, {p.index}, {p.count}, {json.dumps(p.unit)}, "
-            f"{p.low}, {p.high}, {p.defaults!r}, {_string(p.doc)}),"
+            f"        Parameter({json.dumps(p.name)}, {p.id}, {p.index}, {p.count}, "
+            f"{json.dumps(p.unit)}, {p.low}, {p.high}, {p.defaults!r}, {_string(p.doc)}),"
         )
     out += ["    )", "}", f"PARAMETER_COUNT = {schema.parameter_count}"]
     formatted = _run(_tool("ruff"), "format", "--stdin-filename", str(OUTPUTS["python"]), text=out)
@@ -730,8 +780,10 @@ def markdown(schema: Schema) -> str:
         "session gets the stored reply and changes nothing; the board remembers the nonces of its "
         "last hellos and drops one that comes again later, so that a replayed hello ends no "
         "conversation. A hello with another schema hash is refused, with the board's hash, and "
-        "changes nothing. The layouts of hello, hello_reply, announce and ack never change, so "
-        "that boards and hosts of different schemas can tell each other so.",
+        "changes nothing. The hash covers the wire's layout and what its numbers mean; texts, "
+        "defaults, ranges and deadlines may differ. The layouts of hello, hello_reply, announce "
+        "and ack never change, so that boards and hosts of different schemas can tell each other "
+        "so.",
         "- **Commands** carry the session, and a seq one above the last. One is outstanding at a "
         "time. The same seq again gets the stored reply, or `in_progress` while the work lasts. "
         "Any other seq is stale: dropped and counted. Another session: dropped, counted, and "
@@ -780,17 +832,19 @@ def markdown(schema: Schema) -> str:
         "## Parameters",
         "",
         "Each value is an i32. Arrays take consecutive indices: flex arrays run over the ten "
-        "sensors, left base first; arrays of two are left, right.",
+        "sensors, left base first; arrays of two are left, right. The store keeps each under its "
+        "id, through updates of the firmware.",
         "",
-        "| index | name | unit | range | default | meaning |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| index | id | name | unit | range | default | meaning |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for p in schema.parameters:
         index = str(p.index) if p.count == 1 else f"{p.index}..{p.index + p.count - 1}"
         same = len(set(p.defaults)) == 1
         default = str(p.defaults[0]) if same else ", ".join(str(d) for d in p.defaults)
         out.append(
-            f"| {index} | `{p.name}` | {p.unit} | {p.low}..{p.high} | {default} | {_cell(p.doc)} |"
+            f"| {index} | {p.id} | `{p.name}` | {p.unit} | {p.low}..{p.high} | {default} "
+            f"| {_cell(p.doc)} |"
         )
     return "\n".join(out) + "\n"
 

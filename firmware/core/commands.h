@@ -115,6 +115,8 @@ class Commands {
       }
       case protocol::kGetLinkStats:
         return stats(answer);
+      case protocol::kGetConfigReport:
+        return config_report(answer);
       default:
         return answer.ack({Reason::kUnknownId, command.id()});
     }
@@ -223,6 +225,21 @@ class Commands {
     m.tx_dropped = c.tx_dropped;
     m.loop_max_us = timing_.loop_max_us;
     timing_.loop_max_us = 0;
+    return answer.send(m);
+  }
+
+  Handled config_report(Reply& answer) {
+    const StoredReport& r = store_.report();
+    protocol::ConfigReport m;
+    m.status = protocol::Status::kOk;
+    m.generation = store_.generation();
+    m.kept = r.kept;
+    m.new_count = r.fresh.count;
+    m.unknown_count = r.unknown.count;
+    for (uint8_t i = 0; i < sizeof(r.fresh.id); ++i) {
+      m.new_ids[i] = r.fresh.id[i];
+      m.unknown_ids[i] = r.unknown.id[i];
+    }
     return answer.send(m);
   }
 

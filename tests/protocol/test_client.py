@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from channel import LoopTransport
+from raw_host import RawMessage
 from reference_device import ReferenceDevice
 
 from thigmo.errors import (
@@ -99,14 +100,18 @@ def test_nothing_answers() -> None:
     assert transport.now() < SILENCE_S + BOOT_LOADER_S + 7
 
 
-class Chatterbox(ReferenceDevice):
+class Deaf(ReferenceDevice):
+    """Hears nothing."""
+
+    def write(self, data: bytes) -> None:
+        pass
+
+
+class Chatterbox(Deaf):
     """No robot: speaks text without end."""
 
     def read(self) -> bytes:
         return b"$GPGGA,092750.000,5321.6802,N\r\n"
-
-    def write(self, data: bytes) -> None:
-        pass
 
 
 def test_something_else_answers() -> None:
@@ -117,10 +122,6 @@ def test_something_else_answers() -> None:
 
 
 def test_a_board_that_only_announces_has_a_broken_wire(device: ReferenceDevice) -> None:
-    class Deaf(ReferenceDevice):
-        def write(self, data: bytes) -> None:
-            pass
-
     with pytest.raises(NotARobotError, match="announces itself but does not answer"):
         Client(LoopTransport(Deaf()))
 
@@ -138,18 +139,6 @@ def test_another_schema_is_refused_with_both_hashes() -> None:
         Client(transport)
 
 
-class RawReply(wire.Message):
-    """A hello_reply of any bytes."""
-
-    ID = wire.HelloReply.ID
-
-    def __init__(self, payload: bytes) -> None:
-        self._payload = payload
-
-    def pack(self) -> bytes:
-        return self._payload
-
-
 def test_another_schema_with_enumerations_unknown_here_is_still_named() -> None:
     class Newer(ReferenceDevice):
         """Its hello_reply has a board kind and a reason that this host does not know."""
@@ -160,19 +149,57 @@ def test_another_schema_with_enumerations_unknown_here_is_still_named() -> None:
                     hello = wire.Hello.unpack(frame.payload)
                     reply = bytearray(self._hello_reply(hello, wire.Reason.WRONG_SCHEMA).pack())
                     reply[1], reply[10] = 77, 99
-                    self._send(RawReply(bytes(reply)), frame.seq, 0)
+                    self._send(RawMessage(wire.HelloReply.ID, bytes(reply)), frame.seq, 0)
 
     with pytest.raises(SchemaMismatchError, match="0badcafe"):
         Client(LoopTransport(Newer(schema_hash=0x0BADCAFE)))
 
 
 def test_a_mute_board_of_another_schema_is_named_by_its_announce() -> None:
-    class Deaf(ReferenceDevice):
-        def write(self, data: bytes) -> None:
-            pass
-
     with pytest.raises(SchemaMismatchError, match="0badcafe"):
         Client(LoopTransport(Deaf(schema_hash=0x0BADCAFE)))
+
+
+def test_an_announce_with_enumerations_unknown_here_is_no_noise() -> None:
+    class Newer(Deaf):
+        def read(self) -> bytes:
+            payload = bytearray(self._announce().pack())
+            payload[8] = payload[13] = 99  # board, reset cause
+            return encode(RawMessage(wire.Announce.ID, bytes(payload)), 0, 0)
+
+    with pytest.raises(SchemaMismatchError, match=r"0badcafe.*run `make install`"):
+        Client(LoopTransport(Newer(schema_hash=0x0BADCAFE)))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        RawMessage(wire.Telemetry.ID, bytes(wire.Telemetry.SIZE - 2)),
+        RawMessage(0x7E, b"older"),
+        RawMessage(wire.Pulse.ID, b"older"),
+    ],
+    ids=["telemetry", "an unknown id", "a pulse of another size"],
+)
+def test_an_older_layout_is_told_from_noise_and_offered_the_flash(message: RawMessage) -> None:
+    class Older(Deaf):
+        def read(self) -> bytes:
+            return encode(message, 1, 2)
+
+    transport = LoopTransport(Older())
+    transport.virtual = False
+    with pytest.raises(
+        SchemaMismatchError, match=r"another layout of the protocol.*run `thigmo flash loop`"
+    ):
+        Client(transport)
+
+
+def test_a_board_that_talks_and_hears_nothing_has_a_broken_wire() -> None:
+    class Talking(Deaf):
+        def read(self) -> bytes:
+            return encode(wire.Pulse(1, 2), 1, 2)
+
+    with pytest.raises(NotARobotError, match="talks but does not answer; check the cable's"):
+        Client(LoopTransport(Talking()))
 
 
 # Commands.

@@ -1,5 +1,9 @@
 // The configuration in EEPROM, and the boot counter.
 //
+// A slot holds entries: id, type, count and values of each parameter, and of the maps as one. Ids
+// are for ever (protocol/schema.yaml), so a firmware reads what another one stored: what it does
+// not know it leaves out, what is missing stays at its default, and StoredReport tells both.
+//
 // Two slots are written in turn, so that the older one stays whole until the newer one is: a save
 // first spoils the target slot's commit byte, then writes header, configuration and check sequence,
 // and sets the commit byte last. A power cut at any byte leaves a slot without commit byte, and the
@@ -23,16 +27,41 @@ namespace thigmo {
 constexpr uint16_t kCounterAt = 0;  // u32, little-endian
 constexpr uint16_t kSlotAt[2] = {16, 1032};
 constexpr uint16_t kSlotRoom = 1016;
-// In a slot: commit byte, schema hash u32, generation u32, length u16, configuration, crc u16.
-constexpr uint16_t kSlotHeader = 11;
-constexpr uint16_t kSlotSize = kSlotHeader + sizeof(Configuration) + 2;
-constexpr uint8_t kCommitted = 0xA5;
+// In a slot: commit byte, generation u32, length of the entries u16, entries, crc u16 from the
+// generation on.
+constexpr uint16_t kSlotHeader = 7;
+constexpr uint16_t kSlotMost = kSlotRoom - kSlotHeader - 2;  // bytes of entries
+// An entry: id, bytes of a value, number of values, values (signed, little-endian).
+constexpr uint8_t kEntryHeader = 3;
+constexpr uint8_t kMapCount = kZones * kSides * kBranches * protocol::kMapPoints;
+constexpr uint16_t kEntriesSize = kEntryHeader * (protocol::kParamKeys + 1) + sizeof(Configuration);
+constexpr uint16_t kSlotSize = kSlotHeader + kEntriesSize + 2;
+constexpr uint8_t kCommitted = 0xA6;
 constexpr uint8_t kSpoiled = 0x00;
+constexpr uint8_t kWholeImage = 0xA5;  // committed by a firmware that stored no ids
 static_assert(kSlotSize <= kSlotRoom, "the configuration outgrew its slot");
 static_assert(16 + 2 * kSlotRoom <= kEepromUsed, "the slots outgrew the EEPROM's used part");
 
 // What was found at start; the value of the fault bad_config.
-enum class LoadResult : uint8_t { kLoaded = 0, kBlank = 1, kDamaged = 2, kOtherSchema = 3 };
+enum class LoadResult : uint8_t { kLoaded = 0, kBlank = 1, kDamaged = 2, kOldFormat = 3 };
+
+// A list of ids: all are counted, the first eight are kept.
+struct IdList {
+  uint8_t count = 0;
+  uint8_t id[8] = {};
+
+  void add(uint8_t one) {
+    if (count < sizeof(id)) id[count] = one;
+    ++count;
+  }
+};
+
+// How the stored configuration fits this firmware.
+struct StoredReport {
+  uint8_t kept = 0;
+  IdList fresh;    // parameters that were not stored
+  IdList unknown;  // stored, but not of this firmware
+};
 
 class ConfigStore {
  public:
@@ -42,6 +71,7 @@ class ConfigStore {
   uint8_t slot() const { return slot_; }
   bool counted() const { return counter_step_ == kCounterDone; }
   uint32_t boot_count() const { return boot_count_; }
+  const StoredReport& report() const { return report_; }
 
   // Reads the newest whole slot into the configuration, or loads defaults. Blocks for about 3 ms.
   template <typename Board>
@@ -53,7 +83,7 @@ class ConfigStore {
     for (uint8_t slot = 0; slot < 2; ++slot) {
       const LoadResult found = check(board, slot);
       if (found == LoadResult::kLoaded) {
-        const uint32_t generation = read32(board, kSlotAt[slot] + 5u);
+        const uint32_t generation = read32(board, kSlotAt[slot] + 1u);
         if (generation_ == 0 || static_cast<int32_t>(generation - generation_) > 0) {
           generation_ = generation;
           slot_ = slot;
@@ -62,15 +92,10 @@ class ConfigStore {
         worst = found;
       }
     }
-    if (generation_ == 0) {
-      configuration->load_defaults();
-      return worst;
-    }
-    uint8_t* image = reinterpret_cast<uint8_t*>(configuration);
-    for (uint16_t i = 0; i < sizeof(Configuration); ++i) {
-      image[i] = board.eeprom_read(static_cast<uint16_t>(kSlotAt[slot_] + kSlotHeader + i));
-    }
-    if (configuration->first_out_of_range() >= 0 || configuration->first_conflict() >= 0) {
+    configuration->load_defaults();
+    if (generation_ == 0) return worst;
+    if (!read_entries(board, configuration) || configuration->first_out_of_range() >= 0 ||
+        configuration->first_conflict() >= 0) {
       configuration->load_defaults();
       return LoadResult::kDamaged;
     }
@@ -80,6 +105,9 @@ class ConfigStore {
   // Starts a save of the configuration, which must not change until step() ends it.
   void save() {
     next_ = 0;
+    entry_ = 0;
+    entry_at_ = 0;
+    values_ = 0;
     crc_ = Crc{};
     saving_ = true;
     verify_ = false;
@@ -111,6 +139,8 @@ class ConfigStore {
         slot_ = target;
         ++generation_;
         if (generation_ == 0) generation_ = 1;
+        report_ = StoredReport{};
+        report_.kept = protocol::kParamKeys + 1;
         return Step::kDone;
       }
       uint16_t offset = next_;
@@ -146,41 +176,114 @@ class ConfigStore {
   }
 
   template <typename Board>
+  static uint16_t read16(Board& board, uint16_t address) {
+    return static_cast<uint16_t>(
+        board.eeprom_read(address) |
+        static_cast<uint16_t>(board.eeprom_read(static_cast<uint16_t>(address + 1))) << 8);
+  }
+
+  template <typename Board>
   static LoadResult check(Board& board, uint8_t slot) {
     const uint16_t at = kSlotAt[slot];
     const uint8_t commit = board.eeprom_read(at);
     if (commit == 0xFF) return LoadResult::kBlank;
+    if (commit == kWholeImage) return LoadResult::kOldFormat;
     if (commit != kCommitted) return LoadResult::kDamaged;
-    if (read32(board, at + 1u) != protocol::kSchemaHash) return LoadResult::kOtherSchema;
+    const uint16_t length = read16(board, at + 5u);
+    if (length > kSlotMost) return LoadResult::kDamaged;
+    const uint16_t end = static_cast<uint16_t>(at + kSlotHeader + length);
     Crc crc;
-    for (uint16_t i = 1; i < kSlotSize - 2; ++i) {
-      crc.add(board.eeprom_read(static_cast<uint16_t>(at + i)));
+    for (uint16_t i = static_cast<uint16_t>(at + 1); i < end; ++i) crc.add(board.eeprom_read(i));
+    if (board.eeprom_read(end) != crc.low ||
+        board.eeprom_read(static_cast<uint16_t>(end + 1)) != crc.high ||
+        read32(board, at + 1u) == 0) {
+      return LoadResult::kDamaged;
     }
-    const uint16_t stored = static_cast<uint16_t>(
-        board.eeprom_read(static_cast<uint16_t>(at + kSlotSize - 2)) |
-        static_cast<uint16_t>(board.eeprom_read(static_cast<uint16_t>(at + kSlotSize - 1))) << 8);
-    if (crc.value() != stored || read32(board, at + 5u) == 0) return LoadResult::kDamaged;
     return LoadResult::kLoaded;
   }
 
-  // The byte at an offset of the slot's image; offsets are asked in order, for the check sequence.
+  // A kind of entry as this firmware has it: the parameters in the order of their indices, then the
+  // maps. In the order of their places in Configuration, which has no holes.
+  struct Kind {
+    uint8_t id;
+    uint8_t width;  // bytes of a value
+    uint8_t count;
+    uint16_t size() const { return static_cast<uint16_t>(width * count); }
+  };
+
+  static Kind kind(uint8_t index) {
+    if (index == protocol::kParamKeys) return {protocol::kMapId, 2, kMapCount};
+    const protocol::ParamKey* const at = protocol::kParamKeyTable + index;
+    return {THIGMO_FLASH_U8(&at->id), 4, THIGMO_FLASH_U8(&at->count)};
+  }
+
+  // Takes over the entries of the newest slot; false if they do not add up to its length.
+  template <typename Board>
+  bool read_entries(Board& board, Configuration* configuration) {
+    uint8_t* const image = reinterpret_cast<uint8_t*>(configuration);
+    uint8_t seen[(protocol::kParamKeys + 8) / 8] = {};
+    report_ = StoredReport{};
+    uint16_t at = static_cast<uint16_t>(kSlotAt[slot_] + kSlotHeader);
+    const uint16_t end = static_cast<uint16_t>(at + read16(board, at - 2u));
+    while (at != end) {
+      const Kind stored = {board.eeprom_read(at), board.eeprom_read(static_cast<uint16_t>(at + 1)),
+                           board.eeprom_read(static_cast<uint16_t>(at + 2))};
+      at = static_cast<uint16_t>(at + kEntryHeader);
+      if (at > end || end - at < stored.size()) return false;
+      uint16_t place = 0;
+      uint8_t index = 0;
+      Kind known = kind(0);
+      while (known.id != stored.id && index < protocol::kParamKeys) {
+        place = static_cast<uint16_t>(place + known.size());
+        known = kind(++index);
+      }
+      if (known.id == stored.id && known.width == stored.width && known.count == stored.count) {
+        for (uint16_t i = 0; i < stored.size(); ++i) {
+          image[place + i] = board.eeprom_read(static_cast<uint16_t>(at + i));
+        }
+        seen[index / 8] = static_cast<uint8_t>(seen[index / 8] | 1u << index % 8);
+        ++report_.kept;
+      } else {
+        report_.unknown.add(stored.id);
+      }
+      at = static_cast<uint16_t>(at + stored.size());
+    }
+    for (uint8_t i = 0; i <= protocol::kParamKeys; ++i) {
+      if ((seen[i / 8] >> i % 8 & 1) == 0) report_.fresh.add(kind(i).id);
+    }
+    return true;
+  }
+
+  // The byte at an offset of the slot's image; offsets are asked in order, each once, for the check
+  // sequence and the place among the entries.
   uint8_t image_byte(const Configuration& configuration, uint16_t offset) {
     uint8_t byte;
     if (offset >= kSlotSize - 2) {
       return offset == kSlotSize - 2 ? crc_.low : crc_.high;
     }
     if (offset < 5) {
-      byte = static_cast<uint8_t>(protocol::kSchemaHash >> (8 * (offset - 1)));
-    } else if (offset < 9) {
       const uint32_t next = generation_ == 0xFFFFFFFFu ? 1 : generation_ + 1;
-      byte = static_cast<uint8_t>(next >> (8 * (offset - 5)));
+      byte = static_cast<uint8_t>(next >> (8 * (offset - 1)));
     } else if (offset < kSlotHeader) {
-      byte = static_cast<uint8_t>(sizeof(Configuration) >> (8 * (offset - 9)));
+      byte = static_cast<uint8_t>(kEntriesSize >> (8 * (offset - 5)));
     } else {
-      byte = reinterpret_cast<const uint8_t*>(&configuration)[offset - kSlotHeader];
+      byte = entry_byte(configuration);
     }
     crc_.add(byte);
     return byte;
+  }
+
+  uint8_t entry_byte(const Configuration& configuration) {
+    const Kind now = kind(entry_);
+    const uint16_t at = entry_at_++;
+    if (at == 0) return now.id;
+    if (at == 1) return now.width;
+    if (at == 2) return now.count;
+    if (entry_at_ == kEntryHeader + now.size()) {
+      ++entry_;
+      entry_at_ = 0;
+    }
+    return reinterpret_cast<const uint8_t*>(&configuration)[values_++];
   }
 
   template <typename Board>
@@ -197,7 +300,11 @@ class ConfigStore {
 
   uint32_t boot_count_ = 0;
   uint32_t generation_ = 0;
+  StoredReport report_;
   uint16_t next_ = 0;
+  uint16_t entry_at_ = 0;  // byte of the entry in work
+  uint16_t values_ = 0;    // bytes of the configuration written
+  uint8_t entry_ = 0;
   Crc crc_;
   uint16_t address_ = 0;
   uint8_t byte_ = 0;

@@ -16,12 +16,13 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x56C21F6Cu;
+constexpr uint32_t kSchemaHash = 0x71E7068Bu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
 constexpr uint8_t kHeaderSize = 5;  // id u8, seq u16, session u16
 constexpr uint8_t kCrcSize = 2;
+constexpr uint8_t kMapId = 255;  // under which the store keeps the maps
 constexpr uint8_t kMapPoints = 11;
 constexpr int16_t kMapStepCpsi = 200;
 
@@ -235,6 +236,7 @@ constexpr uint8_t kGetSnapshot = 0x16;
 constexpr uint8_t kAckEvent = 0x17;
 constexpr uint8_t kApplyParameters = 0x1B;
 constexpr uint8_t kGetLinkStats = 0x18;
+constexpr uint8_t kGetConfigReport = 0x19;
 constexpr uint8_t kAck = 0x80;
 constexpr uint8_t kHelloReply = 0x81;
 constexpr uint8_t kStatusReport = 0x82;
@@ -243,6 +245,7 @@ constexpr uint8_t kParameterValue = 0x84;
 constexpr uint8_t kMapValues = 0x85;
 constexpr uint8_t kSnapshot = 0x86;
 constexpr uint8_t kLinkStats = 0x87;
+constexpr uint8_t kConfigReport = 0x88;
 constexpr uint8_t kHeartbeat = 0x20;
 constexpr uint8_t kPulse = 0xA0;
 constexpr uint8_t kAnnounce = 0xA1;
@@ -302,6 +305,8 @@ constexpr uint8_t inboundSize(uint8_t id) {
     case kApplyParameters:
       return 0;
     case kGetLinkStats:
+      return 0;
+    case kGetConfigReport:
       return 0;
     case kHeartbeat:
       return 4;
@@ -722,6 +727,17 @@ struct GetLinkStats {
   }
 };
 
+// What the running firmware made of the stored configuration.
+struct GetConfigReport {
+  static constexpr uint8_t kId = kGetConfigReport;
+  static constexpr uint8_t kSize = 0;
+  void encode(uint8_t*) const {}
+  static bool decode(const uint8_t*, uint8_t length, GetConfigReport*) {
+    if (length != kSize) return false;
+    return true;
+  }
+};
+
 // Answer of commands that return nothing else, and every refusal.
 struct Ack {
   static constexpr uint8_t kId = kAck;
@@ -1021,6 +1037,48 @@ struct LinkStats {
     out->rx_overruns = static_cast<uint16_t>(detail::get16(in + 11));
     out->tx_dropped = static_cast<uint16_t>(detail::get16(in + 13));
     out->loop_max_us = static_cast<uint16_t>(detail::get16(in + 15));
+    return true;
+  }
+};
+
+// How the stored configuration fits the firmware that runs, as of the last start or save. The lists
+// hold the first 8 ids and are filled up with 0.
+struct ConfigReport {
+  static constexpr uint8_t kId = kConfigReport;
+  static constexpr uint8_t kSize = 24;
+  Status status;           // ok.
+  uint32_t generation;     // Of the stored configuration; 0 = none.
+  uint8_t kept;            // Stored parameters that this firmware has, the maps as one.
+  uint8_t new_count;       // Parameters that were not stored, at their defaults.
+  uint8_t new_ids[8];      // Their ids.
+  uint8_t unknown_count;   // Stored parameters that this firmware does not have, left out.
+  uint8_t unknown_ids[8];  // Their ids.
+  void encode(uint8_t* out) const {
+    detail::put8(out + 0, static_cast<uint8_t>(status));
+    detail::put32(out + 1, static_cast<uint32_t>(generation));
+    detail::put8(out + 5, static_cast<uint8_t>(kept));
+    detail::put8(out + 6, static_cast<uint8_t>(new_count));
+    for (uint8_t i = 0; i < 8; ++i) {
+      detail::put8(out + 7 + 1 * i, static_cast<uint8_t>(new_ids[i]));
+    }
+    detail::put8(out + 15, static_cast<uint8_t>(unknown_count));
+    for (uint8_t i = 0; i < 8; ++i) {
+      detail::put8(out + 16 + 1 * i, static_cast<uint8_t>(unknown_ids[i]));
+    }
+  }
+  static bool decode(const uint8_t* in, uint8_t length, ConfigReport* out) {
+    if (length != kSize) return false;
+    out->status = static_cast<Status>(detail::get8(in + 0));
+    out->generation = static_cast<uint32_t>(detail::get32(in + 1));
+    out->kept = static_cast<uint8_t>(detail::get8(in + 5));
+    out->new_count = static_cast<uint8_t>(detail::get8(in + 6));
+    for (uint8_t i = 0; i < 8; ++i) {
+      out->new_ids[i] = static_cast<uint8_t>(detail::get8(in + 7 + 1 * i));
+    }
+    out->unknown_count = static_cast<uint8_t>(detail::get8(in + 15));
+    for (uint8_t i = 0; i < 8; ++i) {
+      out->unknown_ids[i] = static_cast<uint8_t>(detail::get8(in + 16 + 1 * i));
+    }
     return true;
   }
 };
@@ -1334,6 +1392,63 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {50, 10000, 500},            // heartbeat_ms
     {3000, 5500, 4500},          // supply_min_mv
     {0, 10000, 5},               // telemetry_ms
+};
+
+// What the store keeps them under, in the order of their indices.
+struct ParamKey {
+  uint8_t id, count;
+};
+constexpr uint8_t kParamKeys = 49;
+constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
+    {1, 10},  // flex_enabled
+    {2, 10},  // flex_center_um
+    {3, 10},  // flex_span_um
+    {4, 10},  // flex_scale
+    {5, 1},   // settle_ms
+    {6, 1},   // fold_margin_um
+    {7, 1},   // drift_limit_e5
+    {8, 1},   // zero_ms
+    {9, 1},   // oversample_log2
+    {10, 2},  // pressure_zero
+    {11, 2},  // pressure_span
+    {12, 1},  // pressure_full_cpsi
+    {13, 1},  // max_pressure_cpsi
+    {14, 1},  // over_pressure_cpsi
+    {15, 1},  // vent_cpsi
+    {16, 1},  // live_zero_cpsi
+    {17, 1},  // drive_4ma_cpsi
+    {18, 1},  // drive_20ma_cpsi
+    {19, 1},  // pressure_kp
+    {20, 1},  // pressure_ki
+    {21, 1},  // pressure_kd
+    {22, 1},  // pressure_slew_cpsi_s
+    {23, 1},  // stuck_cpsi
+    {24, 1},  // stuck_ms
+    {49, 1},  // drive_tolerance_cpsi
+    {25, 2},  // lag_ms
+    {26, 2},  // reversal_cpsi
+    {27, 1},  // trigger_e5
+    {28, 1},  // trigger_debounce_ms
+    {29, 1},  // trigger_filter_log2
+    {30, 1},  // peak_spacing_ms
+    {31, 1},  // full_length_um
+    {32, 1},  // pitch_um
+    {33, 1},  // counts_per_m
+    {34, 1},  // payout_q8
+    {35, 1},  // spool_speed_um_s
+    {36, 1},  // spool_accel_um_s2
+    {37, 1},  // spool_kp
+    {38, 1},  // spool_ki
+    {39, 1},  // spool_kd
+    {40, 1},  // spool_kff
+    {41, 1},  // spool_dead_zone
+    {42, 1},  // spool_tolerance_um
+    {43, 1},  // stall_ms
+    {44, 1},  // slip_um
+    {45, 1},  // home_speed_um_s
+    {46, 1},  // heartbeat_ms
+    {47, 1},  // supply_min_mv
+    {48, 1},  // telemetry_ms
 };
 
 }  // namespace protocol

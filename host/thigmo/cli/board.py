@@ -40,6 +40,9 @@ def params(
             robot.save()
         names = [name] if name is not None else list(wire.PARAMETERS)
         values = {each: robot.parameter(each) for each in names}
+        stored = robot.stored_configuration()
+    if stored.generation and stored.remark:
+        typer.echo(f"thigmo: {stored.remark}; `thigmo params {url} --save` stores all", err=True)
     if name is not None and value and not save:
         note = f"thigmo: {name} is not stored and ends with this connection; keep it with --save"
         typer.echo(note, err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -42,7 +43,12 @@ def flash(
                 "firmware": version,
                 "schema_hash": f"{done.hello.schema_hash:08x}",
                 "reset_cause": done.hello.reset_cause.name.lower(),
+                "stored": asdict(done.stored),
             }
         )
     else:
         typer.echo(f"firmware {version} ({done.image.size} bytes) runs on {port}")
+        if done.stored.generation:
+            typer.echo(f"{done.stored.kept} stored parameters are kept")
+        if done.stored.remark:
+            typer.echo(done.stored.remark)

@@ -59,6 +59,7 @@ class _Outstanding:
     attempts: int = 0
     answer: wire.Message | None = None
     orphaned: bool = False  # the board knows the session no more
+    refused_by: int | None = None  # hash of the schema that the board speaks instead
 
 
 class Client(Inbox):
@@ -109,6 +110,7 @@ class Client(Inbox):
         self._connected = False  # a hello was answered, and no other `connect` has begun
         self._announce: wire.Announce | None = None
         self._other_hash: int | None = None
+        self._strange = 0  # whole frames, heard before a hello was answered, that nobody here reads
         self._nonces: deque[int] = deque(maxlen=_NONCES)
         self._handling = False
         if connect:
@@ -169,19 +171,23 @@ class Client(Inbox):
         self._broken = None
         self._talking = self._connected = False
         self._outstanding = None
-        self._announce = None
-        garbage = self._decoder.garbage
+        self._announce = self._other_hash = None
+        self._strange = 0
+        garbage, frames = self._decoder.garbage, self._decoder.frames
         self._listen(SILENCE_S)
         if self._say_hello(wire.Hello.DEADLINE_S) is None:
             self._announce = None
             self._listen(BOOT_LOADER_S)
             if self._announce is None or self._say_hello(wire.Hello.DEADLINE_S) is None:
-                announce = self._announce
-                if announce is not None and announce.schema_hash != self._schema_hash:
-                    raise failures.other_schema(
-                        self._schema_hash, announce.schema_hash, self.transport
-                    )
-                raise failures.nobody(self.transport, announce, self._decoder.garbage - garbage)
+                if self._other_hash is not None:
+                    raise failures.other_schema(self._schema_hash, self._other_hash, self.transport)
+                raise failures.nobody(
+                    self.transport,
+                    announced=self._announce is not None,
+                    frames=self._decoder.frames - frames,
+                    strange=self._strange,
+                    garbage=self._decoder.garbage - garbage,
+                )
         return self.hello
 
     # Commands.
@@ -288,12 +294,11 @@ class Client(Inbox):
         frame = encode(hello, 0, 0)
         outstanding = _Outstanding(hello, wire.HelloReply, frame, 0, 0, until_s)
         self._outstanding = outstanding
-        self._other_hash = None
         self._transmit(outstanding)
         while outstanding.answer is None and self._outstanding is outstanding:
             self._pump(until_s)
-        if self._other_hash is not None:
-            raise failures.other_schema(self._schema_hash, self._other_hash, self.transport)
+        if outstanding.refused_by is not None:
+            raise failures.other_schema(self._schema_hash, outstanding.refused_by, self.transport)
         reply = outstanding.answer
         if not isinstance(reply, wire.HelloReply):
             return None
@@ -387,6 +392,7 @@ class Client(Inbox):
 
     def _handle(self, frame: Frame, t_s: float) -> None:
         if frame.id == wire.Telemetry.ID:
+            self._strange += len(frame.payload) != wire.Telemetry.SIZE
             self._take_telemetry(frame, t_s)
             return
         if frame.id == wire.HelloReply.ID and self._other_board(frame.payload):
@@ -395,6 +401,10 @@ class Client(Inbox):
             message = frame.message()
         except FrameError:
             self.stats.foreign += 1
+            if frame.id == wire.Announce.ID and len(frame.payload) == wire.Announce.SIZE:
+                self._other_hash = _hash_in_announce(frame.payload)
+            else:
+                self._strange += 1
             return
         if isinstance(message, wire.Announce):
             self._take_announce(message)
@@ -421,12 +431,15 @@ class Client(Inbox):
             return False
         if theirs == self._schema_hash and not refused:
             return False
-        self._other_hash = theirs
+        assert self._outstanding is not None
+        self._outstanding.refused_by = theirs
         self._outstanding = None
         return True
 
     def _take_announce(self, message: wire.Announce) -> None:
         self._announce = message
+        if message.schema_hash != self._schema_hash:
+            self._other_hash = message.schema_hash
         if message.boot_nonce in self._nonces:
             return  # heard before: it waits for a hello, or is a replay
         self._nonces.append(message.boot_nonce)
@@ -475,3 +488,8 @@ class Client(Inbox):
     def _raise_if_broken(self) -> None:
         if self._broken is not None:
             raise self._broken
+
+
+def _hash_in_announce(payload: bytes) -> int:
+    """The schema hash of an announce, whose layout is the same in every schema (`frozen`)."""
+    return int.from_bytes(payload[1:5], "little")

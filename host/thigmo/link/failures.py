@@ -6,6 +6,7 @@ from thigmo.errors import (
     BoardResetError,
     CommandRefusedError,
     CommandTimeoutError,
+    LinkError,
     NotARobotError,
     SchemaMismatchError,
 )
@@ -41,23 +42,38 @@ def restarted(cause: wire.ResetCause) -> BoardResetError:
 
 def other_schema(ours: int, theirs: int, transport: Transport) -> SchemaMismatchError:
     """Board and host do not speak the same protocol."""
-    cure = "run `make install`" if transport.virtual else f"run `thigmo flash {transport.name}`"
     return SchemaMismatchError(
-        f"the board's firmware has schema {theirs:08x}, this host has {ours:08x}", cure
+        f"the board's firmware has schema {theirs:08x}, this host has {ours:08x}",
+        _new_firmware(transport),
     )
 
 
-def nobody(transport: Transport, announce: wire.Announce | None, garbage: int) -> NotARobotError:
+def _new_firmware(transport: Transport) -> str:
+    return "run `make install`" if transport.virtual else f"run `thigmo flash {transport.name}`"
+
+
+def nobody(
+    transport: Transport, *, announced: bool, frames: int, strange: int, garbage: int
+) -> LinkError:
     """No hello was answered.
 
     Args:
         transport: where.
-        announce: heard from a board that then did not answer.
+        announced: a board announced itself.
+        frames: whole frames heard, with a good check sequence: only a thigmo board sends them.
+        strange: those among them that this host cannot read.
         garbage: bytes heard that were no frames.
     """
-    if announce is not None:
+    if strange:
+        return SchemaMismatchError(
+            f"the board on {transport.name} speaks another layout of the protocol ({strange} whole "
+            "frames that this host cannot read)",
+            _new_firmware(transport),
+        )
+    if announced or frames:
+        does = "announces itself" if announced else "talks"
         return NotARobotError(
-            f"the board on {transport.name} announces itself but does not answer",
+            f"the board on {transport.name} {does} but does not answer",
             "check the cable's transmit line, or try another cable",
         )
     if garbage:

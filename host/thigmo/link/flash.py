@@ -23,6 +23,7 @@ from thigmo.errors import (
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.image import Image, build_image, read_image
+from thigmo.link.stored import StoredConfiguration
 from thigmo.link.transport import open_transport
 
 BOOT_LOADER_BAUD = 115_200
@@ -89,6 +90,7 @@ class Flashed:
 
     image: Image
     hello: wire.HelloReply
+    stored: StoredConfiguration
 
 
 def check(image: Image) -> None:
@@ -142,7 +144,7 @@ def flash(
     tell(f"writing and verifying {content.size} bytes")
     _run(program, port, content.path)
     tell("waiting for the board's hello")
-    return Flashed(content, _hello(port))
+    return Flashed(content, *_meet(port))
 
 
 def _run(program: str, port: str, image: Path) -> None:
@@ -181,22 +183,22 @@ def explain(output: str, port: str) -> LinkError:
     return LinkError(f"avrdude failed: {lines[0].strip()}", "flash again; report it if it stays")
 
 
-def _hello(port: str) -> wire.HelloReply:
+def _meet(port: str) -> tuple[wire.HelloReply, StoredConfiguration]:
+    """Who runs there now, and what it made of the configuration that was stored before."""
     transport = open_transport(port)
     try:
-        client = Client(transport)
-    except SchemaMismatchError:
-        raise
-    except NotARobotError as error:
-        raise NotARobotError(
-            "the image was written and verified, but nothing on the board says hello",
-            "press the board's reset button; if it stays silent, flash again",
-        ) from error
+        try:
+            client = Client(transport)
+        except NotARobotError as error:
+            raise NotARobotError(
+                "the image was written and verified, but nothing on the board says hello",
+                "press the board's reset button; if it stays silent, flash again",
+            ) from error
+        if client.hello.board != wire.Board.MEGA:
+            raise NotARobotError(
+                f"{port} answers as {client.hello.board.name.lower()}, not as a Mega",
+                "give the board's port",
+            )
+        return client.hello, StoredConfiguration.of(client.request(wire.GetConfigReport()))
     finally:
         transport.close()
-    hello = client.hello
-    if hello.board != wire.Board.MEGA:
-        raise NotARobotError(
-            f"{port} answers as {hello.board.name.lower()}, not as a Mega", "give the board's port"
-        )
-    return hello

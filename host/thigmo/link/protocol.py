@@ -12,11 +12,12 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x56C21F6C
+SCHEMA_HASH = 0x71E7068B
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
 CRC = "crc-ccitt-false"
+MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
 
@@ -367,6 +368,7 @@ _PARAMETER_VALUE = Struct("<BHi")
 _MAP_VALUES = Struct("<BBBB11h")
 _SNAPSHOT = Struct("<BBBBBI10Hhhhhh")
 _LINK_STATS = Struct("<BIHHHHHH")
+_CONFIG_REPORT = Struct("<BIBB8BB8B")
 _HEARTBEAT = Struct("<I")
 _PULSE = Struct("<II")
 _ANNOUNCE = Struct("<BI3BBIB")
@@ -786,6 +788,53 @@ class LinkStats(Message):
             raise ValueError(_bad_size(cls, payload))
         v = _LINK_STATS.unpack(payload)
         return cls(Status(v[0]), v[1], v[2], v[3], v[4], v[5], v[6], v[7])
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigReport(Message):
+    """How the stored configuration fits the firmware that runs, as of the last start or save.
+    The lists hold the first 8 ids and are filled up with 0.
+    """
+
+    ID: ClassVar[int] = 0x88
+    SIZE: ClassVar[int] = 24
+    NAME: ClassVar[str] = "config_report"
+    KIND: ClassVar[str] = "reply"
+
+    status: Status
+    """ok."""
+    generation: int
+    """Of the stored configuration; 0 = none."""
+    kept: int
+    """Stored parameters that this firmware has, the maps as one."""
+    new_count: int
+    """Parameters that were not stored, at their defaults."""
+    new_ids: tuple[int, ...]
+    """Their ids."""
+    unknown_count: int
+    """Stored parameters that this firmware does not have, left out."""
+    unknown_ids: tuple[int, ...]
+    """Their ids."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _CONFIG_REPORT.pack(
+            self.status,
+            self.generation,
+            self.kept,
+            self.new_count,
+            *self.new_ids,
+            self.unknown_count,
+            *self.unknown_ids,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ConfigReport:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _CONFIG_REPORT.unpack(payload)
+        return cls(Status(v[0]), v[1], v[2], v[3], v[4:12], v[12], v[13:21])
 
 
 @dataclass(frozen=True, slots=True)
@@ -1699,6 +1748,29 @@ class GetLinkStats(Command[LinkStats]):
         return cls()
 
 
+@dataclass(frozen=True, slots=True)
+class GetConfigReport(Command[ConfigReport]):
+    """What the running firmware made of the stored configuration."""
+
+    ID: ClassVar[int] = 0x19
+    SIZE: ClassVar[int] = 0
+    NAME: ClassVar[str] = "get_config_report"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = ConfigReport
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return b""
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> GetConfigReport:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        return cls()
+
+
 MESSAGES: dict[int, type[Message]] = {
     0x01: Hello,
     0x02: GetStatus,
@@ -1725,6 +1797,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x17: AckEvent,
     0x1B: ApplyParameters,
     0x18: GetLinkStats,
+    0x19: GetConfigReport,
     0x80: Ack,
     0x81: HelloReply,
     0x82: StatusReport,
@@ -1733,6 +1806,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x85: MapValues,
     0x86: Snapshot,
     0x87: LinkStats,
+    0x88: ConfigReport,
     0x20: Heartbeat,
     0xA0: Pulse,
     0xA1: Announce,
@@ -1747,6 +1821,7 @@ class Parameter:
     """A row of the parameter table; arrays take `count` consecutive indices."""
 
     name: str
+    id: int
     index: int
     count: int
     unit: str
@@ -1761,6 +1836,7 @@ PARAMETERS: dict[str, Parameter] = {
     for parameter in (
         Parameter(
             "flex_enabled",
+            1,
             0,
             10,
             "",
@@ -1771,6 +1847,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "flex_center_um",
+            2,
             10,
             10,
             "um",
@@ -1781,6 +1858,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "flex_span_um",
+            3,
             20,
             10,
             "um",
@@ -1791,6 +1869,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "flex_scale",
+            4,
             30,
             10,
             "1e-9/cm per ohm",
@@ -1801,6 +1880,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "settle_ms",
+            5,
             40,
             1,
             "ms",
@@ -1811,6 +1891,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "fold_margin_um",
+            6,
             41,
             1,
             "um",
@@ -1821,6 +1902,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "drift_limit_e5",
+            7,
             42,
             1,
             "1e-5/cm/s",
@@ -1829,9 +1911,10 @@ PARAMETERS: dict[str, Parameter] = {
             (40,),
             "Most drift at which zeroing is allowed.",
         ),
-        Parameter("zero_ms", 43, 1, "ms", 50, 10000, (1000,), "Averaging time of a zero."),
+        Parameter("zero_ms", 8, 43, 1, "ms", 50, 10000, (1000,), "Averaging time of a zero."),
         Parameter(
             "oversample_log2",
+            9,
             44,
             1,
             "",
@@ -1842,6 +1925,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "pressure_zero",
+            10,
             45,
             2,
             "1/64 count",
@@ -1852,6 +1936,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "pressure_span",
+            11,
             47,
             2,
             "1/64 count",
@@ -1862,6 +1947,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "pressure_full_cpsi",
+            12,
             49,
             1,
             "0.01 psi",
@@ -1872,6 +1958,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "max_pressure_cpsi",
+            13,
             50,
             1,
             "0.01 psi",
@@ -1883,10 +1970,15 @@ PARAMETERS: dict[str, Parameter] = {
                 "reliably). The limit of 20 psi is compiled in."
             ),
         ),
-        Parameter("over_pressure_cpsi", 51, 1, "0.01 psi", 100, 2500, (2300,), "Fault above this."),
-        Parameter("vent_cpsi", 52, 1, "0.01 psi", 5, 100, (50,), "A muscle below this is vented."),
+        Parameter(
+            "over_pressure_cpsi", 14, 51, 1, "0.01 psi", 100, 2500, (2300,), "Fault above this."
+        ),
+        Parameter(
+            "vent_cpsi", 15, 52, 1, "0.01 psi", 5, 100, (50,), "A muscle below this is vented."
+        ),
         Parameter(
             "live_zero_cpsi",
+            16,
             53,
             1,
             "0.01 psi",
@@ -1896,13 +1988,22 @@ PARAMETERS: dict[str, Parameter] = {
             "Set points below this are unreachable: 0 mA.",
         ),
         Parameter(
-            "drive_4ma_cpsi", 54, 1, "0.01 psi", 0, 2000, (200,), "Transducer output at 4 mA."
+            "drive_4ma_cpsi", 17, 54, 1, "0.01 psi", 0, 2000, (200,), "Transducer output at 4 mA."
         ),
         Parameter(
-            "drive_20ma_cpsi", 55, 1, "0.01 psi", 500, 20000, (6000,), "Transducer output at 20 mA."
+            "drive_20ma_cpsi",
+            18,
+            55,
+            1,
+            "0.01 psi",
+            500,
+            20000,
+            (6000,),
+            "Transducer output at 20 mA.",
         ),
         Parameter(
             "pressure_kp",
+            19,
             56,
             1,
             "1/256",
@@ -1911,12 +2012,21 @@ PARAMETERS: dict[str, Parameter] = {
             (128,),
             "Proportional gain, psi of drive per psi of error.",
         ),
-        Parameter("pressure_ki", 57, 1, "1/256 per s", 0, 32767, (512,), "Integral gain."),
+        Parameter("pressure_ki", 20, 57, 1, "1/256 per s", 0, 32767, (512,), "Integral gain."),
         Parameter(
-            "pressure_kd", 58, 1, "1/256 s", 0, 32767, (5,), "Derivative gain, on the measurement."
+            "pressure_kd",
+            21,
+            58,
+            1,
+            "1/256 s",
+            0,
+            32767,
+            (5,),
+            "Derivative gain, on the measurement.",
         ),
         Parameter(
             "pressure_slew_cpsi_s",
+            22,
             59,
             1,
             "0.01 psi/s",
@@ -1927,6 +2037,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "stuck_cpsi",
+            23,
             60,
             1,
             "0.01 psi",
@@ -1935,9 +2046,10 @@ PARAMETERS: dict[str, Parameter] = {
             (200,),
             "Set-point error that counts as stuck.",
         ),
-        Parameter("stuck_ms", 61, 1, "ms", 100, 5000, (1500,), "For so long."),
+        Parameter("stuck_ms", 24, 61, 1, "ms", 100, 5000, (1500,), "For so long."),
         Parameter(
             "drive_tolerance_cpsi",
+            49,
             62,
             1,
             "0.01 psi",
@@ -1952,6 +2064,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "lag_ms",
+            25,
             63,
             2,
             "ms",
@@ -1962,6 +2075,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "reversal_cpsi",
+            26,
             65,
             2,
             "0.01 psi",
@@ -1972,6 +2086,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "trigger_e5",
+            27,
             67,
             1,
             "1e-5/cm",
@@ -1985,6 +2100,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "trigger_debounce_ms",
+            28,
             68,
             1,
             "ms",
@@ -1998,6 +2114,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "trigger_filter_log2",
+            29,
             69,
             1,
             "",
@@ -2012,6 +2129,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "peak_spacing_ms",
+            30,
             70,
             1,
             "ms",
@@ -2020,10 +2138,13 @@ PARAMETERS: dict[str, Parameter] = {
             (50,),
             "Between the ten readings around a sweep's peak.",
         ),
-        Parameter("full_length_um", 71, 1, "um", 10000, 5000000, (530000,), "Deployable length."),
-        Parameter("pitch_um", 72, 1, "um", 1000, 1000000, (100000,), "Sensor pitch."),
+        Parameter(
+            "full_length_um", 31, 71, 1, "um", 10000, 5000000, (530000,), "Deployable length."
+        ),
+        Parameter("pitch_um", 32, 72, 1, "um", 1000, 1000000, (100000,), "Sensor pitch."),
         Parameter(
             "counts_per_m",
+            33,
             73,
             1,
             "count/m",
@@ -2034,6 +2155,7 @@ PARAMETERS: dict[str, Parameter] = {
         ),
         Parameter(
             "payout_q8",
+            34,
             74,
             1,
             "1/256",
@@ -2042,9 +2164,12 @@ PARAMETERS: dict[str, Parameter] = {
             (512,),
             "Line paid out per length grown (base-fed eversion: 2).",
         ),
-        Parameter("spool_speed_um_s", 75, 1, "um/s", 100, 200000, (20000,), "Tip speed of growth."),
+        Parameter(
+            "spool_speed_um_s", 35, 75, 1, "um/s", 100, 200000, (20000,), "Tip speed of growth."
+        ),
         Parameter(
             "spool_accel_um_s2",
+            36,
             76,
             1,
             "um/s2",
@@ -2053,14 +2178,29 @@ PARAMETERS: dict[str, Parameter] = {
             (40000,),
             "Acceleration of the trapezoid profile.",
         ),
-        Parameter("spool_kp", 77, 1, "1/256 duty per count", 0, 32767, (1024,), "Position gain."),
-        Parameter("spool_ki", 78, 1, "1/256 duty per count s", 0, 32767, (1024,), "Integral gain."),
-        Parameter("spool_kd", 79, 1, "1/256 duty s per count", 0, 32767, (26,), "Derivative gain."),
         Parameter(
-            "spool_kff", 80, 1, "1/256 duty s per count", 0, 32767, (106,), "Feed-forward of speed."
+            "spool_kp", 37, 77, 1, "1/256 duty per count", 0, 32767, (1024,), "Position gain."
+        ),
+        Parameter(
+            "spool_ki", 38, 78, 1, "1/256 duty per count s", 0, 32767, (1024,), "Integral gain."
+        ),
+        Parameter(
+            "spool_kd", 39, 79, 1, "1/256 duty s per count", 0, 32767, (26,), "Derivative gain."
+        ),
+        Parameter(
+            "spool_kff",
+            40,
+            80,
+            1,
+            "1/256 duty s per count",
+            0,
+            32767,
+            (106,),
+            "Feed-forward of speed.",
         ),
         Parameter(
             "spool_dead_zone",
+            41,
             81,
             1,
             "1/800 of full",
@@ -2070,13 +2210,22 @@ PARAMETERS: dict[str, Parameter] = {
             "Duty at which the motor begins to turn.",
         ),
         Parameter(
-            "spool_tolerance_um", 82, 1, "um", 50, 50000, (500,), "At the target within this."
+            "spool_tolerance_um", 42, 82, 1, "um", 50, 50000, (500,), "At the target within this."
         ),
         Parameter(
-            "stall_ms", 83, 1, "ms", 50, 2000, (400,), "Driven and still for so long is a stall."
+            "stall_ms",
+            43,
+            83,
+            1,
+            "ms",
+            50,
+            2000,
+            (400,),
+            "Driven and still for so long is a stall.",
         ),
         Parameter(
             "slip_um",
+            44,
             84,
             1,
             "um",
@@ -2085,9 +2234,12 @@ PARAMETERS: dict[str, Parameter] = {
             (3000,),
             "Movement with the motor off that is a slip.",
         ),
-        Parameter("home_speed_um_s", 85, 1, "um/s", 100, 100000, (8000,), "Tip speed of homing."),
+        Parameter(
+            "home_speed_um_s", 45, 85, 1, "um/s", 100, 100000, (8000,), "Tip speed of homing."
+        ),
         Parameter(
             "heartbeat_ms",
+            46,
             86,
             1,
             "ms",
@@ -2100,9 +2252,17 @@ PARAMETERS: dict[str, Parameter] = {
             ),
         ),
         Parameter(
-            "supply_min_mv", 87, 1, "mV", 3000, 5500, (4500,), "Supply below this is a brown-out."
+            "supply_min_mv",
+            47,
+            87,
+            1,
+            "mV",
+            3000,
+            5500,
+            (4500,),
+            "Supply below this is a brown-out.",
         ),
-        Parameter("telemetry_ms", 88, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
+        Parameter("telemetry_ms", 48, 88, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
     )
 }
 PARAMETER_COUNT = 89

@@ -19,6 +19,7 @@ import numpy as np
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
+from thigmo.link.stored import StoredConfiguration
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
@@ -273,6 +274,10 @@ class Robot:
     def save(self) -> int:
         """Store the configuration in the board; returns its generation. Takes seconds."""
         return self._client.request(wire.SaveConfig()).detail
+
+    def stored_configuration(self) -> StoredConfiguration:
+        """How the stored configuration fits the firmware that runs."""
+        return StoredConfiguration.of(self._client.request(wire.GetConfigReport()))
 
     # State.
 

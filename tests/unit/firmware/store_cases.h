@@ -2,6 +2,7 @@
 #ifndef THIGMO_TESTS_FIRMWARE_STORE_CASES_H_
 #define THIGMO_TESTS_FIRMWARE_STORE_CASES_H_
 
+#include <algorithm>
 #include <cstring>
 
 #include "check.h"
@@ -111,7 +112,7 @@ TEST(a_power_cut_at_any_byte_keeps_a_whole_configuration) {
   int cuts = 0;
   for (int cut = 0;; ++cut) {
     bool cut_happened = false;
-    for (const int garbage : {0x00, 0xFF, 0xA5, 0x5A}) {
+    for (const int garbage : {0x00, 0xFF, 0xA5, 0xA6}) {
       Eeprom eeprom = before;
       ConfigStore store;
       Configuration c;
@@ -178,15 +179,167 @@ TEST(any_flipped_byte_of_the_only_slot_is_found) {
   }
 }
 
-TEST(a_configuration_of_another_schema_is_not_loaded) {
+TEST(a_configuration_stored_without_ids_is_told) {
   Eeprom eeprom;
   ConfigStore store;
   Configuration c;
   boot(eeprom, store, c);
   CHECK(save(eeprom, store, config(1)));
-  eeprom.cells[kSlotAt[0] + 1] ^= 1;
+  eeprom.cells[kSlotAt[0]] = kWholeImage;
   ConfigStore next;
-  CHECK(boot(eeprom, next, c) == LoadResult::kOtherSchema);
+  CHECK(boot(eeprom, next, c) == LoadResult::kOldFormat);
+}
+
+using Entry = std::vector<uint8_t>;
+
+// The entries of the first slot.
+inline std::vector<Entry> entries(const Eeprom& eeprom) {
+  const uint8_t* at = eeprom.cells + kSlotAt[0] + kSlotHeader;
+  const uint8_t* const end = at + (at[-2] | at[-1] << 8);
+  std::vector<Entry> found;
+  while (at < end) {
+    found.emplace_back(at, at + kEntryHeader + at[1] * at[2]);
+    at += found.back().size();
+  }
+  return found;
+}
+
+// Puts other entries there, as another firmware would have stored them.
+inline void put(Eeprom& eeprom, const std::vector<Entry>& wanted) {
+  uint8_t* const slot = eeprom.cells + kSlotAt[0];
+  uint8_t* at = slot + kSlotHeader;
+  for (const Entry& entry : wanted) {
+    std::memcpy(at, entry.data(), entry.size());
+    at += entry.size();
+  }
+  const size_t length = static_cast<size_t>(at - slot) - kSlotHeader;
+  CHECK(length <= kSlotMost);
+  slot[5] = static_cast<uint8_t>(length);
+  slot[6] = static_cast<uint8_t>(length >> 8);
+  Crc crc;
+  for (const uint8_t* byte = slot + 1; byte != at; ++byte) crc.add(*byte);
+  at[0] = crc.low;
+  at[1] = crc.high;
+}
+
+inline uint16_t index_of(uint8_t key) {
+  uint16_t index = 0;
+  for (uint8_t i = 0; i < key; ++i) {
+    index = static_cast<uint16_t>(index + protocol::kParamKeyTable[i].count);
+  }
+  return index;
+}
+
+TEST(another_firmwares_parameters_are_kept_by_their_ids) {
+  Eeprom saved;
+  ConfigStore store;
+  Configuration blank;
+  boot(saved, store, blank);
+  const Configuration stored = config(1);
+  CHECK(save(saved, store, stored));
+  CHECK_EQUAL(store.report().kept, protocol::kParamKeys + 1);
+  const std::vector<Entry> whole = entries(saved);
+  CHECK_EQUAL(whole.size(), protocol::kParamKeys + 1u);
+  const auto load = [&saved](const std::vector<Entry>& wanted, ConfigStore& next) {
+    Eeprom eeprom = saved;
+    put(eeprom, wanted);
+    Configuration c;
+    CHECK(boot(eeprom, next, c) == LoadResult::kLoaded);
+    return c;
+  };
+  Configuration defaults;
+  defaults.load_defaults();
+  for (uint8_t key = 0; key <= protocol::kParamKeys; ++key) {
+    Configuration without = stored;
+    if (key == protocol::kParamKeys) {
+      std::memcpy(without.map, defaults.map, sizeof(without.map));
+    } else {
+      for (uint8_t i = 0; i < protocol::kParamKeyTable[key].count; ++i) {
+        without.value[index_of(key) + i] = defaults.value[index_of(key) + i];
+      }
+    }
+    // One that this firmware has and the other had not.
+    std::vector<Entry> fewer = whole;
+    fewer.erase(fewer.begin() + key);
+    ConfigStore next;
+    CHECK(same(load(fewer, next), without));
+    CHECK_EQUAL(next.report().kept, protocol::kParamKeys);
+    CHECK_EQUAL(next.report().fresh.count, 1);
+    CHECK_EQUAL(next.report().fresh.id[0], whole[key][0]);
+    CHECK_EQUAL(next.report().unknown.count, 0);
+    // The other had one of another id in its place, or of another number of values, or type.
+    for (const int change : {0, 1, 2}) {
+      std::vector<Entry> other = whole;
+      other[key][0] = change == 0 ? 254 : other[key][0];
+      if (change == 1) other[key][1] = other[key][1] == 4 ? 2 : 1;
+      if (change == 2) --other[key][2];
+      other[key].resize(kEntryHeader + other[key][1] * other[key][2]);
+      ConfigStore third;
+      CHECK(same(load(other, third), without));
+      CHECK_EQUAL(third.report().fresh.id[0], whole[key][0]);
+      CHECK_EQUAL(third.report().unknown.count, 1);
+      CHECK_EQUAL(third.report().unknown.id[0], other[key][0]);
+    }
+  }
+}
+
+TEST(the_order_of_the_entries_is_no_matter) {
+  Eeprom eeprom;
+  ConfigStore store;
+  Configuration c;
+  boot(eeprom, store, c);
+  const Configuration stored = config(1);
+  CHECK(save(eeprom, store, stored));
+  std::vector<Entry> turned = entries(eeprom);
+  std::reverse(turned.begin(), turned.end());
+  put(eeprom, turned);
+  ConfigStore next;
+  CHECK(boot(eeprom, next, c) == LoadResult::kLoaded);
+  CHECK(same(c, stored));
+}
+
+TEST(many_unknown_entries_are_counted_and_eight_are_named) {
+  Eeprom eeprom;
+  ConfigStore store;
+  Configuration c;
+  boot(eeprom, store, c);
+  CHECK(save(eeprom, store, config(1)));
+  std::vector<Entry> wanted;
+  for (int i = 0; i < 20; ++i) wanted.push_back({static_cast<uint8_t>(200 + i), 4, 1, 1, 2, 3, 4});
+  put(eeprom, wanted);
+  ConfigStore next;
+  CHECK(boot(eeprom, next, c) == LoadResult::kLoaded);
+  CHECK_EQUAL(next.report().kept, 0);
+  CHECK_EQUAL(next.report().fresh.count, protocol::kParamKeys + 1);
+  CHECK_EQUAL(next.report().unknown.count, 20);
+  CHECK_EQUAL(next.report().unknown.id[7], 207);
+  // A save by this firmware holds what it has, and only that.
+  CHECK(save(eeprom, next, c));
+  ConfigStore last;
+  CHECK(boot(eeprom, last, c) == LoadResult::kLoaded);
+  CHECK_EQUAL(last.report().kept, protocol::kParamKeys + 1);
+  CHECK_EQUAL(last.report().fresh.count + last.report().unknown.count, 0);
+}
+
+TEST(entries_that_do_not_add_up_are_damage) {
+  Eeprom saved;
+  ConfigStore store;
+  Configuration c;
+  boot(saved, store, c);
+  CHECK(save(saved, store, config(1)));
+  for (const Entry& last :
+       {Entry{7, 4, 2, 0, 0, 0, 0}, Entry{7, 4}, Entry{7}, Entry{7, 255, 255}}) {
+    Eeprom eeprom = saved;
+    std::vector<Entry> wanted = entries(saved);
+    wanted.push_back(last);
+    put(eeprom, wanted);
+    ConfigStore next;
+    CHECK(boot(eeprom, next, c) == LoadResult::kDamaged);
+  }
+  // A length beyond the slot is not read.
+  saved.cells[kSlotAt[0] + 6] = 0xFF;
+  ConfigStore next;
+  CHECK(boot(saved, next, c) == LoadResult::kDamaged);
 }
 
 TEST(a_worn_cell_fails_the_save_and_keeps_the_old_one) {

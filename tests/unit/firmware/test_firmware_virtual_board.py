@@ -6,6 +6,7 @@ import math
 import time
 from itertools import pairwise
 
+import crcmod.predefined
 import numpy as np
 import pytest
 from firmware_bench import Bench, flex_count, pressure_count
@@ -13,6 +14,7 @@ from firmware_bench import Bench, flex_count, pressure_count
 from thigmo.emulator._board import SCHEMA_HASH, VirtualBoard
 from thigmo.link import protocol as wire
 from thigmo.link.framing import encode
+from thigmo.link.stored import StoredConfiguration
 
 
 def free(psi: float) -> float:
@@ -524,6 +526,48 @@ def test_configuration_is_saved_after_the_commit_and_loaded_at_the_next_start() 
     assert value.value == 41_234
     reply = again.get(wire.GetMap(2, wire.Side.RIGHT, wire.Branch.DEFLATE), wire.MapValues)
     assert reply.curvature_e5 == curve
+
+
+def renamed(eeprom: bytes, old_id: int, new_id: int) -> bytes:
+    """The newest configuration as a firmware stored it that had another parameter there."""
+    image = bytearray(eeprom)
+    slot = 16
+    end = slot + 7 + int.from_bytes(image[slot + 5 : slot + 7], "little")
+    at = slot + 7
+    while image[at] != old_id:
+        at += 3 + image[at + 1] * image[at + 2]
+    image[at] = new_id
+    check = crcmod.predefined.mkPredefinedCrcFun(wire.CRC)(image[slot + 1 : end])
+    image[end : end + 2] = check.to_bytes(2, "little")
+    return bytes(image)
+
+
+def test_stored_parameters_survive_another_firmware_and_the_board_tells_which_did_not() -> None:
+    bench = Bench()
+    bench.prepare(settle_ms=44_000)
+    settle, stall = wire.PARAMETERS["settle_ms"], wire.PARAMETERS["stall_ms"]
+    bench.set("stall_ms", 456)
+    bench.do(wire.SaveConfig())
+    report = bench.get(wire.GetConfigReport(), wire.ConfigReport)
+    everything = len(wire.PARAMETERS) + 1
+    assert (report.generation, report.kept) == (1, everything)
+    assert (report.new_count, report.unknown_count) == (0, 0)
+
+    updated = Bench(eeprom=renamed(bench.board.eeprom, settle.id, 240))
+    updated.hello()
+    assert updated.faults() == ()
+    stored = StoredConfiguration.of(updated.get(wire.GetConfigReport(), wire.ConfigReport))
+    assert stored == StoredConfiguration(1, everything - 1, ("settle_ms",), 1, (240,), 1)
+    assert stored.remark == (
+        "new in this firmware and at its default: settle_ms; "
+        "stored, but unknown to this firmware and left out: id 240"
+    )
+    value = updated.get(wire.GetParameter(settle.index), wire.ParameterValue).value
+    assert value == settle.defaults[0]
+    assert updated.get(wire.GetParameter(stall.index), wire.ParameterValue).value == 456
+    updated.do(wire.SaveConfig())
+    report = updated.get(wire.GetConfigReport(), wire.ConfigReport)
+    assert StoredConfiguration.of(report) == StoredConfiguration(2, everything, (), 0, (), 0)
 
 
 def test_every_parameter_is_range_checked_and_reads_back() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Callable
 from copy import deepcopy
 from pathlib import Path
 from types import ModuleType
@@ -47,14 +48,61 @@ def test_committed_outputs_are_what_the_schema_gives(generate: ModuleType) -> No
         assert generate.OUTPUTS[key].read_text() == text, key
 
 
-def test_words_do_not_change_the_hash_and_ranges_do(
-    generate: ModuleType, tree: dict[str, Any], tmp_path: Path
+@pytest.mark.parametrize(
+    "path",
+    [
+        ("messages", "arm", "doc"),
+        ("enums", "State", "doc"),
+        ("enums", "State", "safe", "doc"),
+        ("messages", "hello", "deadline_ms"),
+        ("parameters", "settle_ms", "doc"),
+        ("parameters", "settle_ms", "default"),
+        ("parameters", "settle_ms", "range"),
+    ],
+    ids="-".join,
+)
+def test_words_defaults_ranges_and_deadlines_do_not_change_the_hash(
+    generate: ModuleType, tree: dict[str, Any], tmp_path: Path, path: tuple[str, ...]
 ) -> None:
     before = load(generate, tree, tmp_path).hash
-    tree["messages"]["arm"]["doc"] = "Other words."
-    tree["enums"]["State"]["doc"] = "Other words."
+    *parents, last = path
+    node = tree
+    for name in parents:
+        node = node[name]
+    assert last in node
+    node[last] = {"range": [1, 600001], "default": 31000, "deadline_ms": 2999}.get(last, "Other.")
     assert load(generate, tree, tmp_path).hash == before
-    tree["parameters"]["settle_ms"]["range"] = [0, 600001]
+
+
+LAYOUT: dict[str, Callable[[dict[str, Any]], object]] = {
+    "a message's id": lambda tree: tree["messages"]["arm"].update(id=0x1F),
+    "a message's kind": lambda tree: tree["messages"]["pulse"].update(kind="telemetry"),
+    "a command's reply": lambda tree: tree["messages"]["arm"].update(reply="status_report"),
+    "the order of fields": lambda tree: tree["messages"]["grow_to"]["fields"].reverse(),
+    "a field's name": lambda tree: tree["messages"]["grow_to"]["fields"][0].update(name="depth"),
+    "a field's type": lambda tree: tree["messages"]["grow_to"]["fields"][0].update(type="u32"),
+    "a field's unit": lambda tree: tree["messages"]["grow_to"]["fields"][0].update(unit="mm"),
+    "a field's count": lambda tree: tree["messages"]["telemetry"]["fields"][1].update(count=9),
+    "a field's enumeration": lambda tree: tree["messages"]["set_map"]["fields"][1].pop("enum"),
+    "an enumeration's number": lambda tree: tree["enums"]["Side"]["left"].update(value=7),
+    "a bit": lambda tree: tree["enums"]["Fault"].pop("watchdog"),
+    "a parameter's id": lambda tree: tree["parameters"]["settle_ms"].update(id=250),
+    "a parameter's unit": lambda tree: tree["parameters"]["settle_ms"].update(unit="s"),
+    "a parameter's count": lambda tree: tree["parameters"]["settle_ms"].update(count=2),
+    "a parameter's place": lambda tree: tree["parameters"].update(
+        flex_enabled=tree["parameters"].pop("flex_enabled")
+    ),
+    "the map's step": lambda tree: tree["map"].update(step_cpsi=100),
+    "the frame": lambda tree: tree.update(max_wire_bytes=97),
+}
+
+
+@pytest.mark.parametrize("what", LAYOUT)
+def test_the_wires_layout_changes_the_hash(
+    generate: ModuleType, tree: dict[str, Any], tmp_path: Path, what: str
+) -> None:
+    before = load(generate, tree, tmp_path).hash
+    LAYOUT[what](tree)
     assert load(generate, tree, tmp_path).hash != before
 
 
@@ -74,6 +122,10 @@ def breakage(name: str, tree: dict[str, Any]) -> None:
             parameters["settle_ms"]["default"] = 600001
         case "defaults for 10":
             parameters["flex_center_um"]["default"] = [1, 2]
+        case "give it an id":
+            del parameters["settle_ms"]["id"]
+        case "a stored id is used twice":
+            parameters["settle_ms"]["id"] = tree["map"]["id"]
         case "bad range":
             parameters["settle_ms"]["range"] = [5, 5]
         case "unknown reply":
@@ -97,6 +149,8 @@ def breakage(name: str, tree: dict[str, Any]) -> None:
         "a value is used twice",
         "default outside its range",
         "defaults for 10",
+        "give it an id",
+        "a stored id is used twice",
         "bad range",
         "unknown reply",
         "frozen",
