@@ -260,7 +260,7 @@ def test_during_a_save_nothing_else_is_executed(host: RawHost) -> None:
 
 @pytest.mark.parametrize(
     "message_id",
-    [0x00, 0x19, 0x7F, wire.Ack.ID, wire.Telemetry.ID, wire.Event.ID, wire.Pulse.ID, 0xFF],
+    [0x00, 0x1F, 0x7F, wire.Ack.ID, wire.Telemetry.ID, wire.Event.ID, wire.Pulse.ID, 0xFF],
 )
 def test_an_unknown_id_is_refused(host: RawHost, message_id: int) -> None:
     assert host.refusal(RawMessage(message_id, b"")) == (R.UNKNOWN_ID, message_id)
