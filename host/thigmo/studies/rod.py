@@ -1,105 +1,142 @@
-"""Independent truth for the studies: what sensors read on a large-deflection rod under known loads.
+"""Independent truth for studies and tests: bodies under known loads, by the equations of the rod.
 
-The rod under contact forces that stay normal to it is an initial value problem from the tip to the
-base: k' = -sum_j f_j cos(theta - theta_j), theta' = k, with k(L) = g. It shares no code with the
-localizer (a linear beam) nor with the emulator's plant (an energy minimum), so all three can be
-held against each other. Integrated with classical Runge-Kutta between breakpoints, EI = 1.
+A planar inextensible rod (Kirchhoff), clamped at the base, EI = 1 (times `stiffness`), free
+curvature g. Integration starts at the most distal load, in the frame of the section there, where
+heading and place are zero. On the way back to the base every further load is known in the frame of
+its own section, whose heading is known by then: an initial value problem, with nothing to search
+for. Between loads the moment m obeys m' = -(t x F), and the curvature is g + m / EI. It shares no
+code with the localizer (levers of a fitted shape) nor with the emulator's plant (an energy
+minimum), so all three can be held against each other. Many bodies are integrated side by side.
 Source: Antman, Nonlinear Problems of Elasticity, chapter 4.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+import numpy.typing as npt
 
-from thigmo.compiled import compiled
+Floats = npt.NDArray[np.float64]
+Profile = Callable[[Floats], Floats]
 
-Floats = NDArray[np.float64]
-
-_MAX_STEP = 1.0 / 24.0  # of the length: error below 1e-9 at the bends of a vine robot
+STEPS = 24  # of Runge and Kutta, between two loads: errors below 1e-8 at a vine robot's bends
 
 
-@compiled
-def _readings(
+@dataclass(frozen=True)
+class Bodies:
+    """S bodies in equilibrium under E loads each.
+
+    Attributes:
+        breaks: (S, E + 2) base, loads, tip.
+        heading: (S, E + 1, STEPS + 1) of the pieces between them, in the last load's frame and
+            without the kinks.
+        curvature: likewise.
+        kink: (S, E) rad.
+        base_moment: (S,) of the loads, over EI.
+        base: (3, S) heading, x and y of the base in the last load's frame.
+    """
+
+    breaks: Floats
+    heading: Floats
+    curvature: Floats
+    kink: Floats
+    base_moment: Floats
+    base: Floats
+
+    def turn(self, arcs: Floats) -> Floats:
+        """(S, Q) heading at arcs (S, Q), without the kinks: cubic between the nodes."""
+        piece = (arcs[:, :, None] >= self.breaks[:, None, 1:-1]).sum(axis=2)
+        low = np.take_along_axis(self.breaks, piece, 1)
+        step = (np.take_along_axis(self.breaks, piece + 1, 1) - low) / STEPS
+        along = (arcs - low) / np.maximum(step, 1e-12)
+        node = np.clip(along.astype(int), 0, STEPS - 1)
+        t = along - node
+        body = np.arange(len(arcs))[:, None]
+        first, second = (body, piece, node), (body, piece, node + 1)
+        near = self.heading[first] * (1.0 + 2.0 * t) + self.curvature[first] * step * t
+        far = self.heading[second] * (3.0 - 2.0 * t) + self.curvature[second] * step * (t - 1.0)
+        heading: Floats = near * (1.0 - t) ** 2 + far * t**2
+        return heading
+
+    def readings(self, position: Floats, span: float | Floats = 0.0) -> Floats:
+        """(S, N) average curvature over sensors at `position` (N,), or the curvature at points."""
+        bodies, length = len(self.breaks), self.breaks[:, -1:]
+        # A point's curvature is the mean over a hundred-thousandth of the body.
+        half = np.maximum(0.5 * np.asarray(span), 5e-6 * length)
+        low = np.clip(np.broadcast_to(position, (bodies, len(position))) - half, 0.0, length)
+        high = np.clip(position + half, 0.0, length)
+        kinks = self.breaks[:, None, 1:-1]
+        under = (kinks > low[:, :, None]) & (kinks < high[:, :, None])
+        kinked = (under * self.kink[:, None, :]).sum(axis=2)
+        mean: Floats = (self.turn(high) - self.turn(low) + kinked) / (high - low)
+        return mean
+
+
+def solve(
     arcs: Floats,
     normal: Floats,
-    tangential: Floats,
-    arm: float,
-    free: float,
+    *,
     length: float,
-    position: Floats,
-    span: Floats,
-    out: Floats,
-) -> float:
-    """Fill `out` with the sensors' average curvature; returns the heading of the tip."""
-    sensors = position.size
-    contacts = arcs.size
-    points = np.empty(2 * sensors + contacts + 2)
-    points[0] = 0.0
-    points[1] = length
-    for i in range(sensors):
-        points[2 + 2 * i] = max(position[i] - span[i] / 2, 0.0)
-        points[3 + 2 * i] = min(position[i] + span[i] / 2, length)
-    for j in range(contacts):
-        points[2 + 2 * sensors + j] = arcs[j]
-    points = np.sort(points)[::-1]
-    theta_at = np.zeros(points.size)
-    k_at = np.zeros(points.size)
-    theta_contact = np.zeros(contacts)
-    acting = np.zeros(contacts)
-    theta = 0.0
-    k = free
-    for p in range(points.size):
-        if p > 0:
-            gap = points[p - 1] - points[p]
-            if gap > 0.0:
-                steps = math.ceil(gap / (length * _MAX_STEP))
-                h = -gap / steps
-                for _ in range(steps):
-                    k1, t1 = 0.0, k
-                    k2, k3, k4 = 0.0, 0.0, 0.0
-                    for j in range(contacts):
-                        if acting[j] > 0.0:
-                            d = theta - theta_contact[j]
-                            k1 -= normal[j] * math.cos(d) - tangential[j] * math.sin(d)
-                    t2 = k + 0.5 * h * k1
-                    for j in range(contacts):
-                        if acting[j] > 0.0:
-                            d = theta + 0.5 * h * t1 - theta_contact[j]
-                            k2 -= normal[j] * math.cos(d) - tangential[j] * math.sin(d)
-                    t3 = k + 0.5 * h * k2
-                    for j in range(contacts):
-                        if acting[j] > 0.0:
-                            d = theta + 0.5 * h * t2 - theta_contact[j]
-                            k3 -= normal[j] * math.cos(d) - tangential[j] * math.sin(d)
-                    t4 = k + h * k3
-                    for j in range(contacts):
-                        if acting[j] > 0.0:
-                            d = theta + h * t3 - theta_contact[j]
-                            k4 -= normal[j] * math.cos(d) - tangential[j] * math.sin(d)
-                    theta += h / 6.0 * (t1 + 2.0 * t2 + 2.0 * t3 + t4)
-                    k += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        for j in range(contacts):
-            if acting[j] == 0.0 and points[p] == arcs[j]:
-                acting[j] = 1.0
-                theta_contact[j] = theta
-                k += tangential[j] * arm
-        theta_at[p] = theta
-        k_at[p] = k
-    for i in range(sensors):
-        low = max(position[i] - span[i] / 2, 0.0)
-        high = min(position[i] + span[i] / 2, length)
-        theta_low, theta_high, k_mid = 0.0, 0.0, 0.0
-        for p in range(points.size):
-            if points[p] == high:
-                theta_high = theta_at[p]
-                k_mid = k_at[p]
-            if points[p] == low:
-                theta_low = theta_at[p]
-        out[i] = (theta_high - theta_low) / (high - low) if high > low else k_mid
-    return -theta
+    free_curvature: float | Floats = 0.0,
+    tangential: float | Floats = 0.0,
+    couple: float | Floats = 0.0,
+    kink: float | Floats = 0.0,
+    stiffness: Profile | None = None,
+) -> Bodies:
+    """Bodies in equilibrium.
+
+    Args:
+        arcs: (S, E) places of the loads, rising.
+        normal: (S, E) forces over EI normal to the body where they act, positive to its left.
+        length: everted length.
+        free_curvature: scalar, (S, 1), or (S, E + 1) for each piece between loads.
+        tangential: forces over EI along the body, towards its tip.
+        couple: moments over EI beside those of the forces, positive to the left.
+        kink: turn of the body at that place (rad), whatever the load.
+        stiffness: (S,) arcs to (S,) stiffness over EI; 1 if not given.
+    """
+    bodies, loads = arcs.shape
+    normal, tangential, couple, kink = (
+        np.broadcast_to(np.asarray(load, dtype=float), (bodies, loads))
+        for load in (normal, tangential, couple, kink)
+    )
+    free = np.broadcast_to(np.asarray(free_curvature, dtype=float), (bodies, loads + 1))
+    breaks = np.concatenate([np.zeros((bodies, 1)), arcs, np.full((bodies, 1), length)], axis=1)
+    heading = np.empty((bodies, loads + 1, STEPS + 1))
+    curvature = np.empty_like(heading)
+    beyond = (breaks[:, -1:] - breaks[:, -2:-1]) * np.linspace(0.0, 1.0, STEPS + 1)
+    heading[:, -1] = free[:, -1:] * beyond
+    curvature[:, -1] = free[:, -1:]
+    state = np.zeros((4, bodies))  # heading, x, y, moment
+    along, across, kinked = np.zeros((3, bodies))
+
+    def slope(arc: Floats, state: Floats, free: Floats) -> Floats:
+        cosine, sine = np.cos(state[0]), np.sin(state[0])
+        soft = state[3] if stiffness is None else state[3] / stiffness(arc)
+        return np.array([free + soft, cosine, sine, sine * along - cosine * across])
+
+    for e in reversed(range(loads)):
+        cosine, sine = np.cos(state[0]), np.sin(state[0])
+        along = along + tangential[:, e] * cosine - normal[:, e] * sine
+        across = across + tangential[:, e] * sine + normal[:, e] * cosine
+        state[3] += couple[:, e]
+        state[0] -= kink[:, e]
+        kinked = kinked + kink[:, e]
+        arc, g = breaks[:, e + 1], free[:, e]
+        h = (breaks[:, e] - arc) / STEPS
+        for node in reversed(range(STEPS + 1)):
+            a = slope(arc, state, g)
+            heading[:, e, node] = state[0] + kinked
+            curvature[:, e, node] = a[0]
+            if node > 0:
+                b = slope(arc + 0.5 * h, state + 0.5 * h * a, g)
+                c = slope(arc + 0.5 * h, state + 0.5 * h * b, g)
+                d = slope(arc + h, state + h * c, g)
+                state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+                arc = arc + h
+    return Bodies(breaks, heading, curvature, kink, state[3], state[:3])
 
 
 def readings(
@@ -108,40 +145,33 @@ def readings(
     position: Floats,
     *,
     length: float,
-    span: Floats | float = 0.0,
+    span: float | Floats = 0.0,
     free_curvature: float = 0.0,
-    tangential: Floats | None = None,
-    arm: float = 0.0,
+    tangential: float | Floats = 0.0,
+    couple: float | Floats = 0.0,
     fold_angle: float = 0.0,
     fold_length: float = 0.0,
 ) -> Floats:
-    """Average curvature over each sensor's span, without noise.
+    """(N,) readings of one body under loads (C,), without noise; arguments as of `solve`.
 
-    Args:
-        arcs: (C,) arc lengths of the contacts.
-        normal: (C,) forces over EI normal to the rod, positive to its left.
-        position, span: (N,) sensor centres and active lengths.
-        length: everted length.
-        free_curvature: curvature without contact.
-        tangential: (C,) force components over EI along the rod's tangent, towards the tip
-            (a peg bearing on the tip's corner).
-        arm: signed distance of the tangential forces' line from the centreline, left positive;
-            they add the moment -arm * tangential ahead of their arc.
-        fold_angle, fold_length: a base fold of so many radians spread evenly over so much arc.
-
-    Returns:
-        (N,) readings.
+    With `fold_angle` (rad) the base is folded, evenly over `fold_length` from it.
     """
-    position = np.ascontiguousarray(position, dtype=np.float64)
-    spans = np.broadcast_to(np.asarray(span, dtype=np.float64), position.shape).copy()
-    arcs = np.atleast_1d(np.asarray(arcs, dtype=np.float64))
-    normal = np.atleast_1d(np.asarray(normal, dtype=np.float64))
-    along = np.zeros_like(normal) if tangential is None else np.asarray(tangential, dtype=float)
-    out = np.empty_like(position)
-    _readings(arcs, normal, along, -arm, free_curvature, length, position, spans, out)
-    if fold_angle and fold_length:
-        low = np.clip(position - spans / 2, 0.0, fold_length)
-        high = np.clip(position + spans / 2, 0.0, fold_length)
-        share = np.where(spans > 0, (high - low) / np.maximum(spans, 1e-12), 0.0)
-        out += fold_angle / fold_length * share
-    return out
+    loads = np.zeros((4, len(arcs) + 1))
+    loads[0] = *arcs, fold_length
+    for load, values in zip(loads[1:, :-1], (normal, tangential, couple), strict=True):
+        load[:] = values
+    if fold_length == 0.0:
+        loads = loads[:, :-1]
+    loads = loads[:, np.argsort(loads[0])]
+    folded: Floats = (np.append(loads[0], length) <= fold_length).astype(float)
+    fold = fold_angle / (fold_length or 1.0)
+    body = solve(
+        loads[:1],
+        loads[1:2],
+        length=length,
+        free_curvature=free_curvature + fold * folded,
+        tangential=loads[2],
+        couple=loads[3],
+    )
+    only: Floats = body.readings(position, span)[0]
+    return only

@@ -118,8 +118,8 @@ def any_peg(rng: np.random.Generator) -> Case:
         length=LENGTH,
         span=SPAN,
         free_curvature=free,
-        tangential=np.array([contact.tangential]),
-        arm=-contact.couple / contact.tangential if contact.tangential else 0.0,
+        tangential=contact.tangential,
+        couple=contact.couple,
     )
     noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
     return Case(noisy, COLUMN, free, (contact.arc,), (contact.normal,))

@@ -65,7 +65,7 @@ def test_an_oblique_force_on_the_tips_corner_is_recognised():
         force = -rng.uniform(0.006, 0.015) / LENGTH
         along = -abs(force) * rng.uniform(0.2, 1.0)
         curvature = felt(
-            LENGTH, force, COLUMN, free_curvature=free, tangential=np.array([along]), arm=1.75
+            LENGTH, force, COLUMN, free_curvature=free, tangential=along, couple=-1.75 * along
         )
         result = thigmo.localize(
             curvature, COLUMN, length=LENGTH, span=SPAN, free_curvature=free, noise=1e-5
