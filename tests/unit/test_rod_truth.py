@@ -139,11 +139,17 @@ def test_pegs_stand_still_while_bodies_inflate_against_them(part) -> None:
 
 def test_pegs_keep_off_the_body_that_does_not_touch_them_yet() -> None:
     found = rooms(np.random.default_rng(6), 12, length=LENGTH, most=0.04, frames=4)
+    arcs = np.linspace(0.0, LENGTH, 2000)
+    beside = 0
     for frame in range(4):
         away = np.isnan(found.u[frame])
         for free, peg, radius in zip(
             found.free[frame, away], found.peg[:, away].T, found.peg_radius[away], strict=True
         ):
-            arcs = np.linspace(0.0, LENGTH, 400)
             line = np.stack([np.sin(free * arcs), 1.0 - np.cos(free * arcs)]) / free
-            assert np.hypot(*(line - peg[:, None])).min() > 0.99 * (radius + RADIUS)
+            distance = np.hypot(*(line - peg[:, None]))
+            # Round the end the centreline comes closer than the skin.
+            if distance.argmin() < len(arcs) - 1:
+                beside += 1
+                assert distance.min() > radius + RADIUS - 1e-3
+    assert beside > 5
