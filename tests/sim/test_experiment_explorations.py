@@ -16,7 +16,7 @@ from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
-from thigmo.studies.experiments.attendant import Place, Verdict
+from thigmo.studies.experiments.attendant import Place
 from thigmo.studies.experiments.explorations import (
     EmulatedBystander,
     ExplorationFolder,
@@ -24,6 +24,7 @@ from thigmo.studies.experiments.explorations import (
     evaluate,
     run_explorations,
 )
+from thigmo.studies.experiments.folder import Verdict
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -81,7 +82,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     assert not alone.claims  # of both protocols only
     said: list[str] = []
     assert run_explorations(url, EmulatedBystander(), folder, 1, seed=4, say=said.append)
-    assert said[0] == "exploration: 1 of 2 are there"
+    assert said[0] == "exploration: 1 of 2 explorations are there"
     assert [row["protocol"] for row in kept(folder.path)] == ["measure", "thesis"]
     results = evaluate(ExplorationFolder(folder.path))
     assert len(results.claims) == 3

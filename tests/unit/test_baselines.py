@@ -25,7 +25,7 @@ def problem(arc: float, level: float, sigma: float, rng: np.random.Generator) ->
     return Problem(clean + sigma * rng.standard_normal(10), BOTH, SPAN, LENGTH, noise=sigma)
 
 
-def mean_error(name: str, level: float, sigma: float, trials: int = 60) -> float:
+def mean_error(name: str, level: float, sigma: float, trials: int = 30) -> float:
     rng = np.random.default_rng(5)
     errors = []
     for _ in range(trials):
@@ -43,13 +43,7 @@ def test_the_thesis_solver_errs_as_measured_for_this_project() -> None:
     assert 4.0 < mean_error("alternating", 0.35, 6e-4) < 7.0
 
 
-def test_the_barrier_path_leaves_minima_in_which_coordinate_descent_stalls() -> None:
-    assert mean_error("coordinate", 1.0, 6e-4) > 1.15 * mean_error("alternating", 1.0, 6e-4)
-
-
-@pytest.mark.parametrize(
-    "name", [n for n in BASELINES if n not in ("pwlf", "ruptures", "slsqp", "coordinate")]
-)
+@pytest.mark.parametrize("name", [n for n in BASELINES if n not in ("pwlf", "ruptures", "slsqp")])
 def test_a_clear_contact_is_found(name: str) -> None:
     rng = np.random.default_rng(1)
     errors = [abs(BASELINES[name](problem(47.0, 0.9, 1e-4, rng))[0][0] - 47.0) for _ in range(3)]
@@ -66,7 +60,7 @@ def test_answers_lie_on_the_body_and_are_ordered(name: str) -> None:
     assert np.isfinite(forces).all()
 
 
-@pytest.mark.parametrize("name", ["alternating", "coordinate", "grid", "slsqp", "nelder-mead"])
+@pytest.mark.parametrize("name", ["alternating", "grid", "slsqp", "nelder-mead"])
 def test_two_contacts_come_in_order(name: str) -> None:
     clean = readings(
         np.array([20.0, 50.0]), np.array([-5e-4, 3e-4]), BOTH, length=LENGTH, span=SPAN
@@ -110,7 +104,7 @@ def test_coupling_uses_the_critical_moment_when_the_base_folds() -> None:
 def test_too_few_places_are_an_error_that_names_the_cure() -> None:
     few = Problem(np.zeros(3), BOTH[:3], SPAN[:3], LENGTH)
     for name in ("pwlf", "ruptures"):
-        with pytest.raises(DataError, match="exact"):
+        with pytest.raises(DataError, match="localizer"):
             BASELINES[name](few)
 
 
@@ -135,6 +129,6 @@ def test_the_thesis_reads_curvature_at_centres() -> None:
     """Its model knows no spans: whatever they are, its solvers answer the same."""
     case = problem(40.0, 0.8, 6e-4, np.random.default_rng(6))
     points = replace(case, span=np.zeros(10))
-    for name in ("alternating", "alternating-trust-constr", "coordinate", "clamped", "coupled"):
+    for name in ("alternating", "alternating-trust-constr", "clamped", "coupled"):
         for one, other in zip(BASELINES[name](case), BASELINES[name](points), strict=True):
             assert np.array_equal(one, other), name

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from thigmo.mechanics import push
-from thigmo.studies.engine import Context
-from thigmo.studies.experiments import EXPERIMENTS, conditions, run, thesis
+from thigmo.studies.engine import Context, Outcome, write
+from thigmo.studies.experiments import EXPERIMENTS, conditions, schematics, sensitivity, thesis
 from thigmo.studies.experiments.compare import (
     Answer,
     alone,
@@ -23,7 +23,6 @@ from thigmo.studies.experiments.compare import (
     workspace_errors,
 )
 from thigmo.studies.experiments.fit import frozen, misfit, table
-from thigmo.studies.experiments.sensitivity import cells
 from thigmo.studies.experiments.specimen import Constants, Specimen
 from thigmo.studies.experiments.trial import Trial
 
@@ -150,15 +149,22 @@ def test_the_thesis_cannot_tell_close_contacts_apart_and_we_can() -> None:
 
 
 def test_five_sensors_are_the_limit_of_the_solver_with_the_1_norm_not_of_the_norm() -> None:
-    found = {(c.method, c.noise, c.sensors): c.mean_cm for c in cells(6, Context(seed=0))}
-    assert found["exact 1-norm", 0.0, 3] < 0.2
-    assert found["thesis's solver (1-norm)", 0.0, 3] > 3.0
-    assert found["thesis's solver (2-norm)", 0.0, 3] < 2.0
+    (table,) = sensitivity.run(6, Context(seed=0)).tables
+    found = {tuple(cells[:3]): cells[3] for cells in table.rows}
+    assert found["l1", 0.0, 3.0] < 0.2
+    assert found["alternating", 0.0, 3.0] > 3.0
+    assert found["alternating-2-norm", 0.0, 3.0] < 2.0
+
+
+def run(name: str, out: Path, *, robots: int, trials: int, seed: int, jobs: int = 1) -> Outcome:
+    outcome = EXPERIMENTS[name](robots, trials, Context(seed=seed, jobs=jobs))
+    write(outcome, name, out)
+    return outcome
 
 
 @pytest.mark.parametrize("name", [n for n in EXPERIMENTS if n != "exploration"])
 def test_each_experiment_writes_tables_figures_and_claims(name: str, tmp_path: Path) -> None:
-    results = run(name, tmp_path, robots=1, trials=2, seed=0)
+    results = run(name, tmp_path, robots=1, trials=1, seed=0)
     assert results.figures
     claims = json.loads((tmp_path / f"{name}-claims.json").read_text())
     assert len(claims) == len(results.claims)
@@ -195,9 +201,8 @@ def test_the_bound_counts_gains_and_places() -> None:
 
 def test_the_flow_chart_shows_every_state_and_outcome() -> None:
     from thigmo.exploration.states import TRANSITIONS, State
-    from thigmo.studies.experiments import flow
 
-    texts = [text.get_text() for text in flow.figure().axes[0].texts]
+    texts = [text.get_text() for text in schematics.flow().axes[0].texts]
     assert all(state.value in texts for state in State)
     assert all(any(step.outcome in text for text in texts) for step in TRANSITIONS)
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
-
-if TYPE_CHECKING:
-    from thigmo.cli.study_progress import Tell
+from thigmo.cli.output import JsonOption
 
 
 def register(app: typer.Typer) -> None:
@@ -47,10 +44,10 @@ def bench(
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from thigmo.cli.study_progress import study_progress
+    from thigmo.cli.studies import conduct
     from thigmo.errors import DataError
-    from thigmo.studies import STUDIES, Context, Outcome, load
-    from thigmo.studies.engine import connect_cluster, write
+    from thigmo.studies import STUDIES, Context, load
+    from thigmo.studies.engine import connect_cluster
 
     names = list(studies or STUDIES)
     if names == ["list"]:
@@ -67,48 +64,9 @@ def bench(
     if backend == "dask" and not scheduler:
         raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
     cluster = connect_cluster(scheduler) if backend == "dask" and scheduler else None
-    found = []
-    for name in names:
-
-        def save(outcome: Outcome, name: str = name) -> None:
-            write(outcome, name, out)
-
-        with study_progress() as tell:
-
-            def progress(
-                part: str, done: int, total: int, name: str = name, tell: Tell = tell
-            ) -> None:
-                tell(f"{name}, {part}", done, total)
-
-            context = Context(
-                seed=seed,
-                scale="quick" if scale == "quick" else "full",
-                jobs=jobs,
-                backend=backend,
-                progress=progress,
-                save=save,
-            )
-            try:
-                outcome = load(name)(context)
-            except KeyboardInterrupt:
-                typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
-                raise typer.Exit(130) from None
-        paths = write(outcome, name, out)
-        found.append((name, outcome, paths))
-        if not as_json:
-            for claim in outcome.claims:
-                typer.echo(f"  {claim}")
-            typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
+    context = Context(
+        seed=seed, scale="quick" if scale == "quick" else "full", jobs=jobs, backend=backend
+    )
+    conduct({name: load(name) for name in names}, context, out, as_json)
     if cluster is not None:
         cluster.close()
-    if as_json:
-        print_json(
-            [
-                {
-                    "study": name,
-                    "claims": [claim.record() for claim in outcome.claims],
-                    "files": [str(path) for path in paths],
-                }
-                for name, outcome, paths in found
-            ]
-        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.config import RobotConfig
     from thigmo.robot import Robot
-    from thigmo.studies.experiments import Results
+    from thigmo.studies.engine import Outcome
     from thigmo.studies.experiments.attendant import Attendant, Place
 
 
@@ -78,8 +78,12 @@ def experiment(
     emulator:// by its own operator, and kept in OUT/NAME/trials.csv; the same command goes on
     after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
+    from functools import partial
+
+    from thigmo.cli.studies import conduct, report
     from thigmo.errors import DataError
-    from thigmo.studies.experiments import EXPERIMENTS, run
+    from thigmo.studies.engine import Context
+    from thigmo.studies.experiments import EXPERIMENTS
 
     names = list(EXPERIMENTS) if name == "all" else [name]
     if name not in (*EXPERIMENTS, "all", "fit"):
@@ -90,43 +94,66 @@ def experiment(
         raise DataError("--robots and --trials must be at least 1", "give larger numbers")
     if robot is None and (rehearse or camera or config):
         raise DataError("--rehearse, --camera and --config need a robot", "give --robot URL")
+    if robot is not None and recorded is not None:
+        raise DataError("--robot and --recorded are both given", "give one of them")
     if robot is not None or recorded is not None:
-        if robot is not None and recorded is not None:
-            raise DataError("--robot and --recorded are both given", "give one of them")
-        asked = _Asked(
-            robot, recorded, trials, seed, out, config, camera, sheet_file, camera_file, rehearse,
-            as_json, jobs,
-        )  # fmt: skip
-        found = _explored(asked) if name == "exploration" else _with_robot(name, asked)
-        _tell([found], out, as_json)
-        return
-    if name == "fit":
-        _fit(seed, out, as_json)
-        return
-    results = []
-    for one in names:
-        if not as_json:
-            typer.echo(f"{one}: {robots} robots, {trials} trials a condition ..")
-        results.append(run(one, out, robots=robots, trials=trials, seed=seed, jobs=jobs))
-    _tell(results, out, as_json)
+        look = None if camera is None else _look(camera, sheet_file, camera_file)
+        desk = _Desk(robot, recorded, out / name, trials, seed, config, look, rehearse, as_json)
+        outcome, folder = desk.explorations() if name == "exploration" else desk.static(name, jobs)
+        found = report(name, outcome, folder, as_json)
+        if as_json:
+            print_json([found])
+    elif name == "fit":
+        _fit(seed, out)
+    else:
+        studies = {one: partial(EXPERIMENTS[one], robots, trials) for one in names}
+        conduct(studies, Context(seed=seed, jobs=jobs), out, as_json)
+
+
+def _fit(seed: int, out: Path) -> None:
+    from thigmo.cli.studies import study_progress
+    from thigmo.studies.experiments.fit import as_json, fit
+
+    with study_progress("fit to section 3.2") as tell:
+        found = as_json(fit(seed=seed, progress=tell))
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "constants.json").write_text(f"{found}\n")
+    typer.echo(found)
+
+
+def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float], list[Place]]:
+    """What measures the centres of the dowels beside a body of so many cm across."""
+    from thigmo.calibrate.eyes import Eyes
+    from thigmo.camera import CameraModel, open_source
+    from thigmo.cli.camera import load_sheet
+    from thigmo.studies.experiments import thesis
+
+    source, model, sheet = (
+        open_source(camera),
+        CameraModel.load(camera_file),
+        load_sheet(sheet_file),
+    )
+
+    def look(diameter_cm: float) -> list[Place]:
+        found = Eyes(source, model, sheet, diameter_cm, thesis.DOWEL_CM).everything().obstacles
+        return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
+
+    return look
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """The options of trials with a robot, or of those recorded before."""
+class _Desk:
+    """Where trials are taken with a robot, or those taken before are read."""
 
     robot: str | None
     recorded: Path | None
+    out: Path
     trials: int
     seed: int
-    out: Path
     config: Path | None
-    camera: str | None
-    sheet_file: Path
-    camera_file: Path
+    look: Callable[[float], list[Place]] | None
     rehearse: bool
     quiet: bool
-    jobs: int
 
     def say(self, text: str) -> None:
         """To the operator, not into JSON."""
@@ -146,182 +173,82 @@ class _Asked:
             known = given or machine.known_config
             if known is None:
                 raise DataError("the robot's constants are not known", "give --config robot.toml")
-            if self.rehearse and machine.scenery() is None:
+            emulated = machine.scenery() is not None
+            if self.rehearse and not emulated:
                 raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
+            if self.look and emulated:
+                raise DataError("--camera is for a real robot", "the emulator knows its dowels")
             yield machine, known
 
+    def camera(self, known: RobotConfig) -> Callable[[], list[Place]] | None:
+        """What measures the dowels beside this robot; None: they are typed in."""
+        look = self.look
+        return None if look is None else lambda: look(known.body.diameter_cm)
 
-def _with_robot(name: str, asked: _Asked) -> Results:
-    """Take the trials, or read them, and evaluate what there is."""
-    from thigmo.cli.console import Console, TerminalOperator
-    from thigmo.errors import DataError
-    from thigmo.studies.engine import Context
-    from thigmo.studies.experiments.evaluate import evaluate, save
-    from thigmo.studies.experiments.procedure import STATIC
-    from thigmo.studies.experiments.recorded import TrialFolder, run_trials
+    def static(self, name: str, jobs: int) -> tuple[Outcome, Path]:
+        """Take the trials, or read them, and evaluate what there is."""
+        from thigmo.cli.console import Console, TerminalOperator
+        from thigmo.errors import DataError
+        from thigmo.studies.engine import Context
+        from thigmo.studies.experiments.conditions import STATIC
+        from thigmo.studies.experiments.evaluate import evaluate
+        from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
-    if name not in STATIC:
-        raise DataError(
-            f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
-            "name one of these",
+        if name not in STATIC:
+            raise DataError(
+                f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
+                "name one of these",
+            )
+        if self.recorded is not None:
+            folder = TrialFolder(self.recorded)
+        else:
+            console = Console(quiet=self.quiet)
+            person = TerminalOperator(console)
+            with console.interruptible(), self.connected(person) as (machine, known):
+                folder = TrialFolder(self.out, known)
+                attendant = self._attendant(console, machine, known)
+                if not run_trials(machine, attendant, folder, name, self.trials, self.say):
+                    self.say("stopped; the same command goes on")
+        return evaluate(name, folder.trials(), Context(jobs=jobs)), folder.path
+
+    def _attendant(self, console: Console, machine: Robot, known: RobotConfig) -> Attendant:
+        from thigmo.cli.experiment_prompts import TerminalAttendant
+        from thigmo.studies.experiments.attendant import EmulatedAttendant
+
+        if machine.scenery() is None:
+            return TerminalAttendant(console, self.camera(known))
+        behind = EmulatedAttendant(machine)
+        return TerminalAttendant(console, behind=behind) if self.rehearse else behind
+
+    def explorations(self) -> tuple[Outcome, Path]:
+        """Explore trial by trial, or read the runs, and evaluate what there is."""
+        from thigmo.cli.console import Console, TerminalOperator
+        from thigmo.cli.experiment_prompts import TerminalBystander
+        from thigmo.studies.experiments.explorations import (
+            EmulatedBystander,
+            ExplorationFolder,
+            evaluate,
+            run_explorations,
         )
-    if asked.recorded is not None:
-        folder = TrialFolder(asked.recorded)
-    else:
-        console = Console(quiet=asked.quiet)
-        with (
-            console.interruptible(),
-            asked.connected(TerminalOperator(console)) as (machine, known),
-        ):
-            folder = TrialFolder(asked.out / name, known)
-            attendant = _attendant(console, machine, asked)
-            if not run_trials(machine, attendant, folder, name, asked.trials, asked.say):
-                asked.say("stopped; the same command goes on")
-    results = evaluate(name, folder.trials(), Context(jobs=asked.jobs))
-    save(results, name, folder.path)
-    return results
 
-
-def _explored(asked: _Asked) -> Results:
-    """Explore trial by trial, or read the runs, and evaluate what there is."""
-    from thigmo.cli.console import Console, TerminalOperator
-    from thigmo.cli.experiment_prompts import TerminalBystander
-    from thigmo.studies.experiments.evaluate import save
-    from thigmo.studies.experiments.explorations import (
-        EmulatedBystander,
-        ExplorationFolder,
-        evaluate,
-        run_explorations,
-    )
-
-    if asked.robot is None:
-        assert asked.recorded is not None
-        folder = ExplorationFolder(asked.recorded)
-    else:
-        console = Console(quiet=asked.quiet)
+        if self.robot is None:
+            assert self.recorded is not None
+            folder = ExplorationFolder(self.recorded)
+            return evaluate(folder), folder.path
+        console = Console(quiet=self.quiet)
         person = TerminalOperator(console)
         with console.interruptible():
-            with asked.connected(person) as (machine, known):
-                emulated = machine.scenery() is not None
-            folder = ExplorationFolder(asked.out / "exploration", known)
-            look = _look(asked, known.body.diameter_cm)
+            with self.connected(person) as (machine, known):
+                emulated = machine.scenery() is not None and not self.rehearse
+            folder = ExplorationFolder(self.out, known)
             bystander = (
-                EmulatedBystander() if emulated and not asked.rehearse
-                else TerminalBystander(console, look)
-            )  # fmt: skip
+                EmulatedBystander() if emulated else TerminalBystander(console, self.camera(known))
+            )
             with console.progress() as show:
                 done = run_explorations(
-                    asked.robot, bystander, folder, asked.trials, seed=asked.seed,
-                    operator=person, progress=show, say=asked.say,
+                    self.robot, bystander, folder, self.trials, seed=self.seed, operator=person,
+                    progress=show, say=self.say,
                 )  # fmt: skip
             if not done:
-                asked.say("stopped; the same command goes on")
-    results = evaluate(folder)
-    save(results, "exploration", folder.path)
-    return results
-
-
-def _attendant(console: Console, machine: Robot, asked: _Asked) -> Attendant:
-    from thigmo.cli.experiment_prompts import TerminalAttendant
-    from thigmo.errors import DataError
-    from thigmo.studies.experiments.attendant import EmulatedAttendant
-
-    if machine.scenery() is not None:
-        if asked.camera is not None:
-            raise DataError("--camera is for a real robot", "the emulator knows its dowels")
-        behind = EmulatedAttendant(machine)
-        return TerminalAttendant(console, behind=behind) if asked.rehearse else behind
-    return TerminalAttendant(console, _look(asked, machine.config.body.diameter_cm))
-
-
-def _look(asked: _Asked, diameter_cm: float) -> Callable[[], list[Place]] | None:
-    """What measures the dowels' centres; None without a camera."""
-    if asked.camera is None:
-        return None
-    from thigmo.calibrate.eyes import Eyes
-    from thigmo.camera import CameraModel, open_source
-    from thigmo.cli.camera import load_sheet
-    from thigmo.studies.experiments import thesis
-
-    eyes = Eyes(
-        open_source(asked.camera), CameraModel.load(asked.camera_file),
-        load_sheet(asked.sheet_file), diameter_cm, thesis.DOWEL_CM,
-    )  # fmt: skip
-
-    def look() -> list[Place]:
-        found = eyes.everything().obstacles
-        return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
-
-    return look
-
-
-def _tell(results: list[Results], out: Path, as_json: bool) -> None:
-    if as_json:
-        print_json([_plain(result) for result in results])
-        return
-    _show([row for result in results for row in result.rows])
-    for result in results:
-        for claim in result.claims:
-            typer.echo(f"  {claim}")
-        for note in result.notes:
-            typer.echo(f"  {note}")
-    typer.echo(f"tables and figures are in {out}/")
-
-
-def _plain(result: Results) -> dict[str, Any]:
-    return {
-        "rows": [row.record() for row in result.rows],
-        "claims": [claim.record() for claim in result.claims],
-        "notes": result.notes,
-    }
-
-
-def _fit(seed: int, out: Path, as_json: bool) -> None:
-    from rich.progress import Progress
-
-    from thigmo.studies.experiments.fit import as_json as fit_json
-    from thigmo.studies.experiments.fit import fit
-
-    with Progress(disable=as_json) as bar:
-        task = bar.add_task("fitting the constants to section 3.2", total=None)
-        found = fit(
-            seed=seed, progress=lambda done, total: bar.update(task, completed=done, total=total)
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "constants.json").write_text(fit_json(found) + "\n")
-    typer.echo(fit_json(found))
-
-
-def _show(rows: list[Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    if not rows:
-        return
-    table = Table(
-        "",
-        "trials",
-        "thesis",
-        "its method, here",
-        "ours",
-        "perfect arc",
-        "at the bound",
-        "workspace: its",
-        "ours",
-        "bound",
-        title="mean +- standard deviation of |a - x of the obstacle|; mean workspace x error; cm",
-    )
-    for row in rows:
-        table.add_row(
-            f"{row.experiment}, {row.condition}",
-            str(row.trials),
-            f"{row.thesis_mean:.2f} +- {row.thesis_std:.2f}",
-            f"{row.here.mean:.2f} +- {row.here.std:.2f}",
-            f"{row.ours.mean:.2f} +- {row.ours.std:.2f}",
-            f"{row.perfect:.2f}",
-            f"{row.measured:.2f}",
-            f"{row.here.workspace:.2f}",
-            f"{row.ours.workspace:.2f}",
-            f"{row.bound:.2f}",
-        )
-    Console(width=150).print(table)
+                self.say("stopped; the same command goes on")
+        return evaluate(folder), folder.path

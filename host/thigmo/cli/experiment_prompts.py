@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from thigmo.cli.console import Console
-    from thigmo.studies.experiments.attendant import Attendant, Known, Place, Verdict
+    from thigmo.studies.experiments.attendant import Attendant, Known, Place
     from thigmo.studies.experiments.explorations import PlannedRun
+    from thigmo.studies.experiments.folder import Verdict
     from thigmo.studies.experiments.procedure import Planned
 
 _WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}

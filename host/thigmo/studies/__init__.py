@@ -13,10 +13,11 @@ from thigmo.studies.engine import Context, Outcome, Study
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures as conditions get harder",
-    "calibration": "coverage, false contacts, efficiency and separation",
-    "scaling": "time over sensors, contacts and batch size",
+    "calibration": "false contacts, and two contacts told apart",
+    "scaling": "time of `localize` and `localize_batch`, over sensors and rows",
+    "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
-    "exploration": "random pegs found, empty rooms silent, over noise",
+    "exploration": "pegs found and empty rooms silent, as calibrated and not",
     "trigger": "contact trigger's latency against its false alarms",
     "plant-models": "time against error of the plant's mechanics",
 }

@@ -6,7 +6,6 @@ another number of contacts than asked for, is an infinite error; more than 10 cm
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
@@ -17,8 +16,6 @@ from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.scenes import LENGTH, SIGMA, SPAN, Case
 
 FAILURE_CM = 10.0
-
-Draw = Callable[[np.random.Generator], Case]
 
 
 def attempt(

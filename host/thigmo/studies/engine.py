@@ -2,7 +2,7 @@
 
 A study is a function from a `Context` to an `Outcome`. Tables become CSV and JSON, figures PNG;
 claims are the numbers that the project promises, each with its limit, printed with a verdict.
-Called by `thigmo bench`; a study adds itself to `thigmo.studies.STUDIES`.
+Called by `thigmo bench` and `thigmo experiment`; `thigmo.studies` names the studies.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import json
 import signal
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -36,7 +36,17 @@ class Table:
 
     name: str
     columns: tuple[str, ...]
-    rows: list[tuple[Cell, ...]]
+    rows: Sequence[tuple[Cell, ...]]
+
+    @classmethod
+    def of(cls, name: str, records: Iterable[Any]) -> Table:
+        """A table of records: mappings, or objects whose attributes are cells (a first one)."""
+        plain = [one if isinstance(one, Mapping) else vars(one) for one in records]
+        return cls(name, tuple(plain[0]), [tuple(one.values()) for one in plain])
+
+    def records(self) -> list[dict[str, Cell]]:
+        """Its rows as mappings."""
+        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
 
 
 @dataclass(frozen=True)
@@ -75,11 +85,28 @@ class Claim:
 
 @dataclass
 class Outcome:
-    """What a study found."""
+    """What a study found.
+
+    Attributes:
+        tables, figures: written into the folder.
+        claims: written, and printed with their verdicts.
+        notes: sentences that are printed.
+        summary: a table that is printed.
+    """
 
     tables: list[Table] = field(default_factory=list)
     figures: dict[str, Figure] = field(default_factory=dict)
     claims: list[Claim] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    summary: Table | None = None
+
+    def record(self) -> dict[str, Any]:
+        """What programs are told: the rows of the comparison, if there is one, claims and notes."""
+        return {
+            "rows": [row for t in self.tables if t.name == "rows" for row in t.records()],
+            "claims": [claim.record() for claim in self.claims],
+            "notes": self.notes,
+        }
 
 
 @dataclass(frozen=True)
@@ -190,8 +217,9 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
                 writer.writerow(table.columns)
                 writer.writerows(table.rows)
             as_json = path.with_suffix(".json")
-            records = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-            as_json.write_text(json.dumps(records, indent=1, default=lambda number: number.item()))
+            as_json.write_text(
+                json.dumps(table.records(), indent=1, default=lambda number: number.item())
+            )
             paths += [path, as_json]
         for label, figure in outcome.figures.items():
             path = folder / f"{name}-{label}.png"

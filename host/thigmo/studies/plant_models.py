@@ -10,15 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thigmo.mechanics import Body, ModelChoice, Peg, Tube
-from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from thigmo.studies import charts
+from thigmo.studies.engine import Claim, Context, Outcome, Table
 
 LENGTH = 53.0
 _STEPS = 200
@@ -86,28 +83,6 @@ def compare(seed: int, kind: str) -> list[Run]:
     return runs
 
 
-def _figure(runs: list[Run]) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 5), layout="constrained")
-    axes = figure.subplots()
-    for index, (way, _, _) in enumerate(_WAYS):
-        mine = [run for run in runs if run.way == way]
-        axes.loglog(
-            [run.step_us for run in mine],
-            [max(run.error_cm, 1e-8) for run in mine],
-            "os^Dvx"[index],
-            alpha=0.5,
-            label=way,
-        )
-    axes.set_xlabel("time of a step (us)")
-    axes.set_ylabel("largest error of position (cm)")
-    axes.set_title("Models of the body, on the same scenes")
-    axes.grid(visible=True, which="both", alpha=0.2)
-    axes.legend()
-    return figure
-
-
 def run(context: Context) -> Outcome:
     """Time against error of the plant's models."""
     count = context.count(5, 40)
@@ -116,24 +91,32 @@ def run(context: Context) -> Outcome:
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
         for found in context.map(partial(compare, kind=kind), seeds, kind):
             runs += found
-    rows: list[tuple[Cell, ...]] = []
+    rows = []
     for kind in _KINDS:
         for way, _, _ in _WAYS:
             mine = [r for r in runs if r.kind == kind and r.way == way]
-            rows.append((
-                kind, way, round(float(np.median([r.step_us for r in mine])), 2),
-                float(np.median([r.error_cm for r in mine])), max(r.error_cm for r in mine),
-                "; ".join(sorted({r.models for r in mine})),
-            ))  # fmt: skip
+            rows.append({
+                "scene": kind, "model": way,
+                "step_us": round(float(np.median([r.step_us for r in mine])), 2),
+                "median_cm": float(np.median([r.error_cm for r in mine])),
+                "worst_cm": max(r.error_cm for r in mine),
+                "used": "; ".join(sorted({r.models for r in mine})),
+            })  # fmt: skip
     excess = [
         r.error_cm - float(r.way.split()[1])
         for r in runs
         if r.way.startswith("auto") and r.models != "arc"
     ]
     touched = [r.step_us for r in runs if r.way == "elastica" and r.kind != "free"]
+    figure, (axis,) = charts.panels(size=(7, 5), title="Models of the body, on the same scenes")
+    for way, marker in zip((way for way, _, _ in _WAYS), "os^Dvx", strict=True):
+        at = [(run.step_us, max(run.error_cm, 1e-8)) for run in runs if run.way == way]
+        axis.loglog(*np.array(at).T, marker, alpha=0.5, label=way)
+    axis.set(xlabel="time of a step (us)", ylabel="largest error of position (cm)")
+    axis.legend()
     return Outcome(
-        [Table("models", ("scene", "model", "step_us", "median_cm", "worst_cm", "used"), rows)],
-        {"time-error": _figure(runs)},
+        [Table.of("models", rows)],
+        {"time-error": figure},
         [
             Claim("error above the stated tolerance, worst scene", max(excess), 0.0, unit="cm"),
             Claim("a warm elastica step among pegs", float(np.median(touched)), 150.0, unit="us"),

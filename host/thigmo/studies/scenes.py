@@ -46,6 +46,7 @@ def read(
     forces: tuple[float, ...],
     *,
     position: Floats = BOTH,
+    span: float = SPAN,
     free: float = 0.0,
     sigma: float = SIGMA,
 ) -> Case:
@@ -55,7 +56,7 @@ def read(
         np.array(forces),
         position,
         length=LENGTH,
-        span=SPAN,
+        span=span,
         free_curvature=free,
     )
     return Case(clean + sigma * rng.standard_normal(position.size), position, free, arcs, forces)
@@ -65,10 +66,11 @@ def _moment(rng: np.random.Generator) -> float:
     return float(rng.uniform(0.3, 1.0)) * CRITICAL
 
 
-def one_contact(rng: np.random.Generator) -> Case:
+def one_contact(rng: np.random.Generator, position: Floats = BOTH, span: float = SPAN) -> Case:
     """One contact on the straight robot, ten readings."""
     arc = float(rng.uniform(20.0, LENGTH))
-    return read(rng, (arc,), (float(rng.choice([-1.0, 1.0])) * _moment(rng) / arc,))
+    force = float(rng.choice([-1.0, 1.0])) * _moment(rng) / arc
+    return read(rng, (arc,), (force,), position=position, span=span)
 
 
 def two_contacts(rng: np.random.Generator) -> Case:
@@ -81,11 +83,18 @@ def two_contacts(rng: np.random.Generator) -> Case:
     return read(rng, (proximal, distal), (-sign * force * distal / proximal, sign * 1.5 * force))
 
 
-def actuated(rng: np.random.Generator) -> Case:
+def three_contacts(rng: np.random.Generator, position: Floats = BOTH, span: float = SPAN) -> Case:
+    """Three contacts of alternating forces, near 20, 35 and 50 cm, at sensors as given."""
+    arcs = np.array([20.0, 35.0, 50.0]) + rng.uniform(-1.5, 1.5, 3)
+    forces = float(rng.choice([-1.0, 1.0])) * np.array([2.4, -1.6, 1.0]) * 0.6 * CRITICAL / LENGTH
+    return read(rng, tuple(arcs.tolist()), tuple(forces.tolist()), position=position, span=span)
+
+
+def actuated(rng: np.random.Generator, position: Floats = COLUMN) -> Case:
     """One contact on the bent robot's side, read by its inactive side only: five readings."""
     arc = float(rng.uniform(30.0, LENGTH))
     free = float(rng.uniform(0.02, FULL_CURVATURE))
-    return read(rng, (arc,), (-_moment(rng) / arc,), position=COLUMN, free=free)
+    return read(rng, (arc,), (-_moment(rng) / arc,), position=position, free=free)
 
 
 def press(rng: np.random.Generator, moment: float) -> tuple[float, PegContact]:

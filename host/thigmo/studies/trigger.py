@@ -21,6 +21,7 @@ from thigmo.emulator.board import Floats
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.link.protocol import PARAMETERS
+from thigmo.studies import charts
 from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
 from thigmo.studies.trigger_sessions import (
     RISE_MS,
@@ -200,116 +201,100 @@ def chosen(alarms: Sequence[float], steps: Sequence[float], pegs: Sequence[float
 
 def _alarm_table(alarms: dict[tuple[str, float], Floats], few: int, many: int) -> Table:
     hours = 2 * RISE_MS / 3.6e6  # of sweeping, a sweep
-    rows: list[tuple[Cell, ...]] = []
-    for (part, level), rates in alarms.items():
-        sweeps = _SWEEPS * (many if (part, level) == DECIDING else few)
-        for setting, rate in zip(settings(), rates, strict=True):
-            rows.append((
-                part, level, 2**setting.filter_log2, setting.debounce_ms, sweeps,
-                round(float(rate), 2), round(float(rate) / 100 / hours, 1),
-            ))  # fmt: skip
-    columns = (
-        "noise_part", "times_default", "samples_averaged", "debounce_ms", "empty_sweeps",
-        "false_alarms_per_100_sweeps", "false_alarms_per_hour_of_sweeping",
-    )  # fmt: skip
-    return Table("alarms", columns, rows)
+    return Table.of(
+        "alarms",
+        [
+            {
+                "noise_part": part,
+                "times_default": level,
+                "samples_averaged": 2**setting.filter_log2,
+                "debounce_ms": setting.debounce_ms,
+                "empty_sweeps": _SWEEPS * (many if (part, level) == DECIDING else few),
+                "false_alarms_per_100_sweeps": round(float(rate), 2),
+                "false_alarms_per_hour_of_sweeping": round(float(rate) / 100 / hours, 1),
+            }
+            for (part, level), rates in alarms.items()
+            for setting, rate in zip(settings(), rates, strict=True)
+        ],
+    )
 
 
 def _latency_table(late: dict[float, Floats]) -> Table:
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[dict[str, Cell]] = []
     for n, setting in enumerate(settings()):
-        row: list[Cell] = [2**setting.filter_log2, setting.debounce_ms]
+        row: dict[str, Cell] = {
+            "samples_averaged": 2**setting.filter_log2,
+            "debounce_ms": setting.debounce_ms,
+        }
         for step in (*STEPS, PEGS):
             values, early = late[step][n], step == PEGS
-            row += [round(quantile(values, share, early=early), 1) for share in (0.5, 0.9, 0.95)]
-            row.append(int(np.isinf(values).sum()))
-        rows.append(tuple(row))
-    names = [f"step_{step:g}_threshold" for step in STEPS] + ["peg"]
-    columns = [
-        f"{name}_{what}" for name in names for what in ("median_ms", "90_ms", "95_ms", "missed")
-    ]
-    return Table("latency", ("samples_averaged", "debounce_ms", *columns), rows)
+            name = "peg" if early else f"step_{step:g}_threshold"
+            for what, share in (("median", 0.5), ("90", 0.9), ("95", 0.95)):
+                row[f"{name}_{what}_ms"] = round(quantile(values, share, early=early), 1)
+            row[f"{name}_missed"] = int(np.isinf(values).sum())
+        rows.append(row)
+    return Table.of("latency", rows)
 
 
 def _claims(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> list[Claim]:
     steps, pegs, rates = step_ms(late), peg_ms(late), alarms[DECIDING].tolist()
     ours, best = settings().index(default_setting()), chosen(rates, steps, pegs)
+    fastest = min(p for p, rate in zip(pegs, rates, strict=True) if rate <= ALLOWED_PER_100)
     return [
-        Claim(
-            "default trigger: false alarms in 100 empty sweeps at twice the noise",
-            rates[ours],
-            ALLOWED_PER_100,
-        ),
-        Claim(
-            "default trigger: 90 % of sweeps into pegs, behind the fastest setting allowed",
-            pegs[ours] - min(p for p, rate in zip(pegs, rates, strict=True) if rate <= 1.0),
-            EQUAL_MS,
-            unit="ms",
-        ),
-        Claim(
-            "default trigger: 95 % of steps of 1.5 thresholds, behind the setting the rule chooses",
-            steps[ours] - steps[best],
-            0.0,
-            unit="ms",
-        ),
-        Claim(
-            "default trigger: 95 % of steps of 1.5 thresholds (limit: the muscle's dead time)",
-            steps[ours],
-            DEAD_TIME_MS,
-            unit="ms",
-        ),
-    ]
+        Claim(f"default trigger: {text}", value, limit, unit=unit)
+        for text, value, limit, unit in (
+            ("false alarms in 100 empty sweeps at twice the noise", rates[ours], ALLOWED_PER_100,
+             ""),
+            ("90 % of sweeps into pegs, behind the fastest setting allowed", pegs[ours] - fastest,
+             EQUAL_MS, "ms"),
+            ("95 % of steps of 1.5 thresholds, behind the setting the rule chooses",
+             steps[ours] - steps[best], 0.0, "ms"),
+            ("95 % of steps of 1.5 thresholds (limit: the muscle's dead time)", steps[ours],
+             DEAD_TIME_MS, "ms"),
+        )
+    ]  # fmt: skip
 
 
 def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4 * len(PARTS), 8), layout="constrained")
-    axes = figure.subplots(2, len(PARTS), sharey=True)
+    figure, axes = charts.panels(
+        2, len(PARTS), size=(4, 4), share=True,
+        title="Contact trigger: latency against false alarms. Noise in each column at 2 (full "
+        "line) and 4 times its default (dotted).\nPoints along a line: debounce of "
+        f"{', '.join(map(str, DEBOUNCES_MS))} ms. Star: the board's default. Grey: at most "
+        f"{ALLOWED_PER_100:g} in 100.",
+    )  # fmt: skip
     kinds = (
         (step_ms(late), "latency, 95 % of steps of 1.5 thresholds (ms)", (0.0, 70.0)),
         (peg_ms(late), "latency, 90 % of sweeps into pegs (ms)", (-60.0, 150.0)),
     )
-    for row, (latency, label, limits) in enumerate(kinds):
-        for column, part in enumerate(PARTS):
-            axis: Axes = axes[row, column]
-            _draw(axis, latency, [(level, alarms[part, level]) for level in LEVELS])
-            axis.set(xlim=limits, xlabel=label, title=f"{part}" if row == 0 else "")
-            if column == 0:
-                axis.set_ylabel("false alarms in 100 empty sweeps")
-    axes[0, -1].legend(fontsize=7, loc="upper right", title="samples averaged", title_fontsize=7)
-    figure.suptitle(
-        "Contact trigger: latency against false alarms. Noise in each column at 2 (full line) and"
-        f" 4 times its default (dotted).\nPoints along a line: debounce of"
-        f" {', '.join(map(str, DEBOUNCES_MS))} ms. Star: the board's default. Grey: at most"
-        f" {ALLOWED_PER_100:g} in 100.",
-        fontsize=11,
+    for panel, axis in enumerate(axes):
+        (latency, label, limits), part = kinds[panel // len(PARTS)], list(PARTS)[panel % len(PARTS)]
+        _draw(axis, latency, [(level, alarms[part, level]) for level in LEVELS])
+        axis.set(xlim=limits, xlabel=label, title=part if panel < len(PARTS) else "")
+        if panel % len(PARTS) == 0:
+            axis.set_ylabel("false alarms in 100 empty sweeps")
+    axes[len(PARTS) - 1].legend(
+        fontsize=7, loc="upper right", title="samples averaged", title_fontsize=7
     )
     return figure
 
 
 def _draw(axis: Axes, latency: list[float], levels: list[tuple[float, Floats]]) -> None:
     tried = settings()
+    ours = tried.index(default_setting())
     axis.axhspan(-0.4, ALLOWED_PER_100, color="0.9", zorder=0)
     for level, rates in levels:
         first = level == LEVELS[0]
         for color, log2 in enumerate(FILTERS):
             those = [n for n, setting in enumerate(tried) if setting.filter_log2 == log2]
             axis.plot(
-                [latency[n] for n in those],
-                [rates[n] for n in those],
-                color=f"C{color}",
-                linestyle="-" if first else ":",
-                marker="o",
-                markersize=5 if first else 3,
+                [latency[n] for n in those], [rates[n] for n in those], "o-" if first else "o:",
+                color=f"C{color}", markersize=5 if first else 3,
                 markerfacecolor=f"C{color}" if first else "white",
                 label=f"{2**log2}" if first else None,
-            )
-        ours = tried.index(default_setting())
-        axis.plot(
-            latency[ours], rates[ours], "*", color="black", markersize=15 if first else 9, zorder=5
-        )
+            )  # fmt: skip
+        size = 15 if first else 9
+        axis.plot(latency[ours], rates[ours], "*", color="black", markersize=size, zorder=5)
     axis.set_yscale("symlog", linthresh=1.0)
     axis.set_ylim(-0.4, 300)
     axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
-    axis.grid(alpha=0.2)

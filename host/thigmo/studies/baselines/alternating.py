@@ -7,96 +7,36 @@ then a in [0, L] with f fixed, from f = 0 and a at the tip (several contacts: at
 L), until no arc moves by more than 0.5 cm. MATLAB's interior point starts with a barrier of 0.1
 while this objective is of order 0.01: the first barrier problems pull a towards the middle of
 [0, L], and the path then follows the shrinking barrier. That is what lets it leave some local
-minima, and what `coordinate` (exact coordinate descent: each step the global optimum of its
-variable) lacks: it stalls in the ravine along which f and a trade, where neither alone can improve.
-The step in f is exact here, which is the most that the interior point could reach. `clamped` and
-`coupled` are the thesis's two remedies for a folded base (section 3.2).
+minima; exact coordinate descent stalls in the ravine along which f and a trade, where neither alone
+can improve. The step in f is exact here, which is the most that the interior point could reach.
+`clamped` and `coupled` are the thesis's two remedies for a folded base (section 3.2).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
-from thigmo.compiled import compiled
 from thigmo.studies.baselines.problem import (
     Array,
     Problem,
     best_forces,
+    in_order,
+    influence,
     objective,
-    residual,
     starting_arcs,
 )
 
 _TOLERANCE_CM = 0.5
 _MOST_ROUNDS = 100
-_MM = 10.0
-_FIRST_BARRIER = 0.1
-_BARRIER_STEP = 0.2
-_BARRIERS = 12
-
-
-@compiled
-def _barrier_value(
-    curvature: Array,
-    position: Array,
-    span: Array,
-    arcs: Array,
-    forces: Array,
-    length: float,
-    mu: float,
-) -> float:
-    value = residual(curvature, position, span, arcs, forces)
-    for arc in arcs:
-        if arc <= 0.0 or arc >= length:
-            return np.inf
-        value -= mu * (np.log(arc) + np.log(length - arc))
-    return value
-
-
-@compiled
-def _follow(
-    curvature: Array,
-    position: Array,
-    span: Array,
-    arcs: Array,
-    forces: Array,
-    length: float,
-    first: float,
-    shrink: float,
-    levels: int,
-) -> None:
-    """Follow the barrier path downhill from `arcs` (changed in place), forces fixed."""
-    margin = 1e-6 * length
-    for j in range(arcs.size):
-        arcs[j] = min(max(arcs[j], margin), length - margin)
-    mu = first
-    for _ in range(levels):
-        for _sweep in range(8):
-            moved = 0.0
-            for j in range(arcs.size):
-                start = arcs[j]
-                here = _barrier_value(curvature, position, span, arcs, forces, length, mu)
-                step = 0.02 * length
-                while step > 1e-5 * length:
-                    better = False
-                    for sign in (-1.0, 1.0):
-                        old = arcs[j]
-                        arcs[j] = old + sign * step
-                        value = _barrier_value(curvature, position, span, arcs, forces, length, mu)
-                        if value < here:
-                            here = value
-                            better = True
-                            break
-                        arcs[j] = old
-                    if not better:
-                        step *= 0.5
-                moved = max(moved, abs(arcs[j] - start))
-            if moved < 1e-4 * length:
-                break
-        mu *= shrink
+# MATLAB's first barrier of 0.1 on an objective in 1/mm, as one in 1/cm.
+_BARRIERS = 1.0 * 0.2 ** np.arange(12)
+_NODES = 1600  # of the arcs that are tried; 0.03 cm apart on the 53 cm body
+_STEPS = (32, 16, 8, 4, 2, 1)  # nodes; the first is 2 % of the length
+_SWEEPS = 8
 
 
 def at_centres(problem: Problem) -> Problem:
@@ -104,34 +44,60 @@ def at_centres(problem: Problem) -> Problem:
     return replace(problem, span=np.zeros_like(problem.span))
 
 
-def alternating(problem: Problem) -> tuple[Array, Array]:
-    """The thesis's solver: log-barrier interior point over a, in mm, alternated with exact f."""
-    arcs = starting_arcs(problem) * _MM
-    in_mm = replace(
-        at_centres(problem),
-        curvature=problem.curvature / _MM,
-        position=problem.position * _MM,
-        length=problem.length * _MM,
-    )
-    forces = np.zeros(arcs.size)
+def alternating(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
+    """The thesis's solver: a log-barrier interior point over a, alternated with exact f.
+
+    Args:
+        problem: what is read.
+        norm: of the objective; 1 is the thesis's.
+    """
+    problem = at_centres(problem)
+    nodes = problem.length * np.arange(1, _NODES) / _NODES
+    barrier = np.log(nodes) + np.log(problem.length - nodes)
+    levers = influence(problem, nodes)
+    at = np.abs(nodes - starting_arcs(problem)[:, None]).argmin(axis=1)
+    forces = np.zeros(at.size)
     for _ in range(_MOST_ROUNDS):
-        forces = best_forces(in_mm, arcs)
-        before = arcs.copy()
-        _follow(
-            in_mm.curvature,
-            in_mm.position,
-            in_mm.span,
-            arcs,
-            forces,
-            in_mm.length,
-            _FIRST_BARRIER,
-            _BARRIER_STEP,
-            _BARRIERS,
-        )
-        if np.max(np.abs(arcs - before)) <= _TOLERANCE_CM * _MM:
+        if norm == 1:
+            forces = best_forces(problem, nodes[at])
+        else:
+            forces = np.asarray(np.linalg.pinv(levers[:, at]) @ problem.curvature)
+        before = nodes[at]
+        _follow(problem.curvature, levers, forces, at, barrier, norm)
+        if np.max(np.abs(nodes[at] - before)) <= _TOLERANCE_CM:
             break
-    order = np.argsort(arcs)
-    return arcs[order] / _MM, forces[order] * _MM**2
+    return in_order(nodes[at], forces)
+
+
+def _follow(
+    curvature: Array, levers: Array, forces: Array, at: Array, barrier: Array, norm: Literal[1, 2]
+) -> None:
+    """Follow the barrier path downhill from the nodes `at` (changed in place), forces fixed."""
+    misfits: dict[int, Array] = {}
+    for mu in _BARRIERS:
+        for _ in range(_SWEEPS):
+            before = at.copy()
+            for j, force in enumerate(forces):
+                if j not in misfits or len(forces) > 1:
+                    others = levers[:, at] @ forces - force * levers[:, at[j]]
+                    left = (curvature - others)[:, None] - force * levers
+                    misfits[j] = np.linalg.norm(left, norm, axis=0)
+                at[j] = _downhill((misfits[j] - mu * barrier).tolist(), int(at[j]))
+            if (at == before).all() or len(forces) == 1:
+                break
+
+
+def _downhill(values: list[float], at: int) -> int:
+    """From a node down to where steps of no size lead lower."""
+    for step in _STEPS:
+        while True:
+            for near in (at - step, at + step):
+                if 0 <= near < len(values) and values[near] < values[at]:
+                    at = near
+                    break
+            else:
+                break
+    return at
 
 
 def _cost(problem: Problem, forces: Array, arcs: Array) -> float:
@@ -141,10 +107,9 @@ def _cost(problem: Problem, forces: Array, arcs: Array) -> float:
 def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
 
-    The same alternation as `alternating`, in a general solver's hands instead of compiled code:
-    the speed that users of the thesis's method see. In cm, where it takes half as long as in mm
-    with the same error. Source: scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J.
-    Optim. 9, 1999).
+    The same alternation as `alternating`, in a general solver's hands: the speed that users of the
+    thesis's method see. In cm, where it takes half as long as in mm with the same error. Source:
+    scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J. Optim. 9, 1999).
     """
     import warnings
 
@@ -166,64 +131,20 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
         arcs = np.clip(found.x, 0.0, problem.length)
         if np.max(np.abs(arcs - before)) <= _TOLERANCE_CM:
             break
-    order = np.argsort(arcs)
-    return arcs[order], forces[order]
+    return in_order(arcs, forces)
 
 
-@compiled
-def _best_arc(
-    curvature: Array,
-    position: Array,
-    span: Array,
-    arcs: Array,
-    forces: Array,
-    length: float,
-    j: int,
-) -> float:
-    """The best place for contact j over all of [0, length], everything else fixed."""
-    best, least = arcs[j], np.inf
-    trial = arcs.copy()
-    cells = 1060
-    for k in range(cells + 1):
-        trial[j] = length * k / cells
-        value = residual(curvature, position, span, trial, forces)
-        if value < least:
-            best, least = trial[j], value
-    return float(best)
-
-
-def coordinate(problem: Problem) -> tuple[Array, Array]:
-    """Exact coordinate descent: the best f, then the globally best a, until nothing moves.
-
-    Not the thesis's solver, though its text can be read as this: see the top of this file.
-    """
-    problem = at_centres(problem)
-    arcs = starting_arcs(problem)
-    forces = np.zeros(arcs.size)
-    for _ in range(_MOST_ROUNDS):
-        forces = best_forces(problem, arcs)
-        before = arcs.copy()
-        for j in range(arcs.size):
-            arcs[j] = _best_arc(
-                problem.curvature, problem.position, problem.span, arcs, forces, problem.length, j
-            )
-        if np.max(np.abs(arcs - before)) <= _TOLERANCE_CM:
-            break
-    order = np.argsort(arcs)
-    return arcs[order], forces[order]
-
-
-def clamp_base(problem: Problem) -> Problem:
-    """Readings of the base sensors kept from passing the critical curvature (section 3.2)."""
+def _clamp_base(problem: Problem) -> tuple[Problem, float]:
+    """Readings of the base sensors kept from passing the critical curvature, and their mean."""
     at_base = problem.position <= problem.position.min() + 1e-9
     limit = problem.critical_curvature
-    clamped = np.where(at_base, np.clip(problem.curvature, -limit, limit), problem.curvature)
-    return replace(problem, curvature=clamped)
+    held = np.where(at_base, np.clip(problem.curvature, -limit, limit), problem.curvature)
+    return replace(problem, curvature=held), float(np.mean(problem.curvature[at_base]))
 
 
 def clamped(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver on readings whose base is clamped at the critical curvature."""
-    return alternating(clamp_base(problem))
+    return alternating(_clamp_base(problem)[0])
 
 
 def coupled(problem: Problem) -> tuple[Array, Array]:
@@ -234,11 +155,10 @@ def coupled(problem: Problem) -> tuple[Array, Array]:
     """
     from scipy.optimize import minimize
 
-    at_base = problem.position <= problem.position.min() + 1e-9
-    base = float(np.mean(problem.curvature[at_base]))
+    held, base = _clamp_base(problem)
     if problem.contacts != 1 or abs(base) <= problem.critical_curvature:
-        return clamped(problem)
-    cut = at_centres(clamp_base(problem))
+        return alternating(held)
+    cut = at_centres(held)
     moment = np.sign(base) * problem.critical_curvature
 
     def cost(x: Array) -> float:

@@ -32,7 +32,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     if places.size < least:
         raise DataError(
             f"pwlf needs readings at {least} places, there are {places.size}",
-            "use method='exact'",
+            "use the localizer",
         )
     means = np.array([problem.curvature[problem.position == x].mean() for x in places])
     fit = PiecewiseLinFit(places, means, seed=0)
@@ -60,7 +60,7 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
     least = _SEGMENT * (problem.contacts + 1)
     if order.size < least:
         raise DataError(
-            f"ruptures needs {least} readings, there are {order.size}", "use method='exact'"
+            f"ruptures needs {least} readings, there are {order.size}", "use the localizer"
         )
     fit = Dynp(model="clinear", min_size=_SEGMENT, jump=1).fit(problem.curvature[order][:, None])
     ends = np.asarray(fit.predict(n_bkps=problem.contacts)[:-1], dtype=int)

@@ -1,9 +1,9 @@
 """The problem that every baseline solves, and the pieces that they share.
 
 A baseline gets curvature above the free curvature, in cm and 1/cm (their steps and tolerances are
-lengths, so the caller converts), and a number of contacts; it answers arcs and forces. The model
-is the thesis's (equation 2.9), averaged over each sensor's span; the thesis's own solvers take it
-at the sensors' centres (`alternating.at_centres`).
+lengths), and a number of contacts; it answers arcs and forces, base first. The model is the
+thesis's (equation 2.9), averaged over each sensor's span; the thesis's own solvers take it at the
+sensors' centres (`alternating.at_centres`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-
-from thigmo.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
@@ -45,52 +43,29 @@ class Problem:
     start: Array | None = None
 
 
-@compiled
-def lever(arc: float, position: float, span: float) -> float:
-    """Reading of a unit force at `arc`: its lever arm, averaged over the sensor's span."""
-    near = position - 0.5 * span
-    if arc <= near:
-        return 0.0
-    if arc >= position + 0.5 * span:
-        return arc - position
-    return 0.5 * (arc - near) * (arc - near) / span
+def influence(problem: Problem, arcs: Array) -> Array:
+    """(N, K) readings for unit forces at K arcs: lever arms, averaged over each sensor's span."""
+    reach = arcs - (problem.position - problem.span / 2)[:, None]
+    span = problem.span[:, None]
+    inside = 0.5 * reach**2 / np.maximum(span, 1e-12)
+    beyond = arcs - problem.position[:, None]
+    return np.asarray(np.where(reach <= 0, 0.0, np.where(reach >= span, beyond, inside)))
 
 
-@compiled
-def residual(curvature: Array, position: Array, span: Array, arcs: Array, forces: Array) -> float:
-    """1-norm of readings minus model (thesis, equation 2.10)."""
-    total = 0.0
-    for i in range(curvature.size):
-        value = curvature[i]
-        for j in range(arcs.size):
-            value -= forces[j] * lever(arcs[j], position[i], span[i])
-        total += abs(value)
-    return total
+def objective(problem: Problem, arcs: Array, forces: Array) -> float:
+    """The 1-norm of readings minus model (thesis, equation 2.10)."""
+    return float(np.abs(problem.curvature - influence(problem, arcs) @ forces).sum())
 
 
-@compiled
-def best_force(curvature: Array, position: Array, span: Array, arc: float) -> float:
-    """The force that minimises the 1-norm for one contact at `arc`: a weighted median."""
-    n = curvature.size
-    ratio = np.empty(n)
-    weight = np.empty(n)
-    count = 0
-    for i in range(n):
-        phi = lever(arc, position[i], span[i])
-        if phi > 0.0:
-            ratio[count] = curvature[i] / phi
-            weight[count] = phi
-            count += 1
-    if count == 0:
-        return 0.0
-    order = np.argsort(ratio[:count])
-    half = 0.5 * weight[:count].sum()
-    total = 0.0
-    for k in order:
-        total += weight[k]
-        if total >= half:
-            return float(ratio[k])
-    return float(ratio[order[count - 1]])
+def single_forces(problem: Problem, arcs: Array) -> Array:
+    """For each of K arcs the force that a single contact there has: a weighted median, (K,)."""
+    weight = influence(problem, arcs)
+    ratio = problem.curvature[:, None] / np.where(weight > 0.0, weight, np.inf)
+    order = np.argsort(ratio, axis=0)
+    summed = np.take_along_axis(weight, order, 0).cumsum(axis=0)
+    middle = (summed < 0.5 * summed[-1]).sum(axis=0)
+    rank = np.take_along_axis(order, middle[None, :], 0)
+    return np.asarray(np.take_along_axis(ratio, rank, 0)[0])
 
 
 def best_forces(problem: Problem, arcs: Array) -> Array:
@@ -100,36 +75,14 @@ def best_forces(problem: Problem, arcs: Array) -> Array:
     as many readings as there are forces, so all such subsets are tried.
     """
     if arcs.size == 1:
-        force = best_force(problem.curvature, problem.position, problem.span, float(arcs[0]))
-        return np.array([force])
+        return single_forces(problem, arcs)
     phi = influence(problem, arcs)
-    best, least = np.zeros(arcs.size), float(np.abs(problem.curvature).sum())
-    for rows in combinations(range(problem.curvature.size), arcs.size):
-        chosen = phi[list(rows)]
-        if abs(np.linalg.det(chosen)) < 1e-9:
-            continue
-        forces = np.linalg.solve(chosen, problem.curvature[list(rows)])
-        value = float(np.abs(problem.curvature - phi @ forces).sum())
-        if value < least:
-            best[:], least = forces, value
-    return best
-
-
-def influence(problem: Problem, arcs: Array) -> Array:
-    """(N, C) readings for unit forces at the arcs."""
-    near = problem.position - problem.span / 2
-    reach = arcs[None, :] - near[:, None]
-    inside = 0.5 * reach**2 / np.maximum(problem.span, 1e-12)[:, None]
-    beyond = arcs[None, :] - problem.position[:, None]
-    result: Array = np.where(
-        reach <= 0, 0.0, np.where(reach >= problem.span[:, None], beyond, inside)
-    )
-    return result
-
-
-def objective(problem: Problem, arcs: Array, forces: Array) -> float:
-    """The 1-norm of readings minus model."""
-    return float(residual(problem.curvature, problem.position, problem.span, arcs, forces))
+    subsets = np.array(list(combinations(range(problem.curvature.size), arcs.size)))
+    regular = np.abs(np.linalg.det(phi[subsets])) >= 1e-9
+    through = np.linalg.solve(phi[subsets[regular]], problem.curvature[subsets[regular]][..., None])
+    tried = np.vstack([np.zeros((1, arcs.size)), through[..., 0]])
+    misfit = np.abs(problem.curvature - tried @ phi.T).sum(axis=1)
+    return np.asarray(tried[misfit.argmin()])
 
 
 def starting_arcs(problem: Problem) -> Array:
@@ -137,3 +90,9 @@ def starting_arcs(problem: Problem) -> Array:
     if problem.start is not None:
         return np.array(problem.start, dtype=np.float64)
     return problem.length * np.arange(1, problem.contacts + 1) / problem.contacts
+
+
+def in_order(arcs: Array, forces: Array) -> tuple[Array, Array]:
+    """Contacts from the base on."""
+    order = np.argsort(arcs)
+    return arcs[order], forces[order]

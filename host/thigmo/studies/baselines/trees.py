@@ -1,45 +1,41 @@
 """Tree ensembles, the thesis's wish: trained on simulated readings, alone and with mechanics.
 
 One ensemble is trained for each sensor layout, noise and number of contacts, on the beam model
-with random contacts, and kept for the process. `trees` sees the readings only; `trees_mechanics`
-also sees the exact solver's answer and what it leaves over. Source: Geurts, Ernst and Wehenkel,
-Extremely randomized trees, Machine Learning 63, 2006 (scikit-learn); the thesis's outlook asks for
-an ensemble of trees.
+with random contacts, and kept for the process. With mechanics it also sees the exact 1-norm fit and
+what that leaves over. Source: Geurts, Ernst and Wehenkel, Extremely randomized trees, Machine
+Learning 63, 2006 (scikit-learn); the thesis's outlook asks for an ensemble of trees.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from thigmo.errors import DataError
+from thigmo.localization import localize
 from thigmo.studies.baselines.problem import Array, Problem, best_forces, influence
 
 _EXAMPLES = 6000
 
 
-def _mechanics(problem: Problem) -> Array:
-    from thigmo.localization.exact import one_contact, several_contacts
-
-    if problem.contacts == 1:
-        fit = one_contact(problem.curvature, problem.position, problem.length, span=problem.span)
-    else:
-        fit = several_contacts(
-            problem.curvature,
-            problem.position,
-            problem.length,
-            contacts=problem.contacts,
-            span=problem.span,
-        )
-    left = problem.curvature - influence(problem, fit.arc) @ fit.force
-    return np.concatenate([fit.arc, fit.force * problem.length**2, left * problem.length])
-
-
 def _features(problem: Problem, mechanics: bool) -> Array:
     plain = problem.curvature * problem.length
-    return np.concatenate([plain, _mechanics(problem)]) if mechanics else plain
+    if not mechanics:
+        return plain
+    fit = localize(
+        problem.curvature,
+        problem.position,
+        length=problem.length,
+        span=problem.span,
+        contacts=problem.contacts,
+        method="l1",
+    ).contacts
+    arcs, forces = (np.array([getattr(c, what) for c in fit]) for what in ("arc", "force"))
+    left = problem.curvature - influence(problem, arcs) @ forces
+    return np.concatenate([plain, arcs, forces * problem.length**2, left * problem.length])
 
 
 def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]:
@@ -47,17 +43,7 @@ def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]
     moments = rng.uniform(0.1, 1.2, layout.contacts) * layout.critical_curvature
     forces = moments * rng.choice([-1.0, 1.0], layout.contacts) / arcs
     clean = influence(layout, arcs) @ forces
-    noisy = clean + layout.noise * rng.standard_normal(clean.size)
-    example = Problem(
-        noisy,
-        layout.position,
-        layout.span,
-        layout.length,
-        layout.contacts,
-        layout.noise,
-        layout.critical_curvature,
-    )
-    return example, arcs
+    return replace(layout, curvature=clean + layout.noise * rng.standard_normal(clean.size)), arcs
 
 
 @lru_cache(maxsize=16)
@@ -87,7 +73,12 @@ def _ensemble(
     return forest.fit(inputs, arcs if contacts > 1 else arcs[:, 0])
 
 
-def _predict(problem: Problem, mechanics: bool) -> tuple[Array, Array]:
+def trees(problem: Problem, mechanics: bool = False) -> tuple[Array, Array]:
+    """Extremely randomised trees on the readings, alone or with the exact fit beside them.
+
+    Raises:
+        DataError: scikit-learn is missing.
+    """
     forest = _ensemble(
         tuple(problem.position.tolist()),
         tuple(problem.span.tolist()),
@@ -98,21 +89,3 @@ def _predict(problem: Problem, mechanics: bool) -> tuple[Array, Array]:
     )
     arcs = np.sort(np.atleast_1d(forest.predict(_features(problem, mechanics)[None, :])[0]))
     return arcs, best_forces(problem, arcs)
-
-
-def trees(problem: Problem) -> tuple[Array, Array]:
-    """Extremely randomised trees on the readings alone.
-
-    Raises:
-        DataError: scikit-learn is missing.
-    """
-    return _predict(problem, mechanics=False)
-
-
-def trees_mechanics(problem: Problem) -> tuple[Array, Array]:
-    """The same with the exact solver's answer and residuals as further features.
-
-    Raises:
-        DataError: scikit-learn is missing.
-    """
-    return _predict(problem, mechanics=True)

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg
 from thigmo.studies.experiments import thesis
+from thigmo.studies.experiments.folder import Verdict
 
 if TYPE_CHECKING:
     from thigmo.robot import Robot
     from thigmo.studies.experiments.procedure import Planned
 
-Verdict = Literal["keep", "redo", "skip", "quit"]
 Place = tuple[float, float]
 
 _CLEARANCE_CM = 0.01  # between skin and dowel that just touch

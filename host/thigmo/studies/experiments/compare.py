@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,14 @@ from scipy import special
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
 from thigmo.localization import LocalizeResult, localize, localize_obstacle
-from thigmo.localization.influence import STRAIGHT, Sensors
-from thigmo.localization.information import arc_bounds
-from thigmo.localization.readings import normalise
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Trial
+from thigmo.studies.information import arc_deviations
 
 Floats = NDArray[np.float64]
 
+THEIRS = "alternating"
 OURS = "ours"
 ALONE = "ours, last reading alone"
 
@@ -44,12 +44,11 @@ class Answer:
     fold_rad: float = 0.0
     status: str = "localized"
     intervals_cm: tuple[tuple[float, float], ...] = ()
-    model: str = ""
     bend: tuple[tuple[float, float], ...] = ()
     end_offset_cm: float | None = None
 
 
-def thesis_method(trial: Trial, name: str = "alternating") -> Answer:
+def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
     """The thesis's solver or one of its variants, told the number of contacts as the thesis was.
 
     Its model has no spans: equation 2.10 compares a reading with the curvature at the sensor's
@@ -98,19 +97,20 @@ def ours(trial: Trial) -> Answer:
 
 def alone(trial: Trial) -> Answer:
     """As `ours`, of the trial's own readings, without those on the way."""
-    result = localize(
-        trial.curvature / trial.gain,
-        trial.position,
-        length=trial.length_cm,
-        span=trial.span,
-        free_curvature=trial.free,
-        noise=trial.sigma,
-        offset_sigma=trial.offset_sigma,
-        contacts=len(trial.arcs_cm),
-        critical_curvature=trial.critical,
-        tube_radius=trial.radius_cm,
+    return _answer(
+        localize(
+            trial.curvature / trial.gain,
+            trial.position,
+            length=trial.length_cm,
+            span=trial.span,
+            free_curvature=trial.free,
+            noise=trial.sigma,
+            offset_sigma=trial.offset_sigma,
+            contacts=len(trial.arcs_cm),
+            critical_curvature=trial.critical,
+            tube_radius=trial.radius_cm,
+        )
     )
-    return _answer(result)
 
 
 def _answer(result: LocalizeResult) -> Answer:
@@ -120,7 +120,6 @@ def _answer(result: LocalizeResult) -> Answer:
         result.parameters.get("fold_angle", 0.0),
         result.status,
         tuple(contact.interval for contact in result.contacts),
-        result.model,
         tuple((float(arc), float(above)) for arc, above in result.bend),
         result.contacts[-1].end_offset if result.contacts else None,
     )
@@ -177,14 +176,8 @@ def workspace_errors(trial: Trial, answer: Answer) -> Floats:
     """
     if len(answer.arcs_cm) != len(trial.arcs_cm):
         return np.full(len(trial.arcs_cm), np.inf)
-    curve = centreline(
-        Bend(
-            trial.length_cm,
-            trial.free,
-            answer.bend or ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True)),
-            answer.fold_rad,
-        )
-    )
+    ramps = answer.bend or ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True))
+    curve = centreline(Bend(trial.length_cm, trial.free, ramps, answer.fold_rad))
     point_known = bool(np.isfinite(trial.contact_x_cm).all())
     radius = trial.radius_cm + (0.0 if point_known else trial.dowel_cm)
     found = [
@@ -208,134 +201,81 @@ def bound_cm(trial: Trial) -> Floats:
         return np.array([trial.passed.bound_cm])
     if not np.isfinite(trial.forces).all():
         return np.full(len(trial.arcs_cm), np.nan)
-    noise = np.maximum(trial.spread, 1e-9)
-    readings = normalise(
-        trial.curvature, trial.position, trial.length_cm, trial.span, trial.free, noise
-    )
-    scale = readings.length
-    count = readings.y.size
-    deviation = arc_bounds(
-        np.array(trial.arcs_cm) / scale,
-        np.array(trial.forces) * scale**2,
-        Sensors(readings.low, readings.high, STRAIGHT, np.empty((count, 4))),
-        (noise[readings.index] * scale) ** -2,
-        np.empty((count, 0)),
-    )
-    return np.asarray(np.sqrt(2 / np.pi) * deviation * scale)
+    arcs, forces, noise = map(np.array, (trial.arcs_cm, trial.forces, trial.spread))
+    told = np.maximum(noise, 1e-9)
+    deviation = arc_deviations(arcs, forces, trial.position, trial.span, told, trial.length_cm)
+    return np.asarray(np.sqrt(2 / np.pi) * deviation)
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Mean and spread of a method's errors over the trials of a row, cm.
+Row = dict[str, Any]
+"""One line of the three-column table (cm), for CSV, JSON and README's table.
 
-    Attributes:
-        mean, std: the thesis's measure, contacts ordered along the arc.
-        nearest, other: means with the closest pair of contact and obstacle matched first: of that
-            pair, and of the others (equal for one contact).
-        workspace: mean x error in the workspace.
-    """
-
-    mean: float
-    std: float
-    nearest: float
-    other: float
-    workspace: float
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the three-column table (cm).
-
-    Attributes:
-        perfect: the thesis's measure of a perfect arc: the foreshortening that it contains.
-        bound: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
-        measured: the same estimator's error in the thesis's measure, foreshortening included.
-        unbounded: number of contacts for which it is not: nothing fixes their place.
-        ambiguous: number of our answers that say so.
-        alone: our errors without the readings on the way; None where there are none.
-    """
-
-    experiment: str
-    condition: str
-    trials: int
-    thesis_mean: float
-    thesis_std: float
-    here: Errors
-    ours: Errors
-    perfect: float
-    bound: float
-    measured: float
-    unbounded: int
-    ambiguous: int
-    alone: Errors | None = None
-
-    def allowed(self, workspace: bool) -> float:
-        """What ours may be: the larger of half the thesis's method's error and 1.2 bounds."""
-        bound = self.bound if workspace else self.measured
-        bound = bound if np.isfinite(bound) else 0.0
-        theirs = self.here.workspace if workspace else self.here.mean
-        return max(0.5 * theirs, 1.2 * bound)
-
-    def beaten(self, workspace: bool) -> bool:
-        """Whether ours is within what is allowed, in the workspace or in the thesis's measure."""
-        return (self.ours.workspace if workspace else self.ours.mean) <= self.allowed(workspace)
-
-    def record(self) -> dict[str, float | int | str | bool]:
-        """As plain data: for CSV, JSON and README's table."""
-        return {
-            "experiment": self.experiment,
-            "condition": self.condition,
-            "trials": self.trials,
-            "thesis_mean": self.thesis_mean,
-            "thesis_std": self.thesis_std,
-            "here_mean": self.here.mean,
-            "here_std": self.here.std,
-            "ours_mean": self.ours.mean,
-            "ours_std": self.ours.std,
-            "perfect_arc_mean": self.perfect,
-            "allowed_mean": self.allowed(False),
-            "mean_beaten": self.beaten(False),
-            "here_nearest_mean": self.here.nearest,
-            "here_other_mean": self.here.other,
-            "ours_nearest_mean": self.ours.nearest,
-            "ours_other_mean": self.ours.other,
-            "here_workspace_mean": self.here.workspace,
-            "ours_workspace_mean": self.ours.workspace,
-            "bound_mean": self.bound,
-            "bound_measured_mean": self.measured,
-            "unbounded": self.unbounded,
-            "ambiguous": self.ambiguous,
-            "allowed": self.allowed(True),
-            "beaten": self.beaten(True),
-            "alone_mean": self.alone.mean if self.alone else float("nan"),
-            "alone_workspace_mean": self.alone.workspace if self.alone else float("nan"),
-        }
+    here_*, ours_*, alone_*: errors (`errors`) of the thesis's method here, of ours, and of ours
+        without the readings on the way (NaN where there are none).
+    perfect_arc_mean: the thesis's measure of a perfect arc: the foreshortening that it contains.
+    bound_mean: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
+    bound_measured_mean: the same estimator's error in the thesis's measure.
+    unbounded: number of contacts without a finite bound: nothing fixes their place.
+    ambiguous: number of our answers that say so.
+    allowed_mean, allowed: what ours may be in the thesis's measure and in the workspace: the larger
+        of half the thesis's method's error and 1.2 bounds; mean_beaten, beaten: whether it is.
+"""
 
 
 def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -> Row:
     """The line of one condition: the baseline `here` and ours over its trials."""
     told = thesis.published(experiment, condition)
     bounds = np.concatenate([one.bound_cm for one in solved])
-    finite = bounds[np.isfinite(bounds)]
+    finite = np.isfinite(bounds)
     ahead = np.concatenate(
         [np.abs(np.subtract(one.trial.arcs_cm, one.trial.obstacle_x_cm)) for one in solved]
     )
-    measured = folded(ahead, bounds)[np.isfinite(bounds)]
-    return Row(
-        experiment,
-        condition,
-        len(solved),
-        told.mean_cm,
-        told.std_cm,
-        errors(solved, here),
-        errors(solved, OURS),
-        float(ahead.mean()),
-        float(finite.mean()) if finite.size else float("inf"),
-        float(measured.mean()) if finite.size else float("inf"),
-        int(bounds.size - finite.size),
-        sum(one.answers[OURS].status == "ambiguous" for one in solved),
-        errors(solved, ALONE) if all(ALONE in one.answers for one in solved) else None,
+    bound, measured = (
+        float(values[finite].mean()) if finite.any() else float("inf")
+        for values in (bounds, folded(ahead, bounds))
     )
+    every = {
+        f"{who}_{what}": value
+        for who, method in (("here", here), ("ours", OURS), ("alone", ALONE))
+        for what, value in errors(solved, method).items()
+    }
+    allowed = [
+        max(0.5 * every[f"here_{what}"], 1.2 * (least if np.isfinite(least) else 0.0))
+        for what, least in (("mean", measured), ("workspace_mean", bound))
+    ]
+    return {
+        "experiment": experiment,
+        "condition": condition,
+        "trials": len(solved),
+        "thesis_mean": told.mean_cm,
+        "thesis_std": told.std_cm,
+        **every,
+        "perfect_arc_mean": float(ahead.mean()),
+        "bound_mean": bound,
+        "bound_measured_mean": measured,
+        "unbounded": int(bounds.size - finite.sum()),
+        "ambiguous": sum(one.answers[OURS].status == "ambiguous" for one in solved),
+        "allowed_mean": allowed[0],
+        "mean_beaten": bool(every["ours_mean"] <= allowed[0]),
+        "allowed": allowed[1],
+        "beaten": bool(every["ours_workspace_mean"] <= allowed[1]),
+    }
+
+
+def shown(r: Row) -> Row:
+    """The columns that people look at first."""
+    return {
+        "|a - x of the obstacle|, cm": f"{r['experiment']}, {r['condition']}",
+        "trials": r["trials"],
+        "thesis": f"{r['thesis_mean']:.2f} +- {r['thesis_std']:.2f}",
+        "its method, here": f"{r['here_mean']:.2f} +- {r['here_std']:.2f}",
+        "ours": f"{r['ours_mean']:.2f} +- {r['ours_std']:.2f}",
+        "perfect arc": r["perfect_arc_mean"],
+        "at the bound": r["bound_measured_mean"],
+        "x in the room: its": r["here_workspace_mean"],
+        "ours, x": r["ours_workspace_mean"],
+        "bound": r["bound_mean"],
+    }
 
 
 def folded(offset: Floats, spread: Floats) -> Floats:
@@ -350,19 +290,27 @@ def folded(offset: Floats, spread: Floats) -> Floats:
     return np.asarray(spread * np.exp(-0.5 * share**2) + offset * special.erf(share / np.sqrt(2.0)))
 
 
-def errors(solved: Sequence[Solved], method: str) -> Errors:
-    """A method's errors over trials; trials without an answer are left out."""
-    camera, assigned, room = (
-        np.array([measure(one.trial, one.answers[method]) for one in solved])
-        for measure in (camera_errors, assigned_errors, workspace_errors)
-    )
-    answered = np.isfinite(camera).all(axis=1)
-    if not answered.any():
-        return Errors(*(float("nan"),) * 5)
-    return Errors(
-        float(camera[answered].mean()),
-        float(camera[answered].std()),
-        float(assigned[answered, 0].mean()),
-        float(assigned[answered, -1].mean()),
-        float(room[answered].mean()),
-    )
+def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
+    """A method's errors over trials, cm; trials without an answer are left out.
+
+    Returns:
+        mean and std in the thesis's measure, contacts ordered along the arc; nearest_mean and
+        other_mean with the closest pair of contact and obstacle matched first: of that pair, and of
+        the others (equal for one contact); workspace_mean of the x in the workspace.
+    """
+    measures = (camera_errors, assigned_errors, workspace_errors)
+    found = np.array([
+        [measure(one.trial, one.answers[method]) for measure in measures]
+        for one in solved
+        if method in one.answers
+    ]).reshape(-1, 3, len(solved[0].trial.arcs_cm))  # fmt: skip
+    camera, assigned, room = found[np.isfinite(found[:, 0]).all(axis=1)].transpose(1, 0, 2)
+    values = (camera, assigned[:, 0], assigned[:, -1], room)
+    mean = [float(value.mean()) if value.size else float("nan") for value in values]
+    return {
+        "mean": mean[0],
+        "std": float(camera.std()) if camera.size else float("nan"),
+        "nearest_mean": mean[1],
+        "other_mean": mean[2],
+        "workspace_mean": mean[3],
+    }

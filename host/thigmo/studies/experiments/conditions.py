@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -71,7 +72,12 @@ def opposed_forces(
 
 
 def actuated(
-    specimen: Specimen, trials: int, muscle: TanhMap | None = None, map_error: float = 0.0
+    specimen: Specimen,
+    trials: int,
+    _: np.random.Generator | None = None,
+    *,
+    muscle: TanhMap | None = None,
+    map_error: float = 0.0,
 ) -> list[Trial]:
     """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
@@ -113,6 +119,13 @@ def actuated(
             specimen.observe(level, place, body, frames[-1], free=float(free[-1]), passed=passed)
         )
     return found
+
+
+STATIC: dict[str, Callable[[Specimen, int, np.random.Generator], list[Trial]]] = {
+    "single-contact": single_contact,
+    "two-contacts": two_contacts,
+    "actuated": actuated,
+}
 
 
 def actuated_body(

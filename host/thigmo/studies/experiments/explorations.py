@@ -1,21 +1,18 @@
 """Section 3.5 with a robot: explorations one by one, labelled, resumed, evaluated again.
 
     OUT/exploration/
-      robot.toml      the robot's constants as used
-      trials.csv      a line an exploration: its label, its run folder, where the dowel stood
-      DATE-...        run folders, as those of `thigmo explore`
+      robot.toml, trials.csv    as `folder.py` says
+      DATE-...                  run folders, as those of `thigmo explore`
 
 Each trial is two explorations of the same room, by our protocol and by the thesis's. Before each
 the robot is wound in; a dowel that the robot leans on when it is vented must be taken away for
-that, and put back. The same command goes on after the last line.
+that, and put back.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -24,13 +21,12 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
-from thigmo.record import MapContact, RunDocument, RunFolder
+from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
-from thigmo.studies.engine import Table
+from thigmo.studies.engine import Outcome, Table
 from thigmo.studies.experiments import explored, thesis
-from thigmo.studies.experiments.attendant import Place, Verdict
-from thigmo.studies.experiments.evaluate import Results
-from thigmo.studies.experiments.trial_table import TrialTable
+from thigmo.studies.experiments.attendant import Place
+from thigmo.studies.experiments.folder import Folder, Row, Say, Verdict
 
 if TYPE_CHECKING:
     from thigmo.exploration.run import Progress
@@ -38,11 +34,7 @@ if TYPE_CHECKING:
     from thigmo.link.transport import Dowel
     from thigmo.robot import Operator
 
-Say = Callable[[str], None]
-
-WAYS: tuple[Way, Way] = ("measure", "thesis")
-_NAMES = {"measure": "our protocol", "thesis": "the thesis's protocol"}
-_COLUMNS = ("key", "protocol", "number", "state", "run", "dowel_x_cm", "dowel_y_cm")
+WAYS: dict[Way, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
 _BASE_CM = 0.2
 
 
@@ -61,7 +53,7 @@ class PlannedRun:
     @property
     def key(self) -> str:
         """What names it in trials.csv."""
-        return f"{_NAMES[self.protocol]} | {self.number}"
+        return f"{WAYS[self.protocol]} | {self.number}"
 
 
 class Bystander(Protocol):
@@ -123,36 +115,11 @@ class _Remembers:
         self._operator.place_pegs(pegs)
 
 
-class ExplorationFolder:
-    """Explorations on disk.
+class ExplorationFolder(Folder):
+    """Explorations on disk."""
 
-    Args:
-        path: the folder.
-        config: of the robot; None where explorations are only read.
-
-    Raises:
-        RunFolderError: the folder cannot be made.
-        DataError: its explorations were made with another robot.toml.
-    """
-
-    def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
-        self.path = Path(path)
-        self._table = TrialTable(self.path, config, _COLUMNS, things="explorations", done="made")
-        self.config = self._table.config
-
-    def rows(self) -> dict[str, dict[str, str]]:
-        """Lines so far, by key, as `TrialTable.rows`."""
-        return self._table.rows()
-
-    def add(self, run: PlannedRun, kept: Path | None, dowel: Place | None) -> None:
-        """Append an exploration that was kept, or (without a folder) skipped; on disk on return.
-
-        Raises:
-            RunFolderError: the folder cannot be written.
-        """
-        line = [run.key, run.protocol, str(run.number)]
-        line += ["kept", kept.name, *map(str, dowel)] if kept and dowel else ["skipped", "", "", ""]
-        self._table.add(line)
+    columns = ("key", "protocol", "number", "state", "run", "dowel_x_cm", "dowel_y_cm")
+    things = "explorations"
 
 
 def run_explorations(
@@ -185,41 +152,27 @@ def run_explorations(
         ThigmoError: as the robot raises. What was kept stays in every case.
     """
     person = _Remembers(operator) if operator else None
+
+    def one(run: PlannedRun) -> tuple[Row, str]:
+        _wind_in(url, folder.config, person, say)
+        bystander.set_dowel(run)
+        found = explore(
+            url, config=folder.config, seed=seed + run.number, out=folder.path,
+            name=f"{run.protocol}-{run.number}", protocol=run.protocol, operator=person,
+            progress=progress,
+        )  # fmt: skip
+        if person:
+            # The encoder may show a hair more than the whole body, which the board refuses.
+            person.length_cm = min(found.length_cm, folder.config.body.length_cm)
+        truth = found.document.truth
+        pegs = truth.pegs if truth else ()
+        x, y = bystander.dowel(run, (pegs[0].x_cm, pegs[0].y_cm) if pegs else None)
+        row = {"run": found.folder.name, "dowel_x_cm": str(x), "dowel_y_cm": str(y)}
+        return row, _summary(found.document, (x, y))
+
     planned = [PlannedRun(way, number) for number in range(1, trials + 1) for way in WAYS]
-    held = folder.rows()
-    missing = [run for run in planned if run.key not in held]
-    if len(missing) < len(planned):
-        say(f"exploration: {len(planned) - len(missing)} of {len(planned)} are there")
-    for count, run in enumerate(missing, start=len(planned) - len(missing) + 1):
-        say(f"exploration {count} of {len(planned)}: {run.key}")
-        while True:
-            _wind_in(url, folder.config, person, say)
-            bystander.set_dowel(run)
-            try:
-                found = explore(
-                    url, config=folder.config, seed=seed + run.number, out=folder.path,
-                    name=f"{run.protocol}-{run.number}", protocol=run.protocol,
-                    operator=person, progress=progress,
-                )  # fmt: skip
-            except KeyboardInterrupt as stopped:
-                stopped.add_note(
-                    f"{len(folder.rows())} explorations are in {folder.path}, the same command "
-                    "goes on"
-                )
-                raise
-            if person:
-                # The encoder may show a hair more than the whole body, which the board refuses.
-                person.length_cm = min(found.length_cm, folder.config.body.length_cm)
-            truth = found.document.truth
-            pegs = truth.pegs if truth else ()
-            dowel = bystander.dowel(run, (pegs[0].x_cm, pegs[0].y_cm) if pegs else None)
-            verdict = bystander.verdict(run, _summary(found.document, dowel))
-            if verdict == "quit":
-                return False
-            if verdict != "redo":
-                folder.add(run, found.folder if verdict == "keep" else None, dowel)
-                break
-    return True
+    todo = folder.missing(planned, say, "exploration")
+    return folder.take(todo, one, bystander.verdict, say)
 
 
 def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say) -> None:
@@ -238,7 +191,7 @@ def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say)
                 person.length_cm = reached
 
 
-def evaluate(folder: ExplorationFolder) -> Results:
+def evaluate(folder: ExplorationFolder) -> Outcome:
     """Errors of the kept explorations from their run folders, as those of simulated robots.
 
     On a real robot nobody knows the point of contact: there the dowel that touches it at the
@@ -247,64 +200,47 @@ def evaluate(folder: ExplorationFolder) -> Results:
     Raises:
         DataError: none was kept.
     """
-    kept: dict[int, dict[str, tuple[RunFolder, Place]]] = {}
-    for row in folder.rows().values():
-        if row["state"] == "kept":
-            place = float(row["dowel_x_cm"]), float(row["dowel_y_cm"])
-            entry = RunFolder(folder.path / row["run"]), place
-            kept.setdefault(int(row["number"]), {})[row["protocol"]] = entry
-    if not kept:
+    made: dict[int, dict[str, tuple[float, float, float]]] = {}
+    solver: dict[int, float] = {}
+    for row in folder.kept():
+        run, number = RunFolder(folder.path / row["run"]), int(row["number"])
+        dowel = float(row["dowel_x_cm"]), float(row["dowel_y_cm"])
+        document = run.read_document()
+        figures = (*errors(document, dowel), document.robot_time_s)
+        made.setdefault(number, {})[row["protocol"]] = figures
+        if row["protocol"] == "thesis":
+            solver[number] = explored.thesis_solver(run, dowel[0])
+    if not made:
         raise DataError("there are no explorations to evaluate", "make some first")
-    runs: list[explored.Run] = []
-    single: list[tuple[int, str, float, float, float]] = []
-    for number, made in sorted(kept.items()):
-        if set(made) == set(WAYS):
-            theirs, dowel = made["thesis"]
-            mine, place = made["measure"]
-            runs.append(
-                explored.Run(
-                    number,
-                    explored.thesis_solver(theirs, dowel[0]),
-                    *errors(theirs.read_document(), dowel),
-                    theirs.read_document().robot_time_s,
-                    *errors(mine.read_document(), place),
-                    mine.read_document().robot_time_s,
+    runs = [
+        explored.Run(number, solver[number], *ways["thesis"], *ways["measure"])
+        for number, ways in sorted(made.items())
+        if len(ways) == len(WAYS)
+    ]
+    outcome = explored.compared(runs) if runs else Outcome()
+    for number, ways in sorted(made.items()):
+        for way, text in WAYS.items():
+            if way in ways:
+                x, plane, time = ways[way]
+                outcome.notes.append(
+                    f"trial {number}, {text}: |x error| {x:.2f} cm, in the plane {plane:.2f} cm, "
+                    f"{time:.0f} s"
                 )
-            )
-        for way, (run, place) in made.items():
-            document = run.read_document()
-            single.append((number, way, *errors(document, place), document.robot_time_s))
-    columns = ("number", "protocol", "error_x_cm", "error_cm", "robot_time_s")
-    results = Results(
-        tables=[Table("each", columns, list(single))],
-        notes=[
-            f"trial {number}, {_NAMES[way]}: |x error| {x:.2f} cm, in the plane {plane:.2f} cm, "
-            f"{time:.0f} s"
-            for number, way, x, plane, time in single
-        ],
-    )
-    if runs:
-        results.tables.append(explored.table(runs))
-        results.figures["errors"] = explored.figure(runs)
-        results.claims = explored.claims(runs)
-    return results
+    names = ("number", "protocol", "error_x_cm", "error_cm", "robot_time_s")
+    each = [(number, way, *ways[way]) for number, ways in sorted(made.items()) for way in ways]
+    outcome.tables.append(Table("each", names, each))
+    return outcome
 
 
 def errors(document: RunDocument, dowel: Place) -> tuple[float, float]:
     """|x error| and distance in the plane, cm; infinite without a contact on the map."""
-    if document.error_x_cm is not None and document.error_cm is not None:
-        return document.error_x_cm, document.error_cm
     best = best_contact(document.contacts)
-    if document.truth is not None or best is None:
-        return float("inf"), float("inf")
-    found = _touching(best)
-    return abs(found[0] - dowel[0]), float(np.hypot(found[0] - dowel[0], found[1] - dowel[1]))
-
-
-def _touching(contact: MapContact) -> Place:
-    """Centre of a dowel that touches the skin there."""
-    x = contact.x_cm + thesis.DOWEL_CM * float(np.cos(contact.normal_rad))
-    return x, contact.y_cm + thesis.DOWEL_CM * float(np.sin(contact.normal_rad))
+    if document.error_x_cm is not None or document.truth is not None or best is None:
+        return explored.known_errors(document)
+    # Centre of a dowel that touches the skin there.
+    x = best.x_cm + thesis.DOWEL_CM * float(np.cos(best.normal_rad))
+    y = best.y_cm + thesis.DOWEL_CM * float(np.sin(best.normal_rad))
+    return abs(x - dowel[0]), float(np.hypot(x - dowel[0], y - dowel[1]))
 
 
 def _summary(document: RunDocument, dowel: Place) -> str:

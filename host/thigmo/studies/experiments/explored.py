@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.exploration import ExplorationResult, explore
+from thigmo.exploration import explore
 from thigmo.exploration.replay import recorded_sweeps
-from thigmo.record import RunFolder
+from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import SensorTable
+from thigmo.studies import charts
 from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.engine import Claim, Table
-from thigmo.studies.experiments import thesis
+from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.experiments import schematics, thesis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,11 +43,11 @@ class Run:
     ours_s: float
 
 
-def _errors(result: ExplorationResult) -> tuple[float, float]:
-    found = result.document
-    if found.error_x_cm is None or found.error_cm is None:
+def known_errors(document: RunDocument) -> tuple[float, float]:
+    """|x error| and distance in the plane by the room's truth, cm; infinite without a contact."""
+    if document.error_x_cm is None or document.error_cm is None:
         return float("inf"), float("inf")
-    return found.error_x_cm, found.error_cm
+    return document.error_x_cm, document.error_cm
 
 
 def thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
@@ -63,14 +64,10 @@ def thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
             use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
             if use.sum() < thesis.LEAST_READINGS:
                 continue
-            arcs, _ = BASELINES["alternating"](
-                Problem(
-                    peak.curvature[use] - peak.free_curvature,
-                    table.center_cm[use],
-                    np.zeros(int(use.sum())),
-                    peak.length_cm,
-                )
-            )
+            read = peak.curvature[use] - peak.free_curvature
+            places = table.center_cm[use]
+            problem = Problem(read, places, np.zeros_like(places), peak.length_cm)
+            arcs, _ = BASELINES["alternating"](problem)
             return abs(float(arcs[0]) - obstacle_x_cm)
     return float("inf")
 
@@ -82,123 +79,100 @@ def run_seed(seed: int) -> Run:
         assert theirs.document.truth is not None  # the emulator's room knows itself
         (peg,) = theirs.document.truth.pegs
         solver = thesis_solver(RunFolder(theirs.folder), peg.x_cm)
-        mine = explore(_URL, seed=seed, out=folder, name="measure", protocol="measure")
+        mine = explore(_URL, seed=seed, out=folder, name="measure", protocol="measure").document
     return Run(
         seed,
         solver,
-        *_errors(theirs),
+        *known_errors(theirs.document),
         theirs.document.robot_time_s,
-        *_errors(mine),
-        mine.document.robot_time_s,
+        *known_errors(mine),
+        mine.robot_time_s,
     )
 
 
-def claims(runs: list[Run]) -> list[Claim]:
-    """What the exploration promises over all seeds."""
-    ours = [run.ours_x_cm for run in runs]
-    return [
-        Claim("exploration: mean |x error| over the seeds", float(np.mean(ours)), 1.5, unit="cm"),
-        Claim(
-            "exploration: robot time over the thesis's protocol's",
-            float(np.mean([run.ours_s for run in runs]) / _mean_time(runs)),
-            0.5,
-        ),
-        Claim("exploration: worst |x error| over the seeds", float(np.max(ours)), 3.0, unit="cm"),
-    ]
+def run(robots: int, context: Context) -> Outcome:
+    """One run of each protocol a seed."""
+    seeds = [context.seed + robot for robot in range(robots)]
+    outcome = compared(context.map(run_seed, seeds, "explorations"))
+    outcome.figures |= {"stages": stages(context.seed), "flow": schematics.flow()}
+    return outcome
 
 
-def _mean_time(runs: list[Run]) -> float:
-    return float(np.mean([run.thesis_protocol_s for run in runs]))
+def compared(runs: list[Run]) -> Outcome:
+    """What explorations of one room promise over all seeds."""
+    ours = [one.ours_x_cm for one in runs]
+    times = [sum(getattr(one, what) for one in runs) for what in ("ours_s", "thesis_protocol_s")]
+    return Outcome(
+        [Table.of("runs", runs)],
+        {"errors": _figure(runs)},
+        [
+            Claim(
+                "exploration: mean |x error| over the seeds", float(np.mean(ours)), 1.5, unit="cm"
+            ),
+            Claim("exploration: robot time over the thesis's protocol's", times[0] / times[1], 0.5),
+            Claim(
+                "exploration: worst |x error| over the seeds", float(np.max(ours)), 3.0, unit="cm"
+            ),
+        ],
+    )
 
 
-def table(runs: list[Run]) -> Table:
-    """One line a seed."""
-    return Table("runs", tuple(vars(runs[0])), [tuple(vars(run).values()) for run in runs])
-
-
-def figure(runs: list[Run]) -> Figure:
+def _figure(runs: list[Run]) -> Figure:
     """Error on the map against robot time, both protocols."""
-    from matplotlib.figure import Figure
-
-    picture = Figure(figsize=(7, 4.4), layout="constrained")
-    axis = picture.subplots()
-    for label, color, times, errors in (
-        (
-            "thesis's protocol and solver",
-            "tab:red",
-            [r.thesis_protocol_s for r in runs],
-            [r.thesis_solver_cm for r in runs],
-        ),
-        (
-            "thesis's protocol, our localizer",
-            "tab:orange",
-            [r.thesis_protocol_s for r in runs],
-            [r.thesis_protocol_x_cm for r in runs],
-        ),
-        ("ours", "tab:blue", [r.ours_s for r in runs], [r.ours_x_cm for r in runs]),
-    ):
-        answered = np.isfinite(errors)
-        count = f"{int(answered.sum())} of {len(runs)} mapped"
-        axis.plot(
-            np.array(times)[answered],
-            np.array(errors)[answered],
-            "o",
-            color=color,
-            alpha=0.7,
-            label=f"{label} ({count})",
-        )
+    figure, (axis,) = charts.panels(
+        size=(7, 4.4), title=f"Exploration of the default room, {len(runs)} seeds"
+    )
+    for label, color, time, error in (
+        ("thesis's protocol and solver", "tab:red", "thesis_protocol_s", "thesis_solver_cm"),
+        ("thesis's protocol, our localizer", "tab:orange", "thesis_protocol_s",
+         "thesis_protocol_x_cm"),
+        ("ours", "tab:blue", "ours_s", "ours_x_cm"),
+    ):  # fmt: skip
+        points = [(getattr(one, time), getattr(one, error)) for one in runs]
+        mapped = np.array([p for p in points if np.isfinite(p[1])]).reshape(-1, 2)
+        count = f"{len(mapped)} of {len(runs)} mapped"
+        axis.plot(*mapped.T, "o", color=color, alpha=0.7, label=f"{label} ({count})")
     told = thesis.published("exploration", "obstacle at the farthest place").mean_cm
     axis.axhline(told, color="gray", linestyle="--", label=f"thesis, one run: {told} cm")
     axis.set(
-        xlabel="robot time (s)",
-        ylabel="|x error| of the mapped contact (cm)",
-        xlim=(0, None),
+        xlabel="robot time (s)", ylabel="|x error| of the mapped contact (cm)", xlim=(0, None),
         ylim=(0, None),
-    )
-    axis.grid(alpha=0.2)
+    )  # fmt: skip
     axis.legend(fontsize=8)
-    axis.set_title(f"Exploration of the default room, {len(runs)} seeds")
-    return picture
+    return figure
 
 
 def stages(seed: int) -> Figure:
     """The robot growing and bending until it meets the peg, stage by stage (figure 3.9)."""
-    from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
     with tempfile.TemporaryDirectory() as folder:
         found = explore(_URL, seed=seed, out=folder, name="stages", protocol="thesis").document
     shown = [stage for stage in found.stages if stage.shapes]
-    columns = 3
-    rows = -(-len(shown) // columns)
-    picture = Figure(figsize=(3.6 * columns, 4.2 * rows), layout="constrained")
-    axes = np.atleast_2d(picture.subplots(rows, columns, sharex=True, sharey=True)).ravel()
+    error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
+    figure, axes = charts.panels(
+        -(-len(shown) // 3), 3, size=(3.6, 4.2), share="all",
+        title=f"Exploring with an obstacle at an unknown place (thesis, figure 3.9); |x error| "
+        f"{error}",
+    )  # fmt: skip
     for axis in axes[len(shown) :]:
         axis.axis("off")
     for letter, axis, stage in zip("abcdefghij", axes, shown, strict=False):
-        for side, color in (("left", "tab:blue"), ("right", "tab:orange")):
-            shapes = [shape for shape in stage.shapes if shape.side == side]
-            for number, shape in enumerate(shapes):
-                x, y, _ = np.array(shape.poses).T
-                label = f"{side} muscle, 0 to 18 psi" if number == 0 else None
-                axis.plot(x, y, color=color, linewidth=1, label=label)
-        for number, peg in enumerate(found.truth.pegs if found.truth else ()):
-            circle = Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k")
-            circle.set_label("dowel" if number == 0 else "")
-            axis.add_patch(circle)
+        for shape in stage.shapes:
+            x, y, _ = np.array(shape.poses).T
+            axis.plot(x, y, color="tab:blue" if shape.side == "left" else "tab:orange", linewidth=1)
+        for peg in found.truth.pegs if found.truth else ():
+            axis.add_patch(Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k"))
         felt = [c for c in found.contacts if c.everted_length_cm == stage.everted_length_cm]
-        for contact in felt:
-            axis.plot(
-                contact.x_cm, contact.y_cm, "rx", markersize=9, markeredgewidth=2,
-                label="contact, localized",
-            )  # fmt: skip
+        axis.plot([c.x_cm for c in felt], [c.y_cm for c in felt], "rx", markersize=9)
         title = f"({letter}) {stage.everted_length_cm:.0f} cm out"
-        axis.set_title(title + (", contact" if felt else ""), fontsize=10)
-        axis.set(aspect="equal", xlabel="x (cm)", ylabel="y (cm)")
-        axis.grid(alpha=0.2)
-    axes[len(shown) - 1].legend(fontsize=7, loc="lower left")
-    error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
-    picture.suptitle(
-        f"Exploring with an obstacle at an unknown place (thesis, figure 3.9); |x error| {error}"
-    )
-    return picture
+        axis.set(title=title + (", contact" if felt else ""), aspect="equal", xlabel="x (cm)")
+    for color, label in (
+        ("tab:blue", "left muscle, 0 to 18 psi"),
+        ("tab:orange", "right muscle, 0 to 18 psi"),
+        ("k", "dowel"),
+        ("r", "contact, localized"),
+    ):
+        axes[0].plot([], [], color=color, label=label)
+    charts.legend_below(figure)
+    return figure

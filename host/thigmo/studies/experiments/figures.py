@@ -6,17 +6,18 @@ What is pressed where (3.2a, 3.4, 3.5a, 3.7a) is drawn by `schematics.py`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.mechanics import phi
+from thigmo.studies import charts
 from thigmo.studies.experiments import schematics, thesis
 from thigmo.studies.experiments.compare import (
     OURS,
-    Answer,
+    THEIRS,
     Row,
     Solved,
     camera_errors,
@@ -28,146 +29,111 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
-Groups = Sequence[tuple[str, list[Solved]]]
-_HERE = "alternating"
-_THEIRS = "tab:orange"
-_OURS = "tab:blue"
+Group = tuple[str, list[Solved]]
+_METHODS = ((THEIRS, "tab:orange", "thesis's method, here"), (OURS, "tab:blue", "ours"))
 
 
-def _box(axis: Axes, at: float, errors: Floats, color: str, label: str | None) -> None:
-    answered = errors[np.isfinite(errors)]
-    if not answered.size:
-        return
-    drawn = axis.boxplot(
-        [answered],
-        positions=[at],
-        widths=0.32,
-        patch_artist=True,
-        showfliers=False,
-        medianprops={"color": "black"},
-    )
-    drawn["boxes"][0].set(facecolor=color, alpha=0.6)
-    axis.plot(at, answered.mean(), "D", color="black", markersize=4)
-    if label:
-        axis.plot([], [], "s", color=color, alpha=0.6, label=label)
-
-
-def _compare(axis: Axes, groups: Groups, contact: int) -> None:
+def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
+    """Boxes of both methods' errors in the workspace, and the bound, a group a place."""
     for at, (_, solved) in enumerate(groups):
-        first = at == 0
-        theirs = _room(solved, _HERE, contact)
-        _box(axis, at - 0.2, theirs, _THEIRS, "thesis's method, here" if first else None)
-        _box(axis, at + 0.2, _room(solved, OURS, contact), _OURS, "ours" if first else None)
+        for shift, (method, color, label) in zip((-0.2, 0.2), _METHODS, strict=True):
+            found = np.array(
+                [workspace_errors(s.trial, s.answers[method])[contact] for s in solved]
+            )
+            answered = found[np.isfinite(found)]
+            if answered.size:
+                drawn = axis.boxplot(
+                    [answered], positions=[at + shift], widths=0.32, patch_artist=True,
+                    showfliers=False, medianprops={"color": "black"},
+                )  # fmt: skip
+                drawn["boxes"][0].set(facecolor=color, alpha=0.6)
+                axis.plot(at + shift, answered.mean(), "D", color="black", markersize=4)
+            if at == 0:
+                axis.plot([], [], "s", color=color, alpha=0.6, label=label)
         bound = np.array([one.bound_cm[contact] for one in solved])
         if np.isfinite(bound).any():
             axis.plot(
-                [at - 0.4, at + 0.4],
-                [bound[np.isfinite(bound)].mean()] * 2,
-                color="tab:green",
-                linewidth=2,
-                label="Cramer-Rao bound (mean absolute error)" if first else None,
-            )
+                [at - 0.4, at + 0.4], [bound[np.isfinite(bound)].mean()] * 2, color="tab:green",
+                linewidth=2, label="Cramer-Rao bound (mean absolute error)" if at == 0 else None,
+            )  # fmt: skip
     axis.set_xticks(range(len(groups)), [name for name, _ in groups])
-    axis.set(ylabel="|x error| in the workspace (cm)")
-    axis.grid(axis="y", alpha=0.2)
+    axis.set(ylabel="|x error| in the workspace (cm)", ylim=(0, None))
 
 
-def _room(solved: Sequence[Solved], method: str, contact: int) -> Floats:
-    return np.array([workspace_errors(s.trial, s.answers[method])[contact] for s in solved])
-
-
-def _readings(axis: Axes, one: Solved) -> None:
+def _readings(axis: Axes, one: Solved, title: str) -> None:
     """One trial: readings, and both methods' curvature along the body (thesis, figure 3.3)."""
     trial = one.trial
-    theirs, mine = one.answers[_HERE], one.answers[OURS]
     s = np.linspace(0.0, trial.length_cm, 400)
     axis.plot(trial.position, trial.curvature, "ko", markersize=5, label="readings")
-    for answer, color, name in ((theirs, _THEIRS, "thesis's method"), (mine, _OURS, "ours")):
-        if not answer.arcs_cm:
-            continue
-        axis.plot(s, trial.free + _ramps(answer, s), color=color, label=name)
+    for method, color, label in _METHODS:
+        answer = one.answers[method]
+        ramps = sum(
+            (f * phi(a, s, 0.0) for a, f in zip(answer.arcs_cm, answer.forces, strict=True)),
+            np.full(s.size, trial.free),
+        )
+        axis.plot(s, ramps, color=color, label=label)
         for arc in answer.arcs_cm:
             axis.axvline(arc, color=color, linestyle=":", linewidth=1)
     for index, arc in enumerate(trial.arcs_cm):
         axis.axvline(arc, color="k", linewidth=1, label="true contact" if index == 0 else None)
-    for low, high in mine.intervals_cm:
-        axis.axvspan(low, high, color=_OURS, alpha=0.08)
-    axis.set(xlabel="arc length (cm)", ylabel="curvature (1/cm)", xlim=(0, trial.length_cm + 1))
-    axis.grid(alpha=0.2)
+    for low, high in one.answers[OURS].intervals_cm:
+        axis.axvspan(low, high, color=_METHODS[1][1], alpha=0.08)
+    axis.set(
+        xlabel="arc length (cm)", ylabel="curvature (1/cm)", xlim=(0, trial.length_cm + 1),
+        title=title,
+    )  # fmt: skip
+    axis.legend(fontsize=7)
 
 
-def _ramps(answer: Answer, s: Floats) -> Floats:
-    levers = np.column_stack([phi(arc, s, 0.0) for arc in answer.arcs_cm])
-    ramps: Floats = levers @ np.array(answer.forces)
-    return ramps
+def _groups(solved: Sequence[Solved], what: str) -> list[Group]:
+    """Trials by `condition` or by `place`, in their order."""
+    names = dict.fromkeys(getattr(one.trial, what) for one in solved)
+    return [(n, [one for one in solved if getattr(one.trial, what) == n]) for n in names]
 
 
-def _of(solved: Sequence[Solved], condition: str) -> list[Solved]:
-    return [one for one in solved if one.trial.condition == condition]
-
-
-def _by_place(solved: Sequence[Solved]) -> list[tuple[str, list[Solved]]]:
-    places = dict.fromkeys(one.trial.place for one in solved)
-    return [(p, [one for one in solved if one.trial.place == p]) for p in places]
-
-
-def _levels(solved: Sequence[Solved], rows: Sequence[Row]) -> Figure:
+def _levels(solved: Sequence[Solved], rows: Sequence[Row], title: str) -> Figure:
     """A panel a condition of one contact: errors by place, and the thesis's mean."""
-    from matplotlib.figure import Figure
-
-    conditions = list(dict.fromkeys(one.trial.condition for one in solved))
-    figure = Figure(figsize=(5.2 * len(conditions), 4.2), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(1, len(conditions)))
-    for axis, condition in zip(axes, conditions, strict=True):
-        _compare(axis, _by_place(_of(solved, condition)), 0)
-        told = next(r for r in rows if r.condition == condition)
-        mean = told.thesis_mean
-        axis.axhline(mean, color="gray", linestyle="--", label="thesis, mean over places")
-        axis.set_title(f"{condition} (thesis {mean} +- {told.thesis_std} cm)", fontsize=10)
+    conditions = _groups(solved, "condition")
+    figure, axes = charts.panels(1, len(conditions), size=(5.2, 4.2), title=title)
+    for axis, (condition, mine) in zip(axes, conditions, strict=True):
+        _compare(axis, _groups(mine, "place"), 0)
+        told = next(r for r in rows if r["condition"] == condition)
+        axis.axhline(
+            told["thesis_mean"], color="gray", linestyle="--", label="thesis, mean over places"
+        )
+        axis.set_title(f"{condition} (thesis {told['thesis_mean']} +- {told['thesis_std']} cm)")
         axis.set_xlabel("where the dowel stands")
-        axis.set_ylim(bottom=0)
-    _legend_below(figure)
+    charts.legend_below(figure)
     return figure
-
-
-def _legend_below(figure: Figure) -> None:
-    """One legend for all panels, under them, where it covers nothing."""
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=7)
 
 
 def single_contact(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
     """Errors by place and force (3.2c), fits (3.3), and the residual surface (2.7)."""
-    from matplotlib.figure import Figure
+    levels = _groups(solved, "condition")
+    fits, axes = charts.panels(
+        1, len(levels), size=(5.2, 4.0),
+        title="Readings and fits (thesis, figure 3.3; shaded: our 95 % interval)",
+    )  # fmt: skip
+    for axis, (level, mine) in zip(axes, levels, strict=True):
+        nearest = min(mine, key=lambda one: one.trial.arcs_cm[0])
+        _readings(axis, nearest, f"{level} at {nearest.trial.place}")
 
-    errors = _levels(solved, rows)
-    errors.suptitle("Single contact, unactuated (thesis, figure 3.2c)")
-    levels = list(dict.fromkeys(one.trial.condition for one in solved))
-
-    fits = Figure(figsize=(5.2 * len(levels), 4.0), layout="constrained")
-    for axis, level in zip(np.atleast_1d(fits.subplots(1, len(levels))), levels, strict=True):
-        nearest = min(_of(solved, level), key=lambda one: one.trial.arcs_cm[0])
-        _readings(axis, nearest)
-        axis.set_title(f"{level} at {nearest.trial.place}")
-        axis.legend(fontsize=7)
-    fits.suptitle("Readings and fits (thesis, figure 3.3; shaded: our 95 % interval)")
-
-    methods = Figure(figsize=(7.5, 4.0), layout="constrained")
-    axis = methods.subplots()
+    methods, (axis,) = charts.panels(size=(7.5, 4.0), title="Single contact: the thesis's measure")
     at = np.arange(len(rows))
-    axis.bar(at - 0.3, [r.thesis_mean for r in rows], 0.2, color="lightgray", label="thesis")
-    axis.bar(at - 0.1, [r.here.mean for r in rows], 0.2, color=_THEIRS, label="its method, here")
-    axis.bar(at + 0.1, [r.ours.mean for r in rows], 0.2, color=_OURS, label="ours")
-    bounds = [r.bound if np.isfinite(r.bound) else 0.0 for r in rows]
-    axis.bar(at + 0.3, bounds, 0.2, color="tab:green", label="bound")
-    axis.set_xticks(at, [r.condition.replace(", ", ",\n") for r in rows], fontsize=8)
+    for shift, label, color, values in (
+        (-0.3, "thesis", "lightgray", [r["thesis_mean"] for r in rows]),
+        (-0.1, "its method, here", "tab:orange", [r["here_mean"] for r in rows]),
+        (0.1, "ours", "tab:blue", [r["ours_mean"] for r in rows]),
+        (0.3, "bound", "tab:green", np.nan_to_num([r["bound_mean"] for r in rows], posinf=0.0)),
+    ):
+        axis.bar(at + shift, values, 0.2, color=color, label=label)
+    axis.set_xticks(at, [r["condition"].replace(", ", ",\n") for r in rows], fontsize=8)
     axis.set(ylabel="mean |a - x of the obstacle| (cm)")
     axis.legend(fontsize=8)
-    axis.set_title("Single contact: the thesis's measure")
     return {
         "schematic": schematics.single_contact(),
         "fold": schematics.fold(),
-        "errors": errors,
+        "errors": _levels(solved, rows, "Single contact, unactuated (thesis, figure 3.2c)"),
         "fits": fits,
         "methods": methods,
         "residual-surface": _surface(solved),
@@ -176,88 +142,70 @@ def single_contact(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, F
 
 def _surface(solved: Sequence[Solved]) -> Figure:
     """The thesis's objective over place and force for a high force at 3L/4 (its figure 2.7)."""
-    from matplotlib.figure import Figure
-
     one = min(
         solved,
         key=lambda s: (s.trial.condition != thesis.LEVELS[0], s.trial.place != "3L/4"),
     )
-    trial, answer = one.trial, one.answers[_HERE]
+    trial, answer = one.trial, one.answers[THEIRS]
     # On a real robot the force is known only as the method's own.
     force = trial.forces[0] if np.isfinite(trial.forces[0]) else answer.forces[0]
     arcs = np.linspace(1.0, trial.length_cm, 261)
     moments = np.linspace(0.1, 3.0, 240) * force * trial.arcs_cm[0]
-    value = np.empty((moments.size, arcs.size))
-    for column, arc in enumerate(arcs):
-        lever = phi(arc, trial.position, 0.0)
-        left = (trial.curvature - trial.free)[:, None] - np.outer(lever, moments / arc)
-        value[:, column] = np.abs(left).sum(axis=0)
-    figure = Figure(figsize=(7, 4.6), layout="constrained")
-    axis = figure.subplots()
+    levers = np.array([phi(arc, trial.position, 0.0) / arc for arc in arcs])
+    left = (trial.curvature - trial.free) - moments[:, None, None] * levers
+    value = np.abs(left).sum(axis=2)  # (moments, arcs)
+    figure, (axis,) = charts.panels(
+        size=(7, 4.6),
+        title=f"Residuals over place and force, {trial.condition} at {trial.place} (thesis, "
+        "figure 2.7)",
+    )
+    axis.grid(visible=False, which="both")
     image = axis.pcolormesh(arcs, moments, np.log10(value), cmap="viridis", shading="auto")
     figure.colorbar(image, ax=axis, label="log10 of the 1-norm of residuals (1/cm)")
-    ravine = value.min(axis=0)
-    axis.plot(arcs, moments[value.argmin(axis=0)], "w:", linewidth=1, label="floor of the ravine")
+    ravine, floor = value.min(axis=0), moments[value.argmin(axis=0)]
+    axis.plot(arcs, floor, "w:", linewidth=1, label="floor of the ravine")
     inner = np.flatnonzero((ravine[1:-1] < ravine[:-2]) & (ravine[1:-1] < ravine[2:])) + 1
-    axis.plot(
-        arcs[inner], moments[value.argmin(axis=0)][inner], "wv", label="local minima along it"
-    )
+    axis.plot(arcs[inner], floor[inner], "wv", label="local minima along it")
     axis.axvline(trial.arcs_cm[0], color="r", linewidth=1, label="true contact")
-    axis.axvline(answer.arcs_cm[0], color=_THEIRS, linewidth=1, label="thesis's method, here")
+    axis.axvline(answer.arcs_cm[0], color="tab:orange", linewidth=1, label="thesis's method, here")
     axis.set(xlabel="arc of the contact (cm)", ylabel="base moment f a (1/cm)")
     axis.legend(fontsize=8, labelcolor="white", facecolor="0.25", loc="upper right")
-    axis.set_title(
-        f"Residuals over place and force, {trial.condition} at {trial.place} (thesis, figure 2.7)",
-        fontsize=10,
-    )
     return figure
 
 
 def two_contacts(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
     """Errors of both contacts by separation (3.5c), and one fit at 18.5 cm (3.6)."""
-    from matplotlib.figure import Figure
-
-    groups = [(name.removesuffix(" cm apart"), some) for name, some in _by_place(solved)]
-    errors = Figure(figsize=(11, 4.4), layout="constrained")
-    for axis, contact, name in zip(
-        errors.subplots(1, 2, sharey=True), (0, 1), ("proximal", "distal"), strict=True
-    ):
+    groups = [(n.removesuffix(" cm apart"), some) for n, some in _groups(solved, "place")]
+    errors, axes = charts.panels(
+        1, 2, size=(5.5, 4.4), share=True,
+        title="Two opposed contacts, ordered along the arc (thesis, figure 3.5c)",
+    )  # fmt: skip
+    for contact, (axis, name) in enumerate(zip(axes, ("proximal", "distal"), strict=True)):
         _compare(axis, groups, contact)
         for r in rows:
-            mine = [one.trial.place for one in _of(solved, r.condition)]
-            at = [n for n, (place, _) in enumerate(groups) if f"{place} cm apart" in mine]
+            at = [
+                n for n, (_, some) in enumerate(groups) if some[0].trial.condition == r["condition"]
+            ]
             ends = (min(at) - 0.45, max(at) + 0.45)
-            axis.plot(ends, [r.thesis_mean] * 2, "--", color="gray")
+            axis.plot(ends, [r["thesis_mean"]] * 2, "--", color="gray")
         axis.plot([], [], "--", color="gray", label="thesis, mean over both contacts")
-        axis.set_title(f"{name} contact")
-        axis.set_xlabel("separation (cm)")
-    _legend_below(errors)
-    errors.axes[0].set_ylim(bottom=0)
-    errors.suptitle("Two opposed contacts, ordered along the arc (thesis, figure 3.5c)")
-    fits = Figure(figsize=(7, 4.2), layout="constrained")
-    axis = fits.subplots()
+        axis.set(title=f"{name} contact", xlabel="separation (cm)")
+    charts.legend_below(errors)
+    fit, (axis,) = charts.panels(size=(7, 4.2))
     name, some = min(groups, key=lambda group: abs(float(group[0]) - 18.5))
-    _readings(axis, some[0])
-    axis.legend(fontsize=8)
-    axis.set_title(f"Two contacts {name} cm apart (thesis, figure 3.6)")
-    return {"schematic": schematics.two_contacts(), "errors": errors, "fit": fits}
+    _readings(axis, some[0], f"Two contacts {name} cm apart (thesis, figure 3.6)")
+    return {"schematic": schematics.two_contacts(), "errors": errors, "fit": fit}
 
 
 def actuated(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
     """Errors by place and pressure (3.7c), as the thesis measures and in the workspace."""
-    from matplotlib.figure import Figure
-
-    errors = _levels(solved, rows)
-    errors.suptitle("Single contact with active bending (thesis, figure 3.7c)")
-
-    mixture = Figure(figsize=(7, 4.2), layout="constrained")
-    axis = mixture.subplots()
+    errors = _levels(solved, rows, "Single contact with active bending (thesis, figure 3.7c)")
+    mixture, (axis,) = charts.panels(
+        size=(7, 4.2), title="The thesis's measure holds the bent robot's foreshortening"
+    )
     true = np.array([one.trial.arcs_cm[0] - one.trial.obstacle_x_cm[0] for one in solved])
     jitter = np.random.default_rng(0).uniform(-0.15, 0.15, true.size)
-    for method, color, label in (
-        (_HERE, _THEIRS, "thesis's method, here"),
-        (OURS, _OURS, "ours"),
-    ):
+    for method, color, label in _METHODS:
         found = [float(camera_errors(one.trial, one.answers[method])[0]) for one in solved]
         axis.plot(true + jitter, found, "o", color=color, alpha=0.3, markersize=4, label=label)
     top = float(true.max()) * 1.1
@@ -265,7 +213,12 @@ def actuated(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]
     axis.set(
         xlabel="arc - x of the obstacle: foreshortening (cm)", ylabel="|a - x of the obstacle| (cm)"
     )
-    axis.grid(alpha=0.2)
     axis.legend(fontsize=8)
-    axis.set_title("The thesis's measure holds the bent robot's foreshortening")
     return {"schematic": schematics.actuated(), "errors": errors, "measure": mixture}
+
+
+FIGURES: dict[str, Callable[[Sequence[Solved], Sequence[Row]], dict[str, Figure]]] = {
+    "single-contact": single_contact,
+    "two-contacts": two_contacts,
+    "actuated": actuated,
+}

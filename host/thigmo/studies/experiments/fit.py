@@ -92,7 +92,7 @@ def fit(
     robots: int = 12,
     evaluations: int = 400,
     seed: int = 0,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[str, int, int], None] = lambda part, done, total: None,
 ) -> Fit:
     """Find the constants: a random search, then a pattern search around its best, common noise.
 
@@ -100,34 +100,29 @@ def fit(
         robots: simulated robots behind each evaluation.
         evaluations: total number of them; two thirds go to the random search.
         seed: of the search and of the robots.
-        progress: told (done, total).
+        progress: told (what, done, total).
     """
     rng = np.random.default_rng(seed)
-    best = np.array(list(asdict(_START).values()))
-    least = misfit(table(Constants(*best), robots, seed))
-    done = 1
-    for _ in range(2 * evaluations // 3):
-        # Squared, so that small constants, the likelier ones, are tried more often.
-        trial = _LOW + (_HIGH - _LOW) * rng.random(4) ** 2
+    best, least, done = np.array(list(asdict(_START).values())), np.inf, 0
+
+    def better(trial: Floats) -> bool:
+        nonlocal best, least, done
         value = misfit(table(Constants(*trial), robots, seed))
         done += 1
-        progress(done, evaluations)
-        if value < least:
-            best, least = trial, value
+        progress("constants tried", min(done, evaluations), evaluations)
+        if value >= least:
+            return False
+        best, least = trial, value
+        return True
+
+    better(best)
+    while done < 2 * evaluations // 3:
+        # Squared, so that small constants, the likelier ones, are tried more often.
+        better(_LOW + (_HIGH - _LOW) * rng.random(4) ** 2)
     step = 0.15 * (_HIGH - _LOW)
     while done < evaluations:
-        improved = False
-        for axis in range(4):
-            for sign in (-1.0, 1.0):
-                trial = best.copy()
-                trial[axis] = np.clip(trial[axis] + sign * step[axis], _LOW[axis], _HIGH[axis])
-                value = misfit(table(Constants(*trial), robots, seed))
-                done += 1
-                progress(min(done, evaluations), evaluations)
-                if value < least:
-                    best, least, improved = trial, value, True
-                    break
-        if not improved:
+        moves = [sign * step * (np.arange(4) == axis) for axis in range(4) for sign in (-1, 1)]
+        if not any([better(np.clip(best + move, _LOW, _HIGH)) for move in moves]):  # noqa: C419
             step *= 0.5
     constants = Constants(*(float(f"{value:.3g}") for value in best))
     # Fresh robots, so that the reported agreement is not the search's own luck.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thigmo.calibrate.actuator import BendReadings, fit_actuator
+from thigmo.studies import charts
 from thigmo.studies.experiments.conditions import emulated_robot
 
 if TYPE_CHECKING:
@@ -24,14 +25,12 @@ _BETWEEN_TRIALS = 2e-4  # 1/cm: the robot never lies quite straight
 
 def figure(seed: int) -> Figure:
     """Curvature by camera against pressure, the fitted tanh, and the emulator's true map."""
-    from matplotlib.figure import Figure
-
     zone = emulated_robot().actuators.left.maps[-1]
     rng = np.random.default_rng([seed, 24])
     psi = np.tile(_PRESSURES_PSI, _TRIALS)
     trial = np.repeat(np.arange(_TRIALS), _PRESSURES_PSI.size)
-    true = np.array([zone.inflate.curvature(p) for p in psi])
-    seen = true + (_BETWEEN_TRIALS * rng.standard_normal(_TRIALS))[trial]
+    seen = np.array([zone.inflate.curvature(p) for p in psi])
+    seen += (_BETWEEN_TRIALS * rng.standard_normal(_TRIALS))[trial]
     seen += _CAMERA_SE * rng.standard_normal(psi.size)
     result = fit_actuator(
         BendReadings(
@@ -39,19 +38,18 @@ def figure(seed: int) -> Figure:
             ("inflate",) * psi.size, trial,
         )
     )  # fmt: skip
-    picture = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axis = picture.subplots()
-    fine = np.linspace(0.0, 20.0, 200)
+    made, (axis,) = charts.panels(
+        title=f"Left muscle at {zone.body_pressure_psi:g} psi body pressure (thesis, figure 2.4c)"
+    )
     for number, marker in enumerate("os^"):
         mine = trial == number
         axis.plot(psi[mine], seen[mine], marker, markersize=5, label=f"trial {number + 1}")
-    fitted = [result.zone.inflate.curvature(p) for p in fine]
-    axis.plot(fine, fitted, "k", label="hyperbolic tangent, fitted")
-    axis.plot(fine, [zone.inflate.curvature(p) for p in fine], "r--", label="the emulator's own")
-    axis.set(
-        xlabel="actuator pressure (psi)", ylabel="free curvature (1/cm)",
-        title=f"Left muscle at {zone.body_pressure_psi:g} psi body pressure (thesis, figure 2.4c)",
-    )  # fmt: skip
-    axis.grid(alpha=0.2)
+    fine = np.linspace(0.0, 20.0, 200)
+    for curve, style, label in (
+        (result.zone.inflate, "k", "hyperbolic tangent, fitted"),
+        (zone.inflate, "r--", "the emulator's own"),
+    ):
+        axis.plot(fine, [curve.curvature(p) for p in fine], style, label=label)
+    axis.set(xlabel="actuator pressure (psi)", ylabel="free curvature (1/cm)")
     axis.legend(fontsize=8)
-    return picture
+    return made

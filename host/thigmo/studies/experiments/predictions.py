@@ -1,9 +1,9 @@
 """Do the constants fitted to section 3.2 predict 3.3 and 3.4, and how does that hang on each?
 
 The thesis's solver over simulated robots, with the frozen constants and with each of them changed
-by half of itself, one at a time; a constant that the fit put at zero is raised instead. Two things
-that the thesis does not state and section 3.2 cannot tell are changed as well: the size of the
-muscle's map and an error of the map in the lab's hands. Nothing is fitted here.
+by half of itself, one at a time. Two things that the thesis does not state and section 3.2 cannot
+tell are changed as well: the size of the muscle's map and an error of the map in the lab's hands.
+Nothing is fitted here.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thigmo.config import TanhMap
-from thigmo.studies.engine import Context
+from thigmo.studies import charts
+from thigmo.studies.engine import Context, Outcome, Table
 from thigmo.studies.experiments import conditions, thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
 from thigmo.studies.experiments.fit import frozen
@@ -25,8 +26,6 @@ from thigmo.studies.experiments.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Raised to these where the fit says zero.
-_FROM_ZERO = {"noise": 3e-4, "gain_spread": 0.05, "position_cm": 0.3, "fold_rad": 0.05}
 _MAP_ERROR = 0.03
 _WITHIN = 4 / 3  # a prediction within this factor of the thesis's mean is said to hold
 _FROZEN = "as fitted"
@@ -51,6 +50,11 @@ class Cell:
     camera_cm: float
     workspace_cm: float
 
+    @property
+    def row(self) -> tuple[str, str]:
+        """Of the thesis's results."""
+        return self.experiment, self.condition
+
 
 @dataclass(frozen=True)
 class _Setting:
@@ -65,73 +69,55 @@ def _settings() -> Iterator[_Setting]:
     yield _Setting(_FROZEN, fitted)
     for name, value in vars(fitted).items():
         label = name.removesuffix("_cm").removesuffix("_rad").replace("_", " ")
-        if value == 0:
-            raised = _FROM_ZERO[name]
-            yield _Setting(f"{label} 0 -> {raised:g}", replace(fitted, **{name: raised}))
-            continue
         for word, factor in (("- 50 %", 0.5), ("+ 50 %", 1.5)):
             yield _Setting(f"{label} {word}", replace(fitted, **{name: factor * value}))
     muscle = conditions.emulated_robot().actuators.left.maps[-1].inflate
     for word, factor in (("- 25 %", 0.75), ("+ 25 %", 1.25)):
         curve = muscle.model_copy(update={"amplitude": factor * muscle.amplitude})
         yield _Setting(f"muscle's map {word}", fitted, curve)
-    for sign in (-1, 1):
-        error = sign * _MAP_ERROR
+    for error in (-_MAP_ERROR, _MAP_ERROR):
         yield _Setting(f"map believed {error:+.0%}", fitted, map_error=error)
 
 
-def cells(robots: int, trials: int, context: Context) -> list[Cell]:
-    """Every setting on every row of sections 3.2 to 3.4 that the plain solver made.
-
-    Args:
-        robots: built anew for each setting, from the same seed.
-        trials: for each place and condition.
-        context: seed of robots and noise; settings are shared out among its processes.
-    """
-    items = [(setting, robots, trials, context.seed) for setting in _settings()]
-    return [cell for found in context.map(_rows, items, "changed constants") for cell in found]
-
-
 def _rows(item: tuple[_Setting, int, int, int]) -> list[Cell]:
-    """One setting on every row."""
+    """One setting on every row of sections 3.2 to 3.4 that the plain solver made."""
     setting, robots, trials, seed = item
-    trials_of: dict[str, list[Trial]] = {"single-contact": [], "two-contacts": [], "actuated": []}
+    trials_of: dict[tuple[str, str], list[Trial]] = {}
     for robot in range(robots):
         rng = np.random.default_rng([seed, robot])
         specimen = Specimen(setting.constants, rng)
-        trials_of["single-contact"] += conditions.single_contact(specimen, trials, rng)
-        trials_of["two-contacts"] += conditions.two_contacts(specimen, trials, rng)
-        trials_of["actuated"] += conditions.actuated(
-            specimen, trials, setting.muscle, setting.map_error
-        )
-    found = []
-    for experiment, every in trials_of.items():
-        for condition in dict.fromkeys(trial.condition for trial in every):
-            mine = [trial for trial in every if trial.condition == condition]
-            pairs = [(trial, thesis_method(trial)) for trial in mine]
-            found.append(
-                Cell(
-                    setting.changed,
-                    experiment,
-                    condition,
-                    thesis.published(experiment, condition).mean_cm,
-                    float(np.mean([camera_errors(t, a) for t, a in pairs])),
-                    float(np.mean([workspace_errors(t, a) for t, a in pairs])),
+        for name, draw in conditions.STATIC.items():
+            if name == "actuated":
+                found = conditions.actuated(
+                    specimen, trials, muscle=setting.muscle, map_error=setting.map_error
                 )
-            )
-    return found
+            else:
+                found = draw(specimen, trials, rng)
+            for trial in found:
+                trials_of.setdefault((name, trial.condition), []).append(trial)
+    cells = []
+    for row, mine in trials_of.items():
+        pairs = [(trial, thesis_method(trial)) for trial in mine]
+        camera, room = (
+            float(np.mean([measure(t, a) for t, a in pairs]))
+            for measure in (camera_errors, workspace_errors)
+        )
+        cells.append(Cell(setting.changed, *row, thesis.published(*row).mean_cm, camera, room))
+    return cells
+
+
+def run(robots: int, trials: int, context: Context) -> Outcome:
+    """Every setting, over robots built anew for it from the same seed."""
+    items = [(setting, robots, trials, context.seed) for setting in _settings()]
+    found = [cell for some in context.map(_rows, items, "changed constants") for cell in some]
+    return Outcome([Table.of("cells", found)], {"constants": _figure(found)}, notes=remarks(found))
 
 
 def remarks(found: list[Cell]) -> list[str]:
     """One sentence a row: fitted or predicted, how near, and which constant moves it most."""
     told = []
-    for cell in found:
-        if cell.changed != _FROZEN:
-            continue
-        same = [
-            c for c in found
-            if (c.experiment, c.condition) == (cell.experiment, cell.condition) and c is not cell
-        ]  # fmt: skip
+    for cell in [c for c in found if c.changed == _FROZEN]:
+        same = [c for c in found if c.row == cell.row and c is not cell]
         most = max(same, key=lambda c: abs(c.camera_cm - cell.camera_cm))
         ratio = cell.camera_cm / cell.thesis_cm
         fitted = cell.experiment == "single-contact"
@@ -144,36 +130,27 @@ def remarks(found: list[Cell]) -> list[str]:
     return told
 
 
-def figure(found: list[Cell]) -> Figure:
+def _figure(found: list[Cell]) -> Figure:
     """Mean error over the thesis's, a column a row of its table, a line a changed constant."""
-    from matplotlib.figure import Figure
-
-    rows = list(dict.fromkeys((c.experiment, c.condition) for c in found))
+    rows = list(dict.fromkeys(c.row for c in found))
     changes = list(dict.fromkeys(c.changed for c in found))
-    value = {(c.changed, c.experiment, c.condition): c for c in found}
-    ratio = np.array(
-        [[value[(w, *r)].camera_cm / value[(w, *r)].thesis_cm for r in rows] for w in changes]
+    table = {(c.changed, *c.row): c for c in found}
+    lines = [[table[(change, *row)] for row in rows] for change in changes]
+    figure, (axis,) = charts.panels(
+        size=(11, 0.42 * len(changes) + 2.6),
+        title="The thesis's solver: mean |a - x of the obstacle| (in the workspace), cm. "
+        "Left of the line fitted, right of it predicted.",
     )
-    picture = Figure(figsize=(11, 0.42 * len(changes) + 2.6), layout="constrained")
-    axis = picture.subplots()
-    image = axis.imshow(np.log2(ratio), cmap="RdBu_r", vmin=-2, vmax=2, aspect="auto")
-    for y, change in enumerate(changes):
-        for x, key in enumerate(rows):
-            cell = value[(change, *key)]
-            axis.text(
-                x, y, f"{cell.camera_cm:.2f} ({cell.workspace_cm:.2f})",
-                ha="center", va="center", fontsize=8,
-            )  # fmt: skip
-    names = [f"{e}\n{c}\nthesis {value[(_FROZEN, e, c)].thesis_cm:.2f}" for e, c in rows]
-    axis.set_xticks(range(len(rows)), names, fontsize=8)
-    axis.set_yticks(range(len(changes)), changes, fontsize=8)
+    image = charts.cells(
+        axis,
+        [[np.log2(c.camera_cm / c.thesis_cm) for c in line] for line in lines],
+        changes,
+        [f"{c.experiment}\n{c.condition}\nthesis {c.thesis_cm:.2f}" for c in lines[0]],
+        texts=[[f"{c.camera_cm:.2f} ({c.workspace_cm:.2f})" for c in line] for line in lines],
+        cmap="RdBu_r", vmin=-2, vmax=2,
+    )  # fmt: skip
     axis.axvline(1.5, color="k")
-    bar = picture.colorbar(image, ax=axis, ticks=[-2, -1, 0, 1, 2])
+    bar = figure.colorbar(image, ax=axis, ticks=[-2, -1, 0, 1, 2])
     bar.set_ticklabels(["1/4", "1/2", "1", "2", "4"])
     bar.set_label("|a - x| here over the thesis's")
-    picture.suptitle(
-        "The thesis's solver: mean |a - x of the obstacle| (in the workspace), cm. "
-        "Left of the line fitted, right of it predicted.",
-        fontsize=10,
-    )
-    return picture
+    return figure

@@ -8,24 +8,22 @@ an actuated robot passes on its way (`thesis.PASSED_PSI`). `recorded.py` keeps t
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
-from thigmo.mechanics import Tube, push
 from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.conditions import opposed_forces
+from thigmo.studies.experiments.conditions import STATIC, opposed_forces
 from thigmo.studies.experiments.fit import frozen
+from thigmo.studies.experiments.folder import Row, Say
+from thigmo.studies.experiments.specimen import pushed
 
 if TYPE_CHECKING:
     from thigmo.robot import Reading, Robot
     from thigmo.studies.experiments.attendant import Attendant
-
-STATIC = ("single-contact", "two-contacts", "actuated")
 
 _STEADY_S = 2.5  # from a new load to a body at rest
 _READ_S = 1.0
@@ -33,9 +31,6 @@ _QUIET_S = 5.0  # after venting, before zeros are taken
 _RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
 _ZERO_TRIES = 3
 _SAME_CM = 0.2
-
-Say = Callable[[str], None]
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -135,13 +130,12 @@ def _pushed(
     side = _side(number)
     sign = -1.0 if side == "left" else 1.0  # a dowel on the left pushes to the right
     folds = condition == thesis.LEVELS[0]
-    body = push(
-        sign * np.array(forces),
-        np.array(arcs),
-        free_curvature=0.0,
-        length=config.body.length_cm,
-        tube=Tube(config.body.diameter_cm),
-        fold_angle=sign * frozen().fold_rad if folds else 0.0,
+    body = pushed(
+        arcs,
+        tuple(sign * force for force in forces),
+        fold_rad=sign * frozen().fold_rad if folds else 0.0,
+        length_cm=config.body.length_cm,
+        diameter_cm=config.body.diameter_cm,
     )
     pushes = tuple(round(body.pose(arc)[1], 2) for arc in arcs)
     return Planned(experiment, condition, place, number, side, arcs, pushes, folds)

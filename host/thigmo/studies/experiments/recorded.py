@@ -1,22 +1,18 @@
-"""A folder of trials taken with a robot: resumed, kept through every kind of end, evaluated again.
+"""Trials taken with a robot: kept in a folder, resumed, evaluated again.
 
     OUT/EXPERIMENT/
-      robot.toml    the robot's constants as used
-      trials.csv    a line a trial, on disk as soon as it is judged
-      run-1.mcap    every frame of the first session's link, run-2.mcap of the next
+      robot.toml, trials.csv    as `folder.py` says
+      run-1.mcap                every frame of the first session's link, run-2.mcap of the next
 
-The same command goes on after the last line. Lists in a cell are separated by semicolons, and the
-readings at the pressures on the way by slashes. Tables of earlier versions end before these; such
-trials are evaluated by their last reading alone.
+Tables of earlier versions end before the readings at the pressures on the way; such trials are
+evaluated by their last reading alone.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,63 +23,28 @@ from thigmo.exploration.reference import FreeResponse, scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
 from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.procedure import Planned, Row, Say, plan, prepare, take
+from thigmo.studies.experiments.folder import Folder, Line, Row, Say
+from thigmo.studies.experiments.procedure import Planned, plan, prepare, take
 from thigmo.studies.experiments.trial import Floats, Passed, Trial
-from thigmo.studies.experiments.trial_table import TrialTable
 
 if TYPE_CHECKING:
     from thigmo.robot import Robot
     from thigmo.studies.experiments.attendant import Attendant
 
-COLUMNS = (
-    "key", "experiment", "condition", "place", "number", "side", "state", "arcs_cm",
-    "pressure_psi", "t_s", "length_cm", "left_psi", "right_psi", "zeroed", "curvature",
-    "dowel_x_cm", "dowel_y_cm", "true_arcs_cm", "true_forces", "true_contact_x_cm",
-    "passed_psi", "passed_curvature",
-)  # fmt: skip
-_EARLIER = COLUMNS[:-2]
 _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not state it
 _LEAST_GAIN_SE = 1e-3
 
 
-class TrialFolder:
-    """One experiment's trials on disk.
+class TrialFolder(Folder):
+    """One experiment's trials on disk."""
 
-    Args:
-        path: the folder.
-        config: of the robot; None where trials are only read.
-
-    Raises:
-        RunFolderError: the folder cannot be made.
-        DataError: its trials were taken with another robot.toml.
-    """
-
-    def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
-        self.path = Path(path)
-        self._table = TrialTable(
-            self.path, config, COLUMNS, things="trials", done="taken", earlier=_EARLIER
-        )
-        self.config = self._table.config
-
-    def rows(self) -> dict[str, dict[str, str]]:
-        """Lines so far, by key, as `TrialTable.rows`."""
-        return self._table.rows()
-
-    def add(self, trial: Planned, row: Row) -> None:
-        """Append a trial that was kept, or (with an empty row) skipped; on disk on return.
-
-        Raises:
-            RunFolderError: the folder cannot be written.
-        """
-        cells: dict[str, Any] = {
-            "key": trial.key,
-            **{name: getattr(trial, name) for name in COLUMNS[1:6]},
-            "state": "kept" if row else "skipped",
-            "arcs_cm": list(trial.arcs_cm),
-            "pressure_psi": trial.pressure_psi,
-            **row,
-        }
-        self._table.add([_cell(cells.get(name, "")) for name in COLUMNS])
+    columns = (
+        "key", "experiment", "condition", "place", "number", "side", "state", "arcs_cm",
+        "pressure_psi", "t_s", "length_cm", "left_psi", "right_psi", "zeroed", "curvature",
+        "dowel_x_cm", "dowel_y_cm", "true_arcs_cm", "true_forces", "true_contact_x_cm",
+        "passed_psi", "passed_curvature",
+    )  # fmt: skip
+    earlier = columns[:-2]
 
     @contextmanager
     def recording(self, robot: Robot) -> Iterator[LogWriter]:
@@ -100,14 +61,14 @@ class TrialFolder:
         Raises:
             DataError: a damaged line.
         """
-        kept = [row for row in self.rows().values() if row["state"] == "kept"]
+        kept = self.kept()
         try:
             shown = _shown_gains(kept, self.config)
             return [_trial(row, self.config, shown) for row in kept]
         except (ValueError, IndexError) as error:
             raise DataError(
-                f"{self._table.path} is damaged: {error}", "mend or delete that line"
-            ) from (error)
+                f"{self.table} is damaged: {error}", "mend or delete that line"
+            ) from error
 
 
 def run_trials(
@@ -134,68 +95,36 @@ def run_trials(
     Raises:
         ThigmoError: as the robot raises. What was taken is kept in every case.
     """
-    planned = plan(experiment, folder.config, trials)
-    held = folder.rows()
-    missing = [trial for trial in planned if trial.key not in held]
-    if len(missing) < len(planned):
-        say(f"{experiment}: {len(planned) - len(missing)} of {len(planned)} trials are there")
-    if not missing:
+    todo = folder.missing(plan(experiment, folder.config, trials), say, experiment)
+    if not todo:
         return True
+    half = SensorTable.of(folder.config).healthy.size // 2
     with folder.recording(robot) as log:
-        try:
-            prepare(robot, folder.config, say)
-            for number, trial in enumerate(missing, start=len(planned) - len(missing) + 1):
-                say(f"{experiment} {number} of {len(planned)}: {trial.key}")
-                log.note("trial", robot.now(), key=trial.key)
-                if not _one(robot, attendant, folder, trial):
-                    return False
+
+        def one(trial: Planned) -> tuple[Row, str]:
+            log.note("trial", robot.now(), key=trial.key)
+            row = take(robot, attendant, trial)
+            left, right = row["curvature"][0], row["curvature"][half]
+            return row, f"base sensors read {left:+.4f} (left) and {right:+.4f} 1/cm (right)"
+
+        prepare(robot, folder.config, say)
+        done = folder.take(todo, one, attendant.verdict, say)
+        if done:
             attendant.clear()
-        except (KeyboardInterrupt, SystemExit) as stopped:
-            kept = len(folder.rows())
-            stopped.add_note(f"{kept} trials are in {folder.path}, the same command goes on")
-            raise
-    return True
-
-
-def _one(robot: Robot, attendant: Attendant, folder: TrialFolder, trial: Planned) -> bool:
-    """Take a trial until it is kept or skipped; False if the attendant stops."""
-    while True:
-        row = take(robot, attendant, trial)
-        base = np.array(row["curvature"], float)[
-            [0, SensorTable.of(folder.config).healthy.size // 2]
-        ]
-        summary = f"base sensors read {base[0]:+.4f} (left) and {base[1]:+.4f} 1/cm (right)"
-        verdict = attendant.verdict(trial, summary)
-        if verdict == "keep":
-            folder.add(trial, row)
-            return True
-        if verdict == "skip":
-            folder.add(trial, {})
-            return True
-        if verdict == "quit":
-            return False
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, list):
-        inner = " / " if value and isinstance(value[0], list) else ";"
-        return inner.join(_cell(part) for part in value)
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    return done
 
 
 def _numbers(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in text.split(";")) if text else ()
 
 
-def _frames(row: dict[str, str]) -> Floats:
+def _frames(row: Line) -> Floats:
     """(T, 10) readings at the pressures on the way."""
     text = row["passed_curvature"]
     return np.array([_numbers(part) for part in text.split("/")] if text else [], dtype=np.float64)
 
 
-def _shown_gains(
-    rows: Sequence[dict[str, str]], config: RobotConfig
-) -> dict[Side, tuple[Floats, Floats]]:
+def _shown_gains(rows: Sequence[Line], config: RobotConfig) -> dict[Side, tuple[Floats, Floats]]:
     """What the untouched robot showed of its sensors' gains at 6 psi, and their errors, (10,) each.
 
     As `Specimen.learn_gains`; but what a reading errs by on a real robot (its zero, its hysteresis)
@@ -223,9 +152,7 @@ def _shown_gains(
     return made
 
 
-def _trial(
-    row: dict[str, str], config: RobotConfig, shown: dict[Side, tuple[Floats, Floats]]
-) -> Trial:
+def _trial(row: Line, config: RobotConfig, shown: dict[Side, tuple[Floats, Floats]]) -> Trial:
     """A line of the table as a trial: usable sensors only, free curvature by the map."""
     table = SensorTable.of(config)
     curvature = np.array(_numbers(row["curvature"]))

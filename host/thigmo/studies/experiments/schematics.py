@@ -1,113 +1,99 @@
-"""What is pressed where: the robot's computed shapes in the thesis's conditions.
+"""What is pressed where, and how an exploration goes on: the thesis's drawings, computed.
 
 In the places of its figures 3.2a, 3.4, 3.5a and 3.7a. Shapes are the large-deflection rod's under
-the forces that `conditions.py` uses, so these are no sketches.
+the forces that `conditions.py` uses, so these are no sketches. Figure 3.8, the flow of an
+exploration, is drawn from the table of states that the exploration walks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.mechanics import Solution, Tube, peg_for, push
+from thigmo.exploration.states import TRANSITIONS, State
+from thigmo.mechanics import Solution, peg_for
+from thigmo.studies import charts
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.conditions import actuated_body, opposed_forces
 from thigmo.studies.experiments.fit import frozen
+from thigmo.studies.experiments.specimen import pushed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
-_COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
+Bodies = list[tuple[str, Solution]]
 
 
 def single_contact() -> Figure:
     """Where one contact presses, high force and low (figure 3.2a)."""
-    figure, axes = _panels(2, "Single contact, unactuated (thesis, figure 3.2a)", 3.4)
-    for axis, level in zip(axes, thesis.LEVELS, strict=True):
-        high = level == thesis.LEVELS[0]
-        moment = thesis.CRITICAL * (1.0 if high else thesis.LOW_LEVEL)
-        for color, place, arc in zip(_COLORS, thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=False):
-            fold = frozen().fold_rad if high else 0.0
-            _body(axis, _pushed((arc,), (moment / arc,), fold), color, place)
-        axis.set_title(f"{level}: base moment {moment:.4f} 1/cm" + (", folded" if high else ""))
-        axis.legend(fontsize=8, loc="upper left")
-    return figure
+    drawn: dict[str, Bodies] = {}
+    for level, share in zip(thesis.LEVELS, (1.0, thesis.LOW_LEVEL), strict=True):
+        moment, high = share * thesis.CRITICAL, level == thesis.LEVELS[0]
+        fold = frozen().fold_rad if high else 0.0
+        drawn[f"{level}: base moment {moment:.4f} 1/cm" + (", folded" if high else "")] = [
+            (place, pushed((arc,), (moment / arc,), fold_rad=fold))
+            for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True)
+        ]
+    return _figure(drawn, "Single contact, unactuated (thesis, figure 3.2a)", 3.4)
 
 
 def fold() -> Figure:
     """At the critical moment, and beyond it: only the fold's angle grows (figure 3.4)."""
-    figure, axes = _panels(
-        1, "Tip force at the critical moment of the base (thesis, figure 3.4)", 5.2
-    )
-    force = thesis.CRITICAL / thesis.LENGTH_CM
-    angle = frozen().fold_rad
-    for color, factor in zip(_COLORS, (0.0, 1.0, 3.0), strict=False):
-        label = f"fold {np.degrees(factor * angle):.1f} degrees"
-        body = _pushed((thesis.LENGTH_CM,), (force,), factor * angle)
-        _body(axes[0], body, color, label)
-    axes[0].set_title(
-        f"base curvature stays at {thesis.CRITICAL} 1/cm; the fold turns the rest", fontsize=9
-    )
-    axes[0].legend(fontsize=8, loc="upper left")
-    return figure
+    force, angle = thesis.CRITICAL / thesis.LENGTH_CM, frozen().fold_rad
+    bodies = [
+        (
+            f"fold {np.degrees(factor * angle):.1f} degrees",
+            pushed((thesis.LENGTH_CM,), (force,), fold_rad=factor * angle),
+        )
+        for factor in (0.0, 1.0, 3.0)
+    ]
+    text = f"base curvature stays at {thesis.CRITICAL} 1/cm; the fold turns the rest"
+    title = "Tip force at the critical moment of the base (thesis, figure 3.4)"
+    return _figure({text: bodies}, title, 5.2)
 
 
 def two_contacts() -> Figure:
     """Two opposed contacts, the distal one at the tip (figure 3.5a)."""
-    figure, axes = _panels(1, "Two opposed contacts (thesis, figure 3.5a)", 2.9)
-    for color, gap in zip(_COLORS, thesis.GAPS_CM, strict=True):
-        arcs = (thesis.LENGTH_CM - gap, thesis.LENGTH_CM)
-        _body(axes[0], _pushed(arcs, opposed_forces(gap, 1.0), 0.0), color, f"{gap:g} cm apart")
-    axes[0].set_ylim(-7, 14)
-    axes[0].legend(fontsize=8, ncols=3, loc="upper left")
-    return figure
+    bodies = [
+        (
+            f"{gap:g} cm apart",
+            pushed((thesis.LENGTH_CM - gap, thesis.LENGTH_CM), opposed_forces(gap, 1.0)),
+        )
+        for gap in thesis.GAPS_CM
+    ]
+    return _figure({"": bodies}, "Two opposed contacts (thesis, figure 3.5a)", 3.4)
 
 
 def actuated() -> Figure:
     """The robot bends itself into a dowel: at 6 psi it just touches (figure 3.7a)."""
-    figure, axes = _panels(3, "Single contact with active bending (thesis, figure 3.7a)")
     pressures = (thesis.TOUCH_PSI, *sorted(thesis.ACTUATED_PSI.values()))
-    for axis, place, arc in zip(axes, thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True):
-        for color, psi in zip(_COLORS, pressures, strict=False):
-            body, peg = actuated_body(arc, psi)
-            _body(axis, body, color, f"{psi:g} psi", dowels=False)
-        axis.add_patch(_circle(peg.x, peg.y, peg.radius, "k"))
-        axis.set_title(f"touches at {place}")
+    drawn = {
+        f"touches at {place}": [(f"{psi:g} psi", actuated_body(arc, psi)[0]) for psi in pressures]
+        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True)
+    }
+    return _figure(drawn, "Single contact with active bending (thesis, figure 3.7a)", 4.2)
+
+
+def _figure(drawn: dict[str, Bodies], title: str, height: float) -> Figure:
+    """A panel a title, with its bodies."""
+    figure, axes = charts.panels(1, len(drawn), size=(5.5, height), title=title, share=True)
+    for axis, (text, bodies) in zip(axes, drawn.items(), strict=True):
+        axis.axvline(0.0, color="k", linewidth=3, alpha=0.3)
+        for number, (label, body) in enumerate(bodies):
+            _body(axis, body, f"C{number}", label)
+        axis.set(xlabel="x (cm)", ylabel="y (cm)", aspect="equal")
+        axis.set_title(text, fontsize=9)
         axis.legend(fontsize=8, loc="upper left")
     return figure
 
 
-def _pushed(arcs: Sequence[float], forces: Sequence[float], fold_rad: float) -> Solution:
-    return push(
-        np.array(forces),
-        np.array(arcs),
-        free_curvature=0.0,
-        length=thesis.LENGTH_CM,
-        tube=Tube(thesis.DIAMETER_CM),
-        fold_angle=fold_rad,
-    )
-
-
-def _panels(count: int, title: str, height: float = 4.2) -> tuple[Figure, list[Axes]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0 * count + 1.5, height), layout="constrained")
-    axes = list(np.atleast_1d(figure.subplots(1, count, sharey=True)))
-    for axis in axes:
-        axis.set(xlabel="x (cm)", aspect="equal")
-        axis.axvline(0.0, color="k", linewidth=3, alpha=0.3)
-        axis.grid(alpha=0.2)
-    axes[0].set_ylabel("y (cm)")
-    figure.suptitle(title)
-    return figure, axes
-
-
-def _body(axis: Axes, body: Solution, color: str, label: str, *, dowels: bool = True) -> None:
+def _body(axis: Axes, body: Solution, color: str, label: str) -> None:
     """Axis, walls and sensors of the body, and the dowels that press on it."""
+    from matplotlib.patches import Circle
+
     points = np.array([body.pose(float(s)) for s in np.linspace(0.0, body.length, 200)])
     x, y, heading = points.T
     axis.plot(x, y, color=color, label=label)
@@ -118,13 +104,38 @@ def _body(axis: Axes, body: Solution, color: str, label: str, *, dowels: bool = 
         ends = np.linspace(center - thesis.SPAN_CM / 2, center + thesis.SPAN_CM / 2, 10)
         sensor = np.array([body.pose(float(s)) for s in ends])
         axis.plot(sensor[:, 0], sensor[:, 1], color=color, linewidth=4, alpha=0.4)
-    if dowels:
-        for contact in body.contacts:
-            peg = peg_for(contact, thesis.DOWEL_CM)
-            axis.add_patch(_circle(peg.x, peg.y, peg.radius, color))
+    for contact in body.contacts:
+        peg = peg_for(contact, thesis.DOWEL_CM)
+        axis.add_patch(Circle((peg.x, peg.y), peg.radius, facecolor=color, edgecolor="k", zorder=3))
 
 
-def _circle(x: float, y: float, radius: float, color: str) -> Patch:
-    from matplotlib.patches import Circle
+def flow() -> Figure:
+    """States from top to bottom in the table's order; arcs with their outcomes (figure 3.8).
 
-    return Circle((x, y), radius, facecolor=color, edgecolor="k", zorder=3)
+    Steps to the next state run down the column, further ones on its right, back ones on its left.
+    """
+    order = {state: number for number, state in enumerate(State)}
+    steps: dict[tuple[int, int], list[str]] = defaultdict(list)
+    for step in TRANSITIONS:
+        steps[order[step.source], order[step.target]].append(step.outcome)
+    figure, (axis,) = charts.panels(
+        size=(12.5, 14), title="The exploration's states and transitions (thesis, figure 3.8)"
+    )
+    for state, row in order.items():
+        box = {"boxstyle": "round", "facecolor": "#eef3fa", "edgecolor": "0.3"}
+        axis.text(0.0, -row, state.value, ha="center", va="center", bbox=box, zorder=3)
+    for number, ((source, target), outcomes) in enumerate(steps.items()):
+        color, text, leap = f"C{number % 10}", " / ".join(outcomes), target - source
+        side = 0.0 if leap == 1 else 1.0 if leap > 1 else -1.0
+        bend = -0.35 * side * np.sign(leap)
+        arrow = {"arrowstyle": "-|>", "color": color, "connectionstyle": f"arc3,rad={bend}"}
+        foot, tail = 1.2 * side, 0.15 * (leap != 0)
+        axis.annotate("", (foot, tail - target), (foot, -tail - source), arrowprops=arrow)
+        # The middle of an arc lies half its bend times its length away.
+        axis.text(
+            foot + side * (0.1 + 0.18 * abs(leap)), -(source + target) / 2 - 0.07 * (number % 5),
+            text, fontsize=8, color=color, va="center", ha="right" if side < 0 else "left",
+        )  # fmt: skip
+    axis.set(xlim=(-len(order) / 2, len(order) / 2), ylim=(-len(order), 1))
+    axis.axis("off")
+    return figure

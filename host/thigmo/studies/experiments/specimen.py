@@ -40,6 +40,26 @@ class Constants:
     fold_rad: float
 
 
+def pushed(
+    arcs_cm: Sequence[float],
+    forces: Sequence[float],
+    *,
+    free: float = 0.0,
+    fold_rad: float = 0.0,
+    length_cm: float = thesis.LENGTH_CM,
+    diameter_cm: float = thesis.DIAMETER_CM,
+) -> Solution:
+    """A body under normal forces (1/cm^2) at arcs, with a fold of the base."""
+    return push(
+        np.array(forces),
+        np.array(arcs_cm),
+        free_curvature=free,
+        length=length_cm,
+        tube=Tube(diameter_cm),
+        fold_angle=fold_rad,
+    )
+
+
 class Specimen:
     """One robot as built: its gains and places are drawn once and stay.
 
@@ -94,7 +114,6 @@ class Specimen:
         *,
         free: float = 0.0,
         fold_rad: float = 0.0,
-        one_side: bool = False,
     ) -> Trial:
         """Readings while contacts press with given normal forces at given arcs.
 
@@ -103,17 +122,9 @@ class Specimen:
             arcs_cm, forces: the contacts (1/cm^2), base first.
             free: free curvature, 1/cm.
             fold_rad: fold of the base.
-            one_side: only one column reads, as in an actuated robot.
         """
-        body = push(
-            np.array(forces),
-            np.array(arcs_cm),
-            free_curvature=free,
-            length=thesis.LENGTH_CM,
-            tube=Tube(thesis.DIAMETER_CM),
-            fold_angle=fold_rad,
-        )
-        return self.observe(condition, place, body, self.read(body, one_side), free=free)
+        body = pushed(arcs_cm, forces, free=free, fold_rad=fold_rad)
+        return self.observe(condition, place, body, self.read(body), free=free)
 
     def read(self, body: Solution, one_side: bool = False) -> Floats:
         """Readings of a body in a known equilibrium, (N,)."""

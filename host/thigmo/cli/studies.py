@@ -1,0 +1,138 @@
+"""How commands run studies: how far each is, what it found, and its files.
+
+Progress is a bar on a terminal, on a pipe a line now and then; both on stderr. Called by
+`thigmo bench` and `thigmo experiment`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from thigmo.cli.output import print_json
+
+if TYPE_CHECKING:
+    from thigmo.studies.engine import Context, Outcome, Study, Table
+
+Tell = Callable[[str, int, int], None]
+
+LINE_EVERY_S = 10.0
+
+
+def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: bool) -> None:
+    """Run studies one after the other, write and print what each found.
+
+    Args:
+        studies: by name.
+        context: seed, size and processes.
+        out: folder for tables and figures.
+        as_json: whether programs read the output.
+    """
+    from dataclasses import replace
+
+    from thigmo.studies.engine import write
+
+    found = []
+    for name, study in studies.items():
+
+        def save(outcome: Outcome, name: str = name) -> None:
+            write(outcome, name, out)
+
+        with study_progress(name) as tell:
+            try:
+                outcome = study(replace(context, progress=tell, save=save))
+            except KeyboardInterrupt:
+                typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
+                raise typer.Exit(130) from None
+        found.append(report(name, outcome, out, as_json))
+    if as_json:
+        print_json(found)
+
+
+def report(name: str, outcome: Outcome, out: Path, as_json: bool) -> dict[str, Any]:
+    """Write what a study found, print it for people, and return it for programs."""
+    from thigmo.studies.engine import write
+
+    paths = write(outcome, name, out)
+    if not as_json:
+        if outcome.summary:
+            _show(outcome.summary)
+        for line in (*outcome.claims, *outcome.notes):
+            typer.echo(f"  {line}")
+        typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
+    return {"study": name, **outcome.record(), "files": [str(path) for path in paths]}
+
+
+def _show(table: Table) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    shown = RichTable(*table.columns, title=table.name)
+    for row in table.rows:
+        shown.add_row(*(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row))
+    Console(width=150).print(shown)
+
+
+@contextmanager
+def study_progress(name: str) -> Iterator[Tell]:
+    """Yields a function of (part, done, total) that shows how far each part of a study is."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        told = lines(lambda text: console.print(text, highlight=False, soft_wrap=True), monotonic)
+        yield lambda part, done, total: told(f"{name}, {part}", done, total)
+        return
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(24),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+    tasks: dict[str, Any] = {}
+
+    def tell(part: str, done: int, total: int) -> None:
+        if part not in tasks:
+            tasks[part] = bar.add_task(f"{name}, {part}", total=total)
+        if done == 0:
+            bar.reset(tasks[part], total=total)
+        bar.update(tasks[part], completed=done)
+
+    with bar:
+        yield tell
+
+
+def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
+    """A line a part at its start and end, and one every ten seconds between them."""
+    began: dict[str, float] = {}
+    told = clock()
+
+    def tell(part: str, done: int, total: int) -> None:
+        nonlocal told
+        now = clock()
+        first = done == 0 or part not in began
+        if first:
+            began[part] = now
+        gone = now - began[part]
+        if not first and done < total and now - told < LINE_EVERY_S:
+            return
+        told = now
+        left = f", about {gone / done * (total - done):.0f} s left" if 0 < done < total else ""
+        write(f"{part}: {done}/{total}, {gone:.0f} s{left}")
+
+    return tell

@@ -1,0 +1,75 @@
+"""The first minute of a new installation: the first commands, with nothing compiled or cached.
+
+Each command runs in a process of its own with empty cache folders, on one core, as on a small
+laptop. Times are wall times; the machine should have nothing else to do.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+from thigmo.errors import DataError
+from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.scenes import LENGTH, SIGMA, SPAN, one_contact
+from thigmo.studies.timing import one_core
+
+PROMISED_S = {"localize": 12.0, "explore": 45.0}
+
+
+def first_run_s(arguments: list[str], folder: Path) -> float:
+    """Seconds of a `thigmo` command whose caches are empty folders below `folder`.
+
+    Raises:
+        DataError: the command fails.
+    """
+    folder.mkdir()
+    # Wherever a cache is looked for: numba's own variable, and the user's folders.
+    homes = dict.fromkeys(
+        ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "LOCALAPPDATA"), str(folder)
+    )
+    start = perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "thigmo", *arguments],
+        cwd=folder,
+        env={**os.environ, **homes},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    elapsed = perf_counter() - start
+    if done.returncode != 0:
+        raise DataError(f"thigmo {arguments[0]} failed: {done.stderr.strip()}", "run it by hand")
+    return elapsed
+
+
+def run(context: Context) -> Outcome:
+    """First `thigmo localize`, first `thigmo explore`."""
+    case = one_contact(context.rng(0))
+    times: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as name, one_core():
+        folder = Path(name)
+        table = folder / "readings.csv"
+        lines = [f"{x},{k}" for x, k in zip(case.position, case.curvature, strict=True)]
+        table.write_text("\n".join(["position,curvature", *lines, ""]))
+        localize = ["localize", str(table), "--length", f"{LENGTH}", "--span", f"{SPAN}"]
+        commands = {
+            "localize": [*localize, "--noise", f"{SIGMA}"],
+            "explore": ["explore", "--seed", "1", "--out", str(folder / "runs")],
+        }
+        context.progress("first commands", 0, len(commands))
+        for what, command in commands.items():
+            times[what] = first_run_s(command, folder / what)
+            context.progress("first commands", len(times), len(commands))
+    return Outcome(
+        [Table("cold", ("command", "time_s"), list(times.items()))],
+        claims=[
+            Claim(f"first `thigmo {what}`, nothing cached, one core", time, PROMISED_S[what],
+                  unit="s")
+            for what, time in times.items()
+        ],
+    )  # fmt: skip
