@@ -38,8 +38,6 @@ def serve() -> Iterator[Callable[[Scene], str]]:
 
         def served(scene: Scene) -> str:
             lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
-            for _ in range(100):
-                lockstep.advance()  # compiled before real time begins
             server = PtyServer(lockstep)
             on = threading.Event()
             on.set()

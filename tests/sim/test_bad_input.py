@@ -269,8 +269,6 @@ class Room:
         scene.flex.creep = 0.0
         scene.robot.save(folder / "robot.toml")
         lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
-        for _ in range(100):  # everything is compiled before a clock counts
-            lockstep.advance()
         self.board = lockstep.board
         self.plant = lockstep.plant
         self._server = PtyServer(lockstep)

@@ -62,8 +62,6 @@ class Served:
         self.board = VirtualBoard(1)
         self.lockstep = Lockstep(room, self.board, seed=1)
         self.length_cm = room.start_length_cm
-        for _ in range(100):
-            self.lockstep.advance()  # compiled before real time begins
         self._server = PtyServer(self.lockstep)
         self.port = self._server.path
         self._on = threading.Event()

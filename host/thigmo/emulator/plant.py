@@ -452,9 +452,14 @@ class Plant:
     def _sense(self) -> None:
         analog = self.analog
         analog[:, 0] = analog[:, 1]
-        for i, sensor in enumerate(self._sensors):
-            under = self._muscles[i // FLEX_RIGHT].bend_psi
-            analog[i, 1] = sensor.count(self._curvature[i], self.length_cm, self.t_s, under)
+        length, t_s = self.length_cm, self.t_s
+        under = [muscle.bend_psi for muscle in self._muscles for _ in range(FLEX_RIGHT)]
+        analog[:_SENSORS, 1] = [
+            sensor.count(curvature, length, t_s, psi)
+            for sensor, curvature, psi in zip(
+                self._sensors, self._curvature.tolist(), under, strict=True
+            )
+        ]
         full = self.scene.transducer.sensor_full_psi
         for side in range(2):
             psi = self._muscles[side].outlet_psi + self._pressure_zero[side]

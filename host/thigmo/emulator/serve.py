@@ -25,8 +25,6 @@ from thigmo.link.protocol import ResetCause, SelectZone
 
 _MOST_BEHIND_S = 0.5  # after a longer stall of this computer, virtual time slips instead
 _QUEUE = 65_536  # bytes kept for a program that does not read; beyond, they are lost
-# A whole second is simulated at once before the port is announced: everything is compiled then.
-_WARM_STEPS = 100
 
 
 class PtyServer:
@@ -183,8 +181,6 @@ def serve(
 
         board = VirtualBoard(room.seed if seed is None else seed)
     lockstep = Lockstep(room, board, seed=seed)
-    for _ in range(_WARM_STEPS):
-        lockstep.advance()
     server = PtyServer(lockstep, link=link)
     try:
         announce(f"{room.name}: open {server.path if link is None else link}; Ctrl-C ends it")

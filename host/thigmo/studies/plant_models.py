@@ -72,7 +72,6 @@ def compare(seed: int, kind: str) -> list[Run]:
     truth = np.array([exact.pose(float(s))[:2] for s in arcs])
     runs = []
     for way, model, tolerance in _WAYS:
-        follow(pegs, g, model, tolerance, 1.0)  # compiled and warm
         began = perf_counter()
         body = follow(pegs, g, model, tolerance, 1.0)
         step_us = (perf_counter() - began) / _STEPS * 1e6
