@@ -32,6 +32,7 @@ explore: install
 lint: install
 	$(BIN)/python protocol/generate.py --check
 	$(BIN)/python tools/figures.py --check
+	$(BIN)/python tools/schematics.py --check
 	$(BIN)/ruff check host tests tools protocol
 	$(BIN)/ruff format --check host tests tools protocol
 	$(BIN)/mypy

@@ -103,6 +103,9 @@ class BoardPolicy {
   // at least one control period (5 ms) before the sign changes; set DIR then.
   void motor(int16_t duty);
   void brake();  // PWM 0, driver braking
+  // Once a tick: which air enables are wanted. A binding toggles a wanted enable's pin and leaves
+  // the other alone, so that a program that stops, stops the air (docs/hardware/electronics.md).
+  void air(bool muscles, bool body);
 
   // --- inputs ------------------------------------------------------------------------------------
   int32_t encoder_count();  // x4 counts since start, positive = paying out; wraps

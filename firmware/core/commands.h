@@ -64,6 +64,14 @@ class Commands {
         const auto m = read<protocol::SelectZone>(command);
         return answer.ack(controller_.select_zone(m.zone));
       }
+      case protocol::kBodyAir: {
+        const auto m = read<protocol::BodyAir>(command);
+        return answer.ack(controller_.body_air(m.open));
+      }
+      case protocol::kTestOutput: {
+        const auto m = read<protocol::TestOutput>(command);
+        return answer.ack(controller_.test_output(m));
+      }
       case protocol::kSweep: {
         const auto m = read<protocol::Sweep>(command);
         return answer.ack(controller_.sweep(m));

@@ -79,6 +79,8 @@ class Controller {
   Outcome home();
   Outcome confirm_length(int32_t length_um, bool settled);
   Outcome select_zone(uint8_t zone);
+  Outcome body_air(uint8_t open);
+  Outcome test_output(const protocol::TestOutput& wanted);
   Outcome sweep(const protocol::Sweep& wanted);
   Outcome zero_sensors(uint16_t mask);
   Outcome set_parameter(uint16_t index, int32_t value);
@@ -114,6 +116,7 @@ class Controller {
   uint16_t conditions() const { return conditions_; }
   uint16_t faults() const { return faults_.latched(); }
   int32_t length_um() const { return length_um_; }
+  bool body_air() const { return body_air_; }
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
@@ -134,6 +137,10 @@ class Controller {
   static constexpr int16_t kBackOffDuty = kMotorFull / 8;  // beyond the dead zone
   static constexpr int32_t kTouchUm = 1500;                // between the two touches
   static constexpr int32_t kHomeUm = 10000;  // between the base and a known length's 0
+  // What test_output may do, whatever the parameters say.
+  static constexpr int16_t kTestDriveMost = 400;  // 5 mA: 5.6 psi of a 2..60 psi transducer
+  static constexpr int16_t kTestMotorMost = kMotorFull / 4;
+  static constexpr uint16_t kTestMostMs = 500;
 
   bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
   uint32_t t_us() const { return tick_ * 1000u + kFrameUs; }
@@ -151,6 +158,10 @@ class Controller {
   void advance_sweep();
   void begin_half();
   void pressure_step(uint8_t side);
+  void end_test();
+  bool testing(protocol::Output output) const {
+    return activity_ == Activity::kTesting && test_.output == output;
+  }
   void spool_step();
   void body_step();
   void free_step();
@@ -219,6 +230,8 @@ class Controller {
   uint32_t beat_tick_ = 0;
   uint16_t telemetry_tick_ = 0;  // its low half
   uint32_t zeroing_tick_ = 0;
+  protocol::TestOutput test_ = {};
+  uint32_t test_tick_ = 0;
   int32_t encoder_ = 0;
   int32_t zero_count_ = 0;   // encoder at everted length 0
   int32_t touch_count_ = 0;  // encoder at homing's first touch
@@ -256,6 +269,7 @@ class Controller {
   bool slipping_ = false;
   bool averaging_ = false;
   bool telemetry_due_ = false;
+  bool body_air_ = false;
 };
 
 }  // namespace thigmo

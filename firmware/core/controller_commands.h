@@ -27,6 +27,7 @@ inline Outcome Controller::arm() {
 }
 
 inline Outcome Controller::vent() {
+  if (activity_ == Activity::kTesting) end_test();
   for (uint8_t side = 0; side < kSides; ++side) {
     loop_[side].cut();
     outputs_.drive[side] = PressureLoop::kOff;
@@ -151,6 +152,35 @@ inline Outcome Controller::select_zone(uint8_t zone) {
   zone_ = zone;
   free_step();
   assemble_conditions();
+  return kAccepted;
+}
+
+inline Outcome Controller::body_air(uint8_t open) {
+  if (open > 1) return {Reason::kBadValue, open};
+  if (open != 0) {
+    const Outcome allowed = permit(Permit::kAir);
+    if (allowed.reason != Reason::kNone) return allowed;
+  }
+  body_air_ = open != 0;
+  assemble_conditions();
+  return kAccepted;
+}
+
+inline Outcome Controller::test_output(const protocol::TestOutput& wanted) {
+  const bool motor = wanted.output == protocol::Output::kMotor;
+  const Outcome allowed = permit(motor ? Permit::kTestMotor : Permit::kTestValve);
+  if (allowed.reason != Reason::kNone) return allowed;
+  if (static_cast<uint8_t>(wanted.output) >= protocol::kOutputCount || wanted.duration_ms == 0 ||
+      (!motor && wanted.level < 0)) {
+    return {Reason::kBadValue, 0};
+  }
+  const int16_t most = motor ? kTestMotorMost : kTestDriveMost;
+  if (magnitude(static_cast<int32_t>(wanted.level)) > most) return {Reason::kOverLimit, most};
+  if (wanted.duration_ms > kTestMostMs) return {Reason::kOverLimit, kTestMostMs};
+  if (activity_ == Activity::kTesting && wanted.output != test_.output) return {Reason::kBusy, 0};
+  test_ = wanted;
+  test_tick_ = tick_;
+  if (activity_ == Activity::kIdle) start(Activity::kTesting);
   return kAccepted;
 }
 

@@ -49,6 +49,7 @@ inline void Controller::control() {
 
 THIGMO_NOINLINE inline void Controller::decide() {
   if (activity_ == Activity::kZeroing) zeroing_step();
+  if (activity_ == Activity::kTesting && tick_ - test_tick_ >= test_.duration_ms) end_test();
   trigger_step();
   if (snapshots_.due(tick_) && snapshots_.store_peak(reading())) {
     post(protocol::EventCode::kPeak, peak_side_, kPeakReadings);
@@ -113,7 +114,10 @@ inline void Controller::pressure_step(uint8_t side) {
   muscle_[side].update(measured, derived_.lag_alpha_q16[side],
                        static_cast<int16_t>(config_.get(Param::kReversalCpsi, side)),
                        derived_.reversal_inverse_q24[side]);
-  const int16_t duty = loop_[side].step(measured, config_, derived_);
+  // Under test the output is what the host says, and the loop stands by.
+  const int16_t duty = testing(static_cast<protocol::Output>(side))
+                           ? test_.level
+                           : loop_[side].step(measured, config_, derived_);
   outputs_.drive[side] = may_energise(state_) ? duty : PressureLoop::kOff;
 
   const bool over = measured > config_.get(Param::kOverPressureCpsi) && !sensor.wire_doubtful();
@@ -143,7 +147,9 @@ inline void Controller::spool_step() {
       finish_spool(true);
     }
   } else {
-    outputs_.motor = 0;
+    outputs_.motor = testing(protocol::Output::kMotor) && may_energise(state_)
+                         ? test_.level
+                         : static_cast<int16_t>(0);
   }
   slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts);
 }
@@ -394,6 +400,7 @@ inline void Controller::assemble_conditions() {
   if (config_valid_) c |= mask(Condition::kConfigValid);
   if (supply_mv_ >= config_.get(Param::kSupplyMinMv)) c |= mask(Condition::kSupplyGood);
   if (trigger_.latched()) c |= mask(Condition::kContact);
+  if (body_air_) c |= mask(Condition::kBodyAir);
   conditions_ = c;
 }
 
@@ -486,19 +493,28 @@ inline void Controller::supervise(uint8_t requests) {
   }
 }
 
-// Valves to 0 mA, motor braked, activity ended. Never a retraction.
+// Valves to 0 mA, motor braked, body emptied, activity ended. Never a retraction.
 inline void Controller::make_safe(Reason reason) {
   for (uint8_t side = 0; side < kSides; ++side) {
     loop_[side].disarm();
     outputs_.drive[side] = PressureLoop::kOff;
   }
   outputs_.motor = 0;
+  body_air_ = false;
   averaging_ = false;
   zeroing_next_ = 0;
   snapshots_.cancel_peak();
   if (activity_ != Activity::kIdle && activity_ != Activity::kSaving) {
     finish_activity(protocol::EventCode::kActivityAborted, static_cast<uint8_t>(reason));
   }
+}
+
+inline void Controller::end_test() {
+  for (uint8_t side = 0; side < kSides; ++side) {
+    if (testing(static_cast<protocol::Output>(side))) outputs_.drive[side] = PressureLoop::kOff;
+  }
+  outputs_.motor = 0;
+  finish_activity(protocol::EventCode::kActivityDone, length_um_);
 }
 
 inline void Controller::start(Activity activity) {

@@ -83,6 +83,7 @@ class Robot {
     controller_.decide();
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     write_outputs();
+    board_.air(may_energise(controller_.state()), controller_.body_air());
     board_.task(static_cast<uint8_t>(Task::kTelemetry));
     if (controller_.telemetry_due()) {
       protocol::Telemetry telemetry;

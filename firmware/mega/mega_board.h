@@ -66,6 +66,7 @@ class MegaBoard {
   static void drive_off(uint8_t side) { Actuators::drive_off(side); }
   static void motor(int16_t duty) { Actuators::motor(duty); }
   static void brake() { Actuators::brake(); }
+  static void air(bool muscles, bool body) { Actuators::air(muscles, body); }
 
   static int32_t encoder_count() { return Encoder::count(); }
   static bool estop() { return (PINA & kEstop) != 0; }

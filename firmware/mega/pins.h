@@ -15,6 +15,8 @@
 // | 2           | PE4 INT4  | encoder A                  | input     | pull-up (internal)             |
 // | 3           | PE5 INT5  | encoder B                  | input     | pull-up (internal)             |
 // | 22          | PA0       | emergency stop             | input     | pull-up; closed to GND = run   |
+// | 24          | PA2       | air enable of the muscles  | output    | floats: the charge pump holds  |
+// | 26          | PA4       | air enable of the body     | output    | nothing; toggled = on          |
 // | 0, 1        | RXD0 TXD0 | USB bridge                 | serial    |                                |
 // clang-format on
 //
@@ -36,6 +38,8 @@ constexpr uint8_t kEncoderA = _BV(PE4);
 constexpr uint8_t kEncoderB = _BV(PE5);
 constexpr uint8_t kEncoderShift = PE4;
 constexpr uint8_t kEstop = _BV(PA0);
+constexpr uint8_t kMuscleAir = _BV(PA2);
+constexpr uint8_t kBodyAir = _BV(PA4);
 
 // Inputs have pull-ups, outputs are driven low; unused pins keep their reset state.
 inline void pins_begin() {
@@ -45,8 +49,8 @@ inline void pins_begin() {
   DDRH |= kMotorPwm | kMotorDirection;
   DDRE &= static_cast<uint8_t>(~(kEncoderA | kEncoderB));
   PORTE |= kEncoderA | kEncoderB;
-  DDRA &= static_cast<uint8_t>(~kEstop);
-  PORTA |= kEstop;
+  PORTA = static_cast<uint8_t>((PORTA | kEstop) & ~(kMuscleAir | kBodyAir));
+  DDRA = static_cast<uint8_t>((DDRA & ~kEstop) | kMuscleAir | kBodyAir);
   DIDR0 = 0xFF;  // A0..A12 are analog: no digital input buffers
   DIDR2 = 0x1F;
 }

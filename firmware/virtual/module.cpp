@@ -99,6 +99,9 @@ NB_MODULE(_board, m) {
                    })
       .def_prop_ro("motor", static_cast<int (VirtualBoard::*)() const>(&VirtualBoard::motor))
       .def_prop_ro("braked", &VirtualBoard::braked)
+      .def_prop_ro(
+          "air",
+          [](const VirtualBoard& self) { return nb::make_tuple(self.air_on(0), self.air_on(1)); })
       .def_prop_ro("direction", &VirtualBoard::direction)
       .def_prop_ro("powered", &VirtualBoard::powered)
       .def_prop_ro("running", &VirtualBoard::running)

@@ -35,6 +35,7 @@ class VirtualBoard {
   static constexpr uint64_t kWatchdogUs = 250000;
   static constexpr uint64_t kSampleUs = 12;  // sample-and-hold: 1.5 clocks of 125 kHz
   static constexpr uint64_t kConversionUs = 104;
+  static constexpr uint64_t kAirHoldUs = 60000;  // a charge pump's longest (docs/hardware)
 
   VirtualBoard(uint64_t seed, const std::string& eeprom) : seed_(seed) {
     eeprom_.fill(0xFF);
@@ -140,6 +141,10 @@ class VirtualBoard {
   int motor() const { return motor_; }
   bool braked() const { return motor_ == 0; }
   int direction() const { return direction_; }
+  // Whether the valve of an enable (0 muscles, 1 body) is held by the edges of its pin.
+  bool air_on(uint8_t enable) const {
+    return air_us_[enable] != 0 && now_us_ < air_us_[enable] + kAirHoldUs;
+  }
   bool powered() const { return powered_; }
   bool running() const { return running_; }
   uint64_t boots() const { return boots_; }
@@ -170,6 +175,10 @@ class VirtualBoard {
     if (duty != 0) direction_ = duty > 0 ? 1 : -1;
   }
   void brake() { motor_ = 0; }
+  void air(bool muscles, bool body) {
+    if (muscles) air_us_[0] = now_us_;
+    if (body) air_us_[1] = now_us_;
+  }
 
   int32_t encoder_count() { return static_cast<int32_t>(encoder_now() - encoder_at_start_); }
   uint16_t supply_mv() { return supply_mv_; }
@@ -328,6 +337,7 @@ class VirtualBoard {
   std::array<bool, kSides> drive_enabled_{};
   int motor_ = 0;
   int direction_ = 1;
+  std::array<uint64_t, 2> air_us_{};  // when each air enable last toggled
   std::unique_ptr<Robot<VirtualBoard>> robot_;
 };
 

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x71E7068Bu;
+constexpr uint32_t kSchemaHash = 0x0565DD37u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -47,8 +47,17 @@ enum class Activity : uint8_t {
   kZeroing = 6,   // Sensor zeros are being averaged.
   kHolding = 7,   // A contact stopped the sweep; its pressure is held.
   kSaving = 8,    // The configuration is being written.
+  kTesting = 9,   // One output is driven as it is, for a moment, within small limits.
 };
-constexpr uint8_t kActivityCount = 9;
+constexpr uint8_t kActivityCount = 10;
+
+// What `test_output` drives.
+enum class Output : uint8_t {
+  kLeftTransducer = 0,   // Current of the left transducer, 20 mA/1599.
+  kRightTransducer = 1,  // Current of the right transducer, 20 mA/1599.
+  kMotor = 2,            // Duty of the spool motor, 1/800 of full, positive pays out.
+};
+constexpr uint8_t kOutputCount = 3;
 
 // A muscle and its column of sensors.
 enum class Side : uint8_t {
@@ -146,7 +155,8 @@ enum class Fault : uint8_t {
                     // then clear and confirm the length.
   kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // No valid configuration is stored; configure and save, then clear.
+  kBadConfig = 10,  // No valid configuration is stored; configure and save (`thigmo params PORT
+                    // --load-defaults`), then clear.
   kEstop = 11,      // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,  // The length became unknown or a sensor half everted during a bend; vented.
                     // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
@@ -175,8 +185,9 @@ enum class Condition : uint8_t {
   kContact = 11,           // The contact trigger is latched.
   kBaseUsable = 13,        // At least one base sensor is everted, enabled and zeroed.
   kTelemetryDropped = 12,  // Telemetry was dropped for want of room since the last report.
+  kBodyAir = 14,  // The body's enable is on: `body_air` was commanded since the robot was armed.
 };
-constexpr uint8_t kConditionCount = 14;
+constexpr uint8_t kConditionCount = 15;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
@@ -235,6 +246,8 @@ constexpr uint8_t kLoadDefaults = 0x15;
 constexpr uint8_t kGetSnapshot = 0x16;
 constexpr uint8_t kAckEvent = 0x17;
 constexpr uint8_t kApplyParameters = 0x1B;
+constexpr uint8_t kBodyAir = 0x1C;
+constexpr uint8_t kTestOutput = 0x1D;
 constexpr uint8_t kGetLinkStats = 0x18;
 constexpr uint8_t kGetConfigReport = 0x19;
 constexpr uint8_t kAck = 0x80;
@@ -304,6 +317,10 @@ constexpr uint8_t inboundSize(uint8_t id) {
       return 2;
     case kApplyParameters:
       return 0;
+    case kBodyAir:
+      return 1;
+    case kTestOutput:
+      return 5;
     case kGetLinkStats:
       return 0;
     case kGetConfigReport:
@@ -712,6 +729,42 @@ struct ApplyParameters {
   void encode(uint8_t*) const {}
   static bool decode(const uint8_t*, uint8_t length, ApplyParameters*) {
     if (length != kSize) return false;
+    return true;
+  }
+};
+
+// Let air into the body through its enable, or take it away. Accepted only while armed; the enable
+// drops when the robot is no longer armed, and comes back by this command alone.
+struct BodyAir {
+  static constexpr uint8_t kId = kBodyAir;
+  static constexpr uint8_t kSize = 1;
+  uint8_t open;  // 1: air in; 0: empty the body.
+  void encode(uint8_t* out) const { detail::put8(out + 0, static_cast<uint8_t>(open)); }
+  static bool decode(const uint8_t* in, uint8_t length, BodyAir* out) {
+    if (length != kSize) return false;
+    out->open = static_cast<uint8_t>(detail::get8(in + 0));
+    return true;
+  }
+};
+
+// Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated. Needs
+// neither length nor zone nor zeros; the motor needs empty muscles. Limits are compiled in.
+struct TestOutput {
+  static constexpr uint8_t kId = kTestOutput;
+  static constexpr uint8_t kSize = 5;
+  Output output;         // Which.
+  int16_t level;         // Transducer 0..400 (5 mA), motor -200..200 (a quarter).
+  uint16_t duration_ms;  // 1..500. (ms)
+  void encode(uint8_t* out) const {
+    detail::put8(out + 0, static_cast<uint8_t>(output));
+    detail::put16(out + 1, static_cast<uint16_t>(level));
+    detail::put16(out + 3, static_cast<uint16_t>(duration_ms));
+  }
+  static bool decode(const uint8_t* in, uint8_t length, TestOutput* out) {
+    if (length != kSize) return false;
+    out->output = static_cast<Output>(detail::get8(in + 0));
+    out->level = static_cast<int16_t>(detail::get16(in + 1));
+    out->duration_ms = static_cast<uint16_t>(detail::get16(in + 3));
     return true;
   }
 };

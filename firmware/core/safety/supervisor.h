@@ -107,6 +107,9 @@ enum class Permit : uint8_t {
   kZero = 8,
   kConfigure = 9,  // set_parameter, set_map, load_defaults
   kSave = 10,
+  kAir = 11,  // body_air, on
+  kTestValve = 12,
+  kTestMotor = 13,
 };
 
 struct Interlock {
@@ -142,6 +145,10 @@ constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
     {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
     {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+    {kArmed, 0xFFFF, 0, 0},
+    {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), 0, 0},
+    {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)),
+     mask(Condition::kVented), 0},
 };
 
 // Conditions in the order in which they are named to the operator: first what takes longest to put

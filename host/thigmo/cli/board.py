@@ -24,6 +24,10 @@ def params(
         list[int] | None, typer.Argument(help="New value in the parameter's wire unit, or values.")
     ] = None,
     save: Annotated[bool, typer.Option("--save", help="Store it in the board.")] = False,
+    load_defaults: Annotated[
+        bool,
+        typer.Option("--load-defaults", help="Give the board all defaults and store them first."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show the board's parameters, or one of them, or set it."""
@@ -34,6 +38,8 @@ def params(
     if name is not None and name not in wire.PARAMETERS:
         raise ConfigError(f"no parameter {name!r}", "see `thigmo params URL` for their names")
     with connect(url) as robot:
+        if load_defaults:
+            robot.load_defaults()
         if name is not None and value:
             robot.set_parameter(name, value)
         if save:

@@ -14,6 +14,7 @@ import typer
 from thigmo.cli import (
     bench,
     board,
+    bringup,
     calibrate,
     camera,
     design,
@@ -40,6 +41,7 @@ for module in (
     runs,
     board,
     flash,
+    bringup,
     emulator,
     camera,
     calibrate,

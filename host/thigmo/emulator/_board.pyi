@@ -97,6 +97,10 @@ class VirtualBoard:
         """Whether the motor is braked."""
 
     @property
+    def air(self) -> tuple[bool, bool]:
+        """Whether the air enables of muscles and body are held on by their pins' edges."""
+
+    @property
     def direction(self) -> int:
         """Level of the direction pin: 1 pays out, -1 winds in."""
 

@@ -69,6 +69,10 @@ class Board(Protocol):
         """The motor driver brakes."""
 
     @property
+    def air(self) -> tuple[bool, bool]:
+        """Whether the air enables of muscles and body are held on by their pins' edges."""
+
+    @property
     def eeprom(self) -> bytes:
         """The configuration store's content."""
 

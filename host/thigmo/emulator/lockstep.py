@@ -53,7 +53,7 @@ class Lockstep:
         if not self.faults.powered:
             plant.step((0, 0), (False, False), 0, True)
             return
-        plant.step(board.drive, board.drive_enabled, board.motor, board.braked)
+        plant.step(board.drive, board.drive_enabled, board.motor, board.braked, board.air)
         if self._exchange_ms == STEP_MS:
             board.set_analog(plant.analog)
             board.set_encoder(*plant.encoder)

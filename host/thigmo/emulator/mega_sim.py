@@ -42,6 +42,8 @@ ESTOP = ("A", 0)
 DRIVES = (("L", 3), ("L", 4))  # OC5A, OC5B
 MOTOR_PWM = ("H", 3)  # OC4A
 MOTOR_DIRECTION = ("H", 4)
+AIR = (("A", 2), ("A", 4))  # muscles, body
+AIR_HOLD_CYCLES = 60 * CYCLES_PER_MS  # a charge pump's longest (docs/hardware/electronics.md)
 DEFAULT_BAUD = 250_000
 
 
@@ -86,6 +88,8 @@ class SimulatedMega:
         self._boots = 0
         self._origin = 0
         self._line_open = True
+        self._air_levels = [False, False]
+        self._air_edges = [-AIR_HOLD_CYCLES] * 2
         chip = self.chip
         for address, data in mega_build.read_hex(image or mega_build.firmware_hex(baud)):
             chip.write_flash(address, data)
@@ -124,6 +128,10 @@ class SimulatedMega:
                 self._boots += 1
             self._origin = chip.tick_origin
             self._exchange_bytes()
+            for enable, pin in enumerate(AIR):  # once a tick is as often as the firmware toggles
+                if (level := self._level(pin)) != self._air_levels[enable]:
+                    self._air_levels[enable] = level
+                    self._air_edges[enable] = self._grid
 
     def _exchange_bytes(self) -> None:
         data, _ = self.chip.take()
@@ -250,6 +258,12 @@ class SimulatedMega:
     def braked(self) -> bool:
         """A driver of the MD10C family brakes while its PWM input is low."""
         return self.motor == 0
+
+    @property
+    def air(self) -> tuple[bool, bool]:
+        """Whether the air enables of muscles and body are held on by their pins' edges."""
+        muscles, body = (self._grid - edge < AIR_HOLD_CYCLES for edge in self._air_edges)
+        return muscles, body
 
     # --- faults and the store ---------------------------------------------------------------------
     @property

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, isnan, nan, pi
+from math import exp, hypot, isnan, nan, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,10 @@ _SENSORS = 10
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
 _PASCAL = 6894.757  # of one psi
+_ENCODER_SIGN = {"right": 1, "motor_swapped": 1, "encoder_swapped": -1, "encoder_unplugged": 0}
+_LIMP_PSI = 0.05
+_AIR_SHARE = 0.005  # of the body's pressure; nearer is there
+_EMPTY = np.zeros(2)
 _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 
@@ -111,7 +115,7 @@ class Plant:
         seed: of everything random; None takes the scene's.
 
     Attributes that faults and operators set:
-        body_psi: body pressure (set through `set_body_pressure`).
+        body_psi: body pressure (its regulator is set through `set_body_pressure`).
         forced_outlet: transducer output forced to a pressure, nan = free, shape (2,).
         spool_stuck: the spool does not turn.
         slip_cm_s: line speed to which a failing brake lets the body pull the spool; 0 = it holds.
@@ -131,6 +135,8 @@ class Plant:
         self.pegs = scene.peg_list()
         self.steps = 0
         self.body_psi = robot.body.zones[robot.body.zone_at(scene.start_length_cm)].pressure_psi
+        self._regulator_psi = self.body_psi
+        self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
         self.forced_outlet = np.full(2, np.nan)
         self.spool_stuck = False
         self.slip_cm_s = 0.0
@@ -230,6 +236,14 @@ class Plant:
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Turn the body's regulator: maps, fold and growth change with it."""
+        self._regulator_psi = pressure_psi
+        self._fill_body(self._body_air)
+
+    def _fill_body(self, share: float) -> None:
+        """Let the body hold a share of the regulator's pressure."""
+        self._body_air = share
+        # Cloth without air still has some stiffness; none at all has no shape to solve.
+        pressure_psi = max(self._regulator_psi * share, min(_LIMP_PSI, self._regulator_psi))
         self.body_psi = pressure_psi
         self.body.critical_moment = self._critical()
         self._solved_g = nan
@@ -293,6 +307,11 @@ class Plant:
         return left.outlet_psi, right.outlet_psi
 
     @property
+    def line_cm(self) -> float:
+        """Line off the spool."""
+        return self._spool.line_cm
+
+    @property
     def free_curvature(self) -> float:
         """Present free curvature of the swinging body, 1/cm."""
         return self._swing.curvature
@@ -350,7 +369,12 @@ class Plant:
     # Motion.
 
     def step(
-        self, drive: tuple[int, int], enabled: tuple[bool, bool], motor: int, braked: bool
+        self,
+        drive: tuple[int, int],
+        enabled: tuple[bool, bool],
+        motor: int,
+        braked: bool,
+        air: tuple[bool, bool] = (False, False),
     ) -> None:
         """Advance by 10 ms under the board's outputs; `analog` and `encoder` then hold the inputs.
 
@@ -359,15 +383,23 @@ class Plant:
             enabled: whether each is connected.
             motor: duty -800..800.
             braked: the driver brakes.
+            air: enables of muscles and body are held; without them, if the scene has the valves,
+                both empty.
         """
         self.steps += 1
+        outlets = self.forced_outlet
+        if self.scene.enables.fitted:
+            if not air[0]:
+                outlets = _EMPTY
+            self._move_body_air(open_=air[1])
         left, right = (
-            muscle.advance(20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0,
-                           self.forced_outlet[side])
+            muscle.advance(20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0, outlets[side])
             for side, muscle in enumerate(self._muscles)
-        )  # fmt: skip
+        )
         self._swing.follow(left - right)
         before = self._encoder()
+        if self.scene.spool.wiring == "motor_swapped":
+            motor = -motor
         if self.windings_open:
             motor, braked = 0, False
         self._spool.advance(motor, braked or motor != 0, self.spool_stuck, self.pull_n)
@@ -391,6 +423,16 @@ class Plant:
             return 0.0
         area = pi * self._robot.body.radius_cm**2 * 1e-4
         return 0.5 * self.body_psi * _PASCAL * area
+
+    def _move_body_air(self, *, open_: bool) -> None:
+        """Fill or empty the body through its valve for one step."""
+        enables = self.scene.enables
+        goal, tau_s = (1.0, enables.body_fills_s) if open_ else (0.0, enables.body_empties_s)
+        share = goal + (self._body_air - goal) * exp(-STEP_S / tau_s)
+        if abs(share - goal) < _AIR_SHARE:
+            share = goal
+        if share != self._body_air:
+            self._fill_body(share)
 
     def _grown(self) -> float:
         """Length that line, body pressure and tail allow."""
@@ -482,7 +524,8 @@ class Plant:
     def _encoder(self) -> float:
         line = self._spool.line_cm
         per_cm = self._robot.spool.counts_per_cm
-        return per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
+        counts = per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
+        return counts * _ENCODER_SIGN[self.scene.spool.wiring]
 
     def _log(self) -> None:
         touching = self.body.touching

@@ -108,6 +108,7 @@ class SpoolMotor(Model):
     dead_zone: NonNegative = 60.0  # duty, of 800, that overcomes sliding friction
     stall_n: Positive = 60.0  # pull on the line at which full duty stalls
     holding_n: NonNegative = 6.0  # pull that friction, or a power-off brake, holds at rest
+    wiring: Literal["right", "motor_swapped", "encoder_swapped", "encoder_unplugged"] = "right"
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 
@@ -125,6 +126,14 @@ class Belief(Model):
     curvature_error: NonNegative = 0.0  # relative, of each map's amplitude
     lag_error: NonNegative = 0.0  # relative
     critical_error: NonNegative = 0.0  # relative, of the critical curvature
+
+
+class Enables(Model):
+    """Valves that empty muscles and body unless the firmware holds them (docs/hardware/air.md)."""
+
+    fitted: bool = False  # the thesis's robot has none
+    body_empties_s: Positive = 0.4  # time constants: through the valve [C], and
+    body_fills_s: Positive = 3.0  # through the throttle [G]
 
 
 class OperatorTable(Model):
@@ -204,6 +213,7 @@ class Scene(Model):
     flex: Flex = Field(default_factory=Flex)
     spool: SpoolMotor = Field(default_factory=SpoolMotor)
     supply: Supply = Field(default_factory=Supply)
+    enables: Enables = Field(default_factory=Enables)
     operator: OperatorTable = Field(default_factory=OperatorTable)
     plant: PlantTable = Field(default_factory=PlantTable)
     faults: list[FaultTable] = Field(default_factory=list)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import parse_qs
 
 import numpy as np
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from thigmo.link.transport import Dowel, Operator, Transport
 
 _KEPT_BEATS = 64
+_SEEN_CM = 0.02  # of line: what an eye beside the spool sees
 
 
 class EmulatedOperator:
@@ -35,12 +36,29 @@ class EmulatedOperator:
 
     def __init__(self, transport: EmulatorTransport) -> None:
         self._transport = transport
+        self._line_cm = transport.lockstep.plant.line_cm
         self._rng = np.random.default_rng([transport.seed, 0x0FE8])
 
     def everted_length_cm(self) -> float:
         """Measure the everted length."""
         error = self._transport.scene.operator.length_error_cm * self._rng.standard_normal()
         return max(self._transport.lockstep.plant.length_cm + error, 0.0)
+
+    def ready(self, request: str) -> None:
+        """Do what a bring-up asks for; the emulated robot needs nothing."""
+
+    def press_emergency_stop(self, pressed: bool) -> None:
+        """Press or release the emergency stop."""
+        self._transport.lockstep.board.set_estop(pressed)
+        self._transport.pass_time(0.1)
+
+    def spool_turned(self) -> Literal["out", "in", "not"]:
+        """How the spool has turned since the last such question."""
+        line_cm = self._transport.lockstep.plant.line_cm
+        moved, self._line_cm = line_cm - self._line_cm, line_cm
+        if abs(moved) < _SEEN_CM:
+            return "not"
+        return "out" if moved > 0 else "in"
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's regulator; takes the scene's `operator.takes_s` of virtual time."""

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x71E7068B
+SCHEMA_HASH = 0x0565DD37
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -72,6 +72,15 @@ class Activity(Documented):
     ZEROING = 6, "Sensor zeros are being averaged."
     HOLDING = 7, "A contact stopped the sweep; its pressure is held."
     SAVING = 8, "The configuration is being written."
+    TESTING = 9, "One output is driven as it is, for a moment, within small limits."
+
+
+class Output(Documented):
+    """What `test_output` drives."""
+
+    LEFT_TRANSDUCER = 0, "Current of the left transducer, 20 mA/1599."
+    RIGHT_TRANSDUCER = 1, "Current of the right transducer, 20 mA/1599."
+    MOTOR = 2, "Duty of the spool motor, 1/800 of full, positive pays out."
 
 
 class Side(Documented):
@@ -236,7 +245,13 @@ class Fault(Documented):
     )
     BROWN_OUT = 8, "The supply sagged below its limit; check the power supply, then clear."
     WATCHDOG = 9, "The firmware hung and was restarted; report it with the run folder, then clear."
-    BAD_CONFIG = 10, "No valid configuration is stored; configure and save, then clear."
+    BAD_CONFIG = (
+        10,
+        (
+            "No valid configuration is stored; configure and save (`thigmo params PORT "
+            "--load-defaults`), then clear."
+        ),
+    )
     ESTOP = 11, "The emergency stop was pressed; release it, then clear."
     INTERLOCK = (
         12,
@@ -282,6 +297,7 @@ class Condition(Documented):
     CONTACT = 11, "The contact trigger is latched."
     BASE_USABLE = 13, "At least one base sensor is everted, enabled and zeroed."
     TELEMETRY_DROPPED = 12, "Telemetry was dropped for want of room since the last report."
+    BODY_AIR = 14, "The body's enable is on: `body_air` was commanded since the robot was armed."
 
 
 class EventCode(Documented):
@@ -360,6 +376,8 @@ _SET_MAP = Struct("<BBB11h")
 _GET_MAP = Struct("<BBB")
 _GET_SNAPSHOT = Struct("<B")
 _ACK_EVENT = Struct("<H")
+_BODY_AIR = Struct("<B")
+_TEST_OUTPUT = Struct("<BhH")
 _ACK = Struct("<BBi")
 _HELLO_REPLY = Struct("<BBBI3BBIHBHI")
 _STATUS_REPORT = Struct("<BBBBHHIihhHHHHI")
@@ -1726,6 +1744,69 @@ class ApplyParameters(Command[Ack]):
 
 
 @dataclass(frozen=True, slots=True)
+class BodyAir(Command[Ack]):
+    """Let air into the body through its enable, or take it away. Accepted only while armed; the
+    enable drops when the robot is no longer armed, and comes back by this command alone.
+    """
+
+    ID: ClassVar[int] = 0x1C
+    SIZE: ClassVar[int] = 1
+    NAME: ClassVar[str] = "body_air"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    open: int
+    """1: air in; 0: empty the body."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _BODY_AIR.pack(self.open)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> BodyAir:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _BODY_AIR.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class TestOutput(Command[Ack]):
+    """Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated.
+    Needs neither length nor zone nor zeros; the motor needs empty muscles. Limits are
+    compiled in.
+    """
+
+    ID: ClassVar[int] = 0x1D
+    SIZE: ClassVar[int] = 5
+    NAME: ClassVar[str] = "test_output"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    output: Output
+    """Which."""
+    level: int
+    """Transducer 0..400 (5 mA), motor -200..200 (a quarter)."""
+    duration_ms: int
+    """1..500. [ms]"""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _TEST_OUTPUT.pack(self.output, self.level, self.duration_ms)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> TestOutput:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _TEST_OUTPUT.unpack(payload)
+        return cls(Output(v[0]), v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
 class GetLinkStats(Command[LinkStats]):
     """Counters of the link, as the board sees it."""
 
@@ -1796,6 +1877,8 @@ MESSAGES: dict[int, type[Message]] = {
     0x16: GetSnapshot,
     0x17: AckEvent,
     0x1B: ApplyParameters,
+    0x1C: BodyAir,
+    0x1D: TestOutput,
     0x18: GetLinkStats,
     0x19: GetConfigReport,
     0x80: Ack,

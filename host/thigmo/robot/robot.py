@@ -42,6 +42,7 @@ R = TypeVar("R", bound=wire.Message)
 
 SENSORS = 10
 VENTED_PSI = 0.5
+_OPEN, _SHORT = 1 << 3, 1 << 4  # of sensor_report.flags
 _UNKNOWN_ZONE = 255
 _SETTLE_EXTRA_S = 30.0
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
@@ -271,6 +272,12 @@ class Robot:
         """
         set_parameters(self._client, {name: values})
 
+    def load_defaults(self) -> None:
+        """Give the board the schema's defaults, store them, and clear `bad_config`."""
+        self._client.request(wire.LoadDefaults())
+        self.save()
+        self.clear_faults("bad_config")
+
     def save(self) -> int:
         """Store the configuration in the board; returns its generation. Takes seconds."""
         return self._client.request(wire.SaveConfig()).detail
@@ -325,14 +332,36 @@ class Robot:
         if faults:
             raise self._watch.fault_error(faults)
 
-    def arm(self) -> None:
-        """Leave safe for ready: outputs may be energised from now on.
+    def arm(self, *, body_air: bool = True) -> None:
+        """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
+
+        Args:
+            body_air: False leaves the body empty, if it has an enable.
 
         Raises:
             RobotFaultError: a fault is latched.
         """
         self.raise_faults()
         self._request(wire.Arm())
+        if body_air:
+            self._request(wire.BodyAir(1))
+
+    def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
+        """Drive one output as it is; the board ends it by itself unless it is repeated.
+
+        Args:
+            output: which.
+            level: transducer 0..400 (5 mA), motor -200..200 (a quarter of full).
+            seconds: at most 0.5.
+
+        Raises:
+            CommandRefusedError: not armed, beyond a limit, or a muscle holds pressure (motor).
+        """
+        self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
+
+    def end_test(self) -> None:
+        """End what `test_output` drives, now."""
+        self._request(wire.Vent())
 
     def stop(self) -> None:
         """At once: valves 0 mA, motor braked, activity aborted. Accepted in every state."""
@@ -438,13 +467,21 @@ class Robot:
         """Conversions that a raw reading sums."""
         return self._oversample
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
         """Let time pass, with the link alive.
+
+        Args:
+            seconds: so long.
+            despite_faults: a fault is what is looked for; do not raise it.
 
         Raises:
             RobotFaultError: a fault was latched meanwhile.
         """
-        self._watch.wait(seconds)
+        if despite_faults:
+            self._client.wait_for(lambda: False, seconds)
+            self._watch.forget()
+        else:
+            self._watch.wait(seconds)
 
     def follow_settling(self) -> None:
         """Watch young sensors from now on, so that sweeps can use those that are set aside."""
@@ -546,15 +583,24 @@ class Robot:
         before = self._table.unzeroed(self._zero_before, self._oversample)
         return before, self._table.unzeroed(self._zero_sum, self._oversample)
 
-    def read(self, seconds: float = 0.5) -> Reading:
+    def flex_circuit(self, sensor: int) -> tuple[bool, bool]:
+        """Whether a flex sensor's circuit is open, and whether it is shorted, now."""
+        flags = self._client.request(wire.GetSensor(sensor)).flags
+        return bool(flags & _OPEN), bool(flags & _SHORT)
+
+    def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
         """Average telemetry over a while.
+
+        Args:
+            seconds: so long.
+            despite_faults: as for `wait`.
 
         Raises:
             LinkError: no telemetry came.
         """
         sums, pressures, times, lengths = [], [], [], []
         with self._client.collect(wire.Telemetry) as frames:
-            self.wait(seconds)
+            self.wait(seconds, despite_faults=despite_faults)
         for frame in frames:
             sums.append(frame.flex_sum)
             pressures.append((frame.left_cpsi / 100, frame.right_cpsi / 100))

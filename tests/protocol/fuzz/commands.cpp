@@ -49,6 +49,7 @@ class Board {
     motor_ = duty;
   }
   void brake() { motor_ = 0; }
+  void air(bool muscles, bool body) { require(muscles || !body); }
   int32_t encoder_count() { return encoder; }
   uint16_t supply_mv() { return supply; }
   bool estop() { return pressed; }

@@ -14,6 +14,7 @@ class SilentBoard:
         self.drive_enabled = (False, False)
         self.motor = 0
         self.braked = True
+        self.air = (False, False)
         self.eeprom = b""
         self.now_us = 0
         self.written = bytearray()

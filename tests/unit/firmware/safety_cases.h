@@ -62,7 +62,7 @@ TEST(outputs_are_allowed_in_ready_and_moving_only) {
 
 TEST(every_refusal_has_its_reason) {
   const auto has = [](int conditions, Condition c) { return (conditions & mask(c)) != 0; };
-  for (int kind = 0; kind <= static_cast<int>(Permit::kSave); ++kind) {
+  for (int kind = 0; kind <= static_cast<int>(Permit::kTestMotor); ++kind) {
     const Permit permit = static_cast<Permit>(kind);
     for (int s = 0; s < protocol::kStateCount; ++s) {
       const State state = static_cast<State>(s);
@@ -76,14 +76,17 @@ TEST(every_refusal_has_its_reason) {
           const bool confirm = permit == Permit::kConfirm;
           const bool setup =
               permit == Permit::kZone || permit == Permit::kConfigure || permit == Permit::kSave;
+          const bool air = permit == Permit::kAir;
+          const bool test = permit == Permit::kTestValve || permit == Permit::kTestMotor;
           bool state_good = state == State::kReady || state == State::kMoving;
           if (arm) state_good = state_good || state == State::kSafe;
           if (confirm || setup) state_good = state != State::kBoot;
           Reason want = Reason::kNone;
           if (!state_good) {
             want = state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
-          } else if (!arm && activity != Activity::kIdle &&
-                     !(permit == Permit::kPress && activity == Activity::kPressing)) {
+          } else if (!arm && !air && activity != Activity::kIdle &&
+                     !(permit == Permit::kPress && activity == Activity::kPressing) &&
+                     !(test && activity == Activity::kTesting)) {
             want = Reason::kBusy;
           } else if (arm && has(c, Condition::kEstop)) {
             want = Reason::kEstop;
@@ -101,7 +104,7 @@ TEST(every_refusal_has_its_reason) {
           } else if (bend && !has(c, Condition::kZoneKnown)) {
             want = Reason::kZoneUnknown;
           } else if ((permit == Permit::kBend || wind || permit == Permit::kHome || confirm ||
-                      permit == Permit::kZero) &&
+                      permit == Permit::kZero || permit == Permit::kTestMotor) &&
                      !has(c, Condition::kVented)) {
             want = Reason::kNotVented;
           } else if (bend && !has(c, Condition::kZeroed)) {

@@ -1,0 +1,137 @@
+"""One output driven as it is, in pushes that the board ends by itself: jog and press.
+
+A push lasts at most half a second unless the host repeats it, so that a host that stops, for
+whatever reason, stops the motion (the heartbeat's limit acts beside it). The board's own limits,
+5 mA and a quarter of the motor's voltage, are compiled into it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from thigmo.config import SIDES, Side
+from thigmo.errors import ConfigError, RobotFaultError
+from thigmo.link.protocol import Output
+from thigmo.robot import Robot
+
+JOG_CM = 5.0  # of tip, at most
+PRESS_PSI = 5.0
+PRESS_S = 60.0
+
+_PUSH_S = 0.4
+_REPEAT_S = 0.15
+_JOG_DUTY = 160  # of 800: beyond friction, a tenth of full speed
+_STILL_S = 1.5
+_STILL_CM = 0.02
+_WRONG_CM = 0.2
+_FULL_DUTY, _FULL_MA = 1599, 20.0
+
+
+def duty_of(milliampere: float) -> int:
+    """Transducer duty of a current."""
+    return round(milliampere / _FULL_MA * _FULL_DUTY)
+
+
+def push(robot: Robot, output: Output, level: int, seconds: float) -> None:
+    """Drive one output for a while.
+
+    Raises:
+        CommandRefusedError: not armed, not vented (the motor), or busy.
+        RobotFaultError: the board latched a fault.
+    """
+    end = robot.now() + seconds
+    while (left := end - robot.now()) > 1e-9:
+        robot.test_output(output, level, min(_PUSH_S, left + 1e-3))
+        robot.wait(min(_REPEAT_S, left))
+
+
+def jog(
+    robot: Robot, cm: float, progress: Callable[[float], None] = lambda moved_cm: None
+) -> float:
+    """Pay out (positive) or wind in a little line, slowly, whether the length is known or not.
+
+    Args:
+        robot: armed, its muscles empty.
+        cm: of tip, at most `JOG_CM` either way.
+        progress: told how far it is.
+
+    Returns:
+        How far the encoder went, cm.
+
+    Raises:
+        ConfigError: too far.
+        RobotFaultError: the encoder stands still, or goes the other way.
+        CommandRefusedError: not armed, or a muscle holds pressure.
+    """
+    if not 0 < abs(cm) <= JOG_CM:
+        raise ConfigError(f"a jog of {cm:g} cm", f"give more than 0 and at most {JOG_CM:g} cm")
+    way = 1 if cm > 0 else -1
+    start = robot.read(0.05).length_cm
+    moved, best, best_s = 0.0, 0.0, robot.now()
+    try:
+        while moved < abs(cm):
+            push(robot, Output.MOTOR, way * _JOG_DUTY, _REPEAT_S)
+            moved = way * (robot.read(0.02).length_cm - start)
+            progress(way * moved)
+            if moved < -_WRONG_CM:
+                raise RobotFaultError(
+                    "the encoder goes the other way than the motor is driven",
+                    "run `thigmo bringup`: it names the wires to swap",
+                )
+            if moved > best + _STILL_CM:
+                best, best_s = moved, robot.now()
+            elif robot.now() - best_s > _STILL_S:
+                raise RobotFaultError(
+                    "the motor is driven and the encoder stands still",
+                    "free the spool, or run `thigmo bringup`",
+                )
+    finally:
+        robot.vent()  # ends the push
+    return way * moved
+
+
+def press(
+    robot: Robot,
+    side: Side,
+    psi: float,
+    seconds: float,
+    progress: Callable[[float], None] = lambda psi: None,
+) -> float:
+    """Give one transducer the current of a low pressure for a while, then vent.
+
+    The pressure loop is not closed: what the sensor says is shown, not used.
+
+    Args:
+        robot: armed.
+        side: of the muscle.
+        psi: at most `PRESS_PSI`.
+        seconds: at most `PRESS_S`.
+        progress: told the pressure.
+
+    Returns:
+        The pressure at the end, psi.
+
+    Raises:
+        ConfigError: too much, or for too long.
+        CommandRefusedError: not armed.
+        RobotFaultError: the board latched a fault.
+    """
+    if not 0 < psi <= PRESS_PSI or not 0 < seconds <= PRESS_S:
+        raise ConfigError(
+            f"a press of {psi:g} psi for {seconds:g} s",
+            f"give at most {PRESS_PSI:g} psi and {PRESS_S:g} s",
+        )
+    low, high = (robot.parameter(f"drive_{n}ma_cpsi")[0] / 100 for n in (4, 20))
+    level = duty_of(max(4.0 + 16.0 * (psi - low) / (high - low), 0.0))
+    output = (Output.LEFT_TRANSDUCER, Output.RIGHT_TRANSDUCER)[SIDES.index(side)]
+    reached = 0.0
+    end = robot.now() + seconds
+    try:
+        while robot.now() < end:
+            push(robot, output, level, _REPEAT_S)
+            reading = robot.read(0.02)
+            reached = (reading.left_psi, reading.right_psi)[SIDES.index(side)]
+            progress(reached)
+    finally:
+        robot.vent()
+    return reached

@@ -1,0 +1,188 @@
+"""`thigmo bringup`, `thigmo jog`, `thigmo press`: the first power-up, and small careful moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from thigmo.cli.output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from thigmo.bringup import Attendant, Finding, Turned
+    from thigmo.cli.console import Console
+    from thigmo.robot import Robot
+
+UrlArgument = Annotated[str, typer.Argument(help="Where the robot is.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(bringup)
+    app.command()(jog)
+    app.command()(press)
+
+
+class _TerminalAttendant:
+    """Asks the person beside the robot."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def ready(self, request: str) -> None:
+        """Ask for something, and wait until it is done."""
+        self._console.ask(f"{request}. Then press Enter.")
+
+    def press_emergency_stop(self, pressed: bool) -> None:
+        """Ask for the emergency stop."""
+        self.ready(f"{'Press' if pressed else 'Release'} the emergency stop")
+
+    def spool_turned(self) -> Turned:
+        """Ask how the spool turned; before it has been driven, only for attention."""
+        if not self._told:
+            self._told = True
+            self.ready("Watch the spool: it is to pay out a little line")
+            return "not"
+        answers: dict[str, Turned] = {"o": "out", "i": "in", "n": "not"}
+        while True:
+            answer = self._console.ask("Did it pay line (o)ut, wind it (i)n, or (n)ot turn?")
+            if (turned := answers.get(answer.strip().lower()[:1])) is not None:
+                return turned
+
+    _told = False
+
+
+def _attendant(robot: Robot, console: Console) -> Attendant:
+    """The emulated robot's own, or whoever sits at the terminal."""
+    own = robot.operator
+    if robot.virtual and hasattr(own, "spool_turned"):
+        return own  # type: ignore[return-value]
+    return _TerminalAttendant(console)
+
+
+def bringup(
+    url: UrlArgument,
+    first: Annotated[
+        str,
+        typer.Option("--from", help="Stage to begin with; those before it were good."),
+    ] = "board",
+    config: Annotated[
+        Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the emulator.", min=0)] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a newly wired robot, from its supply to homing; what is wrong is named with its plug.
+
+    Stages: board, supply, estop, pressure, flex, valves, motor, home. It asks for one thing after
+    the other, and stops after the first stage in which something is wrong; `--from STAGE` goes on
+    from there. A board without a configuration gets the defaults.
+
+    Before it: docs/hardware, "Before the first power".
+    """
+    from thigmo.bringup import STAGES, BringUp
+    from thigmo.cli.console import Console
+    from thigmo.config import RobotConfig
+    from thigmo.errors import ConfigError
+    from thigmo.robot import connect
+
+    if first not in STAGES:
+        raise ConfigError(f"there is no stage {first!r}", f"name one of {', '.join(STAGES)}")
+    console = Console(quiet=as_json)
+
+    def tell(finding: Finding) -> None:
+        if as_json:
+            return
+        mark = "good " if finding.good else "WRONG"
+        line = f"{mark} {finding.stage}: {finding.subject}: {finding.what}"
+        console.out.print(
+            line if finding.good else f"{line}; {finding.cure}", highlight=False, soft_wrap=True
+        )
+
+    with console.interruptible(), connect(url, seed=seed) as robot:
+        if config is not None:
+            robot.configure(RobotConfig.load(config))
+        findings = BringUp(robot, _attendant(robot, console), tell).run(first)
+    good = all(finding.good for finding in findings)
+    if as_json:
+        print_json({"good": good, "findings": [finding.as_data() for finding in findings]})
+    elif good:
+        console.out.print(f"All is as it should be. Next: thigmo calibrate all --robot {url}")
+    else:
+        stage = findings[-1].stage
+        console.out.print(f"Put it right, then: thigmo bringup {url} --from {stage}")
+    if not good:
+        raise typer.Exit(1)
+
+
+def jog(
+    url: UrlArgument,
+    out: Annotated[float, typer.Option("--out", help="Pay out so many cm of tip, at most 5.")] = 0,
+    wind: Annotated[float, typer.Option("--in", help="Wind in so many cm of tip, at most 5.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Turn the spool a little, slowly; the length need not be known. Muscles must be empty.
+
+    The board ends each push within half a second, so the spool stops when this program does.
+    """
+    from thigmo.bringup import jog as move
+    from thigmo.cli.console import Console
+    from thigmo.errors import ConfigError
+    from thigmo.robot import connect
+
+    if (out > 0) == (wind > 0) or min(out, wind) < 0:
+        raise ConfigError("a jog needs one direction", "give --out CM or --in CM")
+    console = Console(quiet=as_json)
+    with console.interruptible(), connect(url) as robot:
+        _cured(robot)
+        robot.arm(body_air=False)
+        robot.vent()
+        moved = move(robot, out or -wind)
+    if as_json:
+        print_json({"moved_cm": moved})
+    else:
+        console.out.print(f"The encoder went {moved:+.2f} cm.", highlight=False)
+
+
+def press(
+    url: UrlArgument,
+    side: Annotated[str, typer.Argument(help="left or right.")],
+    psi: Annotated[float, typer.Argument(help="Pressure, at most 5 psi.")],
+    seconds: Annotated[float, typer.Option(help="For so long, at most 60 s.")] = 5.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Give a muscle's transducer the current of a low pressure, show the pressure, then vent.
+
+    Needs neither length nor zeros, and closes no loop: a check of valve, tube and sensor. The board
+    ends each push within half a second, so the muscle empties when this program stops.
+    """
+    from thigmo.bringup import press as hold
+    from thigmo.cli.console import Console
+    from thigmo.config import SIDES
+    from thigmo.errors import ConfigError
+    from thigmo.robot import connect
+
+    if side not in SIDES:
+        raise ConfigError(f"there is no side {side!r}", "give left or right")
+    which: Literal["left", "right"] = "left" if side == "left" else "right"
+    console = Console(quiet=as_json)
+    with console.interruptible(), connect(url) as robot:
+        _cured(robot)
+        robot.arm(body_air=False)
+        with console.progress() as show:
+            began = robot.now()
+            reached = hold(
+                robot, which, psi, seconds,
+                lambda now: show(f"{side} {now:.2f} psi", (robot.now() - began) / seconds),
+            )  # fmt: skip
+    if as_json:
+        print_json({"side": side, "pressure_psi": reached})
+    else:
+        console.out.print(f"The {side} muscle reached {reached:.2f} psi.", highlight=False)
+
+
+def _cured(robot: Robot) -> None:
+    """An emulated board is new at each connection: give it what its lab would have stored."""
+    if robot.virtual and robot.known_config is not None:
+        robot.configure(robot.known_config)

@@ -1,0 +1,79 @@
+"""The hardware's papers agree with each other and with the firmware: parts, drawings, pins."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HARDWARE = ROOT / "docs" / "hardware"
+DRAWINGS = sorted(HARDWARE.glob("*.svg"))
+NAME = re.compile(r"\b(?:PS|RV|FR|PR|NV|TL|TR|[ABCDFGJMPQRSUVY])\d*\b")
+
+
+def expanded(names: str) -> list[str]:
+    """Names of parts in a row: `R1 R2`, `B1-B10`."""
+    found = []
+    for word in names.split():
+        first, _, last = word.partition("-")
+        kind, low = re.fullmatch(r"([A-Z]+)(\d*)", first).groups()  # type: ignore[union-attr]
+        if last:
+            found += [f"{kind}{n}" for n in range(int(low), int(last.removeprefix(kind)) + 1)]
+        else:
+            found.append(first)
+    return found
+
+
+@pytest.fixture
+def parts() -> dict[str, list[str]]:
+    """Each row of the bill of materials: its names."""
+    with (HARDWARE / "parts.csv").open() as file:
+        return {row["ref"]: [row["count"], *expanded(row["ref"])] for row in csv.DictReader(file)}
+
+
+def words(drawing: Path) -> str:
+    """What is written in a drawing, without the Mega's pins."""
+    text = "\n".join(re.findall(r">([^<]+)</t", drawing.read_text()))
+    return re.sub(r"A\d+\.\.A?\d+|\bA1[0-2]\b|Mega \S+", "", text)
+
+
+def test_parts_are_counted_and_named_once(parts: dict[str, list[str]]) -> None:
+    names = [name for _, *row in parts.values() for name in row]
+    assert sorted(names) == sorted(set(names))
+    for row, (count, *each) in parts.items():
+        assert int(count) == len(each), row
+
+
+@pytest.mark.parametrize("drawing", DRAWINGS, ids=lambda path: path.stem)
+def test_what_is_drawn_is_in_the_parts_list(drawing: Path, parts: dict[str, list[str]]) -> None:
+    known = {name for _, *row in parts.values() for name in row}
+    drawn = {name for name in NAME.findall(words(drawing)) if name[-1].isdigit()}
+    assert drawn
+    drawn = {re.sub(r"^S1[AB]$", "S1", name) for name in drawn}
+    assert drawn <= known
+
+
+def test_pins_are_the_firmwares() -> None:
+    header = (ROOT / "firmware/mega/pins.h").read_text()
+    page = (ROOT / "firmware/mega/WIRING.md").read_text()
+
+    def pins(rows: list[str]) -> set[str]:
+        found: set[str] = set()
+        for row in rows:
+            for first, last in re.findall(r"(A?\d+)(?:\.\.A(\d+))?", row):
+                low = int(first.removeprefix("A"))
+                found |= {
+                    f"{'A' * first.startswith('A')}{n}" for n in range(low, int(last or low) + 1)
+                }
+        return found
+
+    used = pins(re.findall(r"^// \| ([A0-9., ]+?) +\|", header, re.MULTILINE))
+    assert used == pins(re.findall(r"^\| ([A0-9., ]+?) +\|", page, re.MULTILINE))
+    drawn = set()
+    for drawing in DRAWINGS:
+        drawn |= set(re.findall(r"Mega (A?\d+)", drawing.read_text()))
+    assert drawn <= used
+    assert {"46", "24", "6", "7", "2", "3", "22"} <= drawn

@@ -1,0 +1,404 @@
+"""Draws the robot's circuit and plumbing: docs/hardware/*.svg.
+
+    python tools/schematics.py           draw
+    python tools/schematics.py --check   fail if a drawing is not what this file says
+
+This file is the schematic's source; the names of parts are those of docs/hardware/parts.csv. Each
+drawing fits an A4 page held sideways. `make lint` calls it with --check.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import schemdraw
+import schemdraw.elements as elm
+
+FOLDER = Path(__file__).resolve().parent.parent / "docs" / "hardware"
+A4_MM = (277, 190)  # held sideways, inside its margins
+PX_MM = 72 / 25.4
+FONT_PT, SMALLEST_PT = 11, 7.5  # as drawn; as printed
+Point = tuple[float, float]
+
+
+def _sheet(title: str) -> schemdraw.Drawing:
+    schemdraw.use("svg")
+    schemdraw.svgconfig.text = "text"
+    elm.style(elm.STYLE_IEC)
+    drawing = schemdraw.Drawing(show=False, canvas="svg")
+    drawing.config(
+        unit=2.2, inches_per_unit=0.46, fontsize=FONT_PT, lw=1.4, margin=0.6, bgcolor="white"
+    )
+    drawing.add(elm.Label().at((0, 0)).label(title, loc="right", halign="left", fontsize=14))
+    return drawing
+
+
+def _text(
+    d: schemdraw.Drawing, at: Point, text: str, align: str = "left", size: int = FONT_PT
+) -> None:
+    d.add(elm.Label().theta(0).at(at).label(text, loc="center", halign=align, fontsize=size))
+
+
+def _wire(d: schemdraw.Drawing, *points: Point) -> None:
+    for start, end in pairwise(points):
+        d.add(elm.Line().at(start).to(end))
+
+
+def _part(
+    d: schemdraw.Drawing, kind: type, start: Point, end: Point, text: str, loc: str = "top"
+) -> None:
+    d.add(kind().at(start).to(end).label(text, loc=loc, ofst=0.12))
+
+
+def _ground(d: schemdraw.Drawing, at: Point) -> None:
+    d.add(elm.Ground().at(at))
+
+
+def _rail(d: schemdraw.Drawing, at: Point, text: str) -> None:
+    d.add(elm.Vdd().at(at).label(text))
+
+
+def _tag(d: schemdraw.Drawing, at: Point, text: str) -> None:
+    """A pin or plug from which a wire leaves to the right."""
+    d.add(elm.Tag(width=at[0]).left().at(at).label(text))
+
+
+def _box(d: schemdraw.Drawing, corner: Point, size: Point, text: str) -> None:
+    x, y = corner
+    w, h = size
+    d.add(elm.Rect(corner1=(0, 0), corner2=size).theta(0).at(corner))
+    lines = text.split("\n")
+    for i, line in enumerate(lines):
+        _text(d, (x + w / 2 - 0.1, y + h / 2 + (len(lines) - 1) * 0.22 - i * 0.44), line, "center")
+
+
+def _dot(d: schemdraw.Drawing, *places: Point) -> None:
+    for place in places:
+        d.add(elm.Dot().at(place))
+
+
+class _Stop(elm.Button):
+    """A contact of the emergency stop: closed until it is pressed."""
+
+    def __init__(self) -> None:
+        super().__init__(nc=True)
+
+
+def current_stage() -> schemdraw.Drawing:
+    """PWM to 0..20 mA, one of two."""
+    d = _sheet("CURRENT STAGE, left. Right: names + 10, U1B, Mega 45, J11")
+    y = -3.6
+    _tag(d, (2.2, y), "Mega 46")
+    _wire(d, (2.2, y), (3.0, y))
+    _part(d, elm.Resistor, (3.0, y), (3.0, y - 2.4), "R1 10k")
+    _part(d, elm.Resistor, (3.0, y), (6.0, y), "R2 4.7k")
+    _part(d, elm.Capacitor, (6.0, y), (6.0, y - 2.4), "C1 1 µF")
+    _part(d, elm.Resistor, (6.0, y), (9.0, y), "R3 4.7k")
+    _part(d, elm.Capacitor, (9.0, y), (9.0, y - 2.4), "C2 1 µF")
+    _wire(d, (9.0, y), (13.6, y))
+    _part(d, elm.Resistor, (11.2, y), (11.2, y - 2.4), "R4 6.2k")
+    _dot(d, (3.0, y), (6.0, y), (9.0, y), (11.2, y))
+    for x in (3.0, 6.0, 9.0, 11.2):
+        _ground(d, (x, y - 2.4))
+    amp = d.add(elm.Opamp(leads=False).theta(0).flip().anchor("in2").at((13.6, y)))
+    _text(d, (amp.center.x - 0.2, amp.center.y), "U1A", "center")
+    _wire(d, (amp.vs.x, amp.vs.y), (amp.vs.x, amp.vs.y + 0.5))
+    _rail(d, (amp.vs.x, amp.vs.y + 0.5), "5 V, C4 100 nF")
+    _ground(d, (amp.vd.x, amp.vd.y))
+    gate = (amp.out.x + 3.0, amp.out.y)
+    _part(d, elm.Resistor, (amp.out.x, amp.out.y), gate, "R5 1k")
+    drain = (gate[0] + 1.9, gate[1] + 0.75)
+    fet = d.add(elm.NFet().theta(0).reverse().at(drain))
+    _wire(d, gate, (fet.gate.x, fet.gate.y))
+    _text(d, (drain[0] + 0.3, gate[1]), "Q1 TN0110N3-G")
+    low, high = y + 1.4, y + 3.6
+    _wire(d, drain, (drain[0], low))
+    _part(d, elm.RBox, (drain[0], low), (drain[0], high), "TL transducer", "bottom")
+    _part(d, elm.Diode, (drain[0] - 1.6, low), (drain[0] - 1.6, high), "D1 1N4148", "top")
+    _wire(d, (drain[0], low), (drain[0] - 1.6, low))
+    _wire(d, (drain[0], high), (drain[0] - 1.6, high))
+    _dot(d, (drain[0], low), (drain[0], high))
+    _rail(d, (drain[0], high), "+24 V AIR")
+    _text(d, (drain[0] + 0.3, low - 0.2), "J10.2")
+    _text(d, (drain[0] + 0.3, high), "J10.1")
+    node = (drain[0], y - 3.2)
+    _wire(d, (fet.source.x, fet.source.y), node)
+    _part(d, elm.Resistor, node, (node[0], node[1] - 2.2), "R6 100R 0.1 %", "bottom")
+    _ground(d, (node[0], node[1] - 2.2))
+    _text(d, (node[0] + 0.3, node[1] + 0.15), "TP1: 2 V at 20 mA")
+    left = (amp.in1.x - 0.5, amp.in1.y)
+    out = (amp.out.x + 0.2, amp.out.y)
+    _wire(d, (amp.in1.x, amp.in1.y), left, (left[0], node[1]))
+    _part(d, elm.Capacitor, (left[0], node[1]), (out[0], node[1]), "C3 1 nF")
+    _wire(d, out, (out[0], node[1]))
+    _wire(d, (left[0], node[1]), (left[0], node[1] - 1.4))
+    _part(d, elm.Resistor, (left[0], node[1] - 1.4), (out[0], node[1] - 1.4), "R7 10k")
+    _wire(
+        d, (out[0], node[1] - 1.4), (node[0] - 1.2, node[1] - 1.4), (node[0] - 1.2, node[1]), node
+    )
+    _dot(d, node, out, (left[0], node[1]))
+    return d
+
+
+def enable() -> schemdraw.Drawing:
+    """A valve that is on only while the firmware toggles its pin, one of two."""
+    d = _sheet("ENABLE, muscles. Body: names + 10, Mega 26, one valve (Y3, J14)")
+    y = -3.2
+    _tag(d, (2.2, y), "Mega 24")
+    _wire(d, (2.2, y), (3.0, y))
+    _part(d, elm.Resistor, (3.0, y), (3.0, y - 2.4), "R21 10k")
+    _part(d, elm.Capacitor, (3.0, y), (6.0, y), "C21 220 nF")
+    _part(d, elm.Schottky, (6.0, y - 2.4), (6.0, y), "D21 BAT85", "bottom")
+    _part(d, elm.Schottky, (6.0, y), (9.0, y), "D22 BAT85")
+    _part(d, elm.Capacitor, (9.0, y), (9.0, y - 2.4), "C22 1 µF", "bottom")
+    _wire(d, (9.0, y), (11.4, y))
+    _part(d, elm.Resistor, (11.4, y), (11.4, y - 2.4), "R22 47k", "bottom")
+    for x in (3.0, 6.0, 9.0, 11.4):
+        _ground(d, (x, y - 2.4))
+    _part(d, elm.Resistor, (11.4, y), (14.4, y), "R23 1k")
+    _dot(d, (3.0, y), (6.0, y), (9.0, y), (11.4, y))
+    drain = (16.2, y + 0.75)
+    fet = d.add(elm.NFet().theta(0).reverse().at(drain))
+    _wire(d, (14.4, y), (fet.gate.x, fet.gate.y))
+    _text(d, (drain[0] + 0.3, y), "Q21 IRLZ44N")
+    _ground(d, (fet.source.x, fet.source.y))
+    low, high = y + 1.4, y + 3.8
+    _wire(d, drain, (drain[0], low))
+    _part(d, elm.Diode, (drain[0], low), (drain[0], high), "D23 1N4007")
+    _wire(d, (drain[0], low), (21.2, low))
+    _wire(d, (drain[0], high), (21.2, high))
+    _part(d, elm.Inductor2, (18.4, low), (18.4, high), "Y1, J12", "bottom")
+    _part(d, elm.Inductor2, (21.2, low), (21.2, high), "Y2, J13", "bottom")
+    _dot(d, (drain[0], low), (18.4, low), (18.4, high), (18.4, high))
+    _rail(d, (18.4, high), "+24 V AIR")
+    _text(d, (8.6, y + 1.2), "TP21: 3.5 V while the pin toggles, else 0 V")
+    _wire(d, (11.4, y), (11.4, y + 0.9))
+    return d
+
+
+def power() -> schemdraw.Drawing:
+    """Supplies, fuses, emergency stop, motor."""
+    d = _sheet("POWER, EMERGENCY STOP, MOTOR")
+    y = -2.2
+    _tag(d, (3.0, y), "PS1 24 V, J2.1")
+    _part(d, elm.Fuse, (3.0, y), (6.4, y), "F1 1 A slow")
+    _part(d, _Stop, (6.4, y), (10.0, y), "S1B, J15.3-4")
+    _wire(d, (10.0, y), (12.4, y))
+    _rail(d, (12.4, y), "+24 V AIR")
+    _text(d, (13.4, y + 0.2), "J10.1, J11.1: transducers")
+    _text(d, (13.4, y - 0.4), "J12.1, J13.1, J14.1: valves")
+    _text(d, (3.2, y - 0.9), "S1 is drawn released; pressed, both contacts open")
+
+    y = -5.2
+    _rail(d, (3.0, y + 0.6), "5 V of the Mega")
+    _wire(d, (3.0, y), (3.0, y + 0.6))
+    _part(d, elm.Resistor, (3.0, y), (6.4, y), "R41 4.7k")
+    _wire(d, (6.4, y), (7.6, y))
+    _part(d, _Stop, (7.6, y), (10.8, y), "S1A, J15.1-2")
+    _wire(d, (10.8, y), (11.6, y))
+    _ground(d, (11.6, y))
+    _wire(d, (6.4, y), (6.4, y - 0.9), (7.6, y - 0.9))
+    _dot(d, (6.4, y))
+    d.add(elm.Tag(width=3.0).right().at((7.6, y - 0.9)).label("Mega 22"))
+
+    y = -9.2
+    _tag(d, (3.0, y), "PS2 12 V, J3.1")
+    _part(d, elm.Fuse, (3.0, y), (6.4, y), "F2 3 A slow")
+    _wire(d, (6.4, y), (9.6, y))
+    _part(d, elm.Capacitor2, (7.4, y), (7.4, y - 1.1), "C41 1000 µF 35 V")
+    _dot(d, (7.4, y))
+    _ground(d, (7.4, y - 1.1))
+    _box(d, (11.4, y - 3.7), (4.6, 4.7), "")
+    _text(d, (13.7, y + 0.6), "A2 MD10C", "center")
+    _wire(d, (9.6, y), (11.4, y))
+    for name, at in (("POWER +", y), ("POWER -", y - 0.7)):
+        _text(d, (11.6, at), name)
+    _wire(d, (11.4, y - 0.7), (10.6, y - 0.7))
+    _ground(d, (10.6, y - 0.7))
+    for name, at, pin, pull in (
+        ("PWM", y - 2.1, "Mega 6", "R42 10k"),
+        ("DIR", y - 2.7, "Mega 7", "R43 10k"),
+        ("GND", y - 3.3, "Mega GND", ""),
+    ):
+        _text(d, (11.6, at), name)
+        _wire(d, (10.0, at), (11.4, at))
+        _text(d, (9.8, at), f"{pin}, {pull} to GND" if pull else pin, "right")
+    for name, at in (("A", y - 0.4), ("B", y - 2.6)):
+        _text(d, (15.8, at), name, "right")
+        _wire(d, (16.0, at), (18.6, at))
+    _part(d, elm.Motor, (18.6, y - 0.4), (18.6, y - 2.6), "M1 12 V", "bottom")
+    _text(d, (16.1, y + 0.05), "J4.1")
+    _text(d, (16.1, y - 2.2), "J4.2")
+
+    y = -14.4
+    for row, line in enumerate((
+        "Star ground: PS1 -, PS2 -, A2 POWER - and Mega GND meet at one screw, beside A2.",
+        "J2 and J3 are of different kinds: 24 V must not fit the motor. The emergency stop",
+        "leaves the motor its supply: a bridge without power does not brake.",
+    )):  # fmt: skip
+        _text(d, (0.0, y - 0.6 * row), line)
+    return d
+
+
+def sensors() -> schemdraw.Drawing:
+    """Flex sensors, pressure sensors, encoder."""
+    d = _sheet(
+        "SENSORS: one of each. All 5 V come from the Mega's 5 V pin, all grounds go to its GND"
+    )
+    y = -2.4
+    _rail(d, (3.0, y), "5 V")
+    _text(d, (3.3, y - 0.2), "J6.1")
+    _part(d, elm.ResistorVar, (3.0, y), (3.0, y - 2.4), "B1 flex sensor, 10k or 25k flat", "bottom")
+    node = (3.0, y - 3.0)
+    _wire(d, (3.0, y - 2.4), node, (10.0, node[1]))
+    _part(d, elm.Resistor, node, (3.0, node[1] - 2.4), "R51 22k 1 %")
+    _part(d, elm.Capacitor, (6.6, node[1]), (6.6, node[1] - 2.4), "C51 100 nF")
+    for x in (3.0, 6.6):
+        _ground(d, (x, node[1] - 2.4))
+    _dot(d, node, (6.6, node[1]))
+    _text(d, (3.3, node[1] + 0.3), "J6.2")
+    d.add(elm.Tag(width=2.2).right().at((10.0, node[1])).label("Mega A0"))
+    _text(d, (0.2, node[1] - 3.5), "left, base first: B1..B5, R51..R55, C51..C55, J6.2..6, A0..A4")
+    _text(
+        d, (0.2, node[1] - 4.1), "right, base first: B6..B10, R56..R60, C56..C60, J7.2..6, A5..A9"
+    )
+
+    y = -3.4
+    _box(d, (14.0, y - 2.0), (3.8, 2.7), "P1\nHoneywell SSC\n0..60 psi gauge")
+    for name, at in (("J8.1", y), ("J8.2", y - 0.7), ("J8.3", y - 1.4)):
+        _text(d, (18.0, at + 0.28), name)
+    _wire(d, (17.8, y), (23.4, y))
+    _rail(d, (23.4, y), "5 V")
+    _wire(d, (17.8, y - 0.7), (21.6, y - 0.7))
+    d.add(elm.Tag(width=2.4).right().at((21.6, y - 0.7)).label("Mega A10"))
+    _part(d, elm.Resistor, (20.4, y - 0.7), (20.4, y - 3.0), "R61 100k", "bottom")
+    _ground(d, (20.4, y - 3.0))
+    _dot(d, (20.4, y - 0.7))
+    _wire(d, (17.8, y - 1.4), (18.6, y - 1.4), (18.6, y - 3.0))
+    _ground(d, (18.6, y - 3.0))
+    _text(d, (14.0, y - 4.2), "C61 100 nF across J8.1 and J8.3, at the sensor")
+    _text(d, (14.0, y - 4.8), "right: P2, R62, C62, J9, A11")
+
+    y = -11.0
+    _box(d, (14.0, y - 2.4), (3.8, 3.0), "M1's encoder")
+    for name, at, where in (
+        ("J5.1 5 V", y, "5 V"),
+        ("J5.2 A", y - 0.6, "Mega 2"),
+        ("J5.3 B", y - 1.2, "Mega 3"),
+        ("J5.4 GND", y - 1.8, "Mega GND"),
+    ):
+        _wire(d, (17.8, at), (21.6, at))
+        _text(d, (18.0, at + 0.2), name)
+        _text(d, (21.8, at), where)
+    _text(d, (14.0, y - 3.0), "A leads B while paying out; pull-ups are in the Mega")
+    _text(d, (0.2, -11.0), "A12 is spare: R63 100k to GND")
+    return d
+
+
+def air() -> schemdraw.Drawing:
+    """Compressed air, from the wall to muscles and body."""
+    d = _sheet("AIR. Without current the valves Y1, Y2 and Y3 empty muscles and body")
+    y = -3.0
+
+    def step(x: float, y: float, text: str, width: float = 3.2) -> None:
+        _box(d, (x, y - 0.9), (width, 1.8), text)
+
+    def pipe(*points: Point) -> None:
+        _wire(d, *points[:-1])
+        d.add(elm.Line(arrow="->").at(points[-2]).to(points[-1]))
+
+    def valve(x: float, y: float, name: str) -> None:
+        step(x, y, f"{name}, 3/2: on 1-2,\noff 2-3", 3.6)
+        pipe((x + 1.8, y - 0.9), (x + 1.8, y - 1.6))
+        _text(d, (x + 2.0, y - 1.5), "3, silencer")
+
+    step(0.0, y, "shop air\n60..100 psi", 2.6)
+    pipe((2.6, y), (3.4, y))
+    step(3.4, y, "V1 shut-off\nthat exhausts", 3.0)
+    pipe((6.4, y), (7.2, y))
+    step(7.2, y, "FR1 filter 5 µm,\nregulator 25 psi", 3.6)
+    _wire(d, (10.8, y), (12.6, y))
+    step(8.2, y - 3.0, "RV1 relief,\nopens at 30 psi", 3.4)
+    _wire(d, (12.6, y), (12.6, y - 3.0))
+    pipe((12.6, y - 3.0), (11.6, y - 3.0))
+    _dot(d, (12.6, y - 3.0))
+    _dot(d, (12.6, y))
+    for side, top, names in (
+        ("left", y, ("TL", "Y1", "P1")),
+        ("right", y - 3.6, ("TR", "Y2", "P2")),
+    ):
+        _wire(d, (12.6, y), (12.6, top))
+        pipe((12.6, top), (13.4, top))
+        step(13.4, top, f"{names[0]} I/P\n2..60 psi", 2.8)
+        pipe((16.2, top), (17.0, top))
+        valve(17.0, top, names[1])
+        pipe((20.6, top), (22.0, top))
+        step(22.0, top, f"muscle\n{side}", 2.2)
+        _wire(d, (21.2, top), (21.2, top + 1.3), (21.6, top + 1.3))
+        _text(d, (21.7, top + 1.3), f"{names[2]}, sensor")
+        _dot(d, (21.2, top))
+    low = y - 8.0
+    _wire(d, (12.6, y - 3.6), (12.6, y - 5.6), (1.6, y - 5.6))
+    pipe((1.6, y - 5.6), (1.6, low + 0.9))
+    _dot(d, (12.6, y - 3.6))
+    step(0.0, low, "PR1 regulator\n0..2 psi, gauge G1", 3.8)
+    pipe((3.8, low), (5.0, low))
+    step(5.0, low, "NV1 throttle", 3.0)
+    pipe((8.0, low), (9.2, low))
+    valve(9.2, low, "Y3")
+    pipe((12.8, low), (17.4, low))
+    step(17.4, low, "base chamber\nand body", 3.4)
+    pipe((15.4, low), (15.4, low - 1.6))
+    _dot(d, (15.4, low))
+    step(14.0, low - 2.5, "RV2 relief,\nopens at 2.5 psi", 3.6)
+    return d
+
+
+DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
+    "power": power,
+    "current-stage": current_stage,
+    "enable": enable,
+    "sensors": sensors,
+    "air": air,
+}
+
+
+def drawn(name: str) -> str:
+    """A drawing as SVG, its size in millimetres so that it prints as it should."""
+    text = DRAWINGS[name]().get_imagedata("svg").decode()
+    found = re.search(r'height="([\d.]+)pt" width="([\d.]+)pt"', text)
+    if found is None:
+        raise SystemExit("schemdraw writes another head of the file now: mend tools/schematics.py")
+    height, width = (float(number) / PX_MM for number in found.groups())
+    scale = min(1.0, A4_MM[0] / width, A4_MM[1] / height)
+    if scale * FONT_PT < SMALLEST_PT:
+        raise SystemExit(
+            f"{name}: letters of {scale * FONT_PT:.1f} points on A4; split the drawing"
+        )
+    size = f'height="{scale * height:.1f}mm" width="{scale * width:.1f}mm"'
+    return text.replace(found.group(0), size).rstrip() + "\n"
+
+
+def main() -> None:
+    """Draw, or compare."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--check", action="store_true")
+    stale = []
+    check = parser.parse_args().check
+    for name in DRAWINGS:
+        path, text = FOLDER / f"{name}.svg", drawn(name)
+        if not check:
+            path.write_text(text)
+        elif not path.is_file() or path.read_text() != text:
+            stale.append(path.name)
+    if stale:
+        sys.exit(f"{', '.join(stale)}: not as drawn by tools/schematics.py; run it and commit")
+
+
+if __name__ == "__main__":
+    main()
