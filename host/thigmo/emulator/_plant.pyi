@@ -24,7 +24,7 @@ class Muscle:
         muscle_delay_s: float,
         reversal_psi: float,
     ) -> None:
-        """Vented. Delays are at most 0.3 s; `set_maps` comes before the first step."""
+        """Vented; `set_maps` comes before the first step."""
 
     def set_maps(self, inflate: Sequence[float], deflate: Sequence[float]) -> None:
         """Curvature over pressure: amplitude (1/cm), scale and offset (psi) of a tanh."""

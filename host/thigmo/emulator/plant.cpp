@@ -11,6 +11,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <vector>
 
 namespace nb = nanobind;
 
@@ -25,26 +26,26 @@ constexpr double kOpenWindings =
 // Share of the way to its goal that a first-order lag goes in a step.
 double share(double tau_s) { return 1.0 - std::exp(-kStepS / tau_s); }
 
-// What a delay holds: at most 31 steps.
 class Delay {
  public:
-  void push(double value) {
-    head_ = (head_ + 1) % kSize;
+  explicit Delay(double delay_s)
+      : steps_(delay_s / kStepS), past_(static_cast<std::size_t>(steps_) + 2, 0.0) {}
+
+  // Takes a value and returns the one so long ago, linear between steps.
+  double pass(double value) {
+    const std::size_t size = past_.size();
+    const auto whole = static_cast<std::size_t>(steps_);
+    head_ = (head_ + 1) % size;
     past_[head_] = value;
-  }
-  // The value so long ago, linear between steps.
-  double before(double delay_s) const {
-    const double steps = delay_s / kStepS;
-    const int whole = static_cast<int>(steps);
-    const double a = past_[(head_ - whole + kSize) % kSize];
-    const double b = past_[(head_ - whole - 1 + kSize) % kSize];
-    return a + (steps - whole) * (b - a);
+    const double a = past_[(head_ + size - whole) % size];
+    const double b = past_[(head_ + size - whole - 1) % size];
+    return a + (steps_ - static_cast<double>(whole)) * (b - a);
   }
 
  private:
-  static constexpr int kSize = 32;
-  std::array<double, kSize> past_{};
-  int head_ = 0;
+  double steps_;
+  std::vector<double> past_;
+  std::size_t head_ = 0;
 };
 
 // Curvature over pressure: amplitude * (tanh((p - offset) / scale) - tanh(-offset / scale)).
@@ -60,7 +61,7 @@ struct Muscle {
   double inflate_tau_s, deflate_tau_s, muscle_delay_s, reversal_psi;
 
   Map inflate{0.0, 1.0, 0.0}, deflate{0.0, 1.0, 0.0};
-  Delay drive{}, outlet{};
+  Delay drive{delay_s}, outlet{muscle_delay_s};
   double play = 0.0;
   double outlet_psi = 0.0;
   double bend_psi = 0.0;
@@ -69,17 +70,16 @@ struct Muscle {
   // Returns the free curvature's size. forced_psi overrides the transducer unless it is nan.
   double advance(double current_ma, double forced_psi) {
     double psi = at_4ma_psi + (current_ma - 4.0) / 16.0 * (at_20ma_psi - at_4ma_psi);
-    drive.push(current_ma > 0.0 ? std::min(std::max(psi * gain, 0.0), supply_psi) : 0.0);
+    psi = current_ma > 0.0 ? std::min(std::max(psi * gain, 0.0), supply_psi) : 0.0;
     // Play between command and output.
-    const double commanded = drive.before(delay_s);
+    const double commanded = drive.pass(psi);
     play = commanded <= 0.0 ? 0.0
                             : std::min(std::max(play, commanded - play_psi), commanded + play_psi);
     const double goal = std::isnan(forced_psi) ? play : forced_psi;
     const double most = slew_psi_s * kStepS;
     outlet_psi += std::min(std::max((goal - outlet_psi) * share(lag_s), -most), most);
     if (goal == 0.0 && outlet_psi < 1e-6) outlet_psi = 0.0;
-    outlet.push(outlet_psi);
-    const double seen = outlet.before(muscle_delay_s);
+    const double seen = outlet.pass(outlet_psi);
     const double before = bend_psi;
     bend_psi += (seen - before) * share(seen > before ? inflate_tau_s : deflate_tau_s);
     if (seen == 0.0 && bend_psi < 1e-6) bend_psi = 0.0;

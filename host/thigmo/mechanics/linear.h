@@ -1,14 +1,25 @@
-// Small dense linear systems: Gauss elimination with row pivoting.
+// Small dense vectors and linear systems.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 #include <vector>
 
 namespace thigmo::mechanics {
 
-// Solves a x = b in place for the n by n row-major `a`; `b` becomes x. Returns the sign of the
-// determinant, 0 for a singular matrix.
+// Largest size among values; not a number if one of them is not.
+inline double largest(const std::vector<double>& values) {
+  double most = 0.0;
+  for (const double value : values) {
+    if (std::isnan(value)) return value;
+    most = std::max(most, std::fabs(value));
+  }
+  return most;
+}
+
+// Solves a x = b in place by Gauss elimination with row pivoting, for the n by n row-major `a`; `b`
+// becomes x. Returns the sign of the determinant, 0 for a singular matrix.
 inline int solve_linear(std::vector<double>& a, std::vector<double>& b, int n) {
   int sign = 1;
   for (int i = 0; i < n; ++i) {

@@ -95,6 +95,16 @@ def test_pressure_follows_with_delay_lag_and_slew_limit() -> None:
     assert fast.muscle_psi[0] <= 30.0
 
 
+def test_a_long_delay_is_kept() -> None:
+    scene = quiet(start_length_cm=30.0)
+    scene.transducer.delay_s = 0.5
+    plant = Plant(scene)
+    run(plant, 0.5, left=current_for(3.0))
+    assert plant.muscle_psi[0] == 0.0
+    run(plant, 0.1, left=current_for(3.0))
+    assert plant.muscle_psi[0] > 0.5
+
+
 def test_pressure_sensor_is_ratiometric_and_its_broken_wire_reads_zero() -> None:
     plant = out(30.0)
     run(plant, 4.0, right=current_for(12.0))
