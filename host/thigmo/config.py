@@ -8,6 +8,10 @@ calibration can be compared with the truth). Lengths in cm, pressures in psi gau
 Sign convention, everywhere in this project: x runs along the straight robot from its base, y to
 its left; curvature is positive when the body bends to the left (towards +y). Inflating the left
 muscle bends the body to the left. Sensors are numbered base to tip, left side first.
+
+Each `_se` is one sigma of what the entry may be off by. Calibration writes what it found; the
+defaults are those of a robot that nobody has calibrated: wide, so that the localizer says
+"ambiguous" rather than something wrong. `thigmo.reading_errors` gathers them for one stage.
 """
 
 from __future__ import annotations
@@ -52,7 +56,7 @@ class Body(Model):
     # Contact moment over EI at which the base folds, measured at `critical_pressure_psi`;
     # it scales with body pressure.
     critical_curvature: Positive = 0.01108
-    critical_curvature_se: NonNegative = 0.0
+    critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
     zones: list[PressureZone] = Field(
         default_factory=lambda: [
@@ -92,10 +96,11 @@ class FlexSensor(Model):
     center_cm: Positive
     span_cm: NonNegative = 5.5
     scale_per_ohm: Finite = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
-    scale_se: NonNegative = 0.0  # standard error of the scale, relative
+    scale_se: NonNegative = 0.15  # relative; resistances differ by 30 % from part to part
     zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
+    zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
     valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
-    noise: NonNegative = 6e-4  # 1/cm, one sigma of an averaged reading
+    noise: NonNegative = 4.8e-4  # 1/cm, white, of an averaged reading; 6e-4 with `zero_se`
     settle_tau_s: Positive = 8.0  # decay after eversion
     settle_amplitude: Finite = 0.0  # 1/cm at eversion
     healthy: bool = True  # false: dead, never used
@@ -125,7 +130,6 @@ class TanhMap(Model):
     amplitude: Positive = 0.04  # 1/cm
     scale_psi: Positive = 10.0
     offset_psi: Finite = 0.0
-    amplitude_se: NonNegative = 0.0
 
     def curvature(self, pressure_psi: float) -> float:
         """Magnitude of free curvature (1/cm) at a muscle pressure; zero at zero pressure."""
@@ -137,6 +141,7 @@ class ZoneMap(Model):
     """Free curvature of one muscle at one body pressure, inflating and deflating apart."""
 
     body_pressure_psi: Positive
+    scale_se: NonNegative = 0.1  # of all of g from one sweep to the next, relative
     inflate: TanhMap = Field(default_factory=TanhMap)
     deflate: TanhMap = Field(default_factory=TanhMap)
 
@@ -151,7 +156,7 @@ class Actuator(Model):
     max_pressure_psi: Positive = 18.0
     lag_s: NonNegative = 0.2  # measured pressure to bend
     reversal_psi: Positive = 1.0  # pressure change over which the branch moves inflate <-> deflate
-    offset_se: NonNegative = 5e-4  # 1/cm: common error of g and of the zero
+    offset_se: NonNegative = 1e-3  # 1/cm: error that all readings of a side share
     maps: list[ZoneMap] = Field(default_factory=_default_zone_maps)
 
 

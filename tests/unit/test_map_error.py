@@ -20,7 +20,7 @@ def _config() -> RobotConfig:
         for sensor in config.sensors.column(side):
             sensor.scale_se = 0.02
         for zone in config.actuators.side(side).maps:
-            zone.inflate.amplitude_se = 0.01 * zone.inflate.amplitude
+            zone.scale_se = 0.01
     return config
 
 

@@ -35,7 +35,19 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("position,curvature\n5,nan\n", "line 2: curvature is nan"),
         ("position,curvature\n5,0.01\n15,inf\n", "line 3: curvature is inf"),
         ("position,curvature\n5,wide\n", "line 2: curvature is 'wide'"),
-        ("position,curvature\n5\n", "line 2: no curvature"),
+        ("position,curvature\n5\n", "line 2: 1 cells for 2 columns"),
+        ("position;curvature\n5;0,01\n", "by semicolons"),
+        ("position\tcurvature\n5\t0.01\n", "by tabs"),
+        ('position,curvature\n5,"0,01"\n', "points in numbers, not commas"),
+        ("position,curvature\n5,0,01\n", "decimal commas?"),
+        ("position,curvature\n5,\n15,\n", "`curvature` is empty"),
+        ("position,curvature\n5,0.01\n15,\n", "line 3: curvature is nan"),
+        ("position,curvature\n5,0.01\n15,0.01\n25,0.01\n", "curvature is 0.01 in every row"),
+        ("position,curvature\n5,0.01\n5,0.02\n5,0.03\n", "position is 5 in every row"),
+        ("position,curvature\n50,0.01\n150,0.02\n250,0.03\n", "in mm where"),
+        ("position,curvature\n.05,0.01\n.15,0.02\n.25,0.03\n", "in a larger unit"),
+        ("position,curvature\n" + "5,0.01\n" * 3000, "more than 2000 rows"),
+        ("position,Position,curvature\n5,5,0.01\n", "'position' appears twice"),
         ("position,curvature\n5,0.01\n\n54,0.01\n", "line 4: a sensor at 54 lies outside 0..53"),
         ("position,curvature\n-1,0.01\n", "outside"),
         ("position,curvature,span\n5,0.01,-2\n", "negative"),
@@ -47,6 +59,14 @@ def test_a_bad_table_is_named_in_one_line(tmp_path: Path, text: str, named: str)
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "; " in str(caught.value)  # what to do next
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    # 40 MB; only its first rows are parsed, and the rest is not even text.
+    with (tmp_path / "huge.csv").open("wb") as file:
+        file.write(b"position,curvature\n" + b"5,0.01\n" * 20_000 + bytes(40_000_000))
+    with pytest.raises(DataError, match="more than 2000 rows; cut out those of one frame"):
+        read_readings(tmp_path / "huge.csv", length=53)
 
 
 def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 Rows are free bends: pressure (measured), curvature by camera, branch (inflating or deflating) and
 trial. Each branch gets its own tanh map; trials may sit a little apart (the robot never lies quite
 straight), which is fitted as an offset for each trial, and its spread becomes `offset_se`, the
-common error that the localizer marginalises and re-estimates from frames without contact.
+common error that the localizer marginalises and re-estimates from frames without contact. A muscle
+also bends the body a little more or less in every trial: that spread, with the fit's own error, is
+the map's `scale_se`. Errors that rows of a trial share are told from trial to trial.
 `at_body_pressure` interpolates maps.
 """
 
@@ -21,10 +23,10 @@ from scipy.optimize import least_squares
 from scipy.stats import norm
 
 from thigmo.calibrate.lag import Lag
-from thigmo.calibrate.table import Table, write_table
 from thigmo.calibrate.verdict import Verdict, listed
 from thigmo.config import RobotConfig, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
+from thigmo.record.table import Table, write_table
 
 Array = NDArray[np.float64]
 Branch = Literal["inflate", "deflate"]
@@ -33,6 +35,9 @@ BRANCHES: tuple[Branch, Branch] = ("inflate", "deflate")
 _REJECT = 4.0
 _ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
 _DAYS_SE = 2e-4  # 1/cm, what differs from day to day and no session can show [a guess]
+# One sigma of a trial's gain beforehand [a guess], and as how many trials it counts.
+_TRIAL_GAIN, _TRIAL_GAIN_COUNT = 0.015, 2
+_CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,7 @@ class ActuatorResult:
         zone: the maps, ready for the configuration.
         g_se: largest standard error of g over 0..18 psi (both branches), 1/cm.
         full_scale: g at the highest pressure, 1/cm.
-        offset_se: standard deviation of a trial's common offset, 1/cm.
+        offset_se: one sigma of a trial's common offset and of the map's shape, 1/cm.
         used: (n,) rows that were kept.
         lag: pressure to bend, if a ramp was recorded at this body pressure.
         verdict: in words.
@@ -177,7 +182,7 @@ class ActuatorResult:
         maps = list(actuator.maps)
         maps[zone] = self.zone
         actuator.maps = maps
-        actuator.offset_se = float(np.hypot(self.offset_se, self.g_se))
+        actuator.offset_se = self.offset_se
         if self.lag is not None:
             # The board has one constant, and looks for contacts while pressure rises.
             actuator.lag_s = self.lag.inflate_s
@@ -285,7 +290,8 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
             used = kept
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     grid = np.linspace(0.0, 18.0, 37)
-    fit_se, built = 0.0, {}
+    fit_se, top_se, shape_se, built = 0.0, 0.0, 0.0, {}
+    highest = float(p[finite].max())
     for j, b in enumerate(present):
         x = best[3 * j : 3 * j + 3]
         step = 1e-5
@@ -294,15 +300,26 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
              for e in np.eye(3)]
         )  # fmt: skip
         block = covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]
-        fit_se = max(fit_se, float(np.sqrt(np.einsum("pg,pq,qg->g", slopes, block, slopes)).max()))
+        variance = np.einsum("pg,pq,qg->g", slopes, block, slopes)
+        values = _map_values(grid, x)
+        share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
+        fit_se, top_se = max(fit_se, float(np.sqrt(variance.max()))), max(top_se, float(share))
+        # What the map's scale does not account for is the shape's error.
+        rest = np.maximum(variance - (share * values) ** 2, 0.0)
+        shape_se = max(shape_se, float(np.sqrt(rest.max())))
         built[BRANCHES[b]] = TanhMap(
             amplitude=float(np.exp(x[0])),
             scale_psi=float(np.exp(x[1])),
             offset_psi=float(x[2]),
-            amplitude_se=float(np.exp(x[0]) * np.sqrt(block[0, 0])),
         )
     # A camera errs alike in all pictures of a place: its error does not average out.
-    g_se = float(np.hypot(fit_se, np.median(readings.curvature_se[finite])))
+    camera_se = float(np.median(readings.curvature_se[finite]))
+    g_se = float(np.hypot(fit_se, camera_se))
+    bend = sign * (k - raw) - sign * best[maps:][slot]
+    trial_se = _trial_gain(sign * raw, bend, slot, used, len(trials))
+    scale_se = float(np.sqrt(
+        top_se**2 + trial_se**2 * (1 + 1 / len(trials)) + _CAMERA_SCALE_SE**2
+    ))  # fmt: skip
     if len(present) == 1:
         notes.append(f"only the {BRANCHES[present[0]]} branch was measured; used for both")
     inflate = built.get("inflate") or built["deflate"]
@@ -315,10 +332,42 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     spread = float(np.std(best[maps:], ddof=1)) if len(trials) > 1 else offset_sigma
     moved = [t for t, o in zip(trials, best[maps:], strict=True)
              if abs(o - np.median(best[maps:])) > 3e-3]  # fmt: skip
-    full = float(inflate.curvature(float(p[finite].max())))
+    full = float(inflate.curvature(highest))
     verdict = _verdict(readings, g_se, full, out, int(finite.sum()), moved, notes)
-    zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi, inflate=inflate, deflate=deflate)
-    return ActuatorResult(readings, zone, g_se, full, max(spread, _DAYS_SE), used, verdict)
+    zone = ZoneMap(
+        body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
+        deflate=deflate,
+    )  # fmt: skip
+    offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
+    return ActuatorResult(readings, zone, g_se, full, offset_se, used, verdict)
+
+
+def _trial_gain(
+    rest: Array, bend: Array, slot: NDArray[np.intp], used: NDArray[np.bool_], trials: int
+) -> float:
+    """One sigma of the gain by which a trial's bends exceed the map, relative.
+
+    Args:
+        rest: (n,) curvature beyond the map and the trial's offset.
+        bend: (n,) curvature by the map.
+        slot: (n,) trial of each row, from 0.
+        used: (n,) rows that count.
+        trials: number of them.
+    """
+    squares, own = 0.0, 0.0
+    for trial in range(trials):
+        pick = used & (slot == trial)
+        lever = bend[pick] - bend[pick].mean() if pick.any() else np.zeros(0)
+        power = float(lever @ lever)
+        if pick.sum() < 4 or power < 1e-12:
+            continue
+        gain = float(lever @ rest[pick]) / power
+        left = rest[pick] - rest[pick].mean() - gain * lever
+        squares += gain**2
+        own += float(left @ left) / (pick.sum() - 2) / power
+    between = max(squares - own * (trials - 1) / trials, 0.0)
+    counted = trials - 1 + _TRIAL_GAIN_COUNT
+    return float(np.sqrt((between + _TRIAL_GAIN_COUNT * _TRIAL_GAIN**2) / counted))
 
 
 def _verdict(
@@ -394,11 +443,11 @@ def at_body_pressure(maps: Sequence[ZoneMap], body_pressure_psi: float) -> ZoneM
             amplitude=float(np.exp(fit.x[0])),
             scale_psi=float(np.exp(fit.x[1])),
             offset_psi=float(fit.x[2]),
-            amplitude_se=float(np.hypot(a.amplitude_se, b.amplitude_se)),
         )
 
     return ZoneMap(
         body_pressure_psi=body_pressure_psi,
+        scale_se=max(low.scale_se, high.scale_se),
         inflate=between(low.inflate, high.inflate),
         deflate=between(low.deflate, high.deflate),
     )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.calibrate.eyes import Eyes
-from thigmo.calibrate.machine import Hand, Machine, ReadingLike, RecordingLike
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
+from thigmo.robot import Reading, Robot
+from thigmo.robot.state import Recording
 
 Row = dict[str, Any]
 
@@ -56,6 +57,20 @@ class Plan:
     tip_reach_cm: float | None = None
 
 
+@runtime_checkable
+class Hand(Protocol):
+    """Whoever stands beside the robot."""
+
+    def everted_length_cm(self) -> float:
+        """Measure the everted length."""
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Set the body's regulator."""
+
+    def push_tip(self, y_cm: float | None) -> None:
+        """Push the tip aside to about y and hold it there; None = let go."""
+
+
 @dataclass
 class Bench:
     """A robot on the calibration bench.
@@ -71,7 +86,7 @@ class Bench:
             the one of their own session).
     """
 
-    robot: Machine
+    robot: Robot
     hand: Hand
     eyes: Eyes
     session: Session
@@ -99,7 +114,7 @@ class Bench:
             self.robot.confirm_length(known)
         return known
 
-    def ohm(self, read: ReadingLike | RecordingLike) -> NDArray[np.float64]:
+    def ohm(self, read: Reading | Recording) -> NDArray[np.float64]:
         """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
         every = np.asarray(read.resistance)
         a_side = every.shape[-1] // len(SIDES)
@@ -110,7 +125,7 @@ class Bench:
         ]
         return every[..., used]
 
-    def mean_ohm(self, record: RecordingLike) -> NDArray[np.float64]:
+    def mean_ohm(self, record: Recording) -> NDArray[np.float64]:
         """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""
         every = self.ohm(record)
         seen = np.isfinite(every)

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.calibrate.regression import fit_linear
-from thigmo.calibrate.table import Table
 from thigmo.calibrate.verdict import Verdict
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
+from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 Method = Literal["known tip", "thesis"]
@@ -116,7 +116,7 @@ def fit_buckling(
         raise DataError(f"{k.shape[1]} columns for {len(sensors)} sensors", "use this robot's file")
     center = np.array([s.center_cm for s in sensors])
     span = np.array([s.span_cm for s in sensors])
-    noise = np.array([s.noise for s in sensors])
+    noise = np.array([np.hypot(s.noise, s.zero_se) for s in sensors])
     gain = np.array([s.scale_se for s in sensors])
     healthy = np.array([s.healthy for s in sensors])
     way = np.array([s.valid_direction for s in sensors])

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.calibrate.regression import fit_linear
-from thigmo.calibrate.table import Table
 from thigmo.calibrate.verdict import Verdict, listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
+from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,8 @@ sensors uncertain, because there is little curvature near a pushed tip; free ben
 
 Before any line is fitted the rows are judged together: a tip on the wrong side, a moved camera or
 a lost marker disagree with all sensors at once, a dead sensor with all rows, an outlier with
-neither. Each is named in the verdict and left out.
+neither, a loose wire stands at one value for many bends. Each is named in the verdict and left out.
+The errors stated hold from sweep to sweep (`correlation`).
 """
 
 from __future__ import annotations
@@ -20,14 +21,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.calibrate.correlation import OrderedFit
 from thigmo.calibrate.flex_data import FlexReadings, merge
 from thigmo.calibrate.flex_lines import (
+    Column,
     as_direction,
     directions_of,
+    dropouts,
     fit_each,
+    honest_lines,
     loop_turns,
     loop_width,
-    nonlinearity,
+    nonlinearities,
+    sweeps_of,
     working,
 )
 from thigmo.calibrate.flex_rows import (
@@ -40,7 +46,6 @@ from thigmo.calibrate.flex_rows import (
     tip_curvature,
     usable_readings,
 )
-from thigmo.calibrate.regression import LinearFit
 from thigmo.calibrate.verdict import Verdict
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
@@ -61,12 +66,15 @@ class FlexFit:
     Attributes:
         side, index: which sensor.
         scale_per_ohm: 1/cm per ohm, sign included.
-        scale_se: its standard error, relative.
+        scale_se: its standard error over sweeps, relative.
+        sweep_se: one sigma of the scale from one sweep to the next, relative.
         zero_ohm: resistance of the straight sensor.
         zero_se_ohm: its standard error.
         valid_direction: bending direction that it answers to; 0 = both.
         noise: one sigma of a reading about the fit, 1/cm.
-        nonlinearity: departure from the line at the largest curvature seen, relative.
+        lasting: share of that variance that lasts over rows.
+        nonlinearity: share of the answer at the largest bend that goes beyond a straight line.
+        misfit: departure of the readings' curve from the line, rms, relative; 0 if there is none.
         hysteresis: half width of its loop, 1/cm, signed: what it reads too much after long bending
             to the left, and too little after bending to the right.
         hysteresis_se: its standard error.
@@ -80,11 +88,14 @@ class FlexFit:
     index: int
     scale_per_ohm: float
     scale_se: float
+    sweep_se: float
     zero_ohm: float
     zero_se_ohm: float
     valid_direction: Literal[-1, 0, 1]
     noise: float
+    lasting: float
     nonlinearity: float
+    misfit: float
     hysteresis: float
     hysteresis_se: float
     used: int
@@ -113,9 +124,9 @@ class FlexResult:
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
         keep = (
-            "side", "index", "scale_per_ohm", "scale_se", "zero_ohm", "zero_se_ohm",
-            "valid_direction", "noise", "nonlinearity", "hysteresis", "hysteresis_se", "used",
-            "rejected", "healthy", "reason",
+            "side", "index", "scale_per_ohm", "scale_se", "sweep_se", "zero_ohm", "zero_se_ohm",
+            "valid_direction", "noise", "lasting", "nonlinearity", "misfit", "hysteresis",
+            "hysteresis_se", "used", "rejected", "healthy", "reason",
         )  # fmt: skip
         return {
             "sensors": [{key: getattr(fit, key) for key in keep} for fit in self.sensors],
@@ -138,11 +149,13 @@ class FlexResult:
             if not fit.healthy:
                 continue
             sensor.scale_per_ohm = fit.scale_per_ohm
-            sensor.scale_se = fit.scale_se
+            # One reading meets all of them: the fit's error, this sweep's gain, the curve.
+            sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
             # Whoever uses a reading knows nothing of the loop.
-            sensor.noise = float(np.hypot(fit.noise, fit.hysteresis))
+            sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, fit.hysteresis))
+            sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
         return made
 
     def figure(self, path: Path) -> None:
@@ -185,26 +198,50 @@ def fit_flex(
             f"{int(good.sum())} of {len(good)} rows can be used",
             "repeat the step; " + notes[0] if notes else "take at least ten places",
         )
+    rows = usable & good[:, None] & on_body
+    for column, (side, k) in enumerate(sensors):
+        lost, values = dropouts(np.where(rows[:, column], ohm[:, column], np.nan), model[:, column])
+        if values:
+            ohm[lost, column] = np.nan
+            share = lost.sum() / max(1, rows[:, column].sum())
+            at = " and ".join(f"{value / 1000:.4g}" for value in values)
+            notes.append(
+                f"{side} {k} stands at {at} kOhm in {share:.0%} of its rows, however it is bent: "
+                "those rows are left out; look for a loose wire"
+            )
     block = readings.block
+    sweep = sweeps_of(block, readings.kind, readings.active, model)
     turn = loop_turns(model, block)
     first = fit_each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     sides = [side for side, _ in sensors]
     rows = usable & good[:, None]
-    directions = directions_of(ohm, model, model_se, turn, block, rows, first, sides)
+    directions = directions_of(ohm, model, model_se, turn, block, rows, first, sides, sweep)
     usable &= (directions == 0) | (directions * model >= -1e-12)
     width = loop_width(ohm, model, model_se, block, usable & good[:, None], on_body)
     turn = loop_turns(model, block, width)
     first = fit_each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     good = judge_rows(readings, ohm, model, turn, first, usable, good, on_body, notes)
-    final = fit_each(ohm, model, model_se, turn, block, usable & good[:, None], on_body)
     swapped = columns_swapped(readings, sensors, ohm, model, good, on_body)
+    picked = usable & good[:, None] & on_body
+    columns = [
+        Column(
+            np.where(picked[:, c], ohm[:, c], np.nan), model[:, c], model_se[:, c], turn[:, c],
+            block, sweep,
+        )
+        for c in range(len(sensors))
+    ]  # fmt: skip
+    lines = honest_lines([(column, column.model[:, None]) for column in columns])
+    curves = nonlinearities([
+        column if made is None else column._replace(
+            ohm=np.where(made.line.used, column.ohm, np.nan))
+        for column, made in zip(columns, lines, strict=True)
+    ])  # fmt: skip
     fits = []
-    for column, (side, k) in enumerate(sensors):
-        rows = usable[:, column] & good
+    for c, (side, k) in enumerate(sensors):
+        nominal = 1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5)
         fits.append(
-            _sensor(side, k, ohm[:, column], model[:, column], model_se[:, column], rows,
-                    final[column], bool(on_body[column]), as_direction(directions[column]),
-                    1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5))
+            _sensor(side, k, columns[c].ohm, usable[:, c] & good, lines[c], curves[c],
+                    bool(on_body[c]), as_direction(directions[c]), nominal)
         )  # fmt: skip
     verdict = _verdict(fits, notes, swapped, readings)
     return FlexResult(tuple(fits), verdict, model, readings, good, deflection, width)
@@ -214,10 +251,9 @@ def _sensor(
     side: Side,
     index: int,
     ohm: Array,
-    model: Array,
-    error: Array,
     rows: NDArray[np.bool_],
-    fit: LinearFit | None,
+    made: OrderedFit | None,
+    curve: tuple[float, float, float],
     on_body: bool,
     direction: Literal[-1, 0, 1],
     nominal: float,
@@ -229,15 +265,18 @@ def _sensor(
 
     def dead(reason: str, used: int = 0) -> FlexFit:
         no = float("nan")
-        return FlexFit(side, index, 0.0, np.inf, no, no, 0, no, no, no, no, used, 0, False, reason)
+        return FlexFit(
+            side, index, 0.0, np.inf, no, no, no, 0, no, no, no, no, no, no, used, 0, False, reason
+        )
 
     if not on_body:
         return dead("not everted at this length")
-    seen = rows & np.isfinite(ohm)
+    seen = np.isfinite(ohm)
     if rows.sum() and seen.sum() < 0.5 * rows.sum():
         return dead("is open or shorted (most readings are out of range): check its wire")
-    if fit is None:
+    if made is None:
         return dead("has too few readings, or none that vary", int(seen.sum()))
+    fit = made.line
     if not working(fit):
         if fit.se(1) > 0.1 * nominal:
             return dead("bends too little to tell its scale: take more places and bends")
@@ -250,19 +289,21 @@ def _sensor(
     left = fit.residuals[inside]
     spread = float(np.sqrt(left @ left / max(1, inside.sum() - 3)))
     noise = max(spread * abs(scale), _LEAST_NOISE)
-    bend, bend_se = nonlinearity(ohm, model, error, inside, fit)
+    bend, bend_se, misfit = curve
+    curves = abs(bend) > 0.05 and abs(bend) > 4 * bend_se
     loop, loop_se = float(fit.coefficients[2] * scale), fit.se(2) * abs(scale)
-    rejected = int((rows & np.isfinite(ohm) & ~inside).sum())
+    rejected = int((seen & ~inside).sum())
     reason = f"scale known to {100 * se:.1f} %"
     healthy = True
     if se > 0.1:
         healthy = False
         reason = f"has a scale known to {100 * se:.0f} % only: take more places and bends"
-    elif abs(bend) > 0.05 and abs(bend) > 4 * bend_se:
+    elif curves:
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
-        side, index, scale, se, zero, fit.se(0), direction, noise, bend,
-        loop, loop_se, int(inside.sum()), rejected, healthy, reason,
+        side, index, scale, se, made.sweep_gain, zero, fit.se(0), direction, noise, made.lasting,
+        bend, misfit if curves else 0.0, loop, loop_se, int(inside.sum()), rejected, healthy,
+        reason,
     )  # fmt: skip
 
 
@@ -280,6 +321,13 @@ def _verdict(
             f"left out {sum(dropped.values())} of {total} single readings as outliers ({each}); "
             "many of one sensor mean a loose wire"
         )
+    notes.extend(
+        f"the answer of {fit.name} curves: {100 * fit.nonlinearity:+.0f} % of it at full bend goes "
+        f"beyond a straight line, so {100 * fit.misfit:.0f} % is added to its scale's error; "
+        "calibrate over the bends that you use"
+        for fit in everted
+        if fit.healthy and fit.misfit
+    )
     if mirrored(readings):
         return Verdict(
             False,

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.table import Table, write_table
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
+from thigmo.record.table import Table, write_table
 
 Array = NDArray[np.float64]
 KINDS = ("straight", "tip", "bend")

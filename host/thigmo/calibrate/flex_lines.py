@@ -6,12 +6,14 @@ both are fitted along with zero and scale, or the scale would be off by a percen
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.calibrate.correlation import Candidates, OrderedFit, candidates, mixed
 from thigmo.calibrate.regression import LinearFit, fit_linear
 from thigmo.config import Side
 from thigmo.errors import DataError
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 _ONE_WAY = 0.85  # a slope below this share of the other direction's does not count
 _LOOP = 5e-4  # 1/cm, one sigma over sensors of the loop's half width and of a session's zero
 _LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
+# Drop-outs: readings within this share of the range are the same value; this share of rows is many.
+_ALIKE, _MANY = 2e-3, 0.03
 
 
 def loop_turns(model: Array, block: NDArray[np.int64], width: float = _LOOP_WIDTHS[1]) -> Array:
@@ -92,13 +96,55 @@ def fit_line(
     return _with_loop(ohm, model[:, None], model, error, turn, block)
 
 
+class Column(NamedTuple):
+    """One sensor's rows, (n,) each: readings (nan where left out), and what they are fitted by."""
+
+    ohm: Array
+    model: Array
+    error: Array
+    turn: Array
+    block: NDArray[np.int64]
+    sweep: NDArray[np.int64]
+
+
+def honest_lines(columns: Sequence[tuple[Column, Array]]) -> list[OrderedFit | None]:
+    """As `fit_line`, sensor by sensor, with errors that hold from sweep to sweep.
+
+    Args:
+        columns: rows of each sensor, and (n, q) what its answer is made of.
+
+    Returns:
+        None for a sensor whose line cannot be had.
+    """
+    return mixed([_candidates(column, slopes) for column, slopes in columns])
+
+
+def _candidates(column: Column, slopes: Array) -> Candidates | None:
+    ohm, model, error, turn, block, sweep = column
+    if np.isfinite(ohm).sum() < 6:
+        return None
+    fit = _with_loop(ohm, slopes, model, error, turn, block)
+    if fit is None:
+        return None
+    design = _design(slopes, turn, block)
+    slope = abs(float(fit.coefficients[1]))
+    prior = np.full(design.shape[1], slope * _LOOP)
+    prior[: 1 + slopes.shape[1]] = np.inf
+    return candidates(fit, design, ohm, slope * error, block, sweep, slope * model, prior)
+
+
+def _design(slopes: Array, turn: Array, block: NDArray[np.int64]) -> Array:
+    """Columns of the line: zero, slopes, loop, and each later session's zero."""
+    later = [(block == session).astype(float) for session in sorted(set(block.tolist()))[1:]]
+    return np.column_stack([np.ones(len(turn)), slopes, turn, *later])
+
+
 def _with_loop(
     ohm: Array, slopes: Array, model: Array, error: Array, turn: Array, block: NDArray[np.int64]
 ) -> LinearFit | None:
     """Fit of a zero, the columns of `slopes` (n, q), the loop and the sessions' zeros."""
     n, q = slopes.shape
-    later = [(block == session).astype(float) for session in sorted(set(block.tolist()))[1:]]
-    design = np.column_stack([np.ones(n), slopes, turn, *later])
+    design = _design(slopes, turn, block)
     extra = design.shape[1] - 1 - q
     prior = np.hstack([np.zeros((extra, 1 + q)), np.eye(extra)])
     try:
@@ -109,10 +155,59 @@ def _with_loop(
             np.vstack([design, prior]),
             np.append(ohm, np.zeros(extra)),
             np.append(slope * error, np.full(extra, slope * _LOOP)),
+            firm=extra,
         )
     except DataError:
         return None
     return replace(fit, used=fit.used[:n], residuals=fit.residuals[:n])
+
+
+def sweeps_of(
+    block: NDArray[np.int64], kind: Sequence[str], active: Sequence[str], model: Array
+) -> NDArray[np.int64]:
+    """(n,) number of each row's sweep: one bend out and back, by one muscle, in one session."""
+    size = np.nan_to_num(np.abs(model).max(axis=1))
+    low, high = 0.1 * size.max(initial=0.0), 0.5 * size.max(initial=0.0)
+    found, out = np.zeros(len(kind), np.int64), False
+    for row in range(1, len(kind)):
+        out |= bool(size[row - 1] >= high)
+        same = all(column[row] == column[row - 1] for column in (block, kind, active))
+        back = out and kind[row] == "bend" and size[row] <= low
+        found[row] = found[row - 1] + (back or not same)
+        out &= found[row] == found[row - 1]
+    return found
+
+
+def dropouts(ohm: Array, model: Array) -> tuple[NDArray[np.bool_], list[float]]:
+    """Rows at which a sensor stands at one value while its neighbours in bending do not, and where.
+
+    A loose wire reads a plausible constant, and often enough to carry a line with it: no robust fit
+    can tell a third of the rows from the rest, but no sensor gives one value for many bends.
+
+    Args:
+        ohm: (n,) readings; nan where there is none.
+        model: (n,) curvature.
+    """
+    lost = np.zeros(len(ohm), bool)
+    values: list[float] = []
+    while True:
+        rows = np.flatnonzero(np.isfinite(ohm) & np.isfinite(model) & ~lost)
+        if len(rows) < 8:
+            return lost, values
+        rows = rows[np.argsort(ohm[rows])]
+        sorted_ohm, reach = ohm[rows], float(np.ptp(model[rows]))
+        spread = float(np.ptp(np.quantile(sorted_ohm, [0.05, 0.95])))
+        until = np.searchsorted(sorted_ohm, sorted_ohm + _ALIKE * spread, side="right")
+        first = int(np.argmax(until - np.arange(len(rows))))
+        same = rows[first : until[first]]
+        low, high = np.quantile(model[same], [0.1, 0.9])
+        between = rows[(model[rows] >= low) & (model[rows] <= high) & ~np.isin(rows, same)]
+        if len(same) < max(4, _MANY * len(rows)) or high - low < 0.25 * reach or not len(between):
+            return lost, values
+        if np.median(np.abs(ohm[between] - np.median(ohm[same]))) < 0.05 * spread:
+            return lost, values
+        lost[same] = True
+        values.append(float(np.median(ohm[same])))
 
 
 def working(fit: LinearFit | None) -> bool:
@@ -129,6 +224,7 @@ def directions_of(
     rows: NDArray[np.bool_],
     fits: list[LinearFit | None],
     sides: list[Side],
+    sweep: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """(m,) bending direction that each sensor answers to; 0 = both alike.
 
@@ -138,17 +234,26 @@ def directions_of(
     surely differs from its column stands for itself.
     """
     ratio, spread = np.full(len(fits), np.nan), np.full(len(fits), np.inf)
+    asked: list[tuple[int, tuple[Column, Array]]] = []
     for column, both in enumerate(fits):
         pick = rows[:, column] & np.isfinite(ohm[:, column])
         k = model[:, column]
-        enough = [int((pick & (sign * k > 1e-4)).sum()) >= 3 for sign in (1, -1)]
+        # A side that was hardly bent tells nothing.
+        bent = 0.1 * float(np.abs(k[pick]).max(initial=1e-3))
+        enough = [int((pick & (sign * k > bent)).sum()) >= 3 for sign in (1, -1)]
         if both is None or not all(enough):
             continue
         halves = np.column_stack([np.clip(k, 0, None), np.clip(k, None, 0)])
-        part = np.where(pick, ohm[:, column], np.nan)
-        split = _with_loop(part, halves, k, error[:, column], turn[:, column], block)
-        if split is None:
+        rows_of = Column(
+            np.where(pick, ohm[:, column], np.nan), k, error[:, column], turn[:, column], block,
+            sweep,
+        )  # fmt: skip
+        asked.append((column, (rows_of, halves)))
+    made = honest_lines([one for _, one in asked])
+    for (column, _), fit in zip(asked, made, strict=True):
+        if fit is None:
             continue
+        split = fit.line
         left, right = (float(v) for v in split.coefficients[1:3])
         strong = max(abs(left), abs(right))
         # A slope that is lost in noise, or of the wrong sign, counts as a tenth of the other.
@@ -179,17 +284,33 @@ def as_direction(direction: np.int64) -> Literal[-1, 0, 1]:
     return 0 if direction == 0 else (1 if direction > 0 else -1)
 
 
-def nonlinearity(
-    ohm: Array, model: Array, error: Array, inside: NDArray[np.bool_], fit: LinearFit
-) -> tuple[float, float]:
-    """Share by which a quadratic departs from the line at the largest bend, and its error."""
-    largest = float(np.abs(model[inside]).max())
-    unit = model / largest
-    design = np.column_stack([np.ones(len(ohm)), unit, np.abs(unit) * unit])
-    known = np.abs(fit.coefficients[1]) * error
-    try:
-        curved = fit_linear(design, np.where(inside, ohm, np.nan), known, reject=False)
-    except DataError:
-        return 0.0, 0.0
-    total = float(curved.coefficients[1] + curved.coefficients[2])
-    return float(curved.coefficients[2]) / total, curved.se(2) / abs(total)
+def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]]:
+    """How far each sensor's quadratic departs from the line.
+
+    Returns:
+        Share of the answer at the largest bend that goes beyond a straight line, its standard
+        error, and the rows' departure from a line through them (rms, relative).
+    """
+    slopes = []
+    for column in columns:
+        size = np.abs(np.where(np.isfinite(column.ohm), column.model, 0.0))
+        largest = max(float(np.nan_to_num(size).max(initial=0.0)), 1e-9)
+        slopes.append(
+            np.column_stack([column.model, np.abs(column.model) * column.model / largest])
+        )
+    found = []
+    for column, bends, made in zip(
+        columns, slopes, honest_lines(list(zip(columns, slopes, strict=True))), strict=True
+    ):
+        if made is None:
+            found.append((0.0, 0.0, 0.0))
+            continue
+        total = float(made.line.coefficients[1:3].sum())
+        seen = np.isfinite(column.ohm)
+        k, answer = column.model[seen], bends[seen] @ made.line.coefficients[1:3]
+        line = np.polynomial.Polynomial.fit(k, answer, 1)
+        departure = float(np.std(answer - line(k))) / max(float(np.std(answer)), 1e-300)
+        found.append(
+            (float(made.line.coefficients[2]) / total, made.line.se(2) / abs(total), departure)
+        )
+    return found

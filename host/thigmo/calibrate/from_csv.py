@@ -15,10 +15,10 @@ from thigmo.calibrate.guided import ActuatorResults, summary
 from thigmo.calibrate.hysteresis import CreepRecord, fit_hysteresis
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
-from thigmo.calibrate.table import MissingColumnError, Table
 from thigmo.calibrate.verdict import StepResult
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
+from thigmo.record.table import MissingColumnError, Table
 
 Path = str | os.PathLike[str]
 

@@ -121,9 +121,8 @@ class ActuatorResults:
             made = result.apply(made)
         for side in SIDES:
             spreads = [r.offset_se for r in self.each if r.readings.side == side]
-            errors = [r.g_se for r in self.each if r.readings.side == side]
             if spreads:
-                made.actuators.side(side).offset_se = float(np.hypot(max(spreads), max(errors)))
+                made.actuators.side(side).offset_se = max(spreads)
         return made
 
     def figure(self, path: Path) -> None:

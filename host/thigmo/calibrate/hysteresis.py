@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo.calibrate.table import Table
 from thigmo.calibrate.verdict import Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
+from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 

@@ -62,14 +62,15 @@ class NoiseResult:
         }
 
     def apply(self, config: RobotConfig) -> RobotConfig:
-        """One sigma of an averaged reading into a copy of the configuration."""
+        """White noise, and what no average takes away, into a copy of the configuration."""
         made = config.model_copy(deep=True)
         for s in self.sensors:
             sensor = made.sensors.column(s.side)[s.index]
             if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
-                # What no average takes away belongs to a reading as well.
-                loop = s.hysteresis if np.isfinite(s.hysteresis) else 0.0
-                sensor.noise = float(np.sqrt(s.white**2 + s.slow**2 + loop**2))
+                sensor.noise = s.white
+                # Rest shows drift, bends show the loop: flex may have seen more of both.
+                lasting = float(np.hypot(s.slow, np.nan_to_num(s.hysteresis)))
+                sensor.zero_se = max(sensor.zero_se, lasting)
         return made
 
     def figure(self, path: Path) -> None:

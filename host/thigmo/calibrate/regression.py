@@ -2,7 +2,8 @@
 
 Least trimmed squares finds the line of most, whatever a fifth of the readings do; points beyond
 four of its sigmas are left out (and named by the caller), and what remains is fitted by
-weighted least squares, whose standard errors are the textbook's.
+weighted least squares, whose standard errors are the textbook's: those of independent rows (see
+`correlation` for rows that are not).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 
 _REJECT = 4.0
 _DRAWS = 200
+_STARTS, _STEPS = 3, 4  # concentration steps from the best of the draws
 _KEEP = 0.75  # share of rows that the first fit must explain
 
 
@@ -46,7 +48,12 @@ class LinearFit:
 
 
 def fit_linear(
-    design: Array, y: Array, known_se: Array | float = 0.0, *, reject: bool = True
+    design: Array,
+    y: Array,
+    known_se: Array | float = 0.0,
+    *,
+    reject: bool = True,
+    firm: int = 0,
 ) -> LinearFit:
     """Robust weighted linear least squares.
 
@@ -56,6 +63,7 @@ def fit_linear(
         known_se: (n,) standard error of each row that is known beforehand; the remaining scatter
             is estimated and added.
         reject: leave outliers out.
+        firm: so many rows at the end say what is known beforehand and are never outliers.
 
     Raises:
         DataError: fewer than p + 2 usable rows, or a design that does not determine p numbers.
@@ -71,6 +79,7 @@ def fit_linear(
     if np.linalg.matrix_rank(a / np.maximum(np.abs(a).max(axis=0), 1e-300)) < p:
         raise DataError("the readings do not vary enough to fit a line", "use more places")
     everything = np.ones(len(rows), bool)
+    prior = np.arange(len(rows)) >= len(rows) - firm
     if not reject:
         inside, (coefficients, covariance, sigma) = everything, _weighted(a, b, e)
     else:
@@ -79,10 +88,10 @@ def fit_linear(
         starts = [everything]
         if len(rows) >= p + 4:
             line, spread = _trimmed_fit(a, b)
-            near = np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300
+            near = (np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300) | prior
             if near.sum() >= p + 2:
                 starts.append(near)
-        found = [_rejecting(a, b, e, start) for start in starts]
+        found = [_rejecting(a, b, e, start, prior) for start in starts]
         inside, coefficients, covariance, sigma = max(
             found, key=lambda f: (int(f[0].sum()) if f[3] < 3 * found[-1][3] else 0, -f[3])
         )
@@ -94,14 +103,14 @@ def fit_linear(
 
 
 def _rejecting(
-    a: Array, b: Array, e: Array, start: NDArray[np.bool_]
+    a: Array, b: Array, e: Array, start: NDArray[np.bool_], prior: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Array, Array, float]:
     """Weighted fit, leaving out rows beyond four sigmas, until none changes."""
     inside = start
     coefficients, covariance, sigma = _weighted(a[inside], b[inside], e[inside])
     for _ in range(25):
         limit = _REJECT * np.sqrt(sigma**2 + e**2)
-        kept = np.abs(b - a @ coefficients) <= limit + 1e-300
+        kept = (np.abs(b - a @ coefficients) <= limit + 1e-300) | prior
         if kept.sum() < a.shape[1] + 2 or (kept == inside).all():
             break
         inside = kept
@@ -128,9 +137,9 @@ def _trimmed_fit(a: Array, b: Array) -> tuple[Array, float]:
     costs = np.sort((b - lines @ a.T) ** 2, axis=1)[:, :keep].sum(axis=1)
     best, least = everything, np.inf
     # Concentration steps from the most promising starts.
-    for start in lines[np.argsort(costs)[:8]]:
+    for start in lines[np.argsort(costs)[:_STARTS]]:
         line = start
-        for _ in range(6):
+        for _ in range(_STEPS):
             near = np.argsort(np.abs(b - a @ line))[:keep]
             line = np.asarray(np.linalg.lstsq(a[near], b[near], rcond=None)[0], float)
         cost = float(np.sort((b - a @ line) ** 2)[:keep].sum())

@@ -142,7 +142,7 @@ def blank(config: RobotConfig) -> RobotConfig:
         actuator.offset_se = fresh.actuators.left.offset_se
         actuator.maps = [ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in made.body.zones]
     made.body.critical_curvature = fresh.body.critical_curvature
-    made.body.critical_curvature_se = 0.0
+    made.body.critical_curvature_se = fresh.body.critical_curvature_se
     made.spool.counts_per_cm = fresh.spool.counts_per_cm
     return made
 

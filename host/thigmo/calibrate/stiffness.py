@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from thigmo.calibrate.table import Table
 from thigmo.calibrate.verdict import Verdict
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
+from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import typer
 from thigmo.cli.output import JsonOption, print_json
 
 if TYPE_CHECKING:
+    from thigmo.calibrate.bench import Hand
     from thigmo.calibrate.eyes import Eyes
-    from thigmo.calibrate.machine import Hand
     from thigmo.calibrate.session import Session
     from thigmo.calibrate.verdict import StepResult
     from thigmo.robot import Robot
@@ -182,7 +182,7 @@ def _status(session: Session, as_json: bool) -> None:
 
 
 def _hand(machine: Robot) -> Hand:
-    from thigmo.calibrate.machine import Hand
+    from thigmo.calibrate.bench import Hand
     from thigmo.errors import DataError
 
     operator = machine.operator

@@ -256,7 +256,8 @@ class Scene(Model):
     def believed(self, seed: int | None = None) -> RobotConfig:
         """The robot.toml that the scene's lab would have: the truth, with its errors drawn.
 
-        The stated standard errors (`scale_se` and so on) are raised to the spreads used here.
+        That lab knows its errors: the standard errors stated are the spreads used here, and its
+        sensors' loops are in `zero_se`.
         """
         rng = np.random.default_rng([self.seed if seed is None else seed, 0xBE11EF])
         config = self.robot.model_copy(deep=True)
@@ -264,7 +265,8 @@ class Scene(Model):
         for side in SIDES:
             for sensor in config.sensors.column(side):
                 sensor.scale_per_ohm *= 1 + spread.gain_spread * rng.standard_normal()
-                sensor.scale_se = max(sensor.scale_se, spread.gain_spread)
+                sensor.scale_se = spread.gain_spread
+                sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
                 moved = sensor.center_cm + spread.position_spread_cm * rng.standard_normal()
                 top = config.body.length_cm - sensor.span_cm / 2
                 sensor.center_cm = float(min(max(moved, sensor.span_cm / 2 + 1e-3), top))
@@ -272,15 +274,10 @@ class Scene(Model):
             muscle.lag_s *= max(1 + spread.lag_error * rng.standard_normal(), 0.1)
             for zone in muscle.maps:
                 factor = 1 + spread.curvature_error * rng.standard_normal()
+                zone.scale_se = spread.curvature_error
                 for curve in (zone.inflate, zone.deflate):
-                    curve.amplitude_se = max(
-                        curve.amplitude_se, spread.curvature_error * curve.amplitude
-                    )
                     curve.amplitude *= factor
-        config.body.critical_curvature_se = max(
-            config.body.critical_curvature_se,
-            spread.critical_error * config.body.critical_curvature,
-        )
+        config.body.critical_curvature_se = spread.critical_error * config.body.critical_curvature
         config.body.critical_curvature *= max(
             1 + spread.critical_error * rng.standard_normal(), 0.1
         )

@@ -170,7 +170,6 @@ class MapError:
     def _share(self, parts: Sequence[tuple[int, _Part]], zone: int) -> tuple[float, float]:
         """Share of the free curvature by which all readings depart from it, and its error."""
         muscles = [self._config.actuators.side(side) for side in SIDES]
-        curves = [muscle.maps[zone].inflate for muscle in muscles]
         count = [len(part.free) for _, part in parts]
         sweep = np.repeat(np.arange(len(parts)), count)
         side = np.repeat([row for row, _ in parts], count)
@@ -179,7 +178,7 @@ class MapError:
             for field in fields(_Part)
         )
         noise = self._table.noise[sensor]
-        map_se = np.array([curve.amplitude_se / curve.amplitude for curve in curves])[side]
+        map_se = np.array([muscle.maps[zone].scale_se for muscle in muscles])[side]
         offset_se = np.array([muscle.offset_se for muscle in muscles])[side]
 
         def shared(sigma: Floats, *keys: NDArray[Any]) -> Floats:

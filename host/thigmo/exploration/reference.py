@@ -47,8 +47,7 @@ class FreeResponse:
         self._matrix = np.zeros((len(SIDES), size, 2, 2))
         self._vector = np.zeros((len(SIDES), size, 2))
         for row, name in enumerate(SIDES):
-            curves = [zone.inflate for zone in config.actuators.side(name).maps]
-            map_se = max(curve.amplitude_se / curve.amplitude for curve in curves)
+            map_se = max(zone.scale_se for zone in config.actuators.side(name).maps)
             self._matrix[row, :, 0, 0] = 1 / self._table.noise**2
             self._matrix[row, :, 1, 1] = 1 / np.maximum(scale_se**2 + map_se**2, 1e-6)
 

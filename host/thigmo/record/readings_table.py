@@ -1,4 +1,4 @@
-"""A CSV of curvature readings, checked row by row.
+"""A CSV of curvature readings, checked row by row and as a whole.
 
 For `thigmo localize`: whoever has readings from anywhere may ask where the contact is. Columns
 `position` and `curvature`, optionally `span`, in consistent units; lines that start with # are
@@ -7,27 +7,28 @@ comments; columns of other names are ignored.
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import dataclass
-from math import isfinite
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.errors import DataError
+from thigmo.record.table import MissingColumnError, Table
 
-_COLUMNS = ("position", "curvature")
+Floats = NDArray[np.float64]
+
+_COLUMNS = ("position", "curvature", "span")
+_MOST_ROWS = 2000  # of one frame
 
 
 @dataclass(frozen=True, slots=True)
 class ReadingsTable:
     """Readings along the body: arrays of shape (N,); `span` is None without that column."""
 
-    position: NDArray[np.float64]
-    curvature: NDArray[np.float64]
-    span: NDArray[np.float64] | None
+    position: Floats
+    curvature: Floats
+    span: Floats | None
 
 
 def read_readings(path: str | os.PathLike[str], *, length: float) -> ReadingsTable:
@@ -38,59 +39,63 @@ def read_readings(path: str | os.PathLike[str], *, length: float) -> ReadingsTab
         length: of the body; no sensor may be centred beyond it.
 
     Raises:
-        DataError: naming file, line and column: unreadable, empty, a missing column, a value that
-            is no finite number, a negative span, or a sensor outside 0..length.
+        DataError: naming file, line and column: unreadable, empty, too long, a missing, empty or
+            constant column, a value that is no finite number, a negative span, a sensor outside
+            0..length, or positions in another unit than the length.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}", "check the path") from error
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path} is not a text file", "export it as CSV in UTF-8") from error
-    numbered = [(n, s) for n, s in enumerate(lines, 1) if s.strip() and not s.startswith("#")]
-    if not numbered:
-        raise DataError(f"{path} is empty", "give a header `position,curvature` and rows")
-    header = [name.strip().lower() for name in next(csv.reader([numbered[0][1]]))]
-    for name in _COLUMNS:
-        if name not in header:
+    table = Table.read(path, most_rows=_MOST_ROWS)
+    position, curvature = (_column(table, name) for name in _COLUMNS[:2])
+    span = _column(table, "span") if "span" in table else None
+    for name, values in (("position", position), ("curvature", curvature)):
+        if len(values) > 2 and not np.ptp(values):
             raise DataError(
-                f"{path}: no column `{name}` in its header ({', '.join(header)})",
-                "name the columns position, curvature and optionally span",
+                f"{path}: {name} is {values[0]:g} in every row", f"check what `{name}` should hold"
             )
-    wanted = [name for name in (*_COLUMNS, "span") if name in header]
-    rows: list[list[float]] = []
-    for number, text in numbered[1:]:
-        cells = next(csv.reader([text]))
-        rows.append([_value(path, number, name, cells, header.index(name)) for name in wanted])
-        position, span = rows[-1][0], rows[-1][2] if "span" in wanted else 0.0
-        if not 0 <= position <= length * (1 + 1e-9):
-            raise DataError(
-                f"{path}, line {number}: a sensor at {position:g} lies outside 0..{length:g}",
-                "correct the position, or --length",
-            )
-        if span < 0:
-            raise DataError(f"{path}, line {number}: span {span:g} is negative", "correct it")
-    if not rows:
-        raise DataError(f"{path} has a header and no rows", "give at least one reading")
-    table = np.asarray(rows, dtype=np.float64)
-    return ReadingsTable(table[:, 0], table[:, 1], table[:, 2] if "span" in wanted else None)
+    _check_unit(table, position, length)
+    _check_each(table, (position < 0) | (position > length * (1 + 1e-9)), position,
+                "a sensor at {} lies outside 0.." + f"{length:g}",
+                "correct the position, or --length")  # fmt: skip
+    if span is not None:
+        _check_each(table, span < 0, span, "span {} is negative", "correct it")
+    return ReadingsTable(position, curvature, span)
 
 
-def _value(
-    path: str | os.PathLike[str], number: int, name: str, cells: list[str], index: int
-) -> float:
-    try:
-        value = float(cells[index])
-    except IndexError:
-        raise DataError(f"{path}, line {number}: no {name}", "complete the row") from None
-    except ValueError:
-        raise DataError(
-            f"{path}, line {number}: {name} is {cells[index].strip()!r}, not a number",
-            "correct it, or leave that row out",
-        ) from None
-    if not isfinite(value):
-        raise DataError(
-            f"{path}, line {number}: {name} is {cells[index].strip()}, not a finite number",
-            "leave that row out",
+def _column(table: Table, name: str) -> Floats:
+    if name not in table:
+        raise MissingColumnError(
+            f"{table.name}: no column `{name}` in its header ({', '.join(table.columns)})",
+            "name the columns position, curvature and optionally span",
         )
-    return value
+    if not any(table.columns[name]):
+        raise DataError(f"{table.name}: the column `{name}` is empty", "fill it, or leave it out")
+    values = table.numbers(name)
+    _check_each(table, np.isnan(values), values, f"{name} is " + "{}", "leave that row out")
+    return values
+
+
+def _check_each(
+    table: Table, wrong: NDArray[np.bool_], values: Floats, what: str, cure: str
+) -> None:
+    """Name the first wrong row."""
+    for row in np.flatnonzero(wrong)[:1]:
+        raise DataError(
+            f"{table.name}, line {table.lines[row]}: {what.format(f'{values[row]:g}')}", cure
+        )
+
+
+def _check_unit(table: Table, position: Floats, length: float) -> None:
+    """Whether the positions are in mm where the length is in cm, or the like."""
+    if len(position) < 3:
+        return
+    reach = float(np.median(position)) / length
+    if reach > 2:
+        guess = "mm where the length is in cm" if reach < 10 else "a smaller unit than the length"
+    elif 0 < float(position.max()) / length < 0.1:
+        guess = "a larger unit than the length"
+    else:
+        return
+    raise DataError(
+        f"{table.name}: positions of {position.min():g} to {position.max():g} on a body of length "
+        f"{length:g} seem to be in {guess}",
+        "give both, and the curvature, in one unit",
+    )

@@ -8,6 +8,7 @@ its last zeroing (thesis, equation 2.4).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ class SensorTable:
     """robot.toml's flex sensors as arrays of ten, left base first; absent ones are unhealthy.
 
     Attributes:
-        center_cm, span_cm, scale_per_ohm, noise, direction: per sensor.
+        center_cm, span_cm, scale_per_ohm, direction: per sensor.
+        noise: one sigma of an averaged reading, its zero's error included, 1/cm.
         healthy: mask of sensors to use at all.
         divider_ohm: the divider's fixed resistor.
     """
@@ -65,7 +67,7 @@ class SensorTable:
                 table.center_cm[index] = sensor.center_cm
                 table.span_cm[index] = sensor.span_cm
                 table.scale_per_ohm[index] = sensor.scale_per_ohm
-                table.noise[index] = sensor.noise
+                table.noise[index] = hypot(sensor.noise, sensor.zero_se)
                 table.direction[index] = sensor.valid_direction
                 table.healthy[index] = sensor.healthy
         return table

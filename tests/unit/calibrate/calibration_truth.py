@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from thigmo.calibrate.actuator import BendReadings
-from thigmo.calibrate.flex import FlexReadings
+from thigmo.calibrate.flex import FlexReadings, merge
+from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.config import SIDES, RobotConfig, TanhMap
 from thigmo.mechanics import push
 
@@ -65,26 +66,94 @@ class Lab:
         )  # fmt: skip
 
 
+def real_sweeps(
+    seed: int,
+    sweeps: int = 6,
+    rows: int = 22,
+    *,
+    lasting: float = 0.7,
+    decay: float = 6.0,
+    gain: float = 0.015,
+    bow: float = 0.0,
+    lost: float = 0.0,
+) -> tuple[Lab, list[FlexReadings]]:
+    """Sweeps out and back by a muscle, one recording each, as real flex sensors give them.
+
+    Args:
+        seed: of everything.
+        sweeps: in turn to the left and to the right, two for each number.
+        rows: of each.
+        lasting: share of the scatter's variance that lasts over `decay` rows.
+        decay: in rows.
+        gain: one sigma of a sensor's gain from sweep to sweep.
+        bow: share of the answer at full bend that goes beyond a straight line (sensors 1 and 6).
+        lost: share of rows in which sensors 2 and 7 drop out to a constant.
+    """
+    lab = Lab(seed)
+    rng, half = lab.rng, rows // 2
+    ramp = 0.035 * np.concatenate([np.linspace(0, 1, half), np.linspace(1, 0, rows - half)])
+    loop = rng.normal(0, 3e-4, 10)
+    found = []
+    for _ in range(sweeps):
+        readings = []
+        for sign, active in ((1, "left"), (-1, "right")):
+            k = np.repeat(sign * ramp[:, None], 10, axis=1)
+            k[:, [1, 6]] = (1 - bow) * k[:, [1, 6]] + bow * np.abs(k[:, [1, 6]]) * k[:, [1, 6]] / (
+                0.035
+            )
+            k = k * (1 + rng.normal(0, gain, 10))
+            k += loop * loop_turns(sign * ramp[:, None], np.zeros(rows, np.int64))
+            slow = np.empty((rows, 10))
+            slow[0] = rng.normal(0, 1, 10)
+            keep = np.exp(-1 / decay)
+            for row in range(1, rows):
+                slow[row] = keep * slow[row - 1] + (1 - keep**2) ** 0.5 * rng.normal(0, 1, 10)
+            k += lab.sigma * (lasting**0.5 * slow)
+            k += lab.sigma * (1 - lasting) ** 0.5 * rng.normal(0, 1, k.shape)
+            wrinkled = slice(0, 5) if active == "left" else slice(5, 10)
+            k[:, wrinkled] *= rng.uniform(0.0, 0.8, 5)
+            ohm = lab.zero + k / lab.scale
+            for column in (2, 7):
+                gone = rng.random(rows) < lost
+                ohm[gone, column] = lab.zero[column] - 0.012 / lab.scale[column]
+            seen = sign * ramp + rng.normal(0, 1e-4, rows)
+            readings.append(
+                FlexReadings(
+                    ("bend",) * rows, np.arange(rows, dtype=float), np.full((rows, 2), np.nan),
+                    seen, np.full(rows, 1e-4), (active,) * rows, ohm, LENGTH,
+                    np.full(rows, np.nan),
+                )
+            )  # fmt: skip
+        found.append(merge(*readings))
+    return lab, found
+
+
 INFLATE = TanhMap(amplitude=0.03, scale_psi=9.0, offset_psi=7.0)
 DEFLATE = TanhMap(amplitude=0.032, scale_psi=8.5, offset_psi=5.5)
 
 
 def bends(
-    seed: int, side: str = "left", sigma: float = 2e-4, offset: float = 2e-4, trials: int = 3
+    seed: int,
+    side: str = "left",
+    sigma: float = 2e-4,
+    offset: float = 2e-4,
+    trials: int = 3,
+    gain: float = 0.0,
 ) -> BendReadings:
-    """Three trials of 0..20..0 psi in steps of 2, seen by a camera."""
+    """Three trials of 0..20..0 psi in steps of 2, seen by a camera; `gain` from trial to trial."""
     rng = np.random.default_rng(seed)
     sign = 1.0 if side == "left" else -1.0
     pressure, seen, branch, trial = [], [], [], []
     for number in range(trials):
-        common = rng.normal(0, offset)
+        common, strength = rng.normal(0, offset), 1 + rng.normal(0, gain) if gain else 1.0
         for name, curve, steps in (
             ("inflate", INFLATE, np.arange(0, 20.1, 2)),
             ("deflate", DEFLATE, np.arange(20, -0.1, -2)),
         ):
             for p in steps:
                 pressure.append(p + rng.normal(0, 0.02))
-                seen.append(sign * curve.curvature(max(p, 0.0)) + common + rng.normal(0, sigma))
+                bend = sign * strength * curve.curvature(max(p, 0.0))
+                seen.append(bend + common + rng.normal(0, sigma))
                 branch.append(name)
                 trial.append(number)
     n = len(seen)

@@ -46,6 +46,19 @@ def test_spread_of_trials_becomes_the_offset_error():
     assert np.mean(found) == pytest.approx(6e-4, rel=0.35)
 
 
+def test_the_scale_of_a_map_is_uncertain_by_what_trials_differ():
+    """The next trial's gain, against the error stated; three trials tell it poorly."""
+    scores, stated = [], []
+    for seed in range(40):
+        zone = fit_actuator(bends(seed, gain=0.015)).zone
+        next_one = 1 + np.random.default_rng([seed, 1]).normal(0, 0.015)
+        fitted = zone.inflate.curvature(18.0) / INFLATE.curvature(18.0)
+        scores.append((fitted - next_one) / zone.scale_se)
+        stated.append(fit_actuator(bends(seed)).zone.scale_se)
+    assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
+    assert np.mean(stated) < 0.018  # trials that agree
+
+
 def test_ten_percent_outliers_and_lost_pictures_are_left_out_and_said():
     clean = bends(3, offset=0.0)
     rng = np.random.default_rng(1)

@@ -11,9 +11,9 @@ from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.from_csv import COLUMNS, FITS, fit_csv
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.session import Session, blank
-from thigmo.calibrate.table import MissingColumnError, Table
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
+from thigmo.record.table import MissingColumnError, Table
 
 
 def test_rows_are_kept_in_order_and_a_torn_line_is_dropped(tmp_path):
@@ -99,10 +99,11 @@ def test_every_fit_names_the_column_that_a_csv_lacks(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no readings"),
+        ("", "is empty"),
         ("a,b\n1\n", "line 2: 1 cells for 2 columns"),
         ("a,a\n1,2\n", "twice"),
-        ("a\nword\n", "'word' in column 'a'"),
+        ("a\nword\n", "line 2: a is 'word', not a number"),
+        ("# lab\n\na;b\n1;2\n", "by semicolons"),
     ],
 )
 def test_malformed_tables_name_the_line(tmp_path, text, message):
@@ -115,7 +116,7 @@ def test_malformed_tables_name_the_line(tmp_path, text, message):
 def test_infinite_and_fractional_cells_name_the_line(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("a\n1\ninf\n")
-    with pytest.raises(DataError, match="line 3: 'inf' in column 'a' is not finite"):
+    with pytest.raises(DataError, match="line 3: a is inf, not a finite"):
         Table.read(path).numbers("a")
     for text in ("a\n1\n2.5\n", "a,b\n1,1\n,1\n"):
         path.write_text(text)

@@ -162,6 +162,7 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
                 gains.append(told.scale_per_ohm / true.scale_per_ohm - 1)
                 places.append(told.center_cm - true.center_cm)
                 assert told.scale_se == 0.05
+                assert told.zero_se >= scene.noise.hysteresis
             for zone, right in zip(
                 config.actuators.side(side).maps, scene.robot.actuators.side(side).maps, strict=True
             ):
@@ -175,4 +176,13 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
 
 def test_without_errors_the_host_believes_the_truth() -> None:
     scene = Scene()
-    assert scene.believed() == scene.robot
+    known, true = scene.believed(), scene.robot
+    assert [s.scale_per_ohm for s in known.sensors.left] == [
+        s.scale_per_ohm for s in true.sensors.left
+    ]
+    assert known.actuators.left.maps[0].inflate == true.actuators.left.maps[0].inflate
+    assert known.body.critical_curvature == true.body.critical_curvature
+    # And it knows that it does.
+    assert {s.scale_se for s in known.sensors.left} == {0.0}
+    assert {zone.scale_se for zone in known.actuators.left.maps} == {0.0}
+    assert known.body.critical_curvature_se == 0.0

@@ -136,13 +136,13 @@ def _shown_gains(rows: Sequence[Line], config: RobotConfig) -> dict[Side, tuple[
         muscle = config.actuators.side(side)
         first = [(_numbers(r["passed_psi"])[0], _frames(r)[0]) for r in rows
                  if r["side"] == side and r["passed_psi"]]  # fmt: skip
-        curve = muscle.maps[-1].inflate
-        spread = np.hypot(scale_errors(config), curve.amplitude_se / curve.amplitude)
+        zone = muscle.maps[-1]
+        spread = np.hypot(scale_errors(config), zone.scale_se)
         spread = np.maximum(spread, _LEAST_GAIN_SE)
         gain, error = np.ones(spread.size), spread
         if first:
             sign = 1 if side == "left" else -1
-            believed = np.mean([sign * curve.curvature(psi) for psi, _ in first])
+            believed = np.mean([sign * zone.inflate.curvature(psi) for psi, _ in first])
             departure = np.mean([readings for _, readings in first], axis=0) - believed
             variance = table.noise**2 + muscle.offset_se**2
             precision = 1 / spread**2 + believed**2 / variance

@@ -1,0 +1,104 @@
+"""What calibration says the readings of one stage may be off by, as the localizer takes it.
+
+One place for exploration, studies, the live filter and the command line: robot.toml holds the
+standard errors, a stage picks the muscle, the pressure zone and the sensors. It knows nothing of
+the localizer; the names are those of its arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.config import RobotConfig, Side
+from thigmo.errors import DataError
+
+Floats = npt.NDArray[np.float64]
+
+# A fold's moment goes with body pressure; for one e times another than measured, so far [a guess].
+_FOLD_LAW_SE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingErrors:
+    """Standard errors of a stage's N readings; 1/cm, or relative where it says so.
+
+    Attributes:
+        noise: (N,) white noise of an averaged reading: new in every frame.
+        zero_error: (N,) of each sensor's zero: the same in all frames between two zeroings.
+        gain_error: (N,) relative, of each sensor's scale: the same in all frames.
+        offset_error: of an offset that the readings share.
+        map_error: relative, of the map's free curvature; 0 where no muscle bends the body.
+        critical_curvature: contact moment over EI at which the base folds, at this zone.
+        critical_curvature_error: relative.
+        tube_radius: cm.
+    """
+
+    noise: Floats
+    zero_error: Floats
+    gain_error: Floats
+    offset_error: float
+    map_error: float
+    critical_curvature: float
+    critical_curvature_error: float
+    tube_radius: float
+
+    def arguments(self, added_noise: npt.ArrayLike = 0.0) -> dict[str, Any]:
+        """Keywords of `thigmo.localize` for one frame, in which a zero's error is noise.
+
+        Args:
+            added_noise: further noise of this frame's readings, such as creep; scalar or (N,).
+        """
+        return {
+            "noise": np.sqrt(self.noise**2 + self.zero_error**2 + np.square(added_noise)),
+            "gain_error": self.gain_error,
+            "offset_error": self.offset_error,
+            "map_error": self.map_error,
+            "critical_curvature": self.critical_curvature,
+            "critical_curvature_error": self.critical_curvature_error,
+            "tube_radius": self.tube_radius,
+        }
+
+
+def reading_errors(
+    config: RobotConfig, side: Side | None, zone: int, sensors: Sequence[tuple[Side, int]]
+) -> ReadingErrors:
+    """Errors of one stage's readings.
+
+    Args:
+        config: robot.toml.
+        side: inflated muscle; None where the body is straight and pushed.
+        zone: index of the body-pressure zone.
+        sensors: (column, index from the base) of each reading.
+
+    Raises:
+        DataError: a sensor or a zone that robot.toml does not have.
+    """
+    body = config.body
+    if not 0 <= zone < len(body.zones):
+        raise DataError(f"robot.toml has no pressure zone {zone}", "give one of body.zones, from 0")
+    for column, index in sensors:
+        if not 0 <= index < len(config.sensors.column(column)):
+            raise DataError(f"robot.toml has no sensor {column} {index}", "count from the base, 0")
+    found = [config.sensors.column(column)[index] for column, index in sensors]
+    ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
+    muscle = None if side is None else config.actuators.side(side)
+    return ReadingErrors(
+        noise=np.array([sensor.noise for sensor in found]),
+        zero_error=np.array([sensor.zero_se for sensor in found]),
+        gain_error=np.array([sensor.scale_se for sensor in found]),
+        offset_error=0.0 if muscle is None else muscle.offset_se,
+        map_error=0.0 if muscle is None else muscle.maps[zone].scale_se,
+        critical_curvature=body.critical_curvature * ratio,
+        critical_curvature_error=float(
+            np.hypot(
+                body.critical_curvature_se / body.critical_curvature,
+                _FOLD_LAW_SE * np.log(ratio),
+            )
+        ),
+        tube_radius=body.radius_cm,
+    )

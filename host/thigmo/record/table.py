@@ -1,0 +1,188 @@
+"""Readings as a lab has them: a CSV with a header, numbers and a few words.
+
+Read line by line, so that a file of many frames is refused at its first line too many. What
+spreadsheets of other countries write (semicolons, decimal commas) is named with its cure.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.errors import DataError
+
+Array = NDArray[np.float64]
+
+_MOST_ROWS = 1_000_000
+
+
+class MissingColumnError(DataError):
+    """A column that is needed is not there."""
+
+
+class Table:
+    """Columns by name; empty cells are nan, words stay words."""
+
+    def __init__(
+        self, columns: Mapping[str, Sequence[str]], name: str, lines: Sequence[int]
+    ) -> None:
+        self.columns = columns
+        self.name = name
+        self.lines = lines
+        self.rows = len(lines)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], *, most_rows: int = _MOST_ROWS) -> Table:
+        """Read a CSV file; lines that start with # are comments.
+
+        Raises:
+            DataError: unreadable, empty, ragged, too long, or separated by something else.
+        """
+        header: list[str] = []
+        rows: list[list[str]] = []
+        lines: list[int] = []
+        try:
+            with Path(path).open(newline="", encoding="utf-8-sig") as file:
+                reader = csv.reader(file)
+                for row in reader:
+                    cells = [cell.strip() for cell in row]
+                    if not any(cells) or cells[0].startswith("#"):
+                        continue
+                    if not header:
+                        header = [cell.lower() for cell in cells]
+                        _check_header(path, header)
+                        continue
+                    if len(cells) != len(header):
+                        raise _ragged(path, reader.line_num, header, cells)
+                    rows.append(cells)
+                    lines.append(reader.line_num)
+                    if len(rows) > most_rows:
+                        raise DataError(
+                            f"{path} has more than {most_rows} rows", "cut out those of one frame"
+                        )
+        except OSError as error:
+            raise DataError(f"cannot read {path}: {error.strerror}", "check the path") from error
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise DataError(f"{path} is not a text file", "export it as CSV in UTF-8") from error
+        if not header:
+            raise DataError(f"{path} is empty", "give a header line and one line a reading")
+        if not rows:
+            raise DataError(f"{path} has a header and no rows", "give at least one reading")
+        return cls(
+            {key: [row[k] for row in rows] for k, key in enumerate(header)}, str(path), lines
+        )
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.columns
+
+    def numbers(self, column: str, default: float | None = None) -> Array:
+        """A column of numbers (n,); empty cells are nan.
+
+        Raises:
+            MissingColumnError: there is no such column, and no default.
+            DataError: a word where a number belongs.
+        """
+        if column not in self.columns:
+            if default is not None:
+                return np.full(self.rows, default)
+            raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
+        found = np.empty(self.rows)
+        for number, cell in enumerate(self.columns[column]):
+            try:
+                found[number] = float(cell) if cell else np.nan
+            except ValueError as error:
+                comma = cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdecimal()
+                raise DataError(
+                    f"{self.name}, line {self.lines[number]}: {column} is '{cell}', not a number",
+                    "export it with points in numbers, not commas" if comma
+                    else "correct it, or leave that row out",
+                ) from error  # fmt: skip
+            if np.isinf(found[number]):
+                raise DataError(
+                    f"{self.name}, line {self.lines[number]}: {column} is {cell}, not a finite "
+                    "number", "correct it, or leave that row out",
+                )  # fmt: skip
+        return found
+
+    def whole(self, column: str, default: int | None = None) -> NDArray[np.int64]:
+        """A column of whole numbers (n,), none of them empty.
+
+        Raises:
+            MissingColumnError: there is no such column, and no default.
+            DataError: an empty cell, or a number that is not whole.
+        """
+        values = self.numbers(column, None if default is None else float(default))
+        odd = np.nonzero(~(values == np.round(values)))[0]
+        if len(odd):
+            raise DataError(
+                f"{self.name}, line {self.lines[odd[0]]}: column '{column}' needs a whole number",
+                "mend that cell",
+            )
+        return values.astype(np.int64)
+
+    def words(self, column: str, default: str | None = None) -> list[str]:
+        """A column of words.
+
+        Raises:
+            MissingColumnError: there is no such column, and no default.
+        """
+        if column not in self.columns:
+            if default is not None:
+                return [default] * self.rows
+            raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
+        return list(self.columns[column])
+
+    def block(self, prefix: str, count: int) -> Array:
+        """Columns `prefix0` .. side by side (n, count)."""
+        return np.column_stack([self.numbers(f"{prefix}{k}") for k in range(count)])
+
+
+def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[object]]) -> None:
+    """Write columns as CSV; nan and None become empty cells.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+
+    def cell(value: object) -> str:
+        if value is None or (isinstance(value, float) and not np.isfinite(value)):
+            return ""
+        return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+    try:
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow([cell(value) for value in row])
+    except OSError as error:
+        raise DataError(
+            f"cannot write {path}: {error.strerror}", "choose another folder"
+        ) from error
+
+
+def _check_header(path: str | os.PathLike[str], header: Sequence[str]) -> None:
+    if len(header) == 1:
+        for name, mark in (("semicolons", ";"), ("tabs", "\t"), ("bars", "|")):
+            if mark in header[0]:
+                raise DataError(
+                    f"{path} separates its columns by {name}",
+                    "export it with commas between columns and points in numbers",
+                )
+    twice = next((name for name in header if name and header.count(name) > 1), None)
+    if twice is not None:
+        raise DataError(f"{path}: the column '{twice}' appears twice", "rename one of them")
+
+
+def _ragged(
+    path: str | os.PathLike[str], line: int, header: Sequence[str], cells: Sequence[str]
+) -> DataError:
+    where = f"{path}, line {line}: {len(cells)} cells for {len(header)} columns"
+    if len(cells) > len(header) and all(cell.lstrip("+-").isdecimal() for cell in cells):
+        return DataError(f"{where}: decimal commas?", "export it with points in numbers")
+    return DataError(where, "complete that line, or leave it out")

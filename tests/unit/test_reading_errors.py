@@ -1,0 +1,54 @@
+"""What robot.toml says of errors reaches the localizer: each one, of the right side and zone."""
+
+from __future__ import annotations
+
+import pytest
+
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+from thigmo.mechanics.buckling import critical_moment
+from thigmo.reading_errors import reading_errors
+
+SENSORS = [("right", 0), ("right", 3)]
+
+
+def test_each_error_is_that_of_its_sensor_side_and_zone() -> None:
+    config = RobotConfig()
+    config.sensors.right[3].noise = 3e-4
+    config.sensors.right[3].zero_se = 4e-4
+    config.sensors.right[3].scale_se = 0.07
+    config.actuators.left.offset_se = 7e-4
+    config.actuators.left.maps[1].scale_se = 0.03
+    config.body.critical_curvature_se = 0.05 * config.body.critical_curvature
+    errors = reading_errors(config, "left", 1, SENSORS)
+    arguments = errors.arguments(added_noise=[0.0, 12e-4])
+    assert arguments["noise"] == pytest.approx([6e-4, 13e-4])
+    assert arguments["gain_error"] == pytest.approx([0.15, 0.07])
+    assert arguments["offset_error"] == 7e-4
+    assert arguments["map_error"] == 0.03
+    assert arguments["critical_curvature"] == pytest.approx(critical_moment(0.01108, 0.49, 1.01))
+    assert 0.05 < arguments["critical_curvature_error"] < 0.1
+    assert arguments["tube_radius"] == 1.75
+    assert reading_errors(config, "left", 2, SENSORS).critical_curvature_error == pytest.approx(
+        0.05
+    )
+
+
+def test_a_straight_body_has_no_error_of_a_map() -> None:
+    errors = reading_errors(RobotConfig(), None, 2, SENSORS)
+    assert (errors.map_error, errors.offset_error) == (0.0, 0.0)
+
+
+def test_an_uncalibrated_robot_is_uncertain_in_everything() -> None:
+    errors = reading_errors(RobotConfig(), "right", 0, [("left", 0)])
+    assert min(errors.noise[0], errors.zero_error[0], errors.offset_error) > 0
+    assert min(errors.gain_error[0], errors.map_error, errors.critical_curvature_error) >= 0.1
+
+
+@pytest.mark.parametrize(
+    ("zone", "sensors", "named"),
+    [(3, SENSORS, "zone 3"), (-1, SENSORS, "zone -1"), (0, [("left", 5)], "sensor left 5")],
+)
+def test_what_robot_toml_does_not_have_is_named(zone, sensors, named) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(DataError, match=named):
+        reading_errors(RobotConfig(), "left", zone, sensors)
