@@ -23,7 +23,7 @@ from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
 from thigmo.emulator.hand import hold
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
-from thigmo.mechanics import Body, Peg, PegContact, Solution, Tube, critical_moment, peg_for
+from thigmo.mechanics import Peg, PegContact, Rod, Solution, Tube, critical_moment, peg_for
 
 Floats = npt.NDArray[np.float64]
 
@@ -181,7 +181,7 @@ class Plant:
         self._spans = np.array([sensor.span_cm for sensor in self._sensors])
         self._ends = self._centers + self._spans / 2
         self._curvature = np.zeros(_SENSORS)
-        self.body = Body(
+        self.body = Rod(
             Tube(robot.body.diameter_cm, self._critical()),
             self.pegs,
             model=scene.plant.model,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig, Side, ZoneMap
-from thigmo.mechanics import Body, Peg, PegContact, Tube, critical_moment
+from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
 
 TRIGGER = 0.005  # 1/cm
 _STEP_PSI = 0.25
@@ -99,7 +99,7 @@ def sweep_once(
     crit = critical_moment(
         body.critical_curvature, body.critical_pressure_psi, body.zones[index].pressure_psi
     )
-    model = Body(Tube(body.diameter_cm, crit if fold else None), pegs)
+    model = Rod(Tube(body.diameter_cm, crit if fold else None), pegs, model="auto")
     model.step(0.0, length_cm)
     base = robot.sensors.column("right" if side == "left" else "left")[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)

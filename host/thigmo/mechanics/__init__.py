@@ -5,7 +5,6 @@ C++ beside these files is the extension `_rod`.
 """
 
 from thigmo.mechanics.buckling import critical_moment, fold_share
-from thigmo.mechanics.choice import Body
 from thigmo.mechanics.contact import Peg, PegContact
 from thigmo.mechanics.elastica import (
     Model,
@@ -21,7 +20,6 @@ from thigmo.mechanics.elastica import (
 from thigmo.mechanics.spans import phi
 
 __all__ = [
-    "Body",
     "Model",
     "ModelChoice",
     "Peg",

@@ -142,7 +142,9 @@ class Rod(_rod.Rod):
         tube: section and fold.
         pegs: obstacles.
         cell_cm: mesh width; 1 cm gives about 1e-6 cm at a vine robot's bends.
-        model: "elastica", or a choice of `Body`.
+        model: "auto" takes the least model that is good enough at each step: "arc" while nothing
+            touches, "beam" where its error bound meets the tolerance, else "elastica". One of these
+            serves for all steps ("arc" feels no pegs).
         tolerance_cm: error in position that the automatic choice may make.
     """
 

@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from thigmo.mechanics import Body, ModelChoice, Peg, Tube
+from thigmo.mechanics import ModelChoice, Peg, Rod, Tube
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Table
 
@@ -54,10 +54,10 @@ def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
     return [Peg(x, 1.75 + 0.6 + max(reach, 0.05), 0.6)], g
 
 
-def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell: float) -> Body:
+def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell: float) -> Rod:
     """Sweep from straight to g in equal steps."""
     tube = Tube(3.5, 0.01108)
-    body = Body(tube, pegs, model=model, tolerance_cm=tolerance, cell_cm=cell)
+    body = Rod(tube, pegs, model=model, tolerance_cm=tolerance, cell_cm=cell)
     body.step(0.0, LENGTH)
     for k in range(1, _STEPS + 1):
         body.step(g * k / _STEPS, LENGTH)

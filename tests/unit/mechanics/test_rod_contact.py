@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rod_oracles import carried_moment, lagrangian, moment_imbalance
 
-from thigmo.mechanics import Body, Peg, Rod, Solution, Tube, fold_share, solve
+from thigmo.mechanics import Peg, Rod, Solution, Tube, fold_share, solve
 
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 
@@ -265,7 +265,7 @@ def test_automatic_choice_keeps_its_error_bound(
 ) -> None:
     peg = Peg(x, -y, 0.6)
     bodies = [
-        Body(Tube(3.5, 0.01108), [peg], model=model, tolerance_cm=tolerance)
+        Rod(Tube(3.5, 0.01108), [peg], model=model, tolerance_cm=tolerance)
         for model in ("auto", "elastica")
     ]
     for body in bodies:
@@ -284,7 +284,7 @@ def test_automatic_choice_keeps_its_error_bound(
 
 def test_overridden_choice_is_obeyed() -> None:
     for model in ("arc", "beam", "elastica"):
-        body = Body(Tube(), [Peg(30.0, -4.0, 0.6)], model=model)
+        body = Rod(Tube(), [Peg(30.0, -4.0, 0.6)], model=model)
         body.step(0.0, 53.0)
         body.step(-0.01, 53.0)
         assert set(body.counts) == {model}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from thigmo.mechanics import Body, Peg, Tube, critical_moment, phi, solve
+from thigmo.mechanics import Peg, Rod, Tube, critical_moment, phi, solve
 
 
 @given(arc=st.floats(0.0, 60.0), center=st.floats(3.0, 50.0), span=st.floats(0.01, 6.0))
@@ -28,8 +28,8 @@ def test_critical_moment_scales_with_body_pressure() -> None:
     assert critical_moment(0.01108, 0.49, 1.47) == pytest.approx(3 * 0.01108)
 
 
-def beam(pegs: list[Peg], g: float, critical: float | None = None) -> Body:
-    body = Body(Tube(3.5, critical), pegs, model="beam")
+def beam(pegs: list[Peg], g: float, critical: float | None = None) -> Rod:
+    body = Rod(Tube(3.5, critical), pegs, model="beam")
     body.step(g, 53.0)
     return body
 
@@ -58,7 +58,7 @@ def test_beam_folds_at_its_critical_moment() -> None:
 )
 def test_beam_contacts_are_complementary(pegs: list[tuple[float, float, bool]], g: float) -> None:
     room = [Peg(x, y if up else -y, 0.6) for x, y, up in pegs]
-    body = Body(Tube(), room, model="beam")
+    body = Rod(Tube(), room, model="beam")
     body.step(g, 53.0)
     for contact in body.contacts():
         assert contact.normal * room[contact.peg].y <= 0
