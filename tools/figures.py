@@ -145,6 +145,7 @@ SOURCES: dict[str, Source] = {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {"stability-force-place.png": "stability.png"},
             "scaling": {},
+            "cold": {},
             "calibration": {},
             "exploration": {},
             "plant-models": {},

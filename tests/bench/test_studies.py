@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 from thigmo.cli.main import app
 from thigmo.cli.studies import lines
 from thigmo.errors import RunFolderError
-from thigmo.localization import prior
 from thigmo.mechanics import push
 from thigmo.studies import STUDIES, Context, Outcome, load
 from thigmo.studies.attempt import attempt
@@ -20,7 +19,7 @@ from thigmo.studies.calibration import BATCH, batches, root_mean, share_error
 from thigmo.studies.engine import Claim, Table, write
 from thigmo.studies.exploration import visit
 from thigmo.studies.rod import readings
-from thigmo.studies.scenes import LENGTH, SCENES, press
+from thigmo.studies.scenes import SCENES
 from thigmo.studies.speed_accuracy import Score, pareto
 from thigmo.studies.stability import DEFAULT, STRESSES
 
@@ -56,15 +55,6 @@ def test_every_scene_is_found_by_the_default_method() -> None:
     for name, draw in SCENES.items():
         errors = [attempt(draw(np.random.default_rng([7, i])), DEFAULT)[0] for i in range(8)]
         assert np.median(errors) < 6.0, name
-
-
-def test_pegs_in_a_room_touch_the_side_and_sometimes_the_end() -> None:
-    pressed = [press(np.random.default_rng([3, i]), 0.006) for i in range(60)]
-    ends = [contact for _, contact in pressed if contact.kind != "side"]
-    # As often as the localizer's prior says.
-    assert 0.5 * prior.TIP_SHARE < len(ends) / len(pressed) < 2.0 * prior.TIP_SHARE
-    assert all(contact.arc == LENGTH and contact.tangential < 0.0 for contact in ends)
-    assert all(contact.normal < 0.0 for _, contact in pressed if contact.kind == "side")
 
 
 def test_every_stress_draws_cases_at_its_corners() -> None:

@@ -22,7 +22,8 @@ from thigmo.robot import Robot, connect
 from thigmo.studies.experiments.attendant import EmulatedAttendant
 from thigmo.studies.experiments.evaluate import evaluate
 from thigmo.studies.experiments.folder import Verdict
-from thigmo.studies.experiments.procedure import Planned, plan
+from thigmo.studies.experiments.plan import Planned
+from thigmo.studies.experiments.procedure import plan
 from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
 pytestmark = pytest.mark.timeout(300)

@@ -43,6 +43,10 @@ def test_the_thesis_solver_errs_as_measured_for_this_project() -> None:
     assert 4.0 < mean_error("alternating", 0.35, 6e-4) < 7.0
 
 
+def test_the_barrier_path_leaves_minima_in_which_coordinate_descent_stalls() -> None:
+    assert mean_error("coordinate", 1.0, 6e-4) > 1.15 * mean_error("alternating", 1.0, 6e-4)
+
+
 @pytest.mark.parametrize("name", [n for n in BASELINES if n not in ("pwlf", "ruptures", "slsqp")])
 def test_a_clear_contact_is_found(name: str) -> None:
     rng = np.random.default_rng(1)

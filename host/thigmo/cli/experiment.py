@@ -190,8 +190,8 @@ class _Desk:
         from thigmo.cli.console import Console, TerminalOperator
         from thigmo.errors import DataError
         from thigmo.studies.engine import Context
-        from thigmo.studies.experiments.conditions import STATIC
         from thigmo.studies.experiments.evaluate import evaluate
+        from thigmo.studies.experiments.plan import STATIC
         from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
         if name not in STATIC:

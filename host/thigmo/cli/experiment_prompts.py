@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from thigmo.studies.experiments.attendant import Attendant, Known, Place
     from thigmo.studies.experiments.explorations import PlannedRun
     from thigmo.studies.experiments.folder import Verdict
-    from thigmo.studies.experiments.procedure import Planned
+    from thigmo.studies.experiments.plan import Planned
 
 _WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}
 

@@ -248,78 +248,71 @@ def board_picture(camera: TrueCamera, sheet: Sheet, rng: np.random.Generator) ->
 
 def summarise(glimpses: list[Glimpse]) -> dict[str, float]:
     """Means, 95th percentiles and worst values over renderings."""
-    place = np.array([g.place_cm for g in glimpses])
-    tip = np.array([g.tip_cm for g in glimpses])
-    end = np.array([g.end_cm for g in glimpses])
+    place, tip, end = (
+        np.array([getattr(g, what) for g in glimpses]) for what in ("place_cm", "tip_cm", "end_cm")
+    )
     pegs = np.array([v for g in glimpses for v in g.pegs_cm])
-    radii = np.array([v for g in glimpses for v in g.radius_cm])
-    free = [(b / e, b) for g in glimpses if g.free for b, e in zip(g.bend, g.bend_se, strict=True)]
-    spans = [
-        (b / e, b) for g in glimpses if not g.free for b, e in zip(g.bend, g.bend_se, strict=True)
-    ]
+    bends = {
+        free: np.array([
+            (b, b / e)
+            for g in glimpses
+            if g.free == free
+            for b, e in zip(g.bend, g.bend_se, strict=True)
+        ]).reshape(-1, 2).T
+        for free in (True, False)
+    }  # fmt: skip
 
-    def rms(values: list[float]) -> float:
-        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+    def rms(values: Array) -> float:
+        seen = values[np.isfinite(values)]
+        return float(np.sqrt(np.mean(np.square(seen)))) if len(seen) else float("nan")
+
+    def mean(values: Array) -> float:
+        return float(np.nanmean(values)) if len(values) else float("nan")
 
     def high(values: Array) -> float:
         return float(np.nanquantile(values, 0.95)) if len(values) else float("nan")
 
     return {
         "renderings": float(len(glimpses)),
-        "place_mean_cm": float(place.mean()),
+        "place_mean_cm": mean(place),
         "place_p95_cm": high(place),
         "place_worst_cm": float(place.max()),
-        "place_chi": rms([g.place_cm / g.accuracy_cm for g in glimpses]),
-        "tip_mean_cm": float(np.nanmean(tip)),
+        "place_chi": rms(place / [g.accuracy_cm for g in glimpses]),
+        "tip_mean_cm": mean(tip),
         "tip_p95_cm": high(tip),
-        "tip_missed": float(np.isnan(tip).mean()),
+        "tip_missed": mean(np.isnan(tip)),
         "axis_end_p95_cm": high(end),
-        "axis_missed": float(np.isnan(end).mean()),
-        "length_rms_cm": rms([g.length_cm for g in glimpses if np.isfinite(g.length_cm)]),
-        "peg_mean_cm": float(np.nanmean(pegs)) if len(pegs) else float("nan"),
+        "axis_missed": mean(np.isnan(end)),
+        "length_rms_cm": rms(np.array([g.length_cm for g in glimpses])),
+        "peg_mean_cm": mean(pegs),
         "peg_p95_cm": high(pegs),
-        "peg_missed": float(np.isnan(pegs).mean()) if len(pegs) else float("nan"),
+        "peg_missed": mean(np.isnan(pegs)),
         "peg_false_per_picture": float(np.mean([g.false_pegs for g in glimpses])),
-        "peg_radius_rms_cm": rms([v for v in radii.tolist() if np.isfinite(v)]),
-        "free_bend_rms_per_cm": rms([b for _, b in free]),
-        "free_bend_chi": rms([z for z, _ in free]),
-        "span_rms_per_cm": rms([b for _, b in spans]),
-        "span_chi": rms([z for z, _ in spans]),
+        "peg_radius_rms_cm": rms(np.array([v for g in glimpses for v in g.radius_cm])),
+        "free_bend_rms_per_cm": rms(bends[True][0]),
+        "free_bend_chi": rms(bends[True][1]),
+        "span_rms_per_cm": rms(bends[False][0]),
+        "span_chi": rms(bends[False][1]),
     }
 
 
 def run(context: Context) -> Outcome:
     """Errors over many renderings, for every way to know the lens."""
-    outcome = Outcome()
-    count = context.count(6, 24)
-    seeds = [context.seed * 100_000 + n for n in range(count)]
+    seeds = [context.seed * 100_000 + n for n in range(context.count(6, 24))]
     lens = board_lens()
-    found = {
-        way: summarise(
-            context.map(
-                partial(glimpse, way=way, lens=lens if known.lens else None),
-                seeds,
-                f"pictures, {way}",
-            )
-        )
-        for way, known in WAYS.items()
-    }
-    names = tuple(next(iter(found.values())))
-    outcome.tables.append(
-        Table(
-            "errors",
-            ("quantity", *found),
-            [(name, *(round(found[way][name], 6) for way in found)) for name in names],
-        )
-    )
+    found, outcome = {}, Outcome()
     for way, known in WAYS.items():
+        paint = partial(glimpse, way=way, lens=lens if known.lens else None)
+        found[way] = errors = summarise(context.map(paint, seeds, f"pictures, {way}"))
         for what, text in (
             ("place_p95_cm", "95 % of places in the workspace"),
             ("tip_p95_cm", "95 % of tips"),
             *((("peg_p95_cm", "95 % of dowels"),) if known.dowels else ()),
         ):
-            outcome.claims.append(Claim(f"{text} ({way})", found[way][what], 0.3, unit="cm"))
-        outcome.claims.append(
-            Claim(f"place error over the stated one sigma, rms ({way})", found[way]["place_chi"], 2)
-        )
+            outcome.claims.append(Claim(f"{text} ({way})", errors[what], 0.3, unit="cm"))
+        text = f"place error over the stated one sigma, rms ({way})"
+        outcome.claims.append(Claim(text, errors["place_chi"], 2))
+    names = next(iter(found.values()))
+    rows = [{"quantity": n} | {way: round(e[n], 6) for way, e in found.items()} for n in names]
+    outcome.tables.append(Table.of("errors", rows))
     return outcome

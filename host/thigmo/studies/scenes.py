@@ -2,8 +2,8 @@
 
 All lengths in cm. The robot is the thesis's (53 cm, spans of 5.5 cm); contact moments at the base
 stay below the fold's, which is a study of its own. Readings are of the large-deflection rod
-(`rod.py`) plus fresh noise, never of the model that the localizer fits. Where a peg stands in a
-room, the plant says where and how hard it bears.
+(`rod.py`) plus fresh noise, never of the model that the localizer fits; `pegs.py` says where and
+how hard a peg in a room bears.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.mechanics import Peg, PegContact, Rod, Tube
 from thigmo.studies.rod import readings
 
 Floats = NDArray[np.float64]
@@ -23,7 +22,7 @@ LENGTH = 53.0
 SPAN = 5.5
 SIGMA = 6e-4
 CRITICAL = 0.01108
-RADIUS, PEG_RADIUS = 1.75, 1.05
+RADIUS = 1.75
 FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
@@ -97,41 +96,15 @@ def actuated(rng: np.random.Generator, position: Floats = COLUMN) -> Case:
     return read(rng, (arc,), (-_moment(rng) / arc,), position=position, free=free)
 
 
-def press(rng: np.random.Generator, moment: float) -> tuple[float, PegContact]:
-    """A peg anywhere in the room, as the bending robot meets it.
-
-    Returns:
-        Free curvature at which the contact's moment at the base passes `moment`, and the contact:
-        on the side or, for about one peg in seven, on the end.
-    """
-    while True:
-        x, y = rng.uniform((-10.0, RADIUS + PEG_RADIUS), (LENGTH + PEG_RADIUS, LENGTH))
-        if np.hypot(x, y) > LENGTH + RADIUS + PEG_RADIUS:
-            continue
-        rod = Rod(Tube(2.0 * RADIUS), [Peg(float(x), float(y), PEG_RADIUS)])
-        for free in np.linspace(0.0, FULL_CURVATURE, 81).tolist():
-            rod.step(free, LENGTH)
-            if rod.approximate or rod.touching > 1:
-                break
-            if abs(rod.base_moment) > moment:
-                return free, rod.contacts()[0]
-
-
 def any_peg(rng: np.random.Generator) -> Case:
     """One contact of the bent robot with a peg anywhere in the room, read as `actuated`."""
-    free, contact = press(rng, _moment(rng))
-    clean = readings(
-        np.array([contact.arc]),
-        np.array([contact.normal]),
-        COLUMN,
-        length=LENGTH,
-        span=SPAN,
-        free_curvature=free,
-        tangential=contact.tangential,
-        couple=contact.couple,
-    )
+    from thigmo.studies.pegs import rooms  # which takes the robot's measures from here
+
+    room = rooms(rng, 1, length=LENGTH, most=FULL_CURVATURE, moment=(0.3, 1.0))
+    (clean,) = room.bodies(0).readings(COLUMN, SPAN)
     noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
-    return Case(noisy, COLUMN, free, (contact.arc,), (contact.normal,))
+    (free,), (arc,), (push,) = room.free[0], room.arc[0], room.push[0]
+    return Case(noisy, COLUMN, float(free), (float(arc),), (-float(push),))
 
 
 def few_sensors(rng: np.random.Generator) -> Case:

@@ -1,10 +1,10 @@
 """Where methods fail: mean error and failure rate as one thing after another gets harder.
 
 Maps over two conditions (force x place, noise x number of sensors, separation x force, starting
-point x place) and curves over one (sensor layout, lost sensors). Every method sees the same
-readings; the map over starting points has the same readings in every row, and the methods that need
-a starting point. The thesis's sensitivity study (`experiments/sensitivity.py`) is one more such
-map; wrong calibrations and bad readings are the matter of `accuracy.py`.
+point x place) and curves over one (sensor layout, outliers, wrong free curvature, wrong
+calibration, lost sensors, quantisation). Every method sees the same readings; the map over starting
+points has the same readings in every row, and the methods that need a starting point. The thesis's
+sensitivity study (`experiments/sensitivity.py`) is one more such map.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thigmo.localization import METHODS
 from thigmo.studies import charts
@@ -32,7 +32,7 @@ Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 
 DEFAULT = METHODS[0]
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.
-MAPPED = (*METHODS, "alternating", "grid", "slsqp", "pwlf")
+MAPPED = (*METHODS, "alternating", "coordinate", "grid", "slsqp", "pwlf")
 # Methods that start somewhere, beside two that do not.
 STARTLESS = (DEFAULT, "l1")
 STARTED = (*STARTLESS, "alternating", "clamped", "coupled", "slsqp", "trust-constr", "nelder-mead")
@@ -68,11 +68,31 @@ def _layout(rng: np.random.Generator, first: float, _: float) -> tuple[Case, flo
     return _pressed(rng, position=np.tile(first + 10.0 * np.arange(5), 2)), SIGMA
 
 
-def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]:
+def _altered(rng: np.random.Generator, change: Callable[[Floats], ArrayLike]) -> tuple[Case, float]:
+    """One contact, its readings changed behind the method's back."""
     case = one_contact(rng)
-    readings = case.curvature.copy()
-    readings[rng.permutation(readings.size)[: int(lost)]] = np.nan
-    return replace(case, curvature=readings), SIGMA
+    return replace(case, curvature=np.asarray(change(case.curvature))), SIGMA
+
+
+def _outliers(rng: np.random.Generator, share: float, _: float) -> tuple[Case, float]:
+    sizes = rng.uniform(6.0, 20.0, 10) * rng.choice([-1.0, 1.0], 10) * SIGMA
+    return _altered(rng, lambda y: y + np.where(rng.random(y.size) < share, sizes, 0.0))
+
+
+def _wrong_free(rng: np.random.Generator, error: float, _: float) -> tuple[Case, float]:
+    return _altered(rng, lambda y: y + sign_of(rng) * error)
+
+
+def _wrong_gain(rng: np.random.Generator, spread: float, _: float) -> tuple[Case, float]:
+    return _altered(rng, lambda y: y * (1.0 + spread * rng.standard_normal(y.size)))
+
+
+def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]:
+    return _altered(rng, lambda y: np.where(rng.permutation(y.size) < lost, np.nan, y))
+
+
+def _quantised(rng: np.random.Generator, step: float, _: float) -> tuple[Case, float]:
+    return _altered(rng, lambda y: np.round(y / (step or 1e-12)) * (step or 1e-12))
 
 
 def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:
@@ -125,7 +145,17 @@ STRESSES: tuple[Stress, ...] = (
         *_ARCS, STARTED, starts=True,
     ),
     Stress("layout", _layout, "centre of the first sensor (cm)", (1.0, 2.75, 5.0, 7.25)),
+    Stress("outliers", _outliers, "share of outliers (6..20 sigma)", (0.0, 0.05, 0.1, 0.2, 0.3)),
+    Stress(
+        "free-curvature", _wrong_free, "error of the free curvature (1/cm)",
+        (0.0, 2e-4, 5e-4, 1e-3, 2e-3),
+    ),
+    Stress("calibration", _wrong_gain, "spread of the gains", (0.0, 0.02, 0.05, 0.1, 0.2)),
     Stress("sensor-loss", _lost, "lost sensors of 10", (0.0, 1.0, 3.0, 5.0, 7.0)),
+    Stress(
+        "quantisation", _quantised, "step of the readings (1/cm)",
+        (0.0, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3),
+    ),
 )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ BASELINES: dict[str, Baseline] = {
     "alternating": alternating,
     "alternating-2-norm": partial(alternating, norm=2),
     "alternating-trust-constr": alternating_trust_constr,
+    "coordinate": partial(alternating, barriers=()),
     "clamped": clamped,
     "coupled": coupled,
     "grid": general.grid,

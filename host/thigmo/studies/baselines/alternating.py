@@ -7,9 +7,10 @@ then a in [0, L] with f fixed, from f = 0 and a at the tip (several contacts: at
 L), until no arc moves by more than 0.5 cm. MATLAB's interior point starts with a barrier of 0.1
 while this objective is of order 0.01: the first barrier problems pull a towards the middle of
 [0, L], and the path then follows the shrinking barrier. That is what lets it leave some local
-minima; exact coordinate descent stalls in the ravine along which f and a trade, where neither alone
-can improve. The step in f is exact here, which is the most that the interior point could reach.
-`clamped` and `coupled` are the thesis's two remedies for a folded base (section 3.2).
+minima; exact coordinate descent (no barriers: each step the best a of all) stalls in the ravine
+along which f and a trade, where neither alone can improve. The step in f is exact here, which is
+the most that the interior point could reach. `clamped` and `coupled` are the thesis's two remedies
+for a folded base (section 3.2).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from thigmo.studies.baselines.problem import (
 _TOLERANCE_CM = 0.5
 _MOST_ROUNDS = 100
 # MATLAB's first barrier of 0.1 on an objective in 1/mm, as one in 1/cm.
-_BARRIERS = 1.0 * 0.2 ** np.arange(12)
+_BARRIERS = tuple(0.2**level for level in range(12))
 _NODES = 1600  # of the arcs that are tried; 0.03 cm apart on the 53 cm body
 _STEPS = (32, 16, 8, 4, 2, 1)  # nodes; the first is 2 % of the length
 _SWEEPS = 8
@@ -44,12 +45,15 @@ def at_centres(problem: Problem) -> Problem:
     return replace(problem, span=np.zeros_like(problem.span))
 
 
-def alternating(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
+def alternating(
+    problem: Problem, norm: Literal[1, 2] = 1, barriers: tuple[float, ...] = _BARRIERS
+) -> tuple[Array, Array]:
     """The thesis's solver: a log-barrier interior point over a, alternated with exact f.
 
     Args:
         problem: what is read.
         norm: of the objective; 1 is the thesis's.
+        barriers: followed one after the other; without any: exact coordinate descent.
     """
     problem = at_centres(problem)
     nodes = problem.length * np.arange(1, _NODES) / _NODES
@@ -63,27 +67,40 @@ def alternating(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array
         else:
             forces = np.asarray(np.linalg.pinv(levers[:, at]) @ problem.curvature)
         before = nodes[at]
-        _follow(problem.curvature, levers, forces, at, barrier, norm)
+        if barriers:
+            path = np.outer(barriers, barrier)
+            _follow(problem.curvature, levers, forces, at, path, norm)
+        else:
+            for j in range(at.size):
+                at[j] = _misfits(problem.curvature, levers, forces, at, j, norm).argmin()
         if np.max(np.abs(nodes[at] - before)) <= _TOLERANCE_CM:
             break
     return in_order(nodes[at], forces)
 
 
+def _misfits(
+    curvature: Array, levers: Array, forces: Array, at: Array, j: int, norm: Literal[1, 2]
+) -> Array:
+    """The objective for contact j at every node, the others where they are."""
+    others = levers[:, at] @ forces - forces[j] * levers[:, at[j]]
+    left = (curvature - others)[:, None] - forces[j] * levers
+    return np.asarray(np.linalg.norm(left, norm, axis=0))
+
+
 def _follow(
-    curvature: Array, levers: Array, forces: Array, at: Array, barrier: Array, norm: Literal[1, 2]
+    curvature: Array, levers: Array, forces: Array, at: Array, barriers: Array, norm: Literal[1, 2]
 ) -> None:
     """Follow the barrier path downhill from the nodes `at` (changed in place), forces fixed."""
-    misfits: dict[int, Array] = {}
-    for mu in _BARRIERS:
+    alone = _misfits(curvature, levers, forces, at, 0, norm) if len(forces) == 1 else None
+    for barrier in barriers:
         for _ in range(_SWEEPS):
             before = at.copy()
-            for j, force in enumerate(forces):
-                if j not in misfits or len(forces) > 1:
-                    others = levers[:, at] @ forces - force * levers[:, at[j]]
-                    left = (curvature - others)[:, None] - force * levers
-                    misfits[j] = np.linalg.norm(left, norm, axis=0)
-                at[j] = _downhill((misfits[j] - mu * barrier).tolist(), int(at[j]))
-            if (at == before).all() or len(forces) == 1:
+            for j in range(len(forces)):
+                misfits = (
+                    _misfits(curvature, levers, forces, at, j, norm) if alone is None else alone
+                )
+                at[j] = _downhill((misfits - barrier).tolist(), int(at[j]))
+            if alone is not None or (at == before).all():
                 break
 
 

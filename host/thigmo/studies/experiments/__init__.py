@@ -1,6 +1,6 @@
 """The thesis's experiments, repeated: the same conditions, three columns, and the bound.
 
-Robots are simulated with the frozen constants: `conditions.py` says what is pressed where,
+Robots are simulated with the frozen constants: `plan.py` says what is pressed where,
 `specimen.py` what an imperfect robot then reads, `fit.py` how imperfect. `procedure.py` and
 `recorded.py` do the same trials with a robot on the bench or the whole emulator. `compare.py` sets
 the methods against each other on either. Called by `thigmo experiment`.
@@ -16,6 +16,7 @@ from thigmo.studies.engine import Context, Outcome
 from thigmo.studies.experiments import conditions, explored, muscle, predictions, sensitivity
 from thigmo.studies.experiments.evaluate import evaluate
 from thigmo.studies.experiments.fit import frozen
+from thigmo.studies.experiments.plan import STATIC
 from thigmo.studies.experiments.specimen import Specimen
 from thigmo.studies.experiments.trial import Trial
 
@@ -28,7 +29,7 @@ Experiment = Callable[[int, int, Context], Outcome]
 def _of_robot(item: tuple[str, int, int, int]) -> list[Trial]:
     name, trials, seed, robot = item
     rng = np.random.default_rng([seed, robot])
-    return conditions.STATIC[name](Specimen(frozen(), rng), trials, rng)
+    return conditions.simulated(name, Specimen(frozen(), rng), trials, rng)
 
 
 def _static(name: str) -> Experiment:
@@ -46,7 +47,7 @@ def _static(name: str) -> Experiment:
 
 
 EXPERIMENTS: dict[str, Experiment] = {
-    **{name: _static(name) for name in conditions.STATIC},
+    **{name: _static(name) for name in STATIC},
     "predictions": predictions.run,
     # The emulator's own scene says how imperfect its robot is: one run of each protocol a robot.
     "exploration": lambda robots, trials, context: explored.run(robots, context),

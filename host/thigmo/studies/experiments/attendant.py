@@ -19,7 +19,7 @@ from thigmo.studies.experiments.folder import Verdict
 
 if TYPE_CHECKING:
     from thigmo.robot import Robot
-    from thigmo.studies.experiments.procedure import Planned
+    from thigmo.studies.experiments.plan import Planned
 
 Place = tuple[float, float]
 

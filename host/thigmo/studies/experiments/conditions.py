@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -12,10 +11,9 @@ from thigmo.emulator.scene import Scene
 from thigmo.mechanics import Peg, Solution, Tube, solve
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.bound import obstacle_bound
+from thigmo.studies.experiments.plan import plan
 from thigmo.studies.experiments.specimen import Specimen
 from thigmo.studies.experiments.trial import Passed, Trial
-
-_SIGNS = (-1.0, 1.0)  # a dowel on the left pushes to the right, one on the right to the left
 
 
 @cache
@@ -24,60 +22,34 @@ def emulated_robot() -> RobotConfig:
     return Scene.load("default").robot
 
 
-def single_contact(specimen: Specimen, trials: int, rng: np.random.Generator) -> list[Trial]:
-    """Section 3.2: one contact at L, 3L/4, L/2; high force (the base folds) and low force."""
+def simulated(
+    experiment: str, specimen: Specimen, trials: int, rng: np.random.Generator
+) -> list[Trial]:
+    """All trials of an experiment.
+
+    Args:
+        experiment: one of `plan.STATIC`.
+        specimen: the robot.
+        trials: for each place and condition.
+        rng: of the hands that press.
+    """
+    if experiment == "actuated":
+        return actuated(specimen, trials)
     found = []
-    for level in thesis.LEVELS:
-        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True):
-            for _ in range(trials):
-                sign = float(rng.choice(_SIGNS))
-                high = level == "high force"
-                # Hands do not press twice alike: five per cent. A folded base presses evenly.
-                share = 1.0 if high else thesis.LOW_LEVEL * (1.0 + 0.05 * rng.standard_normal())
-                force = sign * share * thesis.CRITICAL / arc
-                fold = sign * specimen.constants.fold_rad if high else 0.0
-                found.append(specimen.press(level, place, (arc,), (force,), fold_rad=fold))
+    for planned in plan(experiment, trials):
+        # Hands do not press twice alike: five per cent. A folded base presses evenly.
+        low = planned.condition == thesis.LEVELS[1]
+        hand = 1.0 + 0.05 * float(rng.standard_normal()) if low else 1.0
+        forces = [hand * force for force in planned.forces]
+        fold = planned.sign * specimen.constants.fold_rad if planned.folds else 0.0
+        found.append(
+            specimen.press(planned.condition, planned.place, planned.arcs_cm, forces, fold_rad=fold)
+        )
     return found
 
 
-def two_contacts(specimen: Specimen, trials: int, rng: np.random.Generator) -> list[Trial]:
-    """Section 3.3: a distal contact at the tip, an opposed one a gap away from it."""
-    return [
-        specimen.press(
-            thesis.separation(gap),
-            f"{gap:g} cm apart",
-            (thesis.LENGTH_CM - gap, thesis.LENGTH_CM),
-            opposed_forces(gap, float(rng.choice(_SIGNS))),
-        )
-        for gap in thesis.GAPS_CM
-        for _ in range(trials)
-    ]
-
-
-def opposed_forces(
-    gap_cm: float,
-    sign: float,
-    length_cm: float = thesis.LENGTH_CM,
-    critical: float = thesis.CRITICAL,
-) -> tuple[float, float]:
-    """Forces (1/cm^2) of a proximal contact and of an opposed distal one at the tip.
-
-    The thesis does not state them. Here the distal one bends the body by three quarters of the
-    critical moment at the proximal contact, and the proximal one pushes the base back to as much
-    of the other sign: both are then well visible, and nothing folds.
-    """
-    distal = sign * 0.75 * critical / gap_cm
-    wanted = -sign * 0.75 * critical
-    return (wanted - distal * length_cm) / (length_cm - gap_cm), distal
-
-
 def actuated(
-    specimen: Specimen,
-    trials: int,
-    _: np.random.Generator | None = None,
-    *,
-    muscle: TanhMap | None = None,
-    map_error: float = 0.0,
+    specimen: Specimen, trials: int, muscle: TanhMap | None = None, map_error: float = 0.0
 ) -> list[Trial]:
     """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
@@ -93,22 +65,17 @@ def actuated(
         map_error: relative error of the free curvature that the lab believes.
     """
     curve = muscle or emulated_robot().actuators.left.maps[-1].inflate
-    planned = [
-        (level, place, arc, (*(p for p in thesis.PASSED_PSI if p < pressure), pressure))
-        for level, pressure in thesis.ACTUATED_PSI.items()
-        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True)
-        for _ in range(trials)
-    ]
-    read = [
-        np.array([specimen.read(actuated_body(arc, p, muscle)[0], one_side=True) for p in way])
-        for _, _, arc, way in planned
-    ]
+    read = []
+    for planned in plan("actuated", trials):
+        way = (*thesis.passed_psi(planned.pressure_psi), planned.pressure_psi)
+        bodies = [actuated_body(planned.arcs_cm[0], psi, muscle) for psi in way]
+        frames = np.array([specimen.read(body, one_side=True) for body, _ in bodies])
+        read.append((planned, way, *bodies[-1], frames))
     believed = (1 + map_error) * curve.curvature(thesis.TOUCH_PSI)
-    specimen.learn_gains(np.array([frames[0] for frames in read]), believed)
+    specimen.learn_gains(np.array([frames[0] for *_, frames in read]), believed)
     found = []
-    for (level, place, arc, way), frames in zip(planned, read, strict=True):
-        body, peg = actuated_body(arc, way[-1], muscle)
-        true = tuple(curve.curvature(p) for p in way)
+    for planned, way, body, peg, frames in read:
+        true = tuple(curve.curvature(psi) for psi in way)
         free = (1 + map_error) * np.array(true)
         column = tuple(specimen.believed[: frames.shape[1]].tolist())
         bound = obstacle_bound(peg, true, column, specimen.constants, specimen.gain_sigma)
@@ -116,16 +83,12 @@ def actuated(
             frames[:-1], free[:-1], specimen.gain_sigma, specimen.constants.position_cm, bound
         )
         found.append(
-            specimen.observe(level, place, body, frames[-1], free=float(free[-1]), passed=passed)
-        )
+            specimen.observe(
+                planned.condition, planned.place, body, frames[-1], free=float(free[-1]),
+                passed=passed,
+            )
+        )  # fmt: skip
     return found
-
-
-STATIC: dict[str, Callable[[Specimen, int, np.random.Generator], list[Trial]]] = {
-    "single-contact": single_contact,
-    "two-contacts": two_contacts,
-    "actuated": actuated,
-}
 
 
 def actuated_body(

@@ -118,24 +118,11 @@ def single_contact(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, F
         nearest = min(mine, key=lambda one: one.trial.arcs_cm[0])
         _readings(axis, nearest, f"{level} at {nearest.trial.place}")
 
-    methods, (axis,) = charts.panels(size=(7.5, 4.0), title="Single contact: the thesis's measure")
-    at = np.arange(len(rows))
-    for shift, label, color, values in (
-        (-0.3, "thesis", "lightgray", [r["thesis_mean"] for r in rows]),
-        (-0.1, "its method, here", "tab:orange", [r["here_mean"] for r in rows]),
-        (0.1, "ours", "tab:blue", [r["ours_mean"] for r in rows]),
-        (0.3, "bound", "tab:green", np.nan_to_num([r["bound_mean"] for r in rows], posinf=0.0)),
-    ):
-        axis.bar(at + shift, values, 0.2, color=color, label=label)
-    axis.set_xticks(at, [r["condition"].replace(", ", ",\n") for r in rows], fontsize=8)
-    axis.set(ylabel="mean |a - x of the obstacle| (cm)")
-    axis.legend(fontsize=8)
     return {
         "schematic": schematics.single_contact(),
         "fold": schematics.fold(),
         "errors": _levels(solved, rows, "Single contact, unactuated (thesis, figure 3.2c)"),
         "fits": fits,
-        "methods": methods,
         "residual-surface": _surface(solved),
     }
 

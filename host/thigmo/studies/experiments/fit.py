@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method
-from thigmo.studies.experiments.conditions import single_contact
+from thigmo.studies.experiments.conditions import simulated
 from thigmo.studies.experiments.specimen import Constants, Specimen
 from thigmo.studies.experiments.trial import Trial
 
@@ -57,7 +57,7 @@ def table(constants: Constants, robots: int, seed: int = 0) -> dict[str, tuple[f
     spreads: dict[str, list[float]] = {row: [] for row in ROWS}
     for robot in range(robots):
         rng = np.random.default_rng([seed, robot])
-        trials = single_contact(Specimen(constants, rng), thesis.TRIALS, rng)
+        trials = simulated("single-contact", Specimen(constants, rng), thesis.TRIALS, rng)
         for row, (condition, method) in ROWS.items():
             errors = thesis_errors([t for t in trials if t.condition == condition], method)
             means[row].append(float(errors.mean()))

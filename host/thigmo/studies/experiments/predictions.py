@@ -20,6 +20,7 @@ from thigmo.studies.engine import Context, Outcome, Table
 from thigmo.studies.experiments import conditions, thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
 from thigmo.studies.experiments.fit import frozen
+from thigmo.studies.experiments.plan import STATIC
 from thigmo.studies.experiments.specimen import Constants, Specimen
 from thigmo.studies.experiments.trial import Trial
 
@@ -86,13 +87,11 @@ def _rows(item: tuple[_Setting, int, int, int]) -> list[Cell]:
     for robot in range(robots):
         rng = np.random.default_rng([seed, robot])
         specimen = Specimen(setting.constants, rng)
-        for name, draw in conditions.STATIC.items():
+        for name in STATIC:
             if name == "actuated":
-                found = conditions.actuated(
-                    specimen, trials, muscle=setting.muscle, map_error=setting.map_error
-                )
+                found = conditions.actuated(specimen, trials, setting.muscle, setting.map_error)
             else:
-                found = draw(specimen, trials, rng)
+                found = conditions.simulated(name, specimen, trials, rng)
             for trial in found:
                 trials_of.setdefault((name, trial.condition), []).append(trial)
     cells = []

@@ -8,17 +8,18 @@ an actuated robot passes on its way (`thesis.PASSED_PSI`). `recorded.py` keeps t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.errors import CommandRefusedError, DataError
+from thigmo.errors import CommandRefusedError
 from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.conditions import STATIC, opposed_forces
 from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.folder import Row, Say
+from thigmo.studies.experiments.plan import Planned
+from thigmo.studies.experiments.plan import plan as planned
 from thigmo.studies.experiments.specimen import pushed
 
 if TYPE_CHECKING:
@@ -33,112 +34,29 @@ _ZERO_TRIES = 3
 _SAME_CM = 0.2
 
 
-@dataclass(frozen=True)
-class Planned:
-    """One trial to take.
-
-    Attributes:
-        experiment, condition, place, number: its label; trials of a condition count from 1.
-        side: of the robot on which the (distal) dowel stands; an actuated robot bends to it.
-        arcs_cm: where the dowels touch, base first.
-        pushes_cm: y to which they push the body's centreline; empty for an actuated robot.
-        folds: the push folds the base.
-        pressure_psi: of the muscle on the dowel's side; 0 unactuated.
-    """
-
-    experiment: str
-    condition: str
-    place: str
-    number: int
-    side: Side
-    arcs_cm: tuple[float, ...]
-    pushes_cm: tuple[float, ...] = ()
-    folds: bool = False
-    pressure_psi: float = 0.0
-
-    @property
-    def key(self) -> str:
-        """What names it in trials.csv."""
-        return f"{self.condition} | {self.place} | {self.number}"
-
-
 def plan(experiment: str, config: RobotConfig, trials: int) -> list[Planned]:
-    """All trials of an experiment, in the thesis's order; sides in turn.
-
-    Args:
-        experiment: one of STATIC.
-        config: of the robot; places scale with its length.
-        trials: for each place and condition.
+    """All trials of an experiment, and how far the dowels push this robot aside.
 
     Raises:
         DataError: no such experiment; a robot too short for it.
     """
-    length, critical = config.body.length_cm, config.body.critical_curvature
-    scale = length / thesis.LENGTH_CM
-    places = [
-        (place, scale * arc)
-        for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True)
-    ]
-    numbers = range(1, trials + 1)
-    if experiment == "single-contact":
-        return [
-            _pushed(config, experiment, level, place, number, (arc,), (share * critical / arc,))
-            for level, share in zip(thesis.LEVELS, (1.0, thesis.LOW_LEVEL), strict=True)
-            for place, arc in places
-            for number in numbers
-        ]
-    if experiment == "two-contacts":
-        if length <= thesis.GAPS_CM[0]:
-            raise DataError(
-                f"two contacts {thesis.GAPS_CM[0]:g} cm apart do not fit on {length:g} cm",
-                "use a longer robot",
+    body = config.body
+    found = []
+    for trial in planned(experiment, trials, body.length_cm, body.critical_curvature):
+        shape = (
+            pushed(
+                trial.arcs_cm,
+                trial.forces,
+                fold_rad=trial.sign * frozen().fold_rad if trial.folds else 0.0,
+                length_cm=body.length_cm,
+                diameter_cm=body.diameter_cm,
             )
-        return [
-            _pushed(
-                config, experiment, thesis.separation(gap), f"{gap:g} cm apart", number,
-                (length - gap, length), opposed_forces(gap, 1.0, length, critical),
-            )
-            for gap in thesis.GAPS_CM
-            for number in numbers
-        ]  # fmt: skip
-    if experiment == "actuated":
-        return [
-            Planned(experiment, level, place, number, _side(number), (arc,), pressure_psi=pressure)
-            for level, pressure in thesis.ACTUATED_PSI.items()
-            for place, arc in places
-            for number in numbers
-        ]
-    raise DataError(
-        f"{experiment!r} is not taken trial by trial", f"choose from {', '.join(STATIC)}"
-    )
-
-
-def _side(number: int) -> Side:
-    return "left" if number % 2 else "right"
-
-
-def _pushed(
-    config: RobotConfig,
-    experiment: str,
-    condition: str,
-    place: str,
-    number: int,
-    arcs: tuple[float, ...],
-    forces: tuple[float, ...],
-) -> Planned:
-    """A trial whose forces (1/cm^2) are given by how far the dowels push the body."""
-    side = _side(number)
-    sign = -1.0 if side == "left" else 1.0  # a dowel on the left pushes to the right
-    folds = condition == thesis.LEVELS[0]
-    body = pushed(
-        arcs,
-        tuple(sign * force for force in forces),
-        fold_rad=sign * frozen().fold_rad if folds else 0.0,
-        length_cm=config.body.length_cm,
-        diameter_cm=config.body.diameter_cm,
-    )
-    pushes = tuple(round(body.pose(arc)[1], 2) for arc in arcs)
-    return Planned(experiment, condition, place, number, side, arcs, pushes, folds)
+            if trial.forces
+            else None
+        )
+        pushes = tuple(round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm) if shape else ()
+        found.append(replace(trial, pushes_cm=pushes))
+    return found
 
 
 def prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
@@ -189,7 +107,7 @@ def take(robot: Robot, attendant: Attendant, trial: Planned) -> Row:
     _zero(robot)
     passed: list[Reading] = []
     if trial.pressure_psi > 0:
-        way = [psi for psi in thesis.PASSED_PSI if psi < trial.pressure_psi]
+        way = thesis.passed_psi(trial.pressure_psi)
         now = 0.0
         for psi in way:
             _press(robot, trial.side, psi, since_psi=now)

@@ -24,7 +24,8 @@ from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.folder import Folder, Line, Row, Say
-from thigmo.studies.experiments.procedure import Planned, plan, prepare, take
+from thigmo.studies.experiments.plan import Planned
+from thigmo.studies.experiments.procedure import plan, prepare, take
 from thigmo.studies.experiments.trial import Floats, Passed, Trial
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def run_trials(
         robot: connected.
         attendant: places dowels, measures them, judges.
         folder: with the robot's constants.
-        experiment: one of `procedure.STATIC`.
+        experiment: one of `plan.STATIC`.
         trials: for each place and condition.
         say: told what happens.
 

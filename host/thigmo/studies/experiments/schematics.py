@@ -16,8 +16,9 @@ from thigmo.exploration.states import TRANSITIONS, State
 from thigmo.mechanics import Solution, peg_for
 from thigmo.studies import charts
 from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.conditions import actuated_body, opposed_forces
+from thigmo.studies.experiments.conditions import actuated_body
 from thigmo.studies.experiments.fit import frozen
+from thigmo.studies.experiments.plan import opposed_forces
 from thigmo.studies.experiments.specimen import pushed
 
 if TYPE_CHECKING:
