@@ -108,9 +108,10 @@ class BoardPolicy {
   void air(bool muscles, bool body);
 
   // --- inputs ------------------------------------------------------------------------------------
-  int32_t encoder_count();  // x4 counts since start, positive = paying out; wraps
-  uint16_t supply_mv();     // latest measurement; a binding may refresh it at 10 Hz or so
-  bool estop();             // true = pressed (or its wire broken); not debounced
+  int32_t encoder_count();    // x4 counts since start, positive = paying out; wraps
+  uint16_t encoder_errors();  // illegal transitions since start: edges lost, or noise; wraps
+  uint16_t supply_mv();  // latest measurement, against a reference of 1.1 V; 10 Hz or so suffice
+  bool estop();          // true = pressed (or its wire broken); not debounced
 
   // --- UART --------------------------------------------------------------------------------------
   bool rx_read(uint8_t* byte);  // next received byte, or false

@@ -46,6 +46,7 @@ struct Outcome {
 struct Inputs {
   const AdcFrame* frame;
   int32_t encoder;
+  uint16_t encoder_errors;
   uint16_t supply_mv;
   uint16_t rx_overruns;
   bool estop;
@@ -120,7 +121,8 @@ class Controller {
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
-  static constexpr uint8_t kSparePhase = 2;  // the spool's, which stands still then
+  static constexpr uint8_t kSparePhase = 2;      // the spool's, which stands still then
+  static constexpr int32_t kReferenceMv = 1100;  // by which a board measures its supply
   static constexpr uint16_t kBaseSensors = 1u | 1u << kSensorsPerSide;
   static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
   static constexpr uint8_t kRestSteps = 250;        // 1.25 s: the body has swung back
@@ -155,6 +157,7 @@ class Controller {
   }
 
   void run_phase(uint8_t phase);
+  void scale_supply();
   void advance_sweep();
   void begin_half();
   void pressure_step(uint8_t side);
@@ -238,6 +241,8 @@ class Controller {
   uint32_t back_off_tick_ = 0;
   int32_t length_um_ = 0;
   uint16_t conditions_ = 0;
+  uint16_t encoder_errors_ = 0;
+  uint16_t supply_raw_mv_ = 0;  // against a reference of 1.1 V
   uint16_t supply_mv_ = 0;
   uint16_t rx_overruns_ = 0;
   uint16_t overruns_seen_ = 0;

@@ -243,6 +243,7 @@ inline void Controller::take_parameter(uint8_t index) {
   const Scales before = scales();
   derived_.update(config_, index);
   take_over(before);
+  scale_supply();
 }
 
 inline bool Controller::apply_step() {

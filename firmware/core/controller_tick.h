@@ -20,7 +20,11 @@ inline void Controller::sense(const Inputs& in) {
   elapsed_ = in.frame->tick - tick_;
   tick_ = in.frame->tick;
   encoder_ = in.encoder;
-  supply_mv_ = in.supply_mv;
+  encoder_errors_ = in.encoder_errors;
+  if (in.supply_mv != supply_raw_mv_) {
+    supply_raw_mv_ = in.supply_mv;
+    scale_supply();
+  }
   rx_overruns_ = in.rx_overruns;
   estop_ = in.estop;
   const bool odd = (in.frame->tick & 1) != 0;
@@ -36,6 +40,11 @@ inline void Controller::sense(const Inputs& in) {
     if (averaging_) zeros_.add(i, flex_.latest(i));
   }
   drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
+}
+
+THIGMO_NOINLINE inline void Controller::scale_supply() {
+  const int32_t reference = config_.get(Param::kReferenceMv);
+  supply_mv_ = static_cast<uint16_t>(supply_raw_mv_ * reference / kReferenceMv);
 }
 
 inline void Controller::control() {
@@ -563,6 +572,8 @@ inline void Controller::fill(protocol::StatusReport* out) const {
   out->settled_mask = eversion_.settled_mask();
   out->zeroed_mask = zeros_.valid_mask();
   out->event_number = events_.newest();
+  out->supply_mv = supply_mv_;
+  out->encoder_errors = encoder_errors_;
   out->config_generation = 0;  // the robot, which owns the store, fills it in
 }
 

@@ -72,7 +72,11 @@ class Robot {
   }
 
   void tick(const AdcFrame* frame) {
-    const Inputs in = {frame, board_.encoder_count(), board_.supply_mv(), board_.rx_overruns(),
+    const Inputs in = {frame,
+                       board_.encoder_count(),
+                       board_.encoder_errors(),
+                       board_.supply_mv(),
+                       board_.rx_overruns(),
                        board_.estop()};
     commands_.timing().rx_overruns = in.rx_overruns;
     board_.task(static_cast<uint8_t>(Task::kSense));

@@ -35,27 +35,47 @@ class Encoder {
     const uint8_t now = read_pins();
     const uint8_t turn = static_cast<uint8_t>(state_ << 2) | now;
     state_ = now;
-    // A bounce back to the same state or a jump over one (an edge lost) counts nothing.
+    // A bounce back to the same state counts nothing; a jump over one is an edge lost, or noise.
     const int8_t step = kStep[turn];
-    count_ = static_cast<int16_t>(count_ + step);
+    if (step == kIllegal) {
+      illegal_ = static_cast<uint8_t>(illegal_ + 1);
+    } else {
+      count_ = static_cast<int16_t>(count_ + step);
+    }
+  }
+
+  // Jumps since start; as often to be called as count() (a byte of them is kept).
+  static uint16_t errors() {
+    const uint8_t now = illegal_;
+    errors_ = static_cast<uint16_t>(errors_ + static_cast<uint8_t>(now - illegal_seen_));
+    illegal_seen_ = now;
+    return errors_;
   }
 
  private:
   static inline uint8_t read_pins() { return (PINE >> kEncoderShift) & 3; }  // A bit 0, B bit 1
 
+  static constexpr int8_t kIllegal = 2;
   static const int8_t kStep[16];
   static uint8_t state_;
   static volatile int16_t count_;
   static int16_t seen_;
   static int32_t total_;
+  static volatile uint8_t illegal_;
+  static uint8_t illegal_seen_;
+  static uint16_t errors_;
 };
 
 // By old state * 4 + new state; forwards runs 00, 01 (A), 11, 10 (B), 00.
-const int8_t Encoder::kStep[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};
+const int8_t Encoder::kStep[16] = {0, 1,        -1, kIllegal, -1,       0,  kIllegal, 1,
+                                   1, kIllegal, 0,  -1,       kIllegal, -1, 1,        0};
 uint8_t Encoder::state_;
 volatile int16_t Encoder::count_;
 int16_t Encoder::seen_;
 int32_t Encoder::total_;
+volatile uint8_t Encoder::illegal_;
+uint8_t Encoder::illegal_seen_;
+uint16_t Encoder::errors_;
 
 }  // namespace mega
 }  // namespace thigmo

@@ -69,8 +69,10 @@ class MegaBoard {
   static void air(bool muscles, bool body) { Actuators::air(muscles, body); }
 
   static int32_t encoder_count() { return Encoder::count(); }
+  static uint16_t encoder_errors() { return Encoder::errors(); }
   static bool estop() { return (PINA & kEstop) != 0; }
-  // From the bandgap against AVcc: 1.1 V, +-10 % from chip to chip (data sheet 31.7).
+  // From the bandgap against AVcc: 1.1 V, +-10 % from chip to chip (data sheet 31.7); the core
+  // scales it by what this chip's was found to be.
   static uint16_t supply_mv() {
     const uint16_t sum = Sampler::bandgap_sum();
     if (sum != supply_sum_) {

@@ -181,6 +181,7 @@ class VirtualBoard {
   }
 
   int32_t encoder_count() { return static_cast<int32_t>(encoder_now() - encoder_at_start_); }
+  uint16_t encoder_errors() { return 0; }  // counts are given, not decoded
   uint16_t supply_mv() { return supply_mv_; }
   bool estop() { return estop_; }
 

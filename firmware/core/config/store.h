@@ -11,8 +11,9 @@
 // work; bytes that already hold their value are skipped, which spares the cells. Every byte written
 // is read back.
 //
-// The boot counter makes each boot's nonce differ. Its bytes are written from the highest changed
-// one downwards: a cut in between leaves a larger count, never one that was used before.
+// The boot counter makes each boot's nonce differ. It is the sum of four, the first of which is
+// raised; if a cell of that is worn, the next one is. Its bytes are written from the highest
+// changed one downwards: a cut in between leaves a larger count, never one that was used before.
 #ifndef THIGMO_CORE_CONFIG_STORE_H_
 #define THIGMO_CORE_CONFIG_STORE_H_
 
@@ -24,7 +25,8 @@
 namespace thigmo {
 
 // Layout in the EEPROM.
-constexpr uint16_t kCounterAt = 0;  // u32, little-endian
+constexpr uint16_t kCounterAt = 0;  // four of u32, little-endian
+constexpr uint8_t kCounters = 4;
 constexpr uint16_t kSlotAt[2] = {16, 1032};
 constexpr uint16_t kSlotRoom = 1016;
 // In a slot: commit byte, generation u32, length of the entries u16, entries, crc u16 from the
@@ -76,7 +78,9 @@ class ConfigStore {
   // Reads the newest whole slot into the configuration, or loads defaults. Blocks for about 3 ms.
   template <typename Board>
   LoadResult begin(Board& board, Configuration* configuration) {
-    boot_count_ = read32(board, kCounterAt) + 1;
+    boot_count_ = 1;
+    for (uint8_t i = 0; i < kCounters; ++i) boot_count_ += read32(board, counter_at(i));
+    raised_ = read32(board, kCounterAt) + 1;
     LoadResult worst = LoadResult::kBlank;
     generation_ = 0;
     slot_ = 1;
@@ -165,6 +169,11 @@ class ConfigStore {
 
  private:
   static constexpr uint8_t kCounterDone = 4;
+  static constexpr uint8_t kTries = 3;  // to write a cell
+
+  static constexpr uint16_t counter_at(uint8_t which) {
+    return static_cast<uint16_t>(kCounterAt + 4 * which);
+  }
 
   template <typename Board>
   static uint32_t read32(Board& board, uint16_t address) {
@@ -289,16 +298,25 @@ class ConfigStore {
   template <typename Board>
   void step_counter(Board& board) {
     const uint8_t index = static_cast<uint8_t>(3 - counter_step_);
-    const uint16_t address = static_cast<uint16_t>(kCounterAt + index);
-    const uint8_t byte = static_cast<uint8_t>(boot_count_ >> (8 * index));
-    if (board.eeprom_read(address) != byte) {
-      board.eeprom_write(address, byte);
-    } else {
+    const uint16_t address = static_cast<uint16_t>(counter_at(counter_) + index);
+    const uint8_t byte = static_cast<uint8_t>(raised_ >> (8 * index));
+    if (board.eeprom_read(address) == byte) {
       ++counter_step_;
+      tries_ = 0;
+    } else if (tries_ < kTries) {
+      board.eeprom_write(address, byte);
+      ++tries_;
+    } else if (++counter_ < kCounters) {
+      raised_ = read32(board, counter_at(counter_)) + 1;
+      counter_step_ = 0;
+      tries_ = 0;
+    } else {
+      counter_step_ = kCounterDone;  // all are worn: the robot must start nevertheless
     }
   }
 
   uint32_t boot_count_ = 0;
+  uint32_t raised_ = 0;  // the counter that is written, one more
   uint32_t generation_ = 0;
   StoredReport report_;
   uint16_t next_ = 0;
@@ -310,6 +328,8 @@ class ConfigStore {
   uint8_t byte_ = 0;
   uint8_t slot_ = 1;
   uint8_t counter_step_ = 0;
+  uint8_t counter_ = 0;
+  uint8_t tries_ = 0;
   bool saving_ = false;
   bool verify_ = false;
 };

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x0565DD37u;
+constexpr uint32_t kSchemaHash = 0xB3370CFAu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -864,7 +864,7 @@ struct HelloReply {
 // The board's whole state.
 struct StatusReport {
   static constexpr uint8_t kId = kStatusReport;
-  static constexpr uint8_t kSize = 32;
+  static constexpr uint8_t kSize = 36;
   Status status;               // ok.
   State state;                 // Supervisor.
   Activity activity;           // What it is doing.
@@ -880,6 +880,9 @@ struct StatusReport {
   uint16_t zeroed_mask;        // Sensors with a valid zero.
   uint16_t event_number;       // Newest event.
   uint32_t config_generation;  // Of the stored configuration; 0 = none.
+  uint16_t supply_mv;          // Supply voltage, by reference_mv. (mV)
+  uint16_t encoder_errors;     // Illegal transitions of the spool's encoder since boot; wraps. More
+                               // than a few mean noise, or a channel that fails.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(state));
@@ -896,6 +899,8 @@ struct StatusReport {
     detail::put16(out + 24, static_cast<uint16_t>(zeroed_mask));
     detail::put16(out + 26, static_cast<uint16_t>(event_number));
     detail::put32(out + 28, static_cast<uint32_t>(config_generation));
+    detail::put16(out + 32, static_cast<uint16_t>(supply_mv));
+    detail::put16(out + 34, static_cast<uint16_t>(encoder_errors));
   }
   static bool decode(const uint8_t* in, uint8_t length, StatusReport* out) {
     if (length != kSize) return false;
@@ -914,6 +919,8 @@ struct StatusReport {
     out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 24));
     out->event_number = static_cast<uint16_t>(detail::get16(in + 26));
     out->config_generation = static_cast<uint32_t>(detail::get32(in + 28));
+    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 32));
+    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 34));
     return true;
   }
 };
@@ -1348,10 +1355,13 @@ enum class Param : uint16_t {
   kHomeSpeedUmS = 85,       // Tip speed of homing. (um/s)
   kHeartbeatMs = 86,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm. (ms)
-  kSupplyMinMv = 87,  // Supply below this is a brown-out. (mV)
-  kTelemetryMs = 88,  // Telemetry period; 0 = off. (ms)
+  kSupplyMinMv = 87,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+                      // that is 10 % off. (mV)
+  kReferenceMv = 88,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+                      // supply / supply_mv as the board reports it. (mV)
+  kTelemetryMs = 89,  // Telemetry period; 0 = off. (ms)
 };
-constexpr uint16_t kParamCount = 89;
+constexpr uint16_t kParamCount = 90;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1443,7 +1453,8 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {100, 100000, 3000},         // slip_um
     {100, 100000, 8000},         // home_speed_um_s
     {50, 10000, 500},            // heartbeat_ms
-    {3000, 5500, 4500},          // supply_min_mv
+    {3000, 5500, 4250},          // supply_min_mv
+    {950, 1250, 1100},           // reference_mv
     {0, 10000, 5},               // telemetry_ms
 };
 
@@ -1451,7 +1462,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 49;
+constexpr uint8_t kParamKeys = 50;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {1, 10},  // flex_enabled
     {2, 10},  // flex_center_um
@@ -1501,6 +1512,7 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {45, 1},  // home_speed_um_s
     {46, 1},  // heartbeat_ms
     {47, 1},  // supply_min_mv
+    {50, 1},  // reference_mv
     {48, 1},  // telemetry_ms
 };
 

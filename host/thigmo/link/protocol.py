@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x0565DD37
+SCHEMA_HASH = 0xB3370CFA
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -380,7 +380,7 @@ _BODY_AIR = Struct("<B")
 _TEST_OUTPUT = Struct("<BhH")
 _ACK = Struct("<BBi")
 _HELLO_REPLY = Struct("<BBBI3BBIHBHI")
-_STATUS_REPORT = Struct("<BBBBHHIihhHHHHI")
+_STATUS_REPORT = Struct("<BBBBHHIihhHHHHIHH")
 _SENSOR_REPORT = Struct("<BBHIhIIB")
 _PARAMETER_VALUE = Struct("<BHi")
 _MAP_VALUES = Struct("<BBBB11h")
@@ -497,7 +497,7 @@ class StatusReport(Message):
     """The board's whole state."""
 
     ID: ClassVar[int] = 0x82
-    SIZE: ClassVar[int] = 32
+    SIZE: ClassVar[int] = 36
     NAME: ClassVar[str] = "status_report"
     KIND: ClassVar[str] = "reply"
 
@@ -531,6 +531,12 @@ class StatusReport(Message):
     """Newest event."""
     config_generation: int
     """Of the stored configuration; 0 = none."""
+    supply_mv: int
+    """Supply voltage, by reference_mv. [mV]"""
+    encoder_errors: int
+    """Illegal transitions of the spool's encoder since boot; wraps. More than a few mean noise,
+    or a channel that fails.
+    """
 
     def pack(self) -> bytes:
         """The payload."""
@@ -550,6 +556,8 @@ class StatusReport(Message):
             self.zeroed_mask,
             self.event_number,
             self.config_generation,
+            self.supply_mv,
+            self.encoder_errors,
         )
 
     @classmethod
@@ -574,6 +582,8 @@ class StatusReport(Message):
             v[12],
             v[13],
             v[14],
+            v[15],
+            v[16],
         )
 
 
@@ -2342,10 +2352,27 @@ PARAMETERS: dict[str, Parameter] = {
             "mV",
             3000,
             5500,
-            (4500,),
-            "Supply below this is a brown-out.",
+            (4250,),
+            (
+                "Supply below this is a brown-out. Default: 4.7 V, read against a reference that "
+                "is 10 % off."
+            ),
         ),
-        Parameter("telemetry_ms", 48, 88, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
+        Parameter(
+            "reference_mv",
+            50,
+            88,
+            1,
+            "mV",
+            950,
+            1250,
+            (1100,),
+            (
+                "The chip's own voltage reference, 10 % from chip to chip: 1100 x measured supply"
+                " / supply_mv as the board reports it."
+            ),
+        ),
+        Parameter("telemetry_ms", 48, 89, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
     )
 }
-PARAMETER_COUNT = 89
+PARAMETER_COUNT = 90

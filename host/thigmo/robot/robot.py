@@ -306,6 +306,8 @@ class Robot:
             settled=report.settled_mask,
             zeroed=report.zeroed_mask,
             config_generation=report.config_generation,
+            supply_v=report.supply_mv / 1e3,
+            encoder_errors=report.encoder_errors,
         )
 
     def clear_faults(self, *names: str) -> tuple[str, ...]:

@@ -26,6 +26,8 @@ class Status:
         left_psi, right_psi: muscle pressures.
         everted, settled, zeroed: bit masks of sensors, bit 0 = left base.
         config_generation: of the stored configuration, 0 = none.
+        supply_v: the board's supply, as it measures it.
+        encoder_errors: illegal transitions of the spool's encoder since the board's start.
     """
 
     state: str
@@ -41,6 +43,8 @@ class Status:
     settled: int
     zeroed: int
     config_generation: int
+    supply_v: float
+    encoder_errors: int
 
 
 @dataclass(frozen=True, slots=True)

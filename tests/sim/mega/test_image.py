@@ -168,6 +168,21 @@ def test_every_encoder_edge_is_counted_at_full_speed(
     assert encoder(mega) - before == int(np.floor(place))
 
 
+def test_transitions_that_no_encoder_makes_are_counted_and_no_others(
+    full_length: Scene, stored_config: bytes
+) -> None:
+    rig = open_rig(full_length, stored_config)
+    mega = rig.mega
+    place = 0.0
+    for step, errors in ((3.0, False), (400.0, True)):  # 3 kHz, and more than the interrupt takes
+        for _ in range(20):
+            mega.set_encoder(place, place + step)
+            place += step
+            mega.step(1)
+        rig.client.poll(0.1)
+        assert (rig.client.request(wire.GetStatus()).encoder_errors > 0) == errors
+
+
 def encoder(mega: SimulatedMega) -> int:
     """The interrupt routine's count."""
     listing = subprocess.run(

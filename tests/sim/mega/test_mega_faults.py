@@ -56,8 +56,9 @@ def stored(eeprom: bytes) -> tuple[int, int, bool]:
 def save(mega: SimulatedMega, session: int, value: int) -> list[bytes]:
     """Set the marked parameter and save; the EEPROM after each byte that was written."""
     assert isinstance(ask(mega, wire.SetParameter(SETTLE, value), 1, session), wire.ParameterValue)
+    ask(mega, wire.ApplyParameters(), 2, session)
     contents = [mega.eeprom]
-    mega.write(encode(wire.SaveConfig(), 2, session))
+    mega.write(encode(wire.SaveConfig(), 3, session))
     decoder = Decoder()
     for _ in range(6000):
         mega.step(1)

@@ -35,7 +35,7 @@ struct Eeprom {
 
 inline LoadResult boot(Eeprom& eeprom, ConfigStore& store, Configuration& c) {
   const LoadResult result = store.begin(eeprom, &c);
-  for (int i = 0; i < 20 && !store.counted() && !eeprom.dead; ++i) store.step(eeprom, c);
+  for (int i = 0; i < 40 && !store.counted() && !eeprom.dead; ++i) store.step(eeprom, c);
   return result;
 }
 
@@ -402,6 +402,36 @@ TEST(no_boot_count_comes_twice_though_power_is_cut) {
     }
     CHECK(seen.size() > 14);
   }
+}
+
+TEST(a_worn_counter_cell_keeps_no_robot_from_starting_and_no_count_comes_twice) {
+  for (int worn = 0; worn < 4; ++worn) {
+    Eeprom eeprom;
+    eeprom.worn = worn;
+    eeprom.cells[worn] = 0x5A;
+    std::vector<uint32_t> seen;
+    for (int i = 0; i < 40; ++i) {
+      ConfigStore store;
+      Configuration c;
+      const int before = eeprom.writes;
+      boot(eeprom, store, c);
+      CHECK(store.counted());
+      CHECK(eeprom.writes - before < 12);  // and it is not worn further
+      for (const uint32_t one : seen) CHECK(store.boot_count() != one);
+      seen.push_back(store.boot_count());
+    }
+  }
+}
+
+TEST(a_wholly_worn_counter_keeps_no_robot_from_starting) {
+  struct : Eeprom {
+    void eeprom_write(uint16_t, uint8_t) { ++writes; }
+  } eeprom;
+  ConfigStore store;
+  Configuration c;
+  store.begin(eeprom, &c);
+  for (int i = 0; i < 100 && !store.counted(); ++i) store.step(eeprom, c);
+  CHECK(store.counted());
 }
 
 }  // namespace store_cases

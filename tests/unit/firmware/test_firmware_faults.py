@@ -351,12 +351,28 @@ def test_spool_slip_ends_the_bend() -> None:
 
 def test_brown_out() -> None:
     bench = bending()
-    bench.board.set_supply_mv(4400)
-    expect(bench, F.BROWN_OUT, 50, value=4400)
+    bench.board.set_supply_mv(4200)
+    expect(bench, F.BROWN_OUT, 50, value=4200)
     persists(bench, F.BROWN_OUT)
     bench.board.set_supply_mv(5000)
     bench.step(50)
     recover(bench, F.BROWN_OUT)
+
+
+def test_the_supply_is_told_and_scaled_by_the_chips_own_reference() -> None:
+    """A chip whose reference is 1.2 V reads 4.5 V of 4.91: no brown-out, once it is calibrated."""
+    bench = Bench()
+    bench.prepare()
+    bench.board.set_supply_mv(4500)
+    bench.step(50)
+    assert bench.status().supply_mv == 4500
+    bench.set("supply_min_mv", 4600)
+    bench.step(50)
+    assert bench.faults() == (F.BROWN_OUT,)
+    bench.set("reference_mv", 1200)
+    bench.step(50)
+    assert bench.status().supply_mv == 4909
+    assert bench.do(wire.ClearFaults(0xFFFF)) == 0
 
 
 def test_watchdog() -> None:
