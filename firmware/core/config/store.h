@@ -45,7 +45,13 @@ static_assert(kSlotSize <= kSlotRoom, "the configuration outgrew its slot");
 static_assert(16 + 2 * kSlotRoom <= kEepromUsed, "the slots outgrew the EEPROM's used part");
 
 // What was found at start; the value of the fault bad_config.
-enum class LoadResult : uint8_t { kLoaded = 0, kBlank = 1, kDamaged = 2, kOldFormat = 3 };
+enum class LoadResult : uint8_t {
+  kLoaded = 0,
+  kBlank = 1,
+  kDamaged = 2,
+  kOldFormat = 3,
+  kOutOfLimits = 4,  // by another firmware's limits, or contradictory by this one's rules
+};
 
 // A list of ids: all are counted, the first eight are kept.
 struct IdList {
@@ -78,7 +84,7 @@ class ConfigStore {
   // Reads the newest whole slot into the configuration, or loads defaults. Blocks for about 3 ms.
   template <typename Board>
   LoadResult begin(Board& board, Configuration* configuration) {
-    boot_count_ = 1;
+    boot_count_ = kCounters;  // blank ones are -1 each: the first boot is number 0
     for (uint8_t i = 0; i < kCounters; ++i) boot_count_ += read32(board, counter_at(i));
     raised_ = read32(board, kCounterAt) + 1;
     LoadResult worst = LoadResult::kBlank;
@@ -98,12 +104,15 @@ class ConfigStore {
     }
     configuration->load_defaults();
     if (generation_ == 0) return worst;
-    if (!read_entries(board, configuration) || configuration->first_out_of_range() >= 0 ||
-        configuration->first_conflict() >= 0) {
-      configuration->load_defaults();
-      return LoadResult::kDamaged;
+    LoadResult result = LoadResult::kLoaded;
+    if (!read_entries(board, configuration)) {
+      result = LoadResult::kDamaged;
+    } else if (configuration->first_out_of_range() >= 0 || configuration->first_conflict() >= 0) {
+      result = LoadResult::kOutOfLimits;
     }
-    return LoadResult::kLoaded;
+    // Never some of the stored values beside some defaults.
+    if (result != LoadResult::kLoaded) configuration->load_defaults();
+    return result;
   }
 
   // Starts a save of the configuration, which must not change until step() ends it.

@@ -1,6 +1,9 @@
 """Faults that a scene injects, from a moment or a condition on, for a while or for good.
 
-What `value` means: over_pressure, psi (default 30); pressure_stuck, psi (default: where it is);
+What `value` means: over_pressure, psi (default 30); pressure_stuck, psi (default: where it is).
+Those are the air's; of the sensor are pressure_frozen, psi (default: what it reads), pressure_gain
+(default 0.75), pressure_offset, psi (default -3), and pressure_noisy, psi of one sigma (default 1).
+flex_noisy, counts of one sigma (default 40); motor_shorted, duty (default 800);
 spool_slip, cm/s of line to which a failing brake lets it run (default 2); brown_out, mV (default
 3800); power_cut_saving, bytes written before the cut (default 100). host_silent mutes the host: its
 bytes and heartbeats are lost.
@@ -69,6 +72,13 @@ class FaultInjector:
             and (not fault.while_motor_runs or board.motor != 0)
         )
 
+    @staticmethod
+    def _hold(where: dict[int, float], sensor: int, value: float, on: bool) -> None:
+        if on:
+            where[sensor] = value
+        else:
+            where.pop(sensor, None)
+
     def _set(self, fault: FaultTable, plant: Plant, board: Board, *, on: bool) -> None:
         side = SIDES.index(fault.side)
         sensor = FLEX_RIGHT * side + fault.sensor
@@ -77,6 +87,27 @@ class FaultInjector:
         match fault.kind:
             case "flex_wire_cut":
                 (plant.cut.add if on else plant.cut.discard)(sensor)
+            case "flex_frozen":
+                self._hold(plant.flex_frozen, sensor, float(plant.analog[sensor, 1]), on)
+            case "flex_noisy":
+                self._hold(plant.flex_noise, sensor, 40.0 if value is None else value, on)
+            case "pressure_short":
+                (plant.pressure_shorted.add if on else plant.pressure_shorted.discard)(side)
+            case "pressure_frozen":
+                here = plant.pressure_seen[side] if value is None else value
+                plant.pressure_frozen[side] = here if on else math.nan
+            case "pressure_gain":
+                plant.pressure_gain[side] = (0.75 if value is None else value) if on else 1.0
+            case "pressure_offset":
+                plant.pressure_offset[side] = (-3.0 if value is None else value) if on else 0.0
+            case "pressure_noisy":
+                plant.pressure_noise[side] = (1.0 if value is None else value) if on else 0.0
+            case "motor_lost":
+                plant.windings_open = on
+            case "motor_shorted":
+                plant.motor_forced = int(800 if value is None else value) if on else None
+            case "encoder_lost":
+                plant.encoder_lost = on
             case "flex_short":
                 (plant.shorted.add if on else plant.shorted.discard)(sensor)
             case "pressure_wire_cut":

@@ -121,7 +121,12 @@ class Plant:
         slip_cm_s: line speed to which a failing brake lets the body pull the spool; 0 = it holds.
         windings_open: the motor's circuit is broken: neither drive nor damping.
         cut, shorted: flex sensors with a broken or shorted circuit (left base first).
-        pressure_cut: pressure sensors with a broken wire.
+        motor_forced: duty that a failed driver gives the motor, whatever the board asks.
+        encoder_lost: the encoder stands still.
+        flex_frozen, flex_noise: count at which a flex sensor stands still; its noise, counts.
+        pressure_cut, pressure_shorted: pressure sensors with a broken or shorted wire.
+        pressure_frozen, pressure_gain, pressure_offset, pressure_noise: what else ails them: psi at
+            which they stand still (nan: none), relative, psi, psi; shape (2,).
         pushes: (arc, y) of points of the body that are held (set through `hold`); () = none.
     """
 
@@ -141,6 +146,16 @@ class Plant:
         self.spool_stuck = False
         self.slip_cm_s = 0.0
         self.windings_open = False
+        self.motor_forced: int | None = None
+        self.encoder_lost = False
+        self._encoder_missed = 0.0
+        self.flex_frozen: dict[int, float] = {}
+        self.flex_noise: dict[int, float] = {}
+        self.pressure_shorted: set[int] = set()
+        self.pressure_frozen = np.full(2, np.nan)
+        self.pressure_gain = np.ones(2)
+        self.pressure_offset = np.zeros(2)
+        self.pressure_noise = np.zeros(2)
         self.cut: set[int] = set()
         self.shorted: set[int] = set()
         self.pressure_cut: set[int] = set()
@@ -317,6 +332,20 @@ class Plant:
         return self._swing.curvature
 
     @property
+    def pressure_seen(self) -> tuple[float, float]:
+        """What the pressure sensors make of it, psi."""
+        left, right = (self._pressure_read(side) for side in range(2))
+        return left, right
+
+    def _pressure_read(self, side: int) -> float:
+        if not isnan(self.pressure_frozen[side]):
+            return float(self.pressure_frozen[side])
+        psi = self.muscle_psi[side] * self.pressure_gain[side] + self._pressure_zero[side]
+        if self.pressure_noise[side]:
+            psi += self.pressure_noise[side] * self._rng.standard_normal()
+        return float(psi + self.pressure_offset[side])
+
+    @property
     def sensor_curvature(self) -> Floats:
         """True mean curvature at each sensor, left base first; 0 where not everted; shape (10,)."""
         return self._curvature.copy()
@@ -400,10 +429,16 @@ class Plant:
         before = self._encoder()
         if self.scene.spool.wiring == "motor_swapped":
             motor = -motor
+        if self.motor_forced is not None:
+            motor = self.motor_forced
         if self.windings_open:
             motor, braked = 0, False
         self._spool.advance(motor, braked or motor != 0, self.spool_stuck, self.pull_n)
-        self.encoder = (before, self._encoder())
+        after = self._encoder()
+        if self.encoder_lost:
+            self._encoder_missed += after - before
+            after = before
+        self.encoder = (before, after)
         length = self._grown()
         moved = abs(self._swing.curvature - self._solved_g) > 1e-8
         if moved or length != self.length_cm or isnan(self._solved_g):
@@ -504,8 +539,14 @@ class Plant:
         ]
         full = self.scene.transducer.sensor_full_psi
         for side in range(2):
-            psi = self._muscles[side].outlet_psi + self._pressure_zero[side]
+            psi = self._pressure_read(side)
             analog[PRESSURE + side, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
+        for i, sigma in self.flex_noise.items():
+            analog[i, 1] += sigma * self._rng.standard_normal()
+        for i, count in self.flex_frozen.items():
+            analog[i, 1] = count
+        for side in self.pressure_shorted:
+            analog[PRESSURE + side, 1] = _SHORT_COUNT
         if self.cut or self.shorted or self.pressure_cut:
             for i in self.cut:
                 analog[i, 1] = _OPEN_COUNT
@@ -525,7 +566,7 @@ class Plant:
         line = self._spool.line_cm
         per_cm = self._robot.spool.counts_per_cm
         counts = per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
-        return counts * _ENCODER_SIGN[self.scene.spool.wiring]
+        return counts * _ENCODER_SIGN[self.scene.spool.wiring] - self._encoder_missed
 
     def _log(self) -> None:
         touching = self.body.touching

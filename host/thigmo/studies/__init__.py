@@ -18,6 +18,7 @@ STUDIES: dict[str, str] = {
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
     "exploration": "pegs found and empty rooms silent, as calibrated and not",
+    "faults": "single failures: what notices them, how soon it is safe, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
     "plant-models": "time against error of the plant's mechanics",
 }

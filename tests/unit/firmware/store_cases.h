@@ -82,6 +82,30 @@ TEST(a_blank_store_gives_defaults_and_says_so) {
   CHECK_EQUAL(store.generation(), 0u);
 }
 
+TEST(a_stored_value_outside_its_limits_or_against_another_is_bad_and_no_silent_default) {
+  const auto stored = [](Param name, int32_t value) {
+    Eeprom eeprom;
+    ConfigStore store;
+    Configuration c;
+    boot(eeprom, store, c);
+    c = config(7);
+    c.value[static_cast<uint16_t>(name)] = value;
+    CHECK(save(eeprom, store, c));
+    ConfigStore next;
+    Configuration loaded;
+    const LoadResult result = boot(eeprom, next, loaded);
+    Configuration defaults;
+    defaults.load_defaults();
+    CHECK(same(loaded, result == LoadResult::kLoaded ? c : defaults));
+    return result;
+  };
+  CHECK(stored(Param::kMaxPressureCpsi, 1800) == LoadResult::kLoaded);
+  CHECK(stored(Param::kMaxPressureCpsi, 6000) == LoadResult::kOutOfLimits);
+  CHECK(stored(Param::kVentCpsi, 4) == LoadResult::kOutOfLimits);
+  CHECK(stored(Param::kOverPressureCpsi, 1700) == LoadResult::kOutOfLimits);
+  CHECK(stored(Param::kHeartbeatMs, 5000) == LoadResult::kOutOfLimits);
+}
+
 TEST(saves_alternate_slots_and_the_newest_is_loaded) {
   Eeprom eeprom;
   for (uint32_t round = 1; round <= 6; ++round) {

@@ -1,0 +1,299 @@
+"""Single failures in each state: what notices them, how soon it is safe, what it costs.
+
+The firmware runs on the virtual board in the emulated body, at the body pressure that pulls hardest
+at the tail. A failure begins in the middle of a motion and lasts; true pressure, true length and
+the board's outputs are watched. A failure that no signal shows is listed with the hardware that
+covers it. The same visits run on the real image (tests/sim/mega).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.errors import CommandRefusedError
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.framing import Decoder
+from thigmo.robot import Robot
+from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
+
+if TYPE_CHECKING:
+    from thigmo.emulator.board import Board
+
+MAX_PSI = 18.5  # max_pressure_cpsi of robot.toml's 18 psi, with its margin
+START_CM = 20.0
+LASTS_S = 12.0
+STEADY_S = 2.0  # at the end of the failure
+QUIET_S = 0.5  # outputs that have been off for so long stay off
+RECOVERY_S = 4.0
+_SEED = 5
+
+RELIEF = "supply regulator and relief valve bound the pressure; the e-stop drops the air enable"
+NO_DRIVE = "none needed: nothing is driven"
+BRAKE = "power-off brake, or venting the body"
+NO_HARM = "none needed: outputs are sound; the localizer weighs such readings"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One thing that breaks.
+
+    Attributes:
+        name: for the table.
+        kind, options: as a scene's `[[faults]]` has them.
+        valve: the air itself fails: no output of the board changes the pressure.
+        spool: the spool itself fails: no output of the board changes its motion.
+        covered: what covers it where no signal shows it, or where the firmware cannot act.
+    """
+
+    name: str
+    kind: str
+    options: dict[str, Any] = field(default_factory=dict, hash=False)
+    valve: bool = False
+    spool: bool = False
+    covered: str = ""
+
+
+FAILURES = (
+    Failure("pressure sensor open", "pressure_wire_cut"),
+    Failure("pressure sensor short", "pressure_short"),
+    Failure("pressure sensor frozen where it is", "pressure_frozen", covered=NO_HARM),
+    Failure("pressure sensor frozen at 0.3 psi", "pressure_frozen", {"value": 0.3},
+            covered=NO_DRIVE),
+    Failure("pressure sensor frozen at 17 psi", "pressure_frozen", {"value": 17.0}),
+    Failure("pressure sensor gain 0.75", "pressure_gain", {"value": 0.75}, covered=NO_HARM),
+    Failure("pressure sensor gain 1.3", "pressure_gain", {"value": 1.3}, covered=NO_HARM),
+    Failure("pressure sensor offset -3 psi", "pressure_offset", {"value": -3.0}, covered=NO_HARM),
+    Failure("pressure sensor offset +3 psi", "pressure_offset", {"value": 3.0}, covered=NO_HARM),
+    Failure("pressure sensor noisy, 1 psi", "pressure_noisy", {"value": 1.0}, covered=NO_HARM),
+    Failure("flex sensor open", "flex_wire_cut"),
+    Failure("flex sensor short", "flex_short"),
+    Failure("flex sensor frozen", "flex_frozen", covered=NO_HARM),
+    Failure("flex sensor noisy", "flex_noisy", covered=NO_HARM),
+    Failure("valve stuck open, or its MOSFET short", "over_pressure", valve=True, covered=RELIEF),
+    Failure("valve stuck shut", "pressure_stuck", {"value": 0.0}, valve=True,
+            covered="none needed: no air"),
+    Failure("valve stuck where it is", "pressure_stuck", valve=True, covered=RELIEF),
+    Failure("air lost", "air_lost", valve=True, covered="none needed: no air"),
+    Failure("motor unpowered, windings open", "motor_lost", covered=BRAKE),
+    Failure("motor jammed", "spool_stall", covered=NO_DRIVE),
+    Failure("motor driver short, full speed out", "motor_shorted", {"value": 800}, spool=True,
+            covered="the e-stop drops the motor's power; power-off brake"),
+    Failure("encoder dead", "encoder_lost", covered=NO_DRIVE),
+    Failure("brake slips, 2 cm/s of line", "spool_slip", spool=True, covered=BRAKE),
+    Failure("supply dip, 3.8 V", "brown_out"),
+    Failure("board's power lost for 1 s", "power_cut", {"duration_s": 1.0}),
+    Failure("host silent", "host_silent"),
+    Failure("firmware hangs", "hang"),
+    Failure("e-stop pressed", "estop"),
+)  # fmt: skip
+
+# What the robot does when the failure begins, and how long it has been at it.
+STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
+    "safe": ((wire.Stop(),), 0.5),
+    "ready": ((), 0.5),
+    "growing": ((wire.GrowTo(530_000, 0),), 2.0),
+    "retracting": ((wire.RetractTo(0, 0),), 2.0),
+    "homing": ((wire.Home(),), 2.0),
+    "sweeping": ((wire.Sweep(1800, 1800, 30_000, 1, 0),), 5.0),
+    "pressing": ((wire.SetPressure(1800, 0, 0),), 6.0),
+}
+QUICK = ("ready", "growing", "pressing")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A failure in a state."""
+
+    failure: Failure
+    state: str
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What came of it.
+
+    Attributes:
+        noticed: faults by which the board stopped, "reset", or "" if it did not notice.
+        safe_s: from the failure until the outputs are off for good; None if they stay on.
+        peak_psi, steady_psi: highest true muscle pressure, and that of the last two seconds.
+        moved_cm: farthest that the tip grew from where the failure found it.
+        recovers: once the failure is over, faults clear and the robot arms, without a reset.
+    """
+
+    noticed: str
+    safe_s: float | None
+    peak_psi: float
+    steady_psi: float
+    moved_cm: float
+    recovers: bool
+
+
+BoardFor = Callable[[bytes], "Board"]
+
+
+def virtual_board(eeprom: bytes) -> Board:
+    """The portable core."""
+    from thigmo.emulator._board import VirtualBoard
+
+    return VirtualBoard(_SEED, eeprom)
+
+
+def _scene() -> Scene:
+    scene = Scene.load("empty").model_copy(update={"start_length_cm": START_CM})
+    scene.belief = type(scene.belief)()
+    return scene
+
+
+@cache
+def stored() -> bytes:
+    """The store of a configured board."""
+    transport = EmulatorTransport(_scene(), virtual_board(b""), seed=_SEED)
+    Robot(Client(transport)).configure(transport.config)
+    return transport.lockstep.board.eeprom
+
+
+def visit(case: Case, board_for: BoardFor = virtual_board, exchange_ms: int = 10) -> Visit:
+    """Break one thing in one state, and watch."""
+    transport = EmulatorTransport(
+        _scene(), board_for(stored()), seed=_SEED, exchange_ms=exchange_ms
+    )
+    lockstep, plant = transport.lockstep, transport.lockstep.plant
+    client = Client(transport)
+    robot = Robot(client)
+    robot.wait(0.5)
+    robot.arm()
+    robot.confirm_length(START_CM, settled=True)
+    robot.select_zone(0)
+    robot.set_parameter("trigger_e5", [10_000])
+    robot.zero()
+    commands, lead_s = STATES[case.state]
+    for command in commands:
+        client.request(command)
+    begins = transport.now() + lead_s
+    lockstep.faults.inject(
+        FaultTable.model_validate(
+            {"kind": case.failure.kind, "at_s": begins, "duration_s": LASTS_S}
+            | case.failure.options
+        )
+    )
+    transport.pass_time(lead_s)
+    decoder = Decoder()
+    length, board = plant.length_cm, lockstep.board
+    faults = announced = 0
+    last_unsafe, peak, steady, moved = begins, 0.0, 0.0, 0.0
+    while (t_s := transport.now()) < begins + LASTS_S - 0.02:
+        for frame in decoder.feed(transport.read(0.01)):
+            if frame.id == wire.Telemetry.ID:
+                row = frame.message()
+                assert isinstance(row, wire.Telemetry)
+                faults |= row.faults
+            announced += frame.id == wire.Announce.ID
+        if board.motor != 0 or any(board.drive_enabled):
+            last_unsafe = t_s
+        psi = max(plant.muscle_psi)
+        peak = max(peak, psi)
+        if t_s > begins + LASTS_S - STEADY_S:
+            steady = max(steady, psi)
+        moved = max(moved, plant.length_cm - length)
+    noticed = ", ".join(f.key for f in wire.Fault.from_mask(faults))
+    noticed = noticed or ("reset" if announced else "")
+    safe = last_unsafe < begins + LASTS_S - QUIET_S
+    return Visit(
+        noticed=noticed,
+        safe_s=round(last_unsafe - begins, 2) if noticed and safe else None,
+        peak_psi=peak,
+        steady_psi=steady,
+        moved_cm=moved,
+        recovers=_recovers(transport),
+    )
+
+
+def _recovers(transport: EmulatorTransport) -> bool:
+    """Whether the robot can be used again, by commands alone."""
+    transport.pass_time(RECOVERY_S)
+    client = Client(transport)
+    client.poll(0.5)
+    client.request(wire.Stop())
+    client.poll(RECOVERY_S)
+    if client.request(wire.ClearFaults(0xFFFF)).detail:
+        return False
+    try:
+        client.request(wire.Arm())
+    except CommandRefusedError:
+        return False
+    return True
+
+
+def _visit(case: Case) -> Visit:
+    return visit(case)
+
+
+def run(context: Context) -> Outcome:
+    """The campaign: every failure in every state (quick: in three of them)."""
+    states = QUICK if context.scale == "quick" else tuple(STATES)
+    cases = [Case(failure, state) for failure in FAILURES for state in states]
+    visits = context.map(_visit, cases, "failures")
+    return outcome(cases, visits)
+
+
+def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
+    """Table and claims of visits."""
+    rows: list[tuple[Cell, ...]] = []
+    for case, one in zip(cases, visits, strict=True):
+        failure = case.failure
+        bare = not one.noticed or failure.valve or failure.spool
+        rows.append(
+            (
+                failure.name, case.state, one.noticed or "not noticed",
+                "" if one.safe_s is None else one.safe_s, round(one.peak_psi, 1),
+                round(one.steady_psi, 1), round(one.moved_cm, 2), failure.covered if bare else "",
+            )
+        )  # fmt: skip
+    pairs = list(zip(cases, visits, strict=True))
+    seen = [(c, v) for c, v in pairs if v.noticed]
+    air = [v for c, v in seen if not c.failure.valve]
+    host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
+    unseen = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
+    columns = ("failure", "state", "noticed_as", "safe_s", "peak_psi", "steady_psi", "grown_cm",
+               "covered_by")  # fmt: skip
+    return Outcome(
+        [Table("failures", columns, rows)],
+        {},
+        [
+            Claim(
+                "steady true pressure of a noticed failure whose valve works",
+                max((v.steady_psi for v in air), default=0.0), MAX_PSI + 1.5, unit="psi",
+            ),
+            Claim(
+                "true pressure at its highest, where the valve works",
+                max(v.peak_psi for c, v in pairs if not c.failure.valve), MAX_PSI + 1.5, unit="psi",
+            ),
+            Claim(
+                "growth after host or firmware dies",
+                max((v.moved_cm for v in host), default=0.0), 2.0, unit="cm",
+            ),
+            Claim(
+                "time to safe of a noticed failure whose spool works",
+                max((v.safe_s or 0.0 for c, v in seen if not c.failure.spool), default=0.0), 8.0,
+                unit="s",
+            ),
+            Claim(
+                "noticed failures after which an output stays on",
+                sum(v.safe_s is None for _, v in seen), 0,
+            ),
+            Claim(
+                "failures in motion that nothing notices and nothing covers",
+                sum(not c.failure.covered for c in unseen), 0,
+            ),
+            Claim(
+                "failures after whose end only a reset would help",
+                sum(not v.recovers for v in visits), 0,
+            ),
+        ],
+    )  # fmt: skip

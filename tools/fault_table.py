@@ -1,0 +1,58 @@
+"""Write docs/faults.md: what each single failure does in each state, from the emulator.
+
+    python tools/fault_table.py             all of it, some minutes
+    python tools/fault_table.py --jobs 2    on two cores
+
+The rows are those of `thigmo bench faults`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from thigmo.studies.engine import Context
+from thigmo.studies.faults import run
+
+PAGE = Path(__file__).parents[1] / "docs/faults.md"
+HEAD = """\
+# What single failures do
+
+Written by `python tools/fault_table.py`; do not edit. Each row is a run of the firmware on the
+virtual board in the emulated body, at the body pressure that pulls hardest at the tail (1.47 psi,
+4.9 N). The failure begins in the middle of the motion and lasts 12 s. Muscles may be pressed to
+18.5 psi (`max_pressure_cpsi`).
+
+- *noticed as*: the faults by which the board stopped; `reset`: it started anew, outputs off.
+- *safe*: seconds from the failure until both valves carry 0 mA and the motor is braked.
+- *peak*, *steady*: highest true muscle pressure, and that of the last two seconds.
+- *grown*: how far the tip grew from where the failure found it. Growth that nothing stops goes on.
+- *covered by*: the hardware that must act where no signal shows the failure, or where no output of
+  the board can end it.
+
+The passive brake (shorted windings and friction) holds a pull of 6 N on the line [G: `holding_n`];
+a stronger one is slowed, not held, and becomes `spool_slip`.
+
+"""
+
+
+def main() -> None:
+    """Run the campaign and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--jobs", type=int, default=1)
+    found = run(Context(jobs=parser.parse_args().jobs))
+    (table,) = found.tables
+    names = [
+        "failure", "state", "noticed as", "safe, s", "peak, psi", "steady, psi", "grown, cm",
+        "covered by",
+    ]  # fmt: skip
+    lines = [f"- {claim}" for claim in found.claims]
+    lines += ["", "| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in table.rows]
+    PAGE.write_text(HEAD + "\n".join(lines) + "\n")
+    for claim in found.claims:
+        print(claim)
+
+
+if __name__ == "__main__":
+    main()
