@@ -54,7 +54,7 @@ def test_a_robot_that_is_wired_right_passes(change: Callable[[Scene], None]) -> 
 
 
 WRONG = {
-    "supply": (fault(kind="brown_out", value=4300.0), "supply", "5 V", "USB cable"),
+    "supply": (fault(kind="brown_out", value=4000.0), "supply", "5 V", "USB cable"),
     "e-stop wire broken": (fault(kind="estop"), "estop", "emergency stop", "pin 22"),
     "pressure sensor unplugged": (
         fault(kind="pressure_wire_cut", side="right"), "pressure", "pressure right", "J9",

@@ -118,12 +118,14 @@ class BringUp:
             yield "configuration", "valid", ""
 
     def _supply(self) -> Iterator[tuple[str, str, str]]:
-        if "supply_good" in self._robot.status().conditions:
-            yield "5 V", "above supply_min_mv", ""
+        status = self._robot.status()
+        if "supply_good" in status.conditions:
+            yield "5 V", f"{status.supply_v:.2f} V, by the board", ""
         else:
             yield (
-                "5 V", "below supply_min_mv",
-                "measure 5 V at the Mega; use a better USB cable or port, and nothing else on 5 V",
+                "5 V", f"{status.supply_v:.2f} V by the board, below supply_min_mv",
+                "measure 5 V at the Mega; if it is good, correct reference_mv, else use a better "
+                "USB cable or port",
             )  # fmt: skip
 
     def _estop(self) -> Iterator[tuple[str, str, str]]:

@@ -82,7 +82,7 @@ def bringup(
     Before it: docs/hardware, "Before the first power".
     """
     from thigmo.bringup import STAGES, BringUp
-    from thigmo.cli.console import Console
+    from thigmo.cli.console import Console, TerminalOperator
     from thigmo.config import RobotConfig
     from thigmo.errors import ConfigError
     from thigmo.robot import connect
@@ -100,18 +100,23 @@ def bringup(
             line if finding.good else f"{line}; {finding.cure}", highlight=False, soft_wrap=True
         )
 
-    with console.interruptible(), connect(url, seed=seed) as robot:
+    operator = TerminalOperator(console)
+    with console.interruptible(), connect(url, seed=seed, operator=operator) as robot:
         if config is not None:
             robot.configure(RobotConfig.load(config))
         findings = BringUp(robot, _attendant(robot, console), tell).run(first)
     good = all(finding.good for finding in findings)
     if as_json:
         print_json({"good": good, "findings": [finding.as_data() for finding in findings]})
-    elif good:
-        console.out.print(f"All is as it should be. Next: thigmo calibrate all --robot {url}")
     else:
         stage = findings[-1].stage
-        console.out.print(f"Put it right, then: thigmo bringup {url} --from {stage}")
+        console.out.print(
+            f"All is as it should be. Next: thigmo calibrate all --robot {url}"
+            if good
+            else f"Put it right, then: thigmo bringup {url} --from {stage}",
+            highlight=False,
+            soft_wrap=True,
+        )
     if not good:
         raise typer.Exit(1)
 

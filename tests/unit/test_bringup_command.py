@@ -1,0 +1,89 @@
+"""`thigmo bringup`, `jog` and `press`: what is asked, what is printed, how it ends."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from thigmo.cli.bringup import _TerminalAttendant
+from thigmo.cli.console import Console
+from thigmo.cli.main import main
+
+
+class AnsweringConsole(Console):
+    """Keeps the questions and gives prepared answers."""
+
+    def __init__(self, *answers: str) -> None:
+        super().__init__(quiet=True)
+        self.asked: list[str] = []
+        self._answers = list(answers)
+
+    def ask(self, question: str) -> str:
+        self.asked.append(question)
+        return self._answers.pop(0)
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["thigmo", *arguments])
+    try:
+        main()
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return 0
+
+
+def test_the_person_is_asked_until_the_answer_is_one() -> None:
+    console = AnsweringConsole("", "", "", "perhaps", "In")
+    attendant = _TerminalAttendant(console)
+    attendant.press_emergency_stop(True)
+    attendant.press_emergency_stop(False)
+    assert attendant.spool_turned() == "not"  # nothing was driven yet
+    assert attendant.spool_turned() == "in"
+    assert console.asked[0] == "Press the emergency stop. Then press Enter."
+    assert console.asked[1] == "Release the emergency stop. Then press Enter."
+
+
+def test_json_says_what_was_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "bringup", "emulator://empty", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["good"] is True
+    assert {finding["stage"] for finding in found["findings"]} >= {"estop", "valves", "home"}
+
+
+def test_what_is_wrong_ends_with_1_and_the_way_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scene = tmp_path / "cut.toml"
+    scene.write_text('extends = "empty"\n[[faults]]\nkind = "flex_wire_cut"\nat_s = 0.0\n')
+    url = f"emulator://{scene}"
+    assert run(monkeypatch, "bringup", url) == 1
+    out = capsys.readouterr().out
+    assert "WRONG flex: flex left 0: open; plug it in, check J6.2" in out
+    assert f"thigmo bringup {url} --from flex" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("bringup", "emulator://empty", "--from", "x"), "no stage 'x'; name one of board"),
+        (("jog", "emulator://empty"), "needs one direction; give --out CM or --in CM"),
+        (("jog", "emulator://empty", "--out", "6"), "give more than 0 and at most 5 cm"),
+        (("press", "emulator://empty", "up", "3"), "no side 'up'; give left or right"),
+        (("press", "emulator://empty", "left", "6"), "give at most 5 psi and 60 s"),
+    ],
+)
+def test_a_bad_request_is_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    line: str,
+) -> None:
+    assert run(monkeypatch, *arguments) == 1
+    error = capsys.readouterr().err.strip()
+    assert line in error
+    assert "\n" not in error
