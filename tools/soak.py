@@ -50,7 +50,7 @@ CLOCK_S = 10.0
 # What the mix must not do at random: end the session, or swallow events that were not delivered.
 OWN = (wire.Hello, wire.AckEvent, wire.SaveConfig)
 # These answer when they are done, and are repeated until then.
-LONG = (wire.SaveConfig.ID, wire.LoadDefaults.ID)
+LONG = (wire.SaveConfig.ID, wire.LoadDefaults.ID, wire.ApplyParameters.ID)
 COMMANDS = [m for m in wire.MESSAGES.values() if issubclass(m, wire.Command) and m not in OWN]
 FAULTS = (
     "flex_wire_cut", "flex_short", "pressure_wire_cut", "pressure_stuck", "over_pressure",
