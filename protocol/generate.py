@@ -51,6 +51,7 @@ TYPES = {
     "u32": ("I", "uint32_t", 4, 0, 0xFFFF_FFFF),
     "i32": ("i", "int32_t", 4, -0x8000_0000, 0x7FFF_FFFF),
 }
+INBOUND_DATAGRAMS = ("heartbeat", "stop")
 BIT_ENUMS = ("Fault", "Condition", "SweepOption")
 
 
@@ -465,7 +466,7 @@ def cpp(schema: Schema) -> str:
         "constexpr uint8_t inboundSize(uint8_t id) {",
         "  switch (id) {",
     ]
-    inbound = [m for m in schema.messages if m.kind == "command" or m.name == "heartbeat"]
+    inbound = [m for m in schema.messages if m.kind == "command" or m.name in INBOUND_DATAGRAMS]
     for m in inbound:
         out += [f"    case k{m.camel}: return {m.size};"]
     out += [
@@ -784,6 +785,13 @@ def markdown(schema: Schema) -> str:
         "defaults, ranges and deadlines may differ. The layouts of hello, hello_reply, announce "
         "and ack never change, so that boards and hosts of different schemas can tell each other "
         "so.",
+        "- **Stop** stands outside all of this: any session, any seq, any schema, in every state, "
+        "also before the first hello. The board obeys it before it looks at anything else and "
+        "answers each copy with `stopped`; the sender repeats it, with a zero byte before it to "
+        "end whatever was cut off, until the nonce comes back. The layouts of both never change. "
+        "A stop latches, through resets too, until an operator has `clear_stop` sent, which names "
+        "the stop by its nonce and is sequenced: a stale copy of a stop may stop the robot, a "
+        "stale copy of a clear does nothing.",
         "- **Commands** carry the session, and a seq one above the last. One is outstanding at a "
         "time. The same seq again gets the stored reply, or `in_progress` while the work lasts. "
         "Any other seq is stale: dropped and counted. Another session: dropped, counted, and "

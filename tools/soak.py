@@ -229,7 +229,7 @@ class Soak:
             self._recover()
             self._again("recover", RECOVER_S)
         elif "save" in due:
-            self.ask(wire.Stop())
+            self.ask(wire.Disarm())
             self.ask(wire.SaveConfig())
             self._again("save", SAVE_S)
         else:
@@ -294,7 +294,7 @@ class Soak:
             (3, wire.RetractTo(length, chance.choice((0, 5000, 25000)))),
             (1, wire.Home()),
             (3, wire.Vent()),
-            (1, wire.Stop()),
+            (1, wire.Disarm()),
             (2, wire.Arm()),
             (2, wire.ZeroSensors(chance.choice((0x3FF, 0x021, chance.randrange(1, 0x400))))),
             (1, wire.ConfirmLength(max(true_um, 0), chance.randrange(2))),
@@ -361,7 +361,7 @@ class Soak:
         """Back to an armed, zeroed robot with its own configuration, as far as that goes."""
         transport = self.transport
         assert transport is not None
-        self.ask(wire.Stop())
+        self.ask(wire.Disarm())
         self.client.poll(2.5)
         for _ in range(10):
             status = self.ask(wire.GetStatus())

@@ -75,6 +75,13 @@ enum class Task : uint8_t {
 constexpr uint16_t kRxRing = 256;
 constexpr uint16_t kTxRing = 256;
 
+// Whether somebody has stopped the robot, and which stop that was. Kept through resets (keep_stop),
+// so that no program gets round it by opening the port, which resets a Mega.
+struct StopLatch {
+  bool latched = false;
+  uint32_t nonce = 0;
+};
+
 // Bytes of EEPROM that the core uses, from address 0: boot counter and two configuration slots.
 // (config/store.h lays them out; a binding may use what lies beyond.)
 constexpr uint16_t kEepromUsed = 2048;
@@ -127,8 +134,11 @@ class BoardPolicy {
 
   // --- start and stop ----------------------------------------------------------------------------
   protocol::ResetCause reset_cause();  // of this start
-  void task(uint8_t id);               // a part of the pass begins (Task); may do nothing
-  void kick_watchdog();                // every tick; time-out 120..500 ms
+  // What was last kept, if power has been on since; else none. Written only when it changes.
+  StopLatch kept_stop();
+  void keep_stop(StopLatch stop);
+  void task(uint8_t id);  // a part of the pass begins (Task); may do nothing
+  void kick_watchdog();   // every tick; time-out 120..500 ms
 };
 
 }  // namespace thigmo

@@ -26,6 +26,16 @@ class Commands {
 
   void heartbeat() { controller_.beat(); }
   void hello() { controller_.greet(); }
+  void stop(uint32_t nonce) {
+    controller_.stop(nonce);
+    stop_changed_ = true;
+  }
+  // Whether a stop has come or gone since the last call.
+  bool stop_changed() {
+    const bool changed = stop_changed_;
+    stop_changed_ = false;
+    return changed;
+  }
 
   Handled execute(const Frame& command, Frame* reply) {
     Reply answer = {reply, command.seq(), command.session()};
@@ -36,8 +46,13 @@ class Commands {
         return answer.ack(controller_.arm());
       case protocol::kVent:
         return answer.ack(controller_.vent());
-      case protocol::kStop:
-        return answer.ack(controller_.stop());
+      case protocol::kDisarm:
+        return answer.ack(controller_.disarm());
+      case protocol::kClearStop: {
+        const auto m = read<protocol::ClearStop>(command);
+        stop_changed_ = true;
+        return answer.ack(controller_.clear_stop(m.nonce));
+      }
       case protocol::kClearFaults: {
         const auto m = read<protocol::ClearFaults>(command);
         return answer.ack(controller_.clear_faults(m.mask));
@@ -255,6 +270,7 @@ class Commands {
   Session& session_;
   ConfigStore& store_;
   Timing timing_ = {};
+  bool stop_changed_ = false;
 };
 
 }  // namespace thigmo

@@ -61,7 +61,7 @@ class Controller {
  public:
   static constexpr uint16_t kFrameUs = 832;  // a tick's conversions are complete so long after it
 
-  void begin(LoadResult loaded, protocol::ResetCause cause);
+  void begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop);
 
   // One tick's work: conversions into readings; the loops whose turn it is; then trigger, peak,
   // zeroing, faults and supervisor. In this order, once each.
@@ -72,7 +72,8 @@ class Controller {
   // Commands.
   Outcome arm();
   Outcome vent();
-  Outcome stop();
+  Outcome disarm();
+  Outcome clear_stop(uint32_t nonce);
   Outcome clear_faults(uint16_t wanted);
   Outcome set_pressure(const protocol::SetPressure& wanted);
   Outcome grow_to(int32_t length_um, uint32_t speed_um_s);
@@ -91,6 +92,9 @@ class Controller {
   bool configure_step();  // once a tick; true when the parameters are applied or defaults loaded
   Outcome begin_save();   // the robot then drives the store, and calls end_save()
   void end_save(bool good, uint8_t slot, uint32_t generation);
+
+  // Somebody stops the robot; at once, in every state.
+  void stop(uint32_t nonce);
 
   // A host said hello; a heartbeat arrived.
   void greet();
@@ -118,6 +122,7 @@ class Controller {
   uint16_t faults() const { return faults_.latched(); }
   int32_t length_um() const { return length_um_; }
   bool body_air() const { return body_air_; }
+  StopLatch stop_latch() const { return stop_; }
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
@@ -235,6 +240,7 @@ class Controller {
   uint32_t zeroing_tick_ = 0;
   protocol::TestOutput test_ = {};
   uint32_t test_tick_ = 0;
+  StopLatch stop_;
   int32_t encoder_ = 0;
   int32_t zero_count_ = 0;   // encoder at everted length 0
   int32_t touch_count_ = 0;  // encoder at homing's first touch

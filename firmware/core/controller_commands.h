@@ -43,10 +43,25 @@ inline Outcome Controller::vent() {
   return kAccepted;
 }
 
-inline Outcome Controller::stop() {
-  supervise(bit(Signal::kStop));
+inline Outcome Controller::disarm() {
+  supervise(bit(Signal::kDisarm));
   make_safe(Reason::kNone);
   return kAccepted;
+}
+
+inline void Controller::stop(uint32_t nonce) {
+  stop_ = {true, nonce};
+  raise(Fault::kStopped, static_cast<int32_t>(nonce));
+  supervise(0);
+  make_safe(Reason::kFaultLatched);
+}
+
+// The cause of fault stopped is the latch itself: clear_faults leaves both.
+inline Outcome Controller::clear_stop(uint32_t nonce) {
+  if (!stop_.latched) return kAccepted;
+  if (nonce != stop_.nonce) return {Reason::kStoppedAgain, 0};
+  stop_ = StopLatch{};
+  return clear_faults(mask(Fault::kStopped));
 }
 
 inline Outcome Controller::clear_faults(uint16_t wanted) {

@@ -6,7 +6,7 @@
 
 namespace thigmo {
 
-inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause) {
+inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop) {
   derived_.update(config_);
   flex_.set_oversampling(derived_.oversample_log2);
   for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
@@ -14,6 +14,7 @@ inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause) {
   if (!config_valid_) raise(Fault::kBadConfig, static_cast<uint8_t>(loaded));
   if (cause == protocol::ResetCause::kWatchdog) raise(Fault::kWatchdog, 0);
   if (cause == protocol::ResetCause::kBrownOut) raise(Fault::kBrownOut, 0);
+  if (stop.latched) this->stop(stop.nonce);
 }
 
 inline void Controller::sense(const Inputs& in) {
@@ -446,6 +447,7 @@ inline uint16_t Controller::causes() const {
   // Gone for the purpose of clearing only when the host speaks again and the muscles are empty.
   put(Fault::kHostSilent, !is(Condition::kHostAlive));
   put(Fault::kInterlock, !is(Condition::kVented));
+  put(Fault::kStopped, stop_.latched);
   return present;
 }
 
@@ -574,6 +576,7 @@ inline void Controller::fill(protocol::StatusReport* out) const {
   out->event_number = events_.newest();
   out->supply_mv = supply_mv_;
   out->encoder_errors = encoder_errors_;
+  out->stop_nonce = stop_.nonce;
   out->config_generation = 0;  // the robot, which owns the store, fills it in
 }
 

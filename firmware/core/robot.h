@@ -28,7 +28,7 @@ class Robot {
   void begin() {
     write_outputs();
     const LoadResult loaded = store_.begin(board_, controller_.mutable_configuration());
-    controller_.begin(loaded, board_.reset_cause());
+    controller_.begin(loaded, board_.reset_cause(), board_.kept_stop());
   }
 
   // One pass of the main loop.
@@ -66,6 +66,7 @@ class Robot {
     for (uint8_t i = 0; i < kReceiveBytes && board_.rx_read(&byte); ++i) {
       if (session_.receive(byte, byte == 0 ? board_.micros() : 0, commands_)) {
         write_outputs();  // a stop takes effect now, not at the next tick
+        if (commands_.stop_changed()) board_.keep_stop(controller_.stop_latch());
         return;
       }
     }

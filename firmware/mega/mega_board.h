@@ -93,6 +93,8 @@ class MegaBoard {
   static void eeprom_write(uint16_t address, uint8_t value) { Eeprom::write(address, value); }
 
   static protocol::ResetCause reset_cause() { return Restart::cause(); }
+  static StopLatch kept_stop() { return Restart::kept_stop(); }
+  static void keep_stop(StopLatch stop) { Restart::keep_stop(stop); }
   static void kick_watchdog() {
     Restart::note_supply(Sampler::bandgap() > kBandgapMv * 1024 / kLowMv);
     Restart::kick();

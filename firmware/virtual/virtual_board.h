@@ -95,6 +95,7 @@ class VirtualBoard {
   // Restarts the chip: outputs off, rings empty, boot loader, then the firmware from its start.
   void reset(protocol::ResetCause cause) {
     cause_ = cause;
+    if (cause == protocol::ResetCause::kPowerOn) stop_ = StopLatch{};
     robot_.reset();
     running_ = false;
     powered_ = true;
@@ -214,6 +215,8 @@ class VirtualBoard {
   }
 
   protocol::ResetCause reset_cause() { return cause_; }
+  StopLatch kept_stop() { return stop_; }
+  void keep_stop(StopLatch stop) { stop_ = stop; }
   void kick_watchdog() { kicked_us_ = now_us_; }
   void task(uint8_t) {}
 
@@ -318,6 +321,7 @@ class VirtualBoard {
   uint32_t cut_after_ = 0;
   protocol::ResetCause cause_ = protocol::ResetCause::kPowerOn;
   bool estop_ = false;
+  StopLatch stop_;  // kept through resets, as RAM is
   bool running_ = false;
   bool powered_ = true;
   bool hung_ = false;

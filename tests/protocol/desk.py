@@ -100,7 +100,8 @@ class Desk:
         if self.stored is None:
             self.stored = self._read()
         host.beating = False
-        host.get(wire.Stop())
+        host.get(wire.Disarm())
+        host.get(wire.ClearStop(host.get(wire.GetStatus()).stop_nonce))
         host.get(wire.LoadDefaults())
         host.get(wire.ClearFaults(0xFFFF))
         host.get(wire.AckEvent(host.get(wire.GetStatus()).event_number))

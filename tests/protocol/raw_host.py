@@ -99,6 +99,13 @@ class RawHost:
             lambda f: (f.seq, f.session) == (seq, session) and 0x80 <= f.id < 0xA0, timeout_s
         )
 
+    def stop(self, nonce: int, *, seq: int = 0, session: int = 0) -> None:
+        """Send a stop, and hear its echo."""
+        self.send(wire.Stop(nonce), seq=seq, session=session)
+        echo = self.next_frame(lambda f: f.id == wire.Stopped.ID, ANSWER_S)
+        assert echo is not None, "no echo of a stop"
+        assert echo.message() == wire.Stopped(nonce)
+
     def hello(self, nonce: int | None = None, seq: int = 0) -> wire.HelloReply:
         """Open a conversation."""
         if nonce is None:

@@ -24,6 +24,8 @@ class ReferenceDevice:
 
     Attributes:
         executed: (boot, message) of each command carried out, in order.
+        stops: (time, nonce) of each copy of a stop.
+        state: what its telemetry tells.
         counters: as get_link_stats would tell.
     """
 
@@ -31,6 +33,8 @@ class ReferenceDevice:
         self.schema_hash = schema_hash
         self.executed: list[tuple[int, wire.Message]] = []
         self.beats: list[tuple[int, int]] = []
+        self.stops: list[tuple[int, int]] = []
+        self.state = wire.State.SAFE
         self.counters = {"stale": 0, "repeats": 0, "bad": 0}
         self.now_us = 0
         self.boots = 0
@@ -92,7 +96,9 @@ class ReferenceDevice:
             if ms % TELEMETRY_MS == 0:
                 self._telemetry_seq = (self._telemetry_seq + 1) & 0xFFFF
                 flex = (ms & 0xFFF,) * 10
-                row = wire.Telemetry(self._t_us, flex, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x10, 0)
+                row = wire.Telemetry(
+                    self._t_us, flex, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, self.state << 4, 0
+                )
                 self._send(row, self._telemetry_seq, self.session)
 
     def write(self, data: bytes) -> None:
@@ -129,6 +135,10 @@ class ReferenceDevice:
             self._beat = counter
             self.beats.append((self.now_us, counter))
             self._send(wire.Pulse(counter, self._t_us), 0, self.session)
+            return
+        if frame.id == wire.Stop.ID:
+            self.stops.append((self.now_us, wire.Stop.unpack(frame.payload).nonce))
+            self._send(wire.Stopped(self.stops[-1][1]), 0, 0)
             return
         if frame.id == wire.Hello.ID:
             self._take_hello(frame)
@@ -208,9 +218,6 @@ class ReferenceDevice:
         elif isinstance(message, wire.AckEvent):
             while self.events and (message.number - self.events[0].number) & 0xFFFF < 0x8000:
                 self.events.popleft()
-            self._finish(ok)
-        elif isinstance(message, wire.Stop):
-            self.executed.append((self.boots, message))
             self._finish(ok)
         else:
             self._finish(wire.Ack(wire.Status.REFUSED, wire.Reason.WRONG_STATE, 0))

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 from desk import MAPS, Desk
-from raw_host import RawHost, RawMessage
+from raw_host import LONG_S, RawHost, RawMessage
 
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Frame, encode
@@ -680,7 +680,7 @@ def test_one_activity_at_a_time_and_stop_ends_it(ready: RawHost) -> None:
     for command in NEEDS_ARMED:
         assert ready.refusal(command)[0] is R.BUSY, command
     assert ready.get(wire.GetStatus()).activity is wire.Activity.ZEROING
-    ready.get(wire.Stop())
+    ready.get(wire.Disarm())
     report = ready.get(wire.GetStatus())
     assert (report.state, report.activity) == (wire.State.SAFE, wire.Activity.IDLE)
     ended = (wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING)
@@ -719,13 +719,141 @@ def test_a_zeroed_board_still_refuses_bends_that_cannot_be(desk: Desk) -> None:
 
 def test_stop_and_vent_are_accepted_in_every_state(desk: Desk) -> None:
     host = desk.calm()
-    host.get(wire.Stop())
+    host.get(wire.Disarm())
     host.get(wire.Vent())
     host = desk.ready()
     host.get(wire.Vent())
     assert host.get(wire.GetStatus()).state is wire.State.READY
-    host.get(wire.Stop())
+    host.get(wire.Disarm())
     assert host.get(wire.GetStatus()).state is not wire.State.READY
+
+
+# Stop.
+
+STOPPED = wire.Fault.STOPPED.mask
+
+
+@pytest.mark.parametrize(("seq", "session"), [(0, 0), (9, 0xFFFF), (0xFFFF, 1)])
+def test_a_stop_is_obeyed_whatever_its_session_and_sequence(
+    ready: RawHost, seq: int, session: int
+) -> None:
+    ready.stop(0xDEAD, seq=seq, session=session)
+    report = ready.get(wire.GetStatus())  # and the conversation goes on
+    assert report.state is wire.State.FAULT
+    assert report.faults & STOPPED
+    assert report.stop_nonce == 0xDEAD
+    assert ready.refusal(wire.Arm())[0] is R.FAULT_LATCHED
+
+
+def test_a_stop_ends_an_activity_and_is_told_in_an_event(ready: RawHost) -> None:
+    ready.get(wire.ConfirmLength(100_000, 1))
+    ready.get(wire.ZeroSensors(0b00001_00001))
+    ready.stop(0x1234)
+    told = {(e.code, e.arg): e.value for e in events(ready.listen(0.5))}
+    assert told[wire.EventCode.FAULT, wire.Fault.STOPPED] == 0x1234
+    assert told[wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING] == R.FAULT_LATCHED
+    assert ready.get(wire.GetStatus()).activity is wire.Activity.IDLE
+
+
+def test_a_stop_does_not_wait_behind_a_command_that_works(host: RawHost) -> None:
+    host.get(wire.SetParameter(SETTLE, random.randrange(600_000)))
+    host.seq += 1
+    host.send(wire.SaveConfig())
+    host.stop(0x77)
+    assert host.answer(host.seq, host.session, LONG_S) is not None  # and the save ends well
+    assert host.get(wire.GetStatus()).faults & STOPPED
+
+
+def test_a_stop_before_the_first_hello(desk: Desk) -> None:
+    desk.restart()
+    host = desk.host
+    host.stop(0xB007)
+    host.hello()
+    report = host.get(wire.GetStatus())
+    assert report.state is wire.State.FAULT
+    assert report.stop_nonce == 0xB007
+
+
+def test_a_stop_survives_a_restart(desk: Desk) -> None:
+    """Opening the port resets the board: no program gets round a stop so."""
+    desk.calm().stop(0x5EED)
+    desk.restart()
+    host = desk.host
+    host.hello()
+    report = host.get(wire.GetStatus())
+    assert report.faults & STOPPED
+    assert report.stop_nonce == 0x5EED
+    assert host.refusal(wire.Arm())[0] is R.FAULT_LATCHED
+    host.get(wire.ClearStop(0x5EED))
+    desk.restart()
+    desk.host.hello()
+    assert not desk.host.get(wire.GetStatus()).faults & STOPPED
+
+
+def test_power_on_forgets_a_stop(desk: Desk) -> None:
+    board = desk.simulated()
+    desk.calm().stop(0x5EED)
+    board.reset(wire.ResetCause.POWER_ON)
+    desk.host.drop_pending()
+    desk.wait_for_boot()
+    desk.host.hello()
+    report = desk.host.get(wire.GetStatus())
+    assert not report.faults & STOPPED
+    assert report.stop_nonce == 0
+
+
+def test_only_a_clear_that_names_the_latest_stop_lets_go(host: RawHost) -> None:
+    host.stop(0x111)
+    host.stop(0x222)
+    assert host.get(wire.ClearFaults(0xFFFF)).detail & STOPPED
+    for nonce in (0x111, 0, 0x222 ^ 1):
+        assert host.refusal(wire.ClearStop(nonce))[0] is R.STOPPED_AGAIN
+        assert host.get(wire.GetStatus()).faults & STOPPED
+    assert host.get(wire.ClearStop(0x222)).detail & STOPPED == 0
+    assert host.get(wire.GetStatus()).stop_nonce == 0
+    host.get(wire.ClearStop(0x222))  # nothing is latched: nothing to do
+    host.beat()
+    host.get(wire.Arm())
+    assert host.get(wire.GetStatus()).state is wire.State.READY
+
+
+def test_a_stale_copy_may_stop_and_never_clears(host: RawHost) -> None:
+    host.stop(0x111)
+    clear = host.seq + 1
+    host.get(wire.ClearStop(0x111))
+    host.stop(0x111)  # an old copy of the stop
+    for seq in (clear, clear - 1, host.seq):  # of the clear
+        host.send(wire.ClearStop(0x111), seq=seq)
+        host.answer(seq, host.session, 0.1)
+        assert host.get(wire.GetStatus()).faults & STOPPED
+    host.send(wire.ClearStop(0x111), seq=host.seq + 1, session=host.session ^ 1)
+    assert host.get(wire.GetStatus()).faults & STOPPED
+    host.get(wire.ClearStop(0x111))
+
+
+def test_a_stop_among_noise_is_obeyed(host: RawHost) -> None:
+    """Cut off frames before it, bytes lost and inserted: one whole copy is enough."""
+    rng = random.Random(1)
+    wired = encode(wire.Stop(0xCAFE), 0, 0)
+    host.transport.write(encode(wire.GetStatus(), host.seq + 1, host.session)[:-4])
+    for _ in range(20):
+        at = rng.randrange(len(wired))
+        host.transport.write(b"\0" + wired[:at] + rng.randbytes(rng.randint(1, 9)) + wired[at:])
+        host.transport.write(b"\0" + wired[:at] + wired[at + 1 :])
+        host.listen(0.05)
+    host.transport.write(b"\0" + wired)
+    echo = host.next_frame(lambda f: f.id == wire.Stopped.ID, 0.5)
+    assert echo is not None
+    assert echo.message() == wire.Stopped(0xCAFE)
+
+
+@pytest.mark.parametrize("size", [0, 3, 5, 8])
+def test_a_stop_of_the_wrong_size_is_dropped(host: RawHost, size: int) -> None:
+    before = stats(host)
+    host.send(RawMessage(wire.Stop.ID, bytes(size)), seq=0, session=0)
+    assert host.next_frame(lambda f: f.id == wire.Stopped.ID, 0.1) is None
+    assert not host.get(wire.GetStatus()).faults & STOPPED
+    assert stats(host).rx_stale - before.rx_stale == 1
 
 
 # Reports.

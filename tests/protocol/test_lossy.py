@@ -277,3 +277,37 @@ def test_the_firmware_reset_at_any_byte(seed: int) -> None:
         assert reply.value in held.values
     assert transport.reset_at is None
     assert len(witness.unknown) <= 3
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_stop_is_confirmed_and_stays_whatever_the_line_repeats(rate: float) -> None:
+    board = virtual_board(21)
+    transport = bad_cable(board, rate, 21)
+    witness = Witness(connected(transport))
+    for number in range(10):
+        before = witness.client.now()
+        witness.client.stop()
+        assert witness.client.now() - before < 1.0
+        # Whatever else passes, old clears among it, the board stays stopped.
+        for _ in range(10):
+            witness.send(wire.ClearFaults(0xFFFF))
+            report = witness.send(wire.GetStatus())
+            if isinstance(report, wire.StatusReport):
+                assert report.faults & wire.Fault.STOPPED.mask, number
+                nonce = report.stop_nonce
+        witness.send(wire.ClearStop(nonce))
+
+
+def test_a_stop_is_not_sent_into_a_boot_loader() -> None:
+    board = virtual_board(22)
+    transport = LoopTransport(board)
+    client = connected(transport)
+    board.reset(wire.ResetCause.EXTERNAL)
+    began = client.now()
+    sent: list[float] = []
+    client.taps.append(lambda way, _, t: sent.append(t - began) if way == "tx" else None)
+    client.wait_for(lambda: client.now() > began + 0.7, 5.0)
+    sent.clear()
+    client.stop()
+    assert sent[0] > 0.83  # the boot loader's time
+    assert client.now() - began < 1.5

@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,20 +23,32 @@ from pathlib import Path
 import pytest
 from pty_device import PtyDevice
 from reference_device import ReferenceDevice
+from typer.testing import CliRunner
 
+from thigmo.cli.main import app
 from thigmo.errors import LinkError, NotARobotError, PortError
 from thigmo.link import client as client_module
 from thigmo.link import port_process
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
+from thigmo.link.lease import waits_for_operator
 from thigmo.link.pipe import Kind, read_packet
 from thigmo.link.serial_port import SerialTransport, port_error
 from thigmo.link.transport import open_transport
+from thigmo.robot.stopping import stop_robot
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 LIMIT_S = 0.5  # the board's default limit of host silence
 SETTLE = wire.PARAMETERS["settle_ms"].index
+
+
+@pytest.fixture(autouse=True)
+def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of its own: a test that stops all robots must stop no other test's."""
+    with tempfile.TemporaryDirectory() as folder:  # pytest's are too long for a socket
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder) / "thigmo"
 
 
 @pytest.fixture
@@ -100,10 +114,9 @@ def test_a_busy_main_thread_starves_no_heart(client: Client, board: PtyDevice) -
     assert stats.timeouts == 0
 
 
-def test_the_lease_ends_the_heart_of_a_host_that_hangs(
-    board: PtyDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With a lease of 0.6 s instead of 30; a touch starts the heart again."""
+@pytest.fixture
+def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lease of 0.6 s instead of 30."""
     source = "import thigmo.link.port_process as p; p.LEASE_S = 0.6; p.main()"
     real = subprocess.Popen
 
@@ -111,14 +124,45 @@ def test_the_lease_ends_the_heart_of_a_host_that_hangs(
         assert command[1:3] == ["-m", "thigmo.link.port_process"]
         return real([command[0], "-c", source, *command[3:]], **options)
 
+    assert port_process.LEASE_S == 30.0
     monkeypatch.setattr(subprocess, "Popen", popen)
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_the_lease_ends_the_heart_of_a_host_that_hangs_and_stops_an_armed_robot(
+    board: PtyDevice,
+) -> None:
+    board.device.state = wire.State.READY
     with Client(open_transport(board.port)) as client:
         client.wait_for(lambda: len(board.beats) >= 12, 3.0)
         assert board.silent_for() < LIMIT_S  # reading renews it
+        assert not board.device.stops
         assert wait_until(lambda: board.silent_for() > 3 * PERIOD_S + 0.3, 3.0)
+        nonces = [nonce for _, nonce in board.device.stops]
+        assert len(set(nonces)) == 1  # one stop, not one each time that the lease is looked at
         client.wait_for(lambda: board.silent_for() < 0.2, 2.0)
-        assert board.silent_for() < 0.2
-    assert port_process.LEASE_S == 30.0
+        assert board.silent_for() < 0.2  # a touch starts the heart again
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_the_lease_of_a_disarmed_robot_ends_without_a_stop(board: PtyDevice) -> None:
+    with Client(open_transport(board.port)) as client:
+        client.wait_for(lambda: len(board.beats) >= 3, 3.0)
+        assert wait_until(lambda: board.silent_for() > 3 * PERIOD_S + 0.3, 3.0)
+        assert not board.device.stops
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_a_host_that_waits_for_its_operator_does_not_hang(board: PtyDevice) -> None:
+    board.device.state = wire.State.READY
+    with Client(open_transport(board.port)) as client:
+        client.wait_for(lambda: len(board.beats) >= 3, 3.0)
+        waits_for_operator()
+        began = time.monotonic()
+        assert not wait_until(lambda: bool(board.device.stops), 1.5)
+        assert max(gaps(board, began)) < LIMIT_S
+        client.poll()  # the answer has come: from now on it may hang again
+        assert wait_until(lambda: bool(board.device.stops), 3.0)
 
 
 def test_a_muted_board_hears_no_beats_until_it_speaks(client: Client, board: PtyDevice) -> None:
@@ -150,11 +194,18 @@ client.wait_for(lambda: False, 60.0)
 
 @pytest.fixture
 def host(board: PtyDevice) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
-    process = subprocess.Popen([sys.executable, "-c", HOST, board.port], stdout=subprocess.PIPE)
+    board.device.state = wire.State.MOVING
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOST, board.port],
+        stdout=subprocess.PIPE,
+        start_new_session=True,  # a terminal of its own, as it were
+    )
     assert process.stdout is not None
     pid = int(process.stdout.readline())
     assert wait_until(lambda: len(board.beats) > 3, 5.0)
     yield process, pid
+    with suppress(ProcessLookupError):
+        process.send_signal(signal.SIGCONT)
     process.kill()
     process.wait()
     process.stdout.close()
@@ -194,6 +245,7 @@ def test_a_killed_host_takes_the_heart_with_it(
     process.wait()
     assert wait_until(lambda: not alive(pid), 3.0), "the port's process outlived its host"
     assert board.beats[-1] - killed < 0.4
+    assert board.device.stops
     with Client(open_transport(board.port)):
         pass  # and the port is free again
 
@@ -209,13 +261,87 @@ def test_a_stopped_host_keeps_the_heart(
     process.send_signal(signal.SIGCONT)
 
 
-def test_control_c_reaches_the_host_and_not_the_port(
+def test_control_c_stops_the_robot_though_the_host_hangs(
     board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
 ) -> None:
-    _, pid = host
-    os.kill(pid, signal.SIGINT)
-    assert not wait_until(lambda: not alive(pid), 0.5)
+    process, pid = host
+    process.send_signal(signal.SIGSTOP)
+    os.killpg(process.pid, signal.SIGINT)  # what a terminal does
+    assert wait_until(lambda: bool(board.device.stops), 2.0)
+    assert alive(pid)
     assert board.silent_for() < LIMIT_S
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGTERM])
+def test_nothing_that_a_terminal_sends_takes_the_port_from_the_robot(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int], number: signal.Signals
+) -> None:
+    _, pid = host
+    os.kill(pid, number)
+    assert not wait_until(lambda: not alive(pid) or board.silent_for() > LIMIT_S, 0.7)
+    assert bool(board.device.stops) == (number == signal.SIGTERM)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_thigmo_stop_works_beside_a_host_that_hangs(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int], tmp_path: Path, named: bool
+) -> None:
+    process, _ = host
+    process.send_signal(signal.SIGSTOP)
+    by_id = tmp_path / "by-id"
+    by_id.symlink_to(board.port)
+    command = ["stop", str(by_id)] if named else ["stop"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    assert result.output.startswith(f"Stopped: {by_id if named else board.port}. `thigmo clear")
+    assert board.device.stops
+    process.send_signal(signal.SIGCONT)
+    assert board.silent_for() < LIMIT_S
+
+
+def test_thigmo_stop_opens_a_port_that_nobody_owns(board: PtyDevice) -> None:
+    result = CliRunner().invoke(app, ["stop", board.port, "--json"])
+    assert result.exit_code == 0, result.output
+    assert board.device.stops
+    assert not board.beats
+
+
+def test_thigmo_stop_without_a_robot_says_so() -> None:
+    result = CliRunner().invoke(app, ["stop"])
+    assert str(result.exception).startswith("no program of yours drives a robot; name its port")
+
+
+def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
+    client: Client, board: PtyDevice
+) -> None:
+    hears = board.device.write
+    with board.lock:
+        board.device.write = lambda data: None  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match=r"did not confirm the stop; press the emergency stop"):
+        stop_robot(board.port)
+    with board.lock:
+        board.device.write = hears  # type: ignore[method-assign]
+    assert wait_until(lambda: bool(board.device.stops), 2.0)  # and it goes on trying
+
+
+def test_a_folder_that_others_can_enter_takes_no_stops(sockets: Path, board: PtyDevice) -> None:
+    sockets.mkdir(mode=0o755)
+    sockets.chmod(0o755)
+    with pytest.raises(LinkError, match=r"others can enter .*; remove it"):
+        Client(open_transport(board.port))
+
+
+def test_only_the_same_user_reaches_the_socket(client: Client, sockets: Path) -> None:
+    (socket_path,) = wait_for_sockets(sockets)
+    assert stat.S_ISSOCK(socket_path.stat().st_mode)
+    assert stat.S_IMODE(sockets.stat().st_mode) == 0o700
+    client.close()
+    assert not socket_path.exists()
+
+
+def wait_for_sockets(folder: Path) -> list[Path]:
+    assert wait_until(lambda: folder.exists() and any(folder.iterdir()), 2.0)
+    return list(folder.iterdir())
 
 
 def test_closing_ends_the_process(board: PtyDevice) -> None:

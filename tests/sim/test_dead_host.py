@@ -6,11 +6,14 @@ host in a process of its own arms it and starts a sweep.
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import pytest
 
@@ -18,13 +21,17 @@ from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import PtyServer
 from thigmo.emulator.transport import EmulatorTransport
+from thigmo.errors import CommandRefusedError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.transport import open_transport
+from thigmo.robot.stopping import stop_robot
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 LIMIT_S = 0.5
 SLACK_S = 0.5  # of a loaded computer's real time
+Host = subprocess.Popen[bytes]
+Start = Callable[[str], Host]
 
 SWEEP = """
 import ctypes, sys
@@ -39,6 +46,26 @@ client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
 print("sweeping", flush=True)
 """
 LIVE = SWEEP + "client.wait_for(lambda: False, 60.0)"
+SHORT_LEASE = """
+import subprocess
+process = "import thigmo.link.port_process as p; p.LEASE_S = 1.0; p.main()"
+real = subprocess.Popen
+subprocess.Popen = lambda command, **o: real([command[0], "-c", process, *command[3:]], **o)
+"""
+# Wakes up as if nothing had happened, and is told why it may not.
+CARRIES_ON = (
+    SWEEP
+    + """
+from thigmo.errors import CommandRefusedError
+while True:
+    client.poll(0.1)
+    try:
+        client.request(wire.Arm())
+        client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
+    except CommandRefusedError as error:
+        print(error.reason, flush=True)
+"""
+)
 STALL = (
     SWEEP
     + """
@@ -68,7 +95,7 @@ class Served:
         report = client.request(wire.GetStatus())
         assert client.wait_for(lambda: any(done(e.message) for e in client.events), 30.0), report
         client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
-        client.request(wire.Stop())  # armed, it would miss this host: the next one arms it
+        client.request(wire.Disarm())  # armed, it would miss this host: the next one arms it
         self.lockstep = transport.lockstep
         self.board = transport.lockstep.board
         # A board that keeps running while hosts come and go: opening does not reset it.
@@ -110,15 +137,56 @@ def within(condition: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
-def test_a_host_killed_in_mid_sweep_leaves_a_safe_robot_and_a_named_fault(robot: Served) -> None:
-    with subprocess.Popen([sys.executable, "-c", LIVE, robot.port], stdout=subprocess.PIPE) as host:
-        assert host.stdout is not None
-        assert host.stdout.readline() == b"sweeping\n"
+@pytest.fixture
+def start(robot: Served) -> Iterator[Start]:
+    """Starts a host, in a process group of its own, and waits for its sweep."""
+    hosts: list[Host] = []
+
+    def start(source: str) -> Host:
+        hosts.append(
+            subprocess.Popen(
+                [sys.executable, "-c", source, robot.port],
+                stdout=subprocess.PIPE,
+                start_new_session=True,
+            )
+        )
+        assert line_of(hosts[-1]) == "sweeping"
         assert within(lambda: robot.energised, 8.0), "the sweep never reached the live zero"
-        host.kill()
+        return hosts[-1]
+
+    yield start
+    for host in hosts:
+        with suppress(ProcessLookupError):
+            os.killpg(host.pid, signal.SIGKILL)
+        host.communicate()
+
+
+def line_of(host: Host) -> str:
+    assert host.stdout is not None
+    return host.stdout.readline().decode().strip()
+
+
+def assert_off(robot: Served) -> None:
     assert within(lambda: not robot.energised, LIMIT_S + SLACK_S)
     assert robot.board.motor == 0
     assert robot.board.braked
+
+
+def clear_and_arm(client: Client) -> None:
+    """What an operator does before the next run."""
+    client.wait_for(lambda: False, 0.3)  # its heart beats: the cause of host_silent is gone
+    client.request(wire.ClearStop(client.request(wire.GetStatus()).stop_nonce))
+    assert client.request(wire.ClearFaults(0xFFFF)).detail == 0
+    client.request(wire.Arm())
+
+
+def test_a_computer_that_dies_in_mid_sweep_leaves_a_safe_robot_and_a_named_fault(
+    robot: Served, start: Start
+) -> None:
+    """Host and port process die together, as when the computer loses its power."""
+    host = start(LIVE)
+    os.killpg(host.pid, signal.SIGKILL)
+    assert_off(robot)
     with Client(open_transport(robot.port)) as client:
         report = client.request(wire.GetStatus())
         assert report.state is wire.State.FAULT
@@ -130,9 +198,54 @@ def test_a_host_killed_in_mid_sweep_leaves_a_safe_robot_and_a_named_fault(robot:
             ),
             2.0,
         )
-        client.wait_for(lambda: False, 0.3)  # its heart beats: the cause is gone
-        assert client.request(wire.ClearFaults(0xFFFF)).detail == 0
-        client.request(wire.Arm())
+        clear_and_arm(client)
+
+
+def test_a_host_killed_in_mid_sweep_is_a_stop(robot: Served, start: Start) -> None:
+    start(LIVE).kill()
+    assert_off(robot)
+    with Client(open_transport(robot.port)) as client:
+        report = client.request(wire.GetStatus())
+        assert report.state is wire.State.FAULT
+        assert wire.Fault.STOPPED in wire.Fault.from_mask(report.faults)
+        with pytest.raises(CommandRefusedError, match="fault is latched"):
+            client.request(wire.Arm())
+        clear_and_arm(client)
+
+
+def test_thigmo_stop_beside_a_run_that_hangs_and_the_run_does_not_carry_on(
+    robot: Served, start: Start
+) -> None:
+    host = start(CARRIES_ON)
+    host.send_signal(signal.SIGSTOP)
+    stop_robot(robot.port)
+    assert not robot.energised
+    host.send_signal(signal.SIGCONT)
+    assert refused_for(host, wire.Reason.FAULT_LATCHED)
+    assert not robot.energised
+
+
+def test_control_c_beside_a_run_that_hangs(robot: Served, start: Start) -> None:
+    host = start(CARRIES_ON)
+    host.send_signal(signal.SIGSTOP)
+    os.killpg(host.pid, signal.SIGINT)
+    assert_off(robot)
+
+
+def test_a_run_that_hangs_for_longer_than_its_lease_does_not_carry_on(
+    robot: Served, start: Start
+) -> None:
+    host = start(SHORT_LEASE + CARRIES_ON)
+    host.send_signal(signal.SIGSTOP)
+    assert within(lambda: not robot.energised, 1.0 + LIMIT_S + SLACK_S)
+    host.send_signal(signal.SIGCONT)
+    assert refused_for(host, wire.Reason.FAULT_LATCHED)
+    assert not robot.energised
+
+
+def refused_for(host: Host, reason: wire.Reason) -> bool:
+    """Whether the host, which prints each refusal, is refused so before long."""
+    return any(line_of(host) == reason.key for _ in range(50))
 
 
 def test_five_seconds_without_the_interpreter_in_mid_sweep_are_no_fault(robot: Served) -> None:

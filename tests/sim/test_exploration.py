@@ -100,7 +100,7 @@ def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> No
     assert isinstance(last, wire.Telemetry)
     assert (last.left_drive, last.right_drive, last.motor) == (0, 0, 0)
     assert max(last.left_cpsi, last.right_cpsi) < 50
-    stops = [f for f in frames if f.id == wire.Stop.ID]
+    stops = [f for f in frames if f.id == wire.Disarm.ID]
     assert stops
 
 

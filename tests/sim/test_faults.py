@@ -344,7 +344,7 @@ def test_a_sensor_that_half_everts_during_a_bend_ends_it() -> None:
 def test_a_power_cut_while_saving_keeps_the_old_configuration() -> None:
     bench = Bench(20.0).ready()
     robot = bench.robot
-    robot.stop()
+    robot.disarm()
     (old,) = robot.parameter("settle_ms")
     robot.set_parameter("settle_ms", [old + 1000])
     bench.inject(kind="power_cut_saving", begin_s=0.0, lasts_s=3.0, value=5)

@@ -128,8 +128,8 @@ class Script:
     def vent(self) -> None:
         self._call("vent")
 
-    def stop(self) -> None:
-        self._call("stop")
+    def disarm(self) -> None:
+        self._call("disarm")
 
 
 def _explore(tmp_path: Path, robot: Script, protocol: Protocol = "measure") -> Exploration:
@@ -159,7 +159,7 @@ def test_an_empty_room_is_explored_to_the_full_length(tmp_path: Path) -> None:
         [10, 20, 30, 40, 50, 53], abs=0.05
     )
     assert robot.calls[:4] == ["configure", "confirm 0", "arm", "body 1.47"]
-    assert robot.calls[-1] == "stop"
+    assert robot.calls[-1] == "disarm"
     first_stage = robot.calls[4:11]
     assert first_stage == ["zone 0", "grow 10", "settle", "zero", "sweep 18 18", "vent", "zone 0"]
     assert [c for c in robot.calls if c.startswith("body")] == [

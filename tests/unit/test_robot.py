@@ -99,7 +99,7 @@ class DictionaryBoard:
     def _status(self) -> wire.StatusReport:
         return wire.StatusReport(
             OK, wire.State.READY, wire.Activity.IDLE, 255, self.faults, self.conditions, 0,
-            123_400, 0, 0, 0, 0, 0, 0, self.generation, 4980, 3,
+            123_400, 0, 0, 0, 0, 0, 0, self.generation, 4980, 3, 0,
         )  # fmt: skip
 
 
@@ -239,7 +239,24 @@ def test_events_from_before_a_command_do_not_end_it() -> None:
 def test_an_aborted_activity_says_why() -> None:
     robot, board = _robot()
     everted = wire.StatusReport(
-        OK, wire.State.READY, wire.Activity.IDLE, 0, 0, 0, 0, 0, 0, 0, 0x21, 0x21, 0, 0, 1, 5000, 0
+        OK,
+        wire.State.READY,
+        wire.Activity.IDLE,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0x21,
+        0x21,
+        0,
+        0,
+        1,
+        5000,
+        0,
+        0,
     )
     board._status = lambda: everted  # type: ignore[method-assign]
     board.coming = [
@@ -255,7 +272,7 @@ def test_leaving_the_robot_stops_it_and_closes_the_link_once() -> None:
     robot, board = _robot()
     with pytest.raises(ZeroDivisionError), robot:
         _ = 1 / 0
-    assert isinstance(board.sent[-1], wire.Stop)
+    assert isinstance(board.sent[-1], wire.Disarm)
     assert board.closed
     count = len(board.sent)
     robot.close()

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xB3370CFAu;
+constexpr uint32_t kSchemaHash = 0x33611322u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -132,8 +132,10 @@ enum class Reason : uint8_t {
   kNoBaseSensor =
       22,  // Neither base sensor can feel a contact; grow past them, and mend, enable or zero one.
   kHostSilent = 21,  // No heartbeat has arrived lately; keep the host beating, then arm again.
+  kStoppedAgain =
+      24,  // The robot was stopped once more since; look at it again, then clear that stop.
 };
-constexpr uint8_t kReasonCount = 24;
+constexpr uint8_t kReasonCount = 25;
 
 // Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
 enum class Fault : uint8_t {
@@ -165,8 +167,10 @@ enum class Fault : uint8_t {
                            // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
+  kStopped = 15,  // The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or
+                  // died; see that nobody is in its way, then clear.
 };
-constexpr uint8_t kFaultCount = 15;
+constexpr uint8_t kFaultCount = 16;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
@@ -226,7 +230,7 @@ constexpr uint8_t kHello = 0x01;
 constexpr uint8_t kGetStatus = 0x02;
 constexpr uint8_t kArm = 0x03;
 constexpr uint8_t kVent = 0x04;
-constexpr uint8_t kStop = 0x05;
+constexpr uint8_t kDisarm = 0x05;
 constexpr uint8_t kClearFaults = 0x06;
 constexpr uint8_t kSetPressure = 0x07;
 constexpr uint8_t kGrowTo = 0x08;
@@ -249,6 +253,7 @@ constexpr uint8_t kApplyParameters = 0x1B;
 constexpr uint8_t kBodyAir = 0x1C;
 constexpr uint8_t kTestOutput = 0x1D;
 constexpr uint8_t kGetLinkStats = 0x18;
+constexpr uint8_t kClearStop = 0x1A;
 constexpr uint8_t kGetConfigReport = 0x19;
 constexpr uint8_t kAck = 0x80;
 constexpr uint8_t kHelloReply = 0x81;
@@ -259,6 +264,8 @@ constexpr uint8_t kMapValues = 0x85;
 constexpr uint8_t kSnapshot = 0x86;
 constexpr uint8_t kLinkStats = 0x87;
 constexpr uint8_t kConfigReport = 0x88;
+constexpr uint8_t kStop = 0x21;
+constexpr uint8_t kStopped = 0xA2;
 constexpr uint8_t kHeartbeat = 0x20;
 constexpr uint8_t kPulse = 0xA0;
 constexpr uint8_t kAnnounce = 0xA1;
@@ -277,7 +284,7 @@ constexpr uint8_t inboundSize(uint8_t id) {
       return 0;
     case kVent:
       return 0;
-    case kStop:
+    case kDisarm:
       return 0;
     case kClearFaults:
       return 2;
@@ -323,8 +330,12 @@ constexpr uint8_t inboundSize(uint8_t id) {
       return 5;
     case kGetLinkStats:
       return 0;
+    case kClearStop:
+      return 4;
     case kGetConfigReport:
       return 0;
+    case kStop:
+      return 4;
     case kHeartbeat:
       return 4;
     default:
@@ -408,12 +419,13 @@ struct Vent {
   }
 };
 
-// At once: valves 0 mA, motor braked, activity aborted, state safe. Accepted in every state.
-struct Stop {
-  static constexpr uint8_t kId = kStop;
+// The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe. Accepted in
+// every state. For emergencies there is `stop`, which needs no session and latches.
+struct Disarm {
+  static constexpr uint8_t kId = kDisarm;
   static constexpr uint8_t kSize = 0;
   void encode(uint8_t*) const {}
-  static bool decode(const uint8_t*, uint8_t length, Stop*) {
+  static bool decode(const uint8_t*, uint8_t length, Disarm*) {
     if (length != kSize) return false;
     return true;
   }
@@ -780,6 +792,20 @@ struct GetLinkStats {
   }
 };
 
+// An operator lets a stopped robot go. Names the stop that it clears, so that one which came
+// meanwhile stays latched. Nothing else clears a stop, but power-on.
+struct ClearStop {
+  static constexpr uint8_t kId = kClearStop;
+  static constexpr uint8_t kSize = 4;
+  uint32_t nonce;  // Of the latched stop, as status_report tells it.
+  void encode(uint8_t* out) const { detail::put32(out + 0, static_cast<uint32_t>(nonce)); }
+  static bool decode(const uint8_t* in, uint8_t length, ClearStop* out) {
+    if (length != kSize) return false;
+    out->nonce = static_cast<uint32_t>(detail::get32(in + 0));
+    return true;
+  }
+};
+
 // What the running firmware made of the stored configuration.
 struct GetConfigReport {
   static constexpr uint8_t kId = kGetConfigReport;
@@ -864,7 +890,7 @@ struct HelloReply {
 // The board's whole state.
 struct StatusReport {
   static constexpr uint8_t kId = kStatusReport;
-  static constexpr uint8_t kSize = 36;
+  static constexpr uint8_t kSize = 40;
   Status status;               // ok.
   State state;                 // Supervisor.
   Activity activity;           // What it is doing.
@@ -883,6 +909,7 @@ struct StatusReport {
   uint16_t supply_mv;          // Supply voltage, by reference_mv. (mV)
   uint16_t encoder_errors;     // Illegal transitions of the spool's encoder since boot; wraps. More
                                // than a few mean noise, or a channel that fails.
+  uint32_t stop_nonce;         // Of the latest stop, if fault stopped is latched.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(state));
@@ -901,6 +928,7 @@ struct StatusReport {
     detail::put32(out + 28, static_cast<uint32_t>(config_generation));
     detail::put16(out + 32, static_cast<uint16_t>(supply_mv));
     detail::put16(out + 34, static_cast<uint16_t>(encoder_errors));
+    detail::put32(out + 36, static_cast<uint32_t>(stop_nonce));
   }
   static bool decode(const uint8_t* in, uint8_t length, StatusReport* out) {
     if (length != kSize) return false;
@@ -921,6 +949,7 @@ struct StatusReport {
     out->config_generation = static_cast<uint32_t>(detail::get32(in + 28));
     out->supply_mv = static_cast<uint16_t>(detail::get16(in + 32));
     out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 34));
+    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 36));
     return true;
   }
 };
@@ -1139,6 +1168,34 @@ struct ConfigReport {
     for (uint8_t i = 0; i < 8; ++i) {
       out->unknown_ids[i] = static_cast<uint8_t>(detail::get8(in + 16 + 1 * i));
     }
+    return true;
+  }
+};
+
+// At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
+// `stopped` latches. Whatever session, sequence number and schema. Repeated by its sender until
+// `stopped` echoes the nonce. Latches through resets; only clear_stop and power-on end it.
+struct Stop {
+  static constexpr uint8_t kId = kStop;
+  static constexpr uint8_t kSize = 4;
+  uint32_t nonce;  // Random; tells this stop from others, and its echo from a replayed one.
+  void encode(uint8_t* out) const { detail::put32(out + 0, static_cast<uint32_t>(nonce)); }
+  static bool decode(const uint8_t* in, uint8_t length, Stop* out) {
+    if (length != kSize) return false;
+    out->nonce = static_cast<uint32_t>(detail::get32(in + 0));
+    return true;
+  }
+};
+
+// The robot is stopped, outputs are off. Sent at once for every stop.
+struct Stopped {
+  static constexpr uint8_t kId = kStopped;
+  static constexpr uint8_t kSize = 4;
+  uint32_t nonce;  // Echo.
+  void encode(uint8_t* out) const { detail::put32(out + 0, static_cast<uint32_t>(nonce)); }
+  static bool decode(const uint8_t* in, uint8_t length, Stopped* out) {
+    if (length != kSize) return false;
+    out->nonce = static_cast<uint32_t>(detail::get32(in + 0));
     return true;
   }
 };

@@ -48,6 +48,7 @@ class Session {
   //   Handled execute(const Frame& command, Frame* reply);
   //   void heartbeat();
   //   void hello();
+  //   void stop(uint32_t nonce);
   // Returns true when a whole frame was dealt with.
   template <typename Handler>
   bool receive(uint8_t byte, uint32_t now_us, Handler& handler) {
@@ -60,10 +61,15 @@ class Session {
       case FrameDecoder::Result::kFrame:
         break;
     }
-    // Until the boot counter is stored, this boot has no name to give.
-    if (!open_) return true;
     ++counters_.rx_frames;
     const Frame& frame = decoder_.frame();
+    // Before anything else is asked: whose it is, which layout he speaks, whether we are ready.
+    if (frame.id() == protocol::kStop) {
+      take_stop(frame, handler);
+      return true;
+    }
+    // Until the boot counter is stored, this boot has no name to give.
+    if (!open_) return true;
     switch (frame.id()) {
       case protocol::kHello:
         take_hello(frame, handler);
@@ -101,6 +107,11 @@ class Session {
   // the line has (almost) nothing left to send: only events are queued before that, so that nothing
   // long ever lies ahead of an event.
   const Frame* next(uint32_t tick, bool idle, EventQueue& events) {
+    if (stopped_waits_) {
+      stopped_waits_ = false;
+      scratch_.set(stopped_, 0, 0);
+      return &scratch_;
+    }
     if (!open_) return nullptr;
     // A crowd of events lets telemetry through between them, or some would be lost.
     const bool crowd = telemetry_waits_ && events_in_row_ >= kCrowd;
@@ -214,6 +225,18 @@ class Session {
   }
 
   template <typename Handler>
+  void take_stop(const Frame& frame, Handler& handler) {
+    protocol::Stop stop;
+    if (!protocol::Stop::decode(frame.payload(), frame.payload_size(), &stop)) {
+      ++counters_.rx_stale;
+      return;
+    }
+    handler.stop(stop.nonce);
+    stopped_.nonce = stop.nonce;
+    stopped_waits_ = true;
+  }
+
+  template <typename Handler>
   void take_heartbeat(const Frame& frame, uint32_t now_us, Handler& handler) {
     protocol::Heartbeat beat;
     if (session_ == 0 || frame.session() != session_ ||
@@ -319,6 +342,7 @@ class Session {
   Frame telemetry_{};
   Frame scratch_{};  // what is made when it is sent
   protocol::Pulse pulse_{};
+  protocol::Stopped stopped_{};
   Notice notice_{};
   Identity identity_{};
   Counters counters_{};
@@ -339,6 +363,7 @@ class Session {
   bool reply_waits_ = false;
   bool deferred_ = false;
   bool pulse_waits_ = false;
+  bool stopped_waits_ = false;
   bool telemetry_waits_ = false;
   bool dropped_ = false;
 };

@@ -25,7 +25,7 @@ enum class Signal : uint8_t {
   kFaultLatched = 0,
   kHello = 1,  // a host has said hello since the boot
   kArm = 2,    // requests hold for one evaluation
-  kStop = 3,
+  kDisarm = 3,
   kActive = 4,  // an activity that needs armed outputs runs
 };
 
@@ -61,9 +61,9 @@ constexpr Transition kTransitions[] THIGMO_PROGMEM = {
     // Cleared, the robot is safe, not ready: the operator arms it again.
     {bit(State::kFault), 0, bit(Signal::kFaultLatched), 0, 0, State::kSafe},
     {bit(State::kBoot), bit(Signal::kHello), 0, 0, 0, State::kSafe},
-    {static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving)), bit(Signal::kStop), 0, 0, 0,
+    {static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving)), bit(Signal::kDisarm), 0, 0, 0,
      State::kSafe},
-    {bit(State::kSafe), bit(Signal::kArm), bit(Signal::kStop), kArmable, mask(Condition::kEstop),
+    {bit(State::kSafe), bit(Signal::kArm), bit(Signal::kDisarm), kArmable, mask(Condition::kEstop),
      State::kReady},
     {bit(State::kReady), bit(Signal::kActive), 0, 0, 0, State::kMoving},
     {bit(State::kMoving), 0, bit(Signal::kActive), 0, 0, State::kReady},

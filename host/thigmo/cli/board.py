@@ -1,4 +1,4 @@
-"""`thigmo params`, `thigmo clear` and `thigmo retract`: single commands to a board."""
+"""`thigmo stop`, `thigmo clear`, `thigmo retract`, `thigmo params`: single commands to a board."""
 
 from __future__ import annotations
 
@@ -12,9 +12,31 @@ from thigmo.cli.output import JsonOption, print_json
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
+    app.command()(stop)
     app.command()(params)
     app.command()(clear)
     app.command()(retract)
+
+
+def stop(
+    url: Annotated[
+        str | None, typer.Argument(help="Where the robot is; left out: every robot in use.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Stop a robot at once, beside the program that drives it; `thigmo clear` lets it go."""
+    from thigmo.robot.stopping import stop_all, stop_robot
+
+    if url is None:
+        stopped = stop_all()
+    else:
+        stop_robot(url)
+        stopped = [url]
+    if as_json:
+        print_json({"stopped": stopped})
+    else:
+        for each in stopped:
+            typer.echo(f"Stopped: {each}. `thigmo clear --robot {each}` lets it go.")
 
 
 def params(
@@ -84,11 +106,12 @@ def clear(
     robot: Annotated[str, typer.Option(help="Where the robot is.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Clear the board's latched faults, once their cause is gone; one that lasts is told again."""
+    """Let a stopped robot go, and clear faults whose cause is gone; others are told."""
     from thigmo.robot import connect
 
     with connect(robot) as machine:
         latched = machine.status().faults
+        machine.clear_stop()  # the operator's word: who types this command has looked
         remaining = machine.clear_faults()
         cleared = [fault for fault in latched if fault not in remaining]
         if not as_json:

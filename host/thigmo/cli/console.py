@@ -69,8 +69,8 @@ class Console:
             told = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
             status = 130 if isinstance(stopped, KeyboardInterrupt) else stopped.code
             self.err.print(
-                "thigmo: interrupted; the robot is vented and braked and keeps its length, "
-                f"`thigmo retract` winds it in{told}",
+                "thigmo: interrupted; the robot is vented and braked and keeps its length; "
+                f"`thigmo clear` lets it move again, then `thigmo retract` winds it in{told}",
                 highlight=False,
                 soft_wrap=True,
                 markup=False,
@@ -99,6 +99,9 @@ class Console:
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
             )
+        from thigmo.link.lease import waits_for_operator
+
+        waits_for_operator()
         if self._bar:
             self._bar.stop()
         try:

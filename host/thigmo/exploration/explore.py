@@ -151,15 +151,17 @@ def _recorded_run(
     with folder.open_log(_metadata(robot, document)) as log:
         robot.record_frames(log.frame)
         run = Exploration(robot, config, folder, log, document, tell, protocol, prior)
+        interrupted = False
         try:
             run.run()
         except BaseException as error:
+            interrupted = isinstance(error, KeyboardInterrupt | _TerminatedError)
             run.document = replace(run.document, outcome=f"aborted: {_why(error)}")
             error.add_note(f"run folder: {folder.path}")
             raise
         finally:
             # Safe outputs first, while the record still listens.
-            if robot.make_safe():
+            if robot.make_safe(interrupted=interrupted):
                 with suppress(ThigmoError):
                     run.restore()
             run.document = replace(

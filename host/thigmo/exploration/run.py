@@ -390,7 +390,7 @@ class Exploration:
     # The end.
 
     def _finish(self) -> str:
-        self.robot.stop()
+        self.robot.disarm()
         self.restore()
         return "safe"
 

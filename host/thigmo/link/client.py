@@ -25,6 +25,7 @@ from thigmo.link.framing import Decoder, Frame, FrameError, encode
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.inbox import Inbox
 from thigmo.link.round_trip import RoundTrip
+from thigmo.link.stop import CONFIRM_S, REPEAT_S, StopCall
 from thigmo.link.transport import Transport
 
 R = TypeVar("R", bound=wire.Message)
@@ -112,6 +113,8 @@ class Client(Inbox):
         self._other_hash: int | None = None
         self._strange = 0  # whole frames, heard before a hello was answered, that nobody here reads
         self._nonces: deque[int] = deque(maxlen=_NONCES)
+        self._stop_call: StopCall | None = None
+        self._heard_s = float("-inf")
         self._handling = False
         if connect:
             self.connect()
@@ -233,6 +236,28 @@ class Client(Inbox):
             raise failures.refused(command, reply.reason, reply.detail)
         return cast("R", reply)
 
+    def stop(self, within_s: float = CONFIRM_S) -> None:
+        """Stop the robot, past any command that waits for its answer, and wait for the echo.
+
+        Needs no conversation: it stops a board of any schema, in any state. The board's outputs
+        are off then, and its fault `stopped` stays latched until an operator clears it.
+
+        Raises:
+            CommandTimeoutError: no echo in time.
+            LinkError: the connection is gone.
+        """
+        self._check_reentry()
+        began_s = self.now()
+        call = self._stop_call = StopCall(began_s, self._heard_s)
+        while not call.confirmed:
+            now_s = self.now()
+            if now_s >= began_s + within_s:
+                raise failures.not_stopped(within_s)
+            frame = call.frame(now_s)
+            if frame is not None:
+                self._write(frame)
+            self._pump(now_s + REPEAT_S)
+
     # Waiting.
 
     def poll(self, timeout_s: float = 0.0) -> None:
@@ -267,7 +292,7 @@ class Client(Inbox):
         now = self.now()
         self.transport.write(frame)
         for tap in self.taps:
-            tap("tx", frame[:-1], now)
+            tap("tx", frame.strip(b"\0"), now)
 
     def _begin(self, command: wire.Message, until_s: float) -> _Outstanding:
         """Make a command of the running session the outstanding one and send it."""
@@ -378,6 +403,9 @@ class Client(Inbox):
 
     def _take(self, data: bytes, t_s: float) -> None:
         frames = self._decoder.feed(data)
+        self._heard_s = self.now()
+        if self._stop_call is not None:
+            self._stop_call.heard(self._heard_s)
         self.stats.frames = self._decoder.frames
         self.stats.bad_frames = self._decoder.bad
         self.stats.garbage_bytes = self._decoder.bad_bytes
@@ -394,6 +422,9 @@ class Client(Inbox):
         if frame.id == wire.Telemetry.ID:
             self._strange += len(frame.payload) != wire.Telemetry.SIZE
             self._take_telemetry(frame, t_s)
+            return
+        if frame.id == wire.Stopped.ID and self._stop_call is not None:
+            self._stop_call.take(frame)
             return
         if frame.id == wire.HelloReply.ID and self._other_board(frame.payload):
             return

@@ -31,6 +31,14 @@ def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:
     )
 
 
+def not_stopped(within_s: float) -> CommandTimeoutError:
+    """A stop found no echo."""
+    return CommandTimeoutError(
+        f"the board did not confirm the stop within {within_s:g} s",
+        "press the emergency stop or cut the power, and shut the air",
+    )
+
+
 def restarted(cause: wire.ResetCause) -> BoardResetError:
     """The board has another boot nonce than at the hello."""
     return BoardResetError(

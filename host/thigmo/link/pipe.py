@@ -22,8 +22,9 @@ class Kind(IntEnum):
     # host -> process
     WRITE = 1  # bytes for the port
     START = 2  # beat the heart: START
-    STOP = 3  # beat no more
+    HUSH = 3  # beat no more
     LEASE = 4  # the host's main thread is alive
+    ATTENDED = 6  # it waits for its operator: the lease lasts until it speaks again
     CLOSE = 5
     # process -> host
     OPENED = 16

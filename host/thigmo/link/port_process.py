@@ -7,30 +7,45 @@ talks over its standard streams (`pipe`).
 
 The heart beats only while somebody is there to mind the robot: it stops when the host dies (its
 stream ends, or this process has another parent) and when the host's main thread has not touched
-the lease for 30 s; the next touch starts it again. It holds while the board is mute, which may
-mean that its boot loader is listening.
+the lease for 30 s; the next touch starts it again. Either is a dead host, and an armed robot is
+then stopped (`stop`), so that a run that wakes up does not carry on. The heart holds while the
+board is mute, which may mean that its boot loader is listening.
+
+Stops also come from outside the host, which may hang: by Ctrl-C at its terminal (this process is
+in the terminal's foreground group, as the host is), by a termination, and over a socket
+(`stop_socket`).
 """
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
 import threading
 import time
 from collections import deque
+from multiprocessing.connection import Listener
 from typing import IO
 
 import serial
 
+from thigmo.errors import PortError
+from thigmo.link import stop_socket
+from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Heart
 from thigmo.link.pipe import BEAT, START, Kind, read_packet, write_packet
+from thigmo.link.protocol import State, Telemetry
+from thigmo.link.stop import CONFIRM_S, StopCall
 
 LEASE_S = 30.0
 _READ_S = 0.02
 _READ_BYTES = 4096
 _BACKLOG_BYTES = 4 << 20  # five minutes of telemetry for a host that does not read
 _TICK_S = 0.02
+_ORPHAN_S = 1.0  # for a dead host's stop to be confirmed
+_STATE_S = 0.5  # after which what telemetry said of the board's state is old
+_ARMED = (State.READY, State.MOVING)
 
 
 class Outbox:
@@ -90,33 +105,89 @@ class Outbox:
 class PortProcess:
     """The relay between one port and one host."""
 
-    def __init__(self, port: serial.Serial, host_in: IO[bytes], outbox: Outbox) -> None:
+    def __init__(
+        self,
+        port: serial.Serial,
+        url: str,
+        stops: Listener,
+        host_in: IO[bytes],
+        outbox: Outbox,
+    ) -> None:
         self._port = port
+        self._url = url
+        self._stops = stops
         self._host = host_in
         self._outbox = outbox
         self._write_lock = threading.Lock()  # frames of heart and host must not interleave
         self._heart_lock = threading.Lock()
         self._heart: Heart | None = None
         self._lease_s = time.monotonic()
-        self._stop = threading.Event()
+        self._lease_ended = False
+        self._decoder = Decoder()
+        self._heard_s = float("-inf")
+        self._state: tuple[float, int] | None = None  # when told, and what
+        self._call: StopCall | None = None
+        self._call_lock = threading.RLock()  # a signal's handler may come upon itself
+        self._leaving = threading.Lock()
+        self._confirmed = threading.Event()
+        self._end = threading.Event()
         self._parent = os.getppid()
 
     def run(self) -> None:
         """Relay until the host closes, dies, or the port is lost."""
         threads = [
             threading.Thread(target=target, daemon=True)
-            for target in (self._receive, self._beat, self._obey)
+            for target in (self._receive, self._beat, self._obey, self._listen)
         ]
         for thread in threads:
             thread.start()
-        self._stop.wait()
+        self._end.wait()
         with self._heart_lock:
             self._heart = None
 
+    # Stops.
+
+    def call_stop(self) -> None:
+        """Stop the robot, from now on until the board confirms it; returns at once."""
+        with self._call_lock:
+            if self._call is None or self._call.confirmed:
+                self._confirmed.clear()
+                self._call = StopCall(time.monotonic(), self._heard_s)
+
+    def stop(self, within_s: float = CONFIRM_S) -> bool:
+        """Stop the robot; whether the board confirmed it in time."""
+        self.call_stop()
+        return self._confirmed.wait(within_s)
+
+    def leave(self) -> None:
+        """Stop the robot that nobody minds any more, and end."""
+        if not self._leaving.acquire(blocking=False):
+            return
+        with self._heart_lock:
+            minded, self._heart = self._heart is not None, None
+        if minded and self._may_move():
+            self.stop(_ORPHAN_S)
+        self._end.set()
+
+    def _may_move(self) -> bool:
+        """Whether the board may be armed: one that lately said that it is not need not be stopped,
+        and its next host needs no operator."""
+        if self._state is None or time.monotonic() - self._state[0] > _STATE_S:
+            return True
+        return self._state[1] in _ARMED
+
+    def _listen(self) -> None:
+        """Thread: stops from outside the host."""
+        while not self._end.is_set():
+            try:
+                stop_socket.answer(self._stops, self._url, self.stop)
+            except OSError:
+                return
+
     def _fail(self, error: Exception) -> None:
-        if not self._stop.is_set():
+        if not self._end.is_set():
             self._outbox.put(Kind.FAILED, describe(error))
-        self._stop.set()
+        self._end.set()
 
     def _send(self, data: bytes) -> None:
         try:
@@ -131,7 +202,7 @@ class PortProcess:
             self._fail(error)
 
     def _receive(self) -> None:
-        while not self._stop.is_set():
+        while not self._end.is_set():
             try:
                 data = self._port.read(1)
                 # socket:// only says whether there are bytes, not how many: hence the loop.
@@ -141,49 +212,80 @@ class PortProcess:
                 self._fail(error)
                 return
             if data:
+                self._heard_s = time.monotonic()
                 heart = self._heart
                 if heart is not None:
                     heart.heard()
+                self._watch(data)
                 self._outbox.put(Kind.DATA, data, time.monotonic())
+
+    def _watch(self, data: bytes) -> None:
+        """Look for the board's state, and for the echo of a stop."""
+        call = self._call
+        if call is not None:
+            call.heard(self._heard_s)
+        for frame in self._decoder.feed(data):
+            if frame.id == Telemetry.ID and len(frame.payload) == Telemetry.SIZE:
+                state = Telemetry.unpack(frame.payload).state_activity >> 4
+                self._state = (self._heard_s, state)
+            elif call is not None:
+                call.take(frame)
+                if call.confirmed:
+                    self._confirmed.set()
 
     def _orphaned(self) -> bool:
         return os.getppid() != self._parent
 
     def _beat(self) -> None:
-        while not self._stop.wait(_TICK_S):
-            if self._orphaned():
-                self._stop.set()
-                return
+        """Thread: the heart, the lease, and the repeats of a stop."""
+        while not self._end.wait(_TICK_S):
+            if self._orphaned() and not self._leaving.locked():
+                threading.Thread(target=self.leave, daemon=True).start()
             now = time.monotonic()
+            frame = self._call.frame(now) if self._call is not None else None
+            if frame is not None:
+                self._send(frame)
             with self._heart_lock:
                 heart = self._heart
-                if heart is None or now - self._lease_s > LEASE_S:
+                if heart is None:
                     continue
+                if now - self._lease_s > LEASE_S:
+                    if not self._lease_ended and self._may_move():
+                        self.call_stop()
+                    self._lease_ended = True
+                    continue
+                self._lease_ended = False
                 frame = heart.beat(now)
                 if frame is not None:
                     self._outbox.put(Kind.BEATEN, BEAT.pack(heart.counter), time.monotonic())
                     self._send(frame)
 
     def _obey(self) -> None:
-        while not self._stop.is_set():
+        while not self._end.is_set():
             packet = read_packet(self._host)
-            if packet is None or packet.kind == Kind.CLOSE:
-                self._stop.set()
+            if packet is None:  # the host died
+                self.leave()
                 return
-            self._lease_s = time.monotonic()
+            if packet.kind == Kind.CLOSE:
+                self._end.set()
+                return
+            self._lease_s = math.inf if packet.kind == Kind.ATTENDED else time.monotonic()
             if packet.kind == Kind.WRITE:
                 self._send(packet.data)
             elif packet.kind == Kind.START:
                 session, period_s = START.unpack(packet.data)
                 with self._heart_lock:
                     self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
-            elif packet.kind == Kind.STOP:
+            elif packet.kind == Kind.HUSH:
                 with self._heart_lock:
                     self._heart = None
 
 
 def describe(error: Exception) -> bytes:
-    """An error as FAILED carries it: its errno (0 = none), a space, its text."""
+    """An error as FAILED carries it: its errno (0 = none, -1 = the operator's line), a space, its
+    text."""
+    if isinstance(error, PortError):
+        return f"-1 {error}".encode()
     number = getattr(error, "errno", None)
     cause = error.__context__  # termios.error has no errno, but pyserial's words around it
     if number is None and cause is not None and cause.args and isinstance(cause.args[0], int):
@@ -194,19 +296,27 @@ def describe(error: Exception) -> bytes:
 def main() -> int:
     """Open the port named by the arguments and relay."""
     url, baud = sys.argv[1], int(sys.argv[2])
-    # Ctrl-C is the host's: it must still be able to vent through this process.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What the terminal sends to the host reaches this process as well, and must not end it: it is
+    # needed to stop the robot.
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     outbox = Outbox(sys.stdout.buffer)
     try:
         port = serial.serial_for_url(
             url, baudrate=baud, timeout=_READ_S, write_timeout=1.0, exclusive=True
         )
-    except (OSError, ValueError) as error:
+        stops = stop_socket.serve(url)
+    except (OSError, ValueError, PortError) as error:
         outbox.put(Kind.FAILED, describe(error))
         outbox.close(2.0)
         return 1
     outbox.put(Kind.OPENED)
-    PortProcess(port, sys.stdin.buffer, outbox).run()
+    relay = PortProcess(port, url, stops, sys.stdin.buffer, outbox)
+    signal.signal(signal.SIGINT, lambda number, frame: relay.call_stop())
+    signal.signal(signal.SIGTERM, lambda number, frame: relay.call_stop())
+    relay.run()
+    stops.close()
     port.close()
     outbox.close(0.5)
     # The thread that reads the host's stream may hold its lock; a normal exit would wait for it.

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import ClassVar, Generic, Self, TypeVar
 
 PROTOCOL = 1
-SCHEMA_HASH = 0xB3370CFA
+SCHEMA_HASH = 0x33611322
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -188,6 +188,10 @@ class Reason(Documented):
         ("Neither base sensor can feel a contact; grow past them, and mend, enable or zero one."),
     )
     HOST_SILENT = 21, "No heartbeat has arrived lately; keep the host beating, then arm again."
+    STOPPED_AGAIN = (
+        24,
+        "The robot was stopped once more since; look at it again, then clear that stop.",
+    )
 
 
 class Fault(Documented):
@@ -273,6 +277,13 @@ class Fault(Documented):
         (
             "The board's receive buffer overran; lower the baud rate or the telemetry rate, "
             "then clear."
+        ),
+    )
+    STOPPED = (
+        15,
+        (
+            "The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or "
+            "died; see that nobody is in its way, then clear."
         ),
     )
 
@@ -378,15 +389,18 @@ _GET_SNAPSHOT = Struct("<B")
 _ACK_EVENT = Struct("<H")
 _BODY_AIR = Struct("<B")
 _TEST_OUTPUT = Struct("<BhH")
+_CLEAR_STOP = Struct("<I")
 _ACK = Struct("<BBi")
 _HELLO_REPLY = Struct("<BBBI3BBIHBHI")
-_STATUS_REPORT = Struct("<BBBBHHIihhHHHHIHH")
+_STATUS_REPORT = Struct("<BBBBHHIihhHHHHIHHI")
 _SENSOR_REPORT = Struct("<BBHIhIIB")
 _PARAMETER_VALUE = Struct("<BHi")
 _MAP_VALUES = Struct("<BBBB11h")
 _SNAPSHOT = Struct("<BBBBBI10Hhhhhh")
 _LINK_STATS = Struct("<BIHHHHHH")
 _CONFIG_REPORT = Struct("<BIBB8BB8B")
+_STOP = Struct("<I")
+_STOPPED = Struct("<I")
 _HEARTBEAT = Struct("<I")
 _PULSE = Struct("<II")
 _ANNOUNCE = Struct("<BI3BBIB")
@@ -497,7 +511,7 @@ class StatusReport(Message):
     """The board's whole state."""
 
     ID: ClassVar[int] = 0x82
-    SIZE: ClassVar[int] = 36
+    SIZE: ClassVar[int] = 40
     NAME: ClassVar[str] = "status_report"
     KIND: ClassVar[str] = "reply"
 
@@ -537,6 +551,8 @@ class StatusReport(Message):
     """Illegal transitions of the spool's encoder since boot; wraps. More than a few mean noise,
     or a channel that fails.
     """
+    stop_nonce: int
+    """Of the latest stop, if fault stopped is latched."""
 
     def pack(self) -> bytes:
         """The payload."""
@@ -558,6 +574,7 @@ class StatusReport(Message):
             self.config_generation,
             self.supply_mv,
             self.encoder_errors,
+            self.stop_nonce,
         )
 
     @classmethod
@@ -584,6 +601,7 @@ class StatusReport(Message):
             v[14],
             v[15],
             v[16],
+            v[17],
         )
 
 
@@ -863,6 +881,60 @@ class ConfigReport(Message):
             raise ValueError(_bad_size(cls, payload))
         v = _CONFIG_REPORT.unpack(payload)
         return cls(Status(v[0]), v[1], v[2], v[3], v[4:12], v[12], v[13:21])
+
+
+@dataclass(frozen=True, slots=True)
+class Stop(Message):
+    """At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
+    `stopped` latches. Whatever session, sequence number and schema. Repeated by its sender
+    until `stopped` echoes the nonce. Latches through resets; only clear_stop and power-on end
+    it.
+    """
+
+    ID: ClassVar[int] = 0x21
+    SIZE: ClassVar[int] = 4
+    NAME: ClassVar[str] = "stop"
+    KIND: ClassVar[str] = "datagram"
+
+    nonce: int
+    """Random; tells this stop from others, and its echo from a replayed one."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _STOP.pack(self.nonce)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Stop:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _STOP.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped(Message):
+    """The robot is stopped, outputs are off. Sent at once for every stop."""
+
+    ID: ClassVar[int] = 0xA2
+    SIZE: ClassVar[int] = 4
+    NAME: ClassVar[str] = "stopped"
+    KIND: ClassVar[str] = "datagram"
+
+    nonce: int
+    """Echo."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _STOPPED.pack(self.nonce)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Stopped:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _STOPPED.unpack(payload)
+        return cls(v[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -1183,12 +1255,14 @@ class Vent(Command[Ack]):
 
 
 @dataclass(frozen=True, slots=True)
-class Stop(Command[Ack]):
-    """At once: valves 0 mA, motor braked, activity aborted, state safe. Accepted in every state."""
+class Disarm(Command[Ack]):
+    """The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe. Accepted
+    in every state. For emergencies there is `stop`, which needs no session and latches.
+    """
 
     ID: ClassVar[int] = 0x05
     SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "stop"
+    NAME: ClassVar[str] = "disarm"
     KIND: ClassVar[str] = "command"
     REPLY: ClassVar[type[Message]] = Ack
     DEADLINE_S: ClassVar[float] = 2.0
@@ -1198,7 +1272,7 @@ class Stop(Command[Ack]):
         return b""
 
     @classmethod
-    def unpack(cls, payload: bytes) -> Stop:
+    def unpack(cls, payload: bytes) -> Disarm:
         """Read a payload; raises ValueError on a bad size or an unknown enum value."""
         if len(payload) != cls.SIZE:
             raise ValueError(_bad_size(cls, payload))
@@ -1840,6 +1914,35 @@ class GetLinkStats(Command[LinkStats]):
 
 
 @dataclass(frozen=True, slots=True)
+class ClearStop(Command[Ack]):
+    """An operator lets a stopped robot go. Names the stop that it clears, so that one which came
+    meanwhile stays latched. Nothing else clears a stop, but power-on.
+    """
+
+    ID: ClassVar[int] = 0x1A
+    SIZE: ClassVar[int] = 4
+    NAME: ClassVar[str] = "clear_stop"
+    KIND: ClassVar[str] = "command"
+    REPLY: ClassVar[type[Message]] = Ack
+    DEADLINE_S: ClassVar[float] = 2.0
+
+    nonce: int
+    """Of the latched stop, as status_report tells it."""
+
+    def pack(self) -> bytes:
+        """The payload."""
+        return _CLEAR_STOP.pack(self.nonce)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ClearStop:
+        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
+        if len(payload) != cls.SIZE:
+            raise ValueError(_bad_size(cls, payload))
+        v = _CLEAR_STOP.unpack(payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
 class GetConfigReport(Command[ConfigReport]):
     """What the running firmware made of the stored configuration."""
 
@@ -1867,7 +1970,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x02: GetStatus,
     0x03: Arm,
     0x04: Vent,
-    0x05: Stop,
+    0x05: Disarm,
     0x06: ClearFaults,
     0x07: SetPressure,
     0x08: GrowTo,
@@ -1890,6 +1993,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x1C: BodyAir,
     0x1D: TestOutput,
     0x18: GetLinkStats,
+    0x1A: ClearStop,
     0x19: GetConfigReport,
     0x80: Ack,
     0x81: HelloReply,
@@ -1900,6 +2004,8 @@ MESSAGES: dict[int, type[Message]] = {
     0x86: Snapshot,
     0x87: LinkStats,
     0x88: ConfigReport,
+    0x21: Stop,
+    0xA2: Stopped,
     0x20: Heartbeat,
     0xA0: Pulse,
     0xA1: Announce,

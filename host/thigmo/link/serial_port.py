@@ -18,12 +18,14 @@ from pathlib import Path
 from typing import Any
 
 from thigmo.errors import LinkError, PortError
+from thigmo.link import lease
 from thigmo.link.heart import Beat
 from thigmo.link.pipe import BEAT, START, Kind, Packet, read_packet, write_packet
 from thigmo.link.transport import Operator
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
 _TOUCH_S = 0.5
+_OPERATORS_LINE = -1  # instead of an errno: the text is an error's line already
 _QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
 _PACKAGES = str(Path(__file__).resolve().parents[2])
 
@@ -54,12 +56,11 @@ class SerialTransport:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": path},
-            # Apart from the terminal's signals, so that Ctrl-C leaves a way to vent.
-            start_new_session=True,
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._to = self._process.stdin
+        lease.attend_at_prompts(self)
         self._from = self._process.stdout
         threading.Thread(target=self._collect, daemon=True).start()
         try:
@@ -110,7 +111,12 @@ class SerialTransport:
 
     def stop_heartbeat(self) -> None:
         """Beat no more."""
-        self._tell(Kind.STOP)
+        self._tell(Kind.HUSH)
+
+    def attend(self) -> None:
+        """The main thread waits for its operator now: no lease runs until it comes back."""
+        if not self._closing.is_set() and self._failure is None:
+            self._tell(Kind.ATTENDED)
 
     def beats(self) -> list[Beat]:
         """Heartbeats sent since the last call."""
@@ -195,6 +201,9 @@ class SerialTransport:
 
 def port_error(name: str, number: int, text: str) -> PortError:
     """The operator's error for a port that did not open."""
+    if number == _OPERATORS_LINE:
+        what, _, step = text.rpartition("; ")
+        return PortError(what, step)
     lowered = text.lower()
     if number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered:
         return PortError(f"{name} is in use", "close the other program that has it open")

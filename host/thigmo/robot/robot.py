@@ -128,16 +128,25 @@ class Robot:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            self.make_safe(interrupted=True)
         self.close()
 
-    def make_safe(self) -> bool:
+    def make_safe(self, *, interrupted: bool = False) -> bool:
         """Valves to 0 mA and motor braked, if the board can still be reached; never raises.
+
+        Args:
+            interrupted: by an operator: `stop`, which waits behind no command and latches,
+                instead of `disarm`.
 
         Returns:
             Whether the board acknowledged. If not, its own heartbeat limit does the same.
         """
         try:
-            self._client.request(wire.Stop())
+            if interrupted:
+                self.stop()
+            else:
+                self.disarm()
         except LinkError:
             return False
         return True
@@ -365,9 +374,37 @@ class Robot:
         """End what `test_output` drives, now."""
         self._request(wire.Vent())
 
+    def disarm(self) -> None:
+        """Valves 0 mA, motor braked, activity aborted, state safe; `arm` leads back."""
+        self._client.request(wire.Disarm())
+
     def stop(self) -> None:
-        """At once: valves 0 mA, motor braked, activity aborted. Accepted in every state."""
-        self._client.request(wire.Stop())
+        """At once, whatever is under way: valves 0 mA, motor braked, and so it stays.
+
+        The board refuses to arm or to move until an operator clears the stop: `clear_stop`, or
+        `thigmo clear`.
+
+        Raises:
+            CommandTimeoutError: the board did not confirm it.
+        """
+        self._client.stop()
+
+    def clear_stop(self) -> bool:
+        """Let a stopped robot go, on behalf of the operator who has looked at it.
+
+        No program should call it on its own account. `clear_faults` leaves a stop latched.
+
+        Returns:
+            Whether one was latched.
+
+        Raises:
+            CommandRefusedError: the robot was stopped once more meanwhile.
+        """
+        report = self._client.request(wire.GetStatus())
+        if not report.faults & wire.Fault.STOPPED.mask:
+            return False
+        self._client.request(wire.ClearStop(report.stop_nonce))
+        return True
 
     def vent(self) -> None:
         """Empty both muscles and wait until they are empty.

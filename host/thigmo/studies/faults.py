@@ -95,7 +95,7 @@ FAILURES = (
 
 # What the robot does when the failure begins, and how long it has been at it.
 STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
-    "safe": ((wire.Stop(),), 0.5),
+    "safe": ((wire.Disarm(),), 0.5),
     "ready": ((), 0.5),
     "growing": ((wire.GrowTo(530_000, 0),), 2.0),
     "retracting": ((wire.RetractTo(0, 0),), 2.0),
@@ -219,7 +219,7 @@ def _recovers(transport: EmulatorTransport) -> bool:
     transport.pass_time(RECOVERY_S)
     client = Client(transport)
     client.poll(0.5)
-    client.request(wire.Stop())
+    client.request(wire.Disarm())
     client.poll(RECOVERY_S)
     if client.request(wire.ClearFaults(0xFFFF)).detail:
         return False

@@ -3,7 +3,8 @@
 // conversions, encoder jumps, resets of the line, and time.
 //
 // Beside what the sanitizers see, the outputs are judged after each step: duties in range, never
-// driven in boot, safe or fault, never both valves of a sweep; what goes to the line are frames.
+// driven in boot, safe or fault, never both valves of a sweep; what goes to the line are frames; a
+// stop takes the outputs at once, and only a clear_stop of its nonce lets go.
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
@@ -81,8 +82,11 @@ class Board {
   protocol::ResetCause reset_cause() { return protocol::ResetCause::kPowerOn; }
   void task(uint8_t) {}
   void kick_watchdog() {}
+  thigmo::StopLatch kept_stop() { return kept_; }
+  void keep_stop(thigmo::StopLatch stop) { kept_ = stop; }
 
   void receive(uint8_t byte) { rx_[rx_in_++] = byte; }
+  bool waits() const { return rx_out_ != rx_in_; }
   bool off() const { return duty_[0] < 0 && duty_[1] < 0 && motor_ == 0; }
   bool both() const { return duty_[0] > 0 && duty_[1] > 0; }
 
@@ -108,6 +112,7 @@ class Board {
   uint8_t rx_[256] = {};
   uint8_t rx_in_ = 0, rx_out_ = 0;
   uint8_t eeprom_[thigmo::kEepromUsed];
+  thigmo::StopLatch kept_;
   FrameDecoder out_;
 };
 
@@ -127,12 +132,35 @@ struct Rig {
   Board board;
   thigmo::Robot<Board> robot{board};
   uint16_t seq = 0;
+  thigmo::StopLatch stop;  // as it was at the last look
+  bool clearing = false;   // a clear_stop is under way
+  uint32_t cleared = 0;    // of this nonce
 
   void judge() {
     const thigmo::State state = robot.controller().state();
     const bool may = state == thigmo::State::kReady || state == thigmo::State::kMoving;
     require(may || board.off());
     require(!board.both());
+    const thigmo::StopLatch now = robot.controller().stop_latch();
+    if (stop.latched && !now.latched) require(clearing && cleared == stop.nonce);
+    if (now.latched) require(state == thigmo::State::kFault && board.off());
+    require(board.kept_stop().latched == now.latched && board.kept_stop().nonce == now.nonce);
+    stop = now;
+  }
+
+  void stop_it(uint32_t nonce, uint16_t session, uint16_t sequence) {
+    uint8_t payload[protocol::Stop::kSize];
+    protocol::Stop{nonce}.encode(payload);
+    while (board.waits()) pass();
+    board.receive(0);
+    send(protocol::kStop, session, sequence, payload, sizeof payload);
+    require(stop.latched && stop.nonce == nonce && board.off());
+  }
+
+  void clear_it(uint32_t nonce) {
+    uint8_t payload[protocol::ClearStop::kSize];
+    protocol::ClearStop{nonce}.encode(payload);
+    send(protocol::kClearStop, board.session, ++seq, payload, sizeof payload);
   }
 
   void pass() {
@@ -157,8 +185,13 @@ struct Rig {
     frame.size = static_cast<uint8_t>(protocol::kHeaderSize + size);
     uint8_t wire[protocol::kMaxWire];
     const uint8_t count = thigmo::encode(frame, wire);
+    while (board.waits()) pass();
     for (uint8_t i = 0; i < count; ++i) board.receive(wire[i]);
-    pass();
+    clearing = id == protocol::kClearStop && size == protocol::ClearStop::kSize;
+    if (clearing) cleared = protocol::detail::get32(payload);
+    do pass();
+    while (board.waits());
+    clearing = false;
   }
 
   void hello(uint32_t nonce) {
@@ -221,6 +254,14 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
         rig->board.overruns = static_cast<uint16_t>(rig->board.overruns + (what >> 2 & 1));
         break;
       default:
+        if ((what & 8) != 0) {
+          rig->stop_it(what & 3, in.word(), in.word());
+          break;
+        }
+        if ((what & 16) != 0) {
+          rig->clear_it(what & 3);
+          break;
+        }
         rig->hello((what & 1) != 0 ? nonce++ : 1);
         break;
     }

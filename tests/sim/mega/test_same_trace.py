@@ -78,7 +78,7 @@ def recorded(stored_config: bytes, full_length: Scene) -> tuple[list[Step], npt.
     robot.confirm_length(53.0, settled=True)
     robot.zero()
     robot.sweep(left_psi=15.0, right_psi=9.0, period_s=3.0)
-    robot.stop()
+    robot.disarm()
     return board.steps, board.recorded_trace()
 
 

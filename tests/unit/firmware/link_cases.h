@@ -133,6 +133,7 @@ struct Device {
   Session session;
   EventQueue events;
   std::vector<uint16_t> executed;  // the argument of each command, in order
+  std::vector<uint32_t> stops;
   int heartbeats = 0;
   int hellos = 0;
   bool defer = false;
@@ -153,6 +154,7 @@ struct Device {
     return Handled::kReplied;
   }
   void heartbeat() { ++heartbeats; }
+  void stop(uint32_t nonce) { stops.push_back(nonce); }
   void hello() {
     ++hellos;
     events.resend();
@@ -221,6 +223,37 @@ TEST(a_hello_opens_a_session_and_its_repeat_changes_nothing) {
   device.take(command(2, 9, reply.session));
   CHECK_EQUAL(device.executed.size(), 2u);
   CHECK_EQUAL(device.hellos, 1);
+}
+
+TEST(a_stop_is_obeyed_and_echoed_before_the_session_may_speak) {
+  Device device;
+  device.session = Session();  // its boot counter is not stored yet
+  CHECK(device.give().empty());
+  for (const uint16_t any : {0, 7, 0xFFFF}) {
+    device.take(wire_of(protocol::Stop{0xABCD0000u + any}, any, any));
+    CHECK_EQUAL(device.stops.back(), 0xABCD0000u + any);
+    const std::vector<Frame> sent = device.give();
+    CHECK_EQUAL(sent.size(), 1u);
+    protocol::Stopped echo = {};
+    CHECK(sent[0].id() == protocol::kStopped);
+    CHECK(protocol::Stopped::decode(sent[0].payload(), sent[0].payload_size(), &echo));
+    CHECK_EQUAL(echo.nonce, 0xABCD0000u + any);
+  }
+  CHECK_EQUAL(device.stops.size(), 3u);
+}
+
+TEST(a_stop_is_echoed_before_all_else_though_the_line_is_full) {
+  Device device;
+  const uint16_t session = device.greet(1);
+  device.events.post(protocol::EventCode::kPeak, 1, 2, 3);
+  device.session.offer(protocol::Telemetry{});
+  device.defer = true;
+  device.take(command(1, 1, session));
+  device.take(wire_of(protocol::Stop{5}, 0, 0));
+  const Frame* first = device.session.next(0, false, device.events);
+  CHECK(first != nullptr && first->id() == protocol::kStopped);
+  device.session.finish(protocol::Ack{protocol::Status::kOk, protocol::Reason::kNone, 0});
+  CHECK_EQUAL(device.executed.size(), 1u);  // the conversation goes on
 }
 
 TEST(a_replayed_hello_of_an_old_conversation_ends_no_new_one) {

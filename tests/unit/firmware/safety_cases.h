@@ -16,7 +16,7 @@ inline State expected(State state, int conditions, int signals) {
   const bool fault = (signals & bit(Signal::kFaultLatched)) != 0;
   const bool hello = (signals & bit(Signal::kHello)) != 0;
   const bool arm = (signals & bit(Signal::kArm)) != 0;
-  const bool stop = (signals & bit(Signal::kStop)) != 0;
+  const bool disarm = (signals & bit(Signal::kDisarm)) != 0;
   const bool active = (signals & bit(Signal::kActive)) != 0;
   if (fault) return State::kFault;
   switch (state) {
@@ -29,12 +29,12 @@ inline State expected(State state, int conditions, int signals) {
                         (conditions & mask(Condition::kSupplyGood)) != 0 &&
                         (conditions & mask(Condition::kHostAlive)) != 0 &&
                         (conditions & mask(Condition::kEstop)) == 0;
-      return arm && !stop && good ? State::kReady : State::kSafe;
+      return arm && !disarm && good ? State::kReady : State::kSafe;
     }
     case State::kReady:
-      return stop ? State::kSafe : (active ? State::kMoving : State::kReady);
+      return disarm ? State::kSafe : (active ? State::kMoving : State::kReady);
     case State::kMoving:
-      return stop ? State::kSafe : (active ? State::kMoving : State::kReady);
+      return disarm ? State::kSafe : (active ? State::kMoving : State::kReady);
   }
   return state;
 }

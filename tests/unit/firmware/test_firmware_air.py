@@ -43,7 +43,7 @@ def test_arming_lets_air_to_the_muscles_alone() -> None:
 
 
 def press_stop(bench: Bench) -> None:
-    bench.do(wire.Stop())
+    bench.do(wire.Disarm())
 
 
 def press_emergency_stop(bench: Bench) -> None:
@@ -97,6 +97,6 @@ def test_air_is_taken_by_command_in_any_state() -> None:
     bench.step(HOLD_MS + 10)
     assert bench.board.air == (True, False)
     assert not bench.status().conditions & wire.Condition.BODY_AIR.mask
-    bench.do(wire.Stop())
+    bench.do(wire.Disarm())
     bench.do(wire.BodyAir(0))
     assert bench.refused(wire.BodyAir(2)) == wire.Reason.BAD_VALUE

@@ -289,7 +289,7 @@ def test_the_integral_does_not_survive_a_fault_or_a_stop(ended_by: str) -> None:
         bench.until(lambda: bool(bench.event(wire.EventCode.FAULT, F.PRESSURE_STUCK)))
     else:
         bench.step(1200)
-        bench.do(wire.Stop())
+        bench.do(wire.Disarm())
     bench.air.stuck[0] = False
     bench.step(3000)
     bench.do(wire.ClearFaults(0xFFFF))
@@ -689,7 +689,7 @@ def test_contradictions_are_refused_and_the_running_parameters_stay() -> None:
 def test_stop_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Bench]) -> None:
     bench = busy()
     bench.seq += 1
-    data = encode(wire.Stop(), bench.seq, bench.session)
+    data = encode(wire.Disarm(), bench.seq, bench.session)
     bench.board.write(data)
     bench.board.step(len(data) * 40 // 1000 + 2)
     assert bench.safe()
@@ -701,14 +701,14 @@ def test_stop_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Bench
 def test_stop_is_accepted_in_every_state() -> None:
     bench = Bench()
     bench.hello()
-    bench.do(wire.Stop())
+    bench.do(wire.Disarm())
     assert bench.status().state == wire.State.FAULT  # bad configuration stays latched
     bench.do(wire.LoadDefaults())
     bench.do(wire.ClearFaults(0xFFFF))
-    bench.do(wire.Stop())
+    bench.do(wire.Disarm())
     assert bench.status().state == wire.State.SAFE
     bench.do(wire.Arm())
-    bench.do(wire.Stop())
+    bench.do(wire.Disarm())
     assert bench.status().state == wire.State.SAFE
 
 

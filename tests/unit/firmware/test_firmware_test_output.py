@@ -91,7 +91,7 @@ def test_interlocks() -> None:
     assert bench.refused(wire.TestOutput(O.MOTOR, 100, 100)) == R.NOT_VENTED
     assert bench.refused(wire.TestOutput(O.RIGHT_TRANSDUCER, 400, 100)) == R.BUSY
     assert bench.refused(wire.Home()) == R.BUSY
-    bench.do(wire.Stop())
+    bench.do(wire.Disarm())
     assert bench.safe()
     assert bench.refused(wire.TestOutput(O.LEFT_TRANSDUCER, 400, 100)) == R.WRONG_STATE
 

@@ -1,0 +1,37 @@
+"""The lease while a program waits for its operator.
+
+A main thread that has not touched its port for a while counts as hung, and the port's process then
+stops the robot. One that waits for an answer of the person beside the robot is not hung; whoever
+asks says so here, and so for every port of this process.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+from weakref import WeakSet
+
+
+class Leased(Protocol):
+    """A connection with a lease."""
+
+    def attend(self) -> None:
+        """Let no lease run until the main thread uses the connection again.
+
+        Raises:
+            LinkError: the connection is gone.
+        """
+
+
+# What is told is a fact about the process's main thread, hence one list for the process.
+_connections: WeakSet[Leased] = WeakSet()
+
+
+def attend_at_prompts(connection: Leased) -> None:
+    """From now on tell this connection of every prompt."""
+    _connections.add(connection)
+
+
+def waits_for_operator() -> None:
+    """The main thread is about to wait for its operator."""
+    for connection in list(_connections):
+        connection.attend()

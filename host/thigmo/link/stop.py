@@ -1,0 +1,74 @@
+"""Stopping the board: a frame that it obeys in every state, repeated until it echoes the nonce.
+
+Used by whoever can write to the port: the client, and the process that owns a serial port. No
+session, no sequence number and no command that waits for its answer stands in the way. The stop
+latches on the board until an operator clears it.
+"""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, field
+
+from thigmo.link.framing import Frame, encode
+from thigmo.link.heart import HOLD_AFTER
+from thigmo.link.protocol import Stop, Stopped
+
+REPEAT_S = 0.05
+CONFIRM_S = 3.0  # of a board that talks: sixty repeats
+# A board that is not heard for so long may be in its boot loader, which must hear nothing: after a
+# reset its outputs are off anyway. A board that runs talks twice a second at least.
+MUTE_S = 0.6
+# After so long it is no boot loader that keeps silent (`client.SILENCE_S`).
+SILENT_S = 1.6
+
+
+def _nonce() -> int:
+    """Random and never 0. Its bytes have the top bit set, for "!!!" enters the boot loader's
+    monitor."""
+    return secrets.randbits(32) | 0x8080_8080
+
+
+@dataclass(slots=True)
+class StopCall:
+    """One stop, from the first frame to its echo.
+
+    Attributes:
+        called_s: when it began, by the clock that all methods are given.
+        heard_s: when a byte last came from the board.
+        nonce: of this stop.
+        next_s: when the next frame is due.
+        unheard: frames sent since the board was last heard.
+        confirmed: the board has echoed the nonce: its outputs are off.
+    """
+
+    called_s: float
+    heard_s: float = float("-inf")
+    nonce: int = field(default_factory=_nonce)
+    next_s: float = float("-inf")
+    unheard: int = 0
+    confirmed: bool = False
+
+    def frame(self, now_s: float) -> bytes | None:
+        """The bytes to send now, or None if none are due.
+
+        The zero before the frame ends whatever piece of another the board may hold.
+        """
+        if self.confirmed or now_s < self.next_s:
+            return None
+        silent = now_s - self.called_s < SILENT_S or self.unheard >= HOLD_AFTER
+        if now_s - self.heard_s > MUTE_S and silent:
+            return None
+        self.next_s = now_s + REPEAT_S
+        self.unheard += 1
+        return b"\0" + encode(Stop(self.nonce), 0, 0)
+
+    def heard(self, now_s: float) -> None:
+        """Bytes came from the board."""
+        self.heard_s = now_s
+        self.unheard = 0
+
+    def take(self, frame: Frame) -> None:
+        """A frame from the board: perhaps the echo."""
+        if frame.id == Stopped.ID and frame.payload == Stopped(self.nonce).pack():
+            self.confirmed = True
