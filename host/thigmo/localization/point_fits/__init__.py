@@ -12,10 +12,9 @@ bound, with bounds that any multipliers of the dual give; the minimum is global 
 objective without contact, which `gap` states, over forces of at most 20 times the largest reading.
 That limit is part of the problem: two opposed contacts that merge into a couple of endless force
 can fit better than any true pair. The optimum set of two contacts is, by contact, the connected
-range around the one found: each of its ends, and each end of a span within it, attains the minimum;
-a gap between two of these is not excluded. "l2" returns its point.
+range around the one found: its ends and the ends of spans in it attain the minimum. "l2" has none.
 """
 
-from thigmo.localization.point_fits.fits import PointFit, PointFits, fit, fit_rows
+from thigmo.localization.point_fits.fits import PointFit, fit, fit_rows
 
-__all__ = ["PointFit", "PointFits", "fit", "fit_rows"]
+__all__ = ["PointFit", "fit", "fit_rows"]

@@ -30,20 +30,10 @@ TOUCHING = 1e-11  # ranges no further apart are one
 
 
 @compiled
-def real_roots(c0: float, c1: float, c2: float, roots: Floats) -> int:
-    """Write the real roots of c0 + c1 t + c2 t^2, in any order; returns how many."""
-    square = c1 * c1 - 4.0 * c0 * c2
-    if square < 0.0 or (c1 == 0.0 and c2 == 0.0):
-        return 0
-    q = -0.5 * (c1 + np.copysign(np.sqrt(square), c1))
-    count = 0
-    if q != 0.0:
-        roots[0] = c0 / q
-        count = 1
-    if c2 != 0.0:
-        roots[count] = q / c2
-        count += 1
-    return count
+def real_roots(c0: float, c1: float, c2: float) -> tuple[float, float]:
+    """Both roots of c0 + c1 t + c2 t^2; NaN or infinite for one that is not there or not real."""
+    q = -0.5 * (c1 + np.copysign(np.sqrt(c1 * c1 - 4.0 * c0 * c2), c1))
+    return q / c2, c0 / q
 
 
 @compiled
@@ -67,13 +57,7 @@ def median_sensor(y: Floats, phi: Floats, count: int, key: Floats, order: Ints) 
 @compiled
 def narrow(c0: float, c1: float, c2: float, middle: float, piece: Floats) -> None:
     """Cut a piece at the real roots of c0 + c1 t + c2 t^2 that are next to its middle."""
-    square = c1 * c1 - 4.0 * c0 * c2
-    if square < 0.0:
-        return
-    q = -0.5 * (c1 + np.copysign(np.sqrt(square), c1))
-    for k in range(2):
-        # Division by 0 gives what no interval holds.
-        t = q / c2 if k == 0 else c0 / q
+    for t in real_roots(c0, c1, c2):
         if piece[0] < t <= middle:
             piece[0] = t
         elif middle < t < piece[1]:
@@ -86,14 +70,9 @@ def describe_piece(
 ) -> bool:
     """Write the piece around the middle of an interval; false if its median does not hold there.
 
-    Args:
-        y: readings, those that answer first.
-        poly: (N, 3) their responses.
-        active: how many answer.
-        work: (3, N + 3) room.
-        order: (N,) room.
-        piece: (PIECE,): the interval's ends and the misfit of the sensors that do not answer, read;
-            the piece's ends and J's numerator and denominator, written.
+    `y` and `poly` (N, 3) are the readings of the `active` sensors that answer and their responses,
+    `work` (2, N + 3) and `order` (N,) are room. `piece` (PIECE,) holds the interval's ends and the
+    misfit of the other sensors; the piece's ends and J's numerator and denominator are written.
     """
     middle = 0.5 * (piece[0] + piece[1])
     for j in range(active):
@@ -107,12 +86,10 @@ def describe_piece(
     middle = 0.5 * (piece[0] + piece[1])
     own = poly[i, 0] + middle * (poly[i, 1] + middle * poly[i, 2])
     # The others pull at the force; the median's sensor, and ties with it, can hold it.
-    pull = work[0]
-    give = work[1]
+    pull, give = work[0], work[1]
     for c in range(3):
         pull[c] = 0.0
-        give[c] = poly[i, c]
-        piece[6 + c] = poly[i, c]
+        give[c] = piece[6 + c] = poly[i, c]
         piece[3 + c] = piece[2] * poly[i, c]
     for j in range(active):
         if j == i:
@@ -139,23 +116,14 @@ def describe_piece(
 
 
 @compiled
-def find_lowest(piece: Floats, roots: Floats) -> None:
-    """Write least J on a piece, and where: at an end or where its derivative vanishes."""
-    a0, a1, a2 = piece[3], piece[4], piece[5]
-    b0, b1, b2 = piece[6], piece[7], piece[8]
-    lowest = piece[0]
-    value = quotient(lowest, piece)
-    roots[2] = piece[1]
-    count = real_roots(a1 * b0 - a0 * b1, 2.0 * (a2 * b0 - a0 * b2), a2 * b1 - a1 * b2, roots)
-    for k in range(3):
-        t = roots[k]
-        if k == 2 or (k < count and piece[0] < t < piece[1]):
-            other = quotient(t, piece)
-            if other < value:
-                value = other
-                lowest = t
-    piece[10] = lowest
-    piece[11] = value
+def find_lowest(piece: Floats) -> None:
+    """Write where J is least on a piece, an end or a place without slope, and how low it is."""
+    a0, a1, a2, b0, b1, b2 = piece[3], piece[4], piece[5], piece[6], piece[7], piece[8]
+    piece[10], piece[11] = piece[0], quotient(piece[0], piece)
+    first, last = real_roots(a1 * b0 - a0 * b1, 2.0 * (a2 * b0 - a0 * b2), a2 * b1 - a1 * b2)
+    for t in (first, last, piece[1]):
+        if piece[0] < t <= piece[1] and quotient(t, piece) < piece[11]:
+            piece[10], piece[11] = t, quotient(t, piece)
 
 
 @compiled
@@ -164,29 +132,25 @@ def join_range(near: float, far: float, ranges: Floats, count: int) -> int:
     if count > 0 and (near <= ranges[count - 1, 1] + TOUCHING or count == ranges.shape[0]):
         ranges[count - 1, 1] = max(far, ranges[count - 1, 1])
         return count
-    ranges[count, 0] = near
-    ranges[count, 1] = far
+    ranges[count, 0], ranges[count, 1] = near, far
     return count + 1
 
 
 @compiled
-def add_low_parts(level: float, piece: Floats, roots: Floats, ranges: Floats, count: int) -> int:
+def add_low_parts(level: float, piece: Floats, ranges: Floats, count: int) -> int:
     """Add the parts of a piece where J is at most `level` to `count` ranges; returns how many."""
+    near, end = piece[0], piece[1]
     a = piece[3] - level * piece[6]
     b = piece[4] - level * piece[7]
-    cuts = real_roots(a, b, piece[5] - level * piece[8], roots)
-    if cuts == 2 and roots[0] > roots[1]:
-        roots[0], roots[1] = roots[1], roots[0]
-    roots[cuts] = piece[1]
-    near = piece[0]
+    first, last = real_roots(a, b, piece[5] - level * piece[8])
+    first = first if near < first < end else end
+    last = last if near < last < end else end
     found = False
-    for k in range(cuts + 1):
-        far = min(roots[k], piece[1])
-        if far > near:
-            if quotient(0.5 * (near + far), piece) <= level:
-                count = join_range(piece[9] + near, piece[9] + far, ranges, count)
-                found = True
-            near = far
+    for far in (min(first, last), max(first, last), end):
+        if far > near and quotient(0.5 * (near + far), piece) <= level:
+            count = join_range(piece[9] + near, piece[9] + far, ranges, count)
+            found = True
+        near = far
     # Too narrow to tell: the lowest point alone.
     return count if found else join_range(piece[9] + piece[10], piece[9] + piece[10], ranges, count)
 
@@ -196,16 +160,11 @@ def enumerate_pieces(y: Floats, low: Floats, high: Floats, edges: Floats, pieces
     """Write all pieces, ascending; returns how many, or -1 if (P, PIECE) is no room for them."""
     n = y.shape[0]
     used = 0
-    own = np.empty(n)
-    poly = np.empty((n, 3))
-    work = np.empty((3, n + 3))
-    order = np.empty(n, np.int64)
+    own, order = np.empty(n), np.empty(n, np.int64)
+    poly, work = np.empty((n, 3)), np.empty((2, n + 3))
     for e in range(edges.shape[0] - 1):
-        start = edges[e]
-        width = edges[e + 1] - start
-        active = integer(0)
-        beyond = 0.0
-        answered = False
+        start, width = edges[e], edges[e + 1] - edges[e]
+        active, beyond, answered = integer(0), 0.0, False
         for j in range(n):
             if low[j] < start + 0.5 * width:
                 expand(start, start + 0.5 * width, low[j], high[j], poly[active])
@@ -216,12 +175,11 @@ def enumerate_pieces(y: Floats, low: Floats, high: Floats, edges: Floats, pieces
                 beyond += abs(y[j])
         if active == 0:
             continue
-        # From the far end of the room: intervals still to be looked at, and pieces found (whose
-        # start is not negative) that wait for the intervals before them.
+        # From the far end of the room: intervals still to be looked at (their start is negative),
+        # and pieces found that wait for the intervals before them.
         top = pieces.shape[0] - 1
         pieces[top, 0] = 0.0 if answered else INNER_END * width
-        pieces[top, 1] = width
-        pieces[top, 9] = -1.0
+        pieces[top, 1], pieces[top, 9] = width, -1.0
         while top < pieces.shape[0]:
             if pieces[top, 9] >= 0.0:
                 for c in range(PIECE):
@@ -229,30 +187,23 @@ def enumerate_pieces(y: Floats, low: Floats, high: Floats, edges: Floats, pieces
                 used += 1
                 top += 1
                 continue
-            near = pieces[top, 0]
-            far = pieces[top, 1]
+            near, far = pieces[top, 0], pieces[top, 1]
             if far - near <= NARROW:
                 top += 1
                 continue
             if used + 4 > top:
                 return -1
-            first = 0.5 * (near + far)
-            second = first
+            first = second = 0.5 * (near + far)
             piece = pieces[top - 1]
-            piece[0] = near
-            piece[1] = far
-            piece[2] = beyond
+            piece[0], piece[1], piece[2] = near, far, beyond
             verified = describe_piece(own, poly, active, work, order, piece)
             if verified:
-                first = piece[0]
-                second = piece[1]
-                find_lowest(piece, work[0])
+                first, second = piece[0], piece[1]
+                find_lowest(piece)
             pieces[top, 0] = second
             piece[9] = start
             top -= 2 if verified else 1
-            pieces[top, 0] = near
-            pieces[top, 1] = first
-            pieces[top, 9] = -1.0
+            pieces[top, 0], pieces[top, 1], pieces[top, 9] = near, first, -1.0
     return used
 
 
@@ -268,9 +219,7 @@ def fit_one_l1(
     n = rows.shape[1]
     pieces = np.empty((64 + 8 * n, PIECE))
     ranges = np.empty(((found.shape[1] - 3) // 2, 2))
-    roots = np.empty(3)
-    work = np.empty((2, n))
-    order = np.empty(n, np.int64)
+    work, order = np.empty((2, n)), np.empty(n, np.int64)
     for row in range(rows.shape[0]):
         y = rows[row]
         rest = 0.0
@@ -286,11 +235,10 @@ def fit_one_l1(
         level = best + tolerance * rest
         count = integer(0)
         if rest <= level:
-            used = 0
-            count = join_range(0.0, 1.0, ranges, count)
+            used, count = 0, join_range(0.0, 1.0, ranges, count)
         for k in range(used):
             if pieces[k, 11] <= level:
-                count = add_low_parts(level, pieces[k], roots, ranges, count)
+                count = add_low_parts(level, pieces[k], ranges, count)
         found[row, 0] = best
         widest = -1.0
         for k in range(count):

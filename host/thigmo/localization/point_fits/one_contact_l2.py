@@ -13,6 +13,7 @@ import numpy as np
 from thigmo.compiled import compiled
 from thigmo.localization.point_fits.response import Floats, expand
 
+Best = tuple[float, float, float]
 DEGREE = 4
 HALVINGS = 60
 INNER_END = 1e-9  # the first cell is open at its near end: so far inside it, as a share of it
@@ -40,9 +41,7 @@ def roots_between(derived: Floats, near: float, roots: Floats) -> int:
             derived[d, k] = derived[d - 1, k + 1] * (k + 1)
     count = 0
     for d in range(DEGREE - 1, -1, -1):
-        turns = count
-        count = 0
-        before = near
+        turns, count, before = count, 0, near
         for k in range(turns + 1):
             a = before
             b = roots[k] if k < turns else 1.0
@@ -63,16 +62,10 @@ def roots_between(derived: Floats, near: float, roots: Floats) -> int:
 
 
 @compiled
-def best_in_cell(
-    y: Floats,
-    low: Floats,
-    high: Floats,
-    start: float,
-    width: float,
-    room: tuple[Floats, Floats, Floats],
-) -> tuple[float, float, float]:
+def best_in_cell(y: Floats, low: Floats, high: Floats, start: float, width: float) -> Best:
     """What a contact between two neighbouring edges explains at best, its arc and its force."""
-    c, slope, roots = room
+    c, roots = np.empty(3), np.empty(DEGREE + 2)
+    slope = np.empty((DEGREE, DEGREE + 1))
     b0 = b1 = b2 = c0 = c1 = c2 = c3 = c4 = 0.0
     for j in range(y.shape[0]):
         if low[j] >= start + 0.5 * width:
@@ -95,8 +88,7 @@ def best_in_cell(
     slope[0, 4] = b2 * c3 - 2.0 * b1 * c4
     near = 0.0 if c0 > 0.0 else INNER_END
     count = roots_between(slope, near, roots)
-    roots[count] = near
-    roots[count + 1] = 1.0
+    roots[count], roots[count + 1] = near, 1.0
     explained = force = 0.0
     best = 1.0
     for k in range(count + 2):
@@ -104,22 +96,19 @@ def best_in_cell(
         top = b0 + t * (b1 + t * b2)
         square = c0 + t * (c1 + t * (c2 + t * (c3 + t * c4)))
         if square > 0.0 and top * top / square > explained:
-            explained = top * top / square
-            force = top / square
-            best = t
+            explained, force, best = top * top / square, top / square, t
     return explained, start + best * width, force
 
 
 @compiled
 def fit_one_l2(rows: Floats, low: Floats, high: Floats, edges: Floats, found: Floats) -> None:
     """Global fit of every row (M, N): objective, arc, force, arc, arc into `found` (M, >= 5)."""
-    room = (np.empty(3), np.empty((DEGREE, DEGREE + 1)), np.empty(DEGREE + 2))
     for row in range(rows.shape[0]):
         most = force = rest = 0.0
         arc = 1.0
         for e in range(edges.shape[0] - 1):
             width = edges[e + 1] - edges[e]
-            found_here = best_in_cell(rows[row], low, high, edges[e], width, room)
+            found_here = best_in_cell(rows[row], low, high, edges[e], width)
             if found_here[0] > most:
                 most, arc, force = found_here
         for j in range(rows.shape[1]):

@@ -50,11 +50,10 @@ def expand(start: float, middle: float, low: float, high: float, c: Floats) -> N
 def crossing(key: Floats, amount: Floats, order: Ints, count: int, need: float) -> int:
     """Place in `order` up to which the amounts, by ascending key, first add up to `need`.
 
-    Weighted quickselect over the first `count` items of `order`, which is rearranged: on return
-    `order[:place]` holds the smaller keys. Returns `count` if the amounts do not suffice.
+    Weighted quickselect over `count` items of `order`, which is rearranged: `order[:place]` holds
+    the smaller keys. Returns `count` if the amounts do not suffice.
     """
-    left = 0
-    right = count
+    left, right = 0, count
     while left < right:
         pivot = key[order[(left + right) // 2]]
         less = k = left
@@ -63,15 +62,13 @@ def crossing(key: Floats, amount: Floats, order: Ints, count: int, need: float) 
         while k < more:
             item = order[k]
             if key[item] < pivot:
-                order[k] = order[less]
-                order[less] = item
+                order[k], order[less] = order[less], item
                 below += amount[item]
                 less += 1
                 k += 1
             elif key[item] > pivot:
                 more -= 1
-                order[k] = order[more]
-                order[more] = item
+                order[k], order[more] = order[more], item
             else:
                 equal += amount[item]
                 k += 1

@@ -18,8 +18,7 @@ import numpy as np
 from thigmo.compiled import compiled
 from thigmo.localization.point_fits.response import Floats, crossing, integer
 
-EACH = 3  # columns of a contact
-COLUMNS = 6
+EACH, COLUMNS = 3, 6  # of one contact, of both
 SMALL = 1e-12  # entries of a scaled tableau below this are zero
 L2_ROWS = COLUMNS + 2
 L2_STEPS = 60
@@ -72,12 +71,9 @@ def fit_l1(g: Floats, y: Floats, n: int, limit: float, beta: Floats) -> float:
     """Weights of least sum |y - beta g|; returns a proven lower bound of that sum."""
     rows = n + 2
     table = np.empty((rows, COLUMNS + 1))
-    side = np.empty(rows)
-    key = np.empty(rows)
-    amount = np.empty(rows)
+    side, key, amount = np.empty(rows), np.empty(rows), np.empty(rows)
+    slope, scale = np.empty(COLUMNS), np.empty(COLUMNS)
     order = np.empty(rows, np.int64)
-    slope = np.empty(COLUMNS)
-    scale = np.empty(COLUMNS)
     # What stands in rows, then columns: readings from 0, room up to the limits, weights from n + 2.
     names = np.arange(rows + COLUMNS)
     column_scales(g, n, scale)
@@ -89,8 +85,7 @@ def fit_l1(g: Floats, y: Floats, n: int, limit: float, beta: Floats) -> float:
         side[i] = 1.0 if table[i, COLUMNS] >= 0.0 else -1.0
     for _ in range(20 * rows):
         # The column along which the sum falls fastest.
-        q = integer(0)
-        need = SMALL
+        q, need = integer(0), SMALL
         for r in range(COLUMNS):
             slope[r] = 0.0
             for i in range(rows):
@@ -99,8 +94,7 @@ def fit_l1(g: Floats, y: Floats, n: int, limit: float, beta: Floats) -> float:
             # A residual that leaves 0 adds to the sum; a weight can only grow.
             fall = abs(slope[r]) - 1.0 if names[rows + r] < n else -slope[r]
             if fall > need:
-                need = fall
-                q = r
+                need, q = fall, r
         if need == SMALL:
             break
         way = -1.0 if slope[q] > 0.0 else 1.0
@@ -122,8 +116,8 @@ def fit_l1(g: Floats, y: Floats, n: int, limit: float, beta: Floats) -> float:
         side[p] = way
         names[p], names[rows + q] = names[rows + q], names[p]
     # Multipliers of the residuals, by reading; `key` is free by now.
+    beta[:] = 0.0
     for r in range(COLUMNS):
-        beta[r] = 0.0
         if names[rows + r] < n:
             key[names[rows + r]] = min(max(-slope[r], -1.0), 1.0)
     for i in range(rows):
@@ -146,8 +140,7 @@ def complementarity(g: Floats, y: Floats, n: int, limit: float, scale: Floats) -
         table[r, L2_ROWS + 1] = limit if r >= COLUMNS else 0.0
     for r in range(COLUMNS):
         c = COLUMNS + r // EACH
-        table[r, c] = scale[r]
-        table[c, r] = -scale[r]
+        table[r, c], table[c, r] = scale[r], -scale[r]
         for i in range(n):
             scaled = g[r, i] * scale[r]
             table[r, L2_ROWS + 1] -= scaled * y[i]
@@ -163,8 +156,7 @@ def fit_l2(g: Floats, y: Floats, n: int, limit: float, beta: Floats) -> float:
     column_scales(g, n, scale)
     table = complementarity(g, y, n, limit, scale)
     covering = last = L2_ROWS
-    # What stands in rows, then columns: weights and multipliers from 0, the covering variable,
-    # then what they are complementary to.
+    # In rows, then columns: weights and multipliers from 0, the covering variable, their partners.
     names = np.arange(2 * L2_ROWS + 1)
     p = integer(0)
     for r in range(2 * L2_ROWS + 1):
@@ -175,32 +167,26 @@ def fit_l2(g: Floats, y: Floats, n: int, limit: float, beta: Floats) -> float:
     for _ in range(L2_STEPS if table[p, last + 1] < 0.0 else 0):
         exchange(table, p, q)
         left = names[p]
-        names[p] = names[L2_ROWS + q]
-        names[L2_ROWS + q] = left
+        names[p], names[L2_ROWS + q] = names[L2_ROWS + q], left
         if left == covering:
             break
-        # The partner of what left the rows enters them.
         partner = left - covering - 1 if left > covering else left + covering + 1
         q = integer(0)
         while names[L2_ROWS + q] != partner:
             q += 1
-        p = integer(-1)
-        least = np.inf
+        p, least = integer(-1), np.inf
         for r in range(L2_ROWS):
             if table[r, q] < -SMALL:
                 ratio = -table[r, last + 1] / table[r, q]
                 if ratio < least or (ratio == least and names[r] == covering):
-                    least = ratio
-                    p = r
+                    least, p = ratio, r
         if p < 0:
             break
-    for r in range(COLUMNS):
-        beta[r] = 0.0
+    beta[:] = 0.0
     for r in range(L2_ROWS):
         if names[r] < COLUMNS:
             beta[names[r]] = max(table[r, last + 1], 0.0) * scale[names[r]]
-    d = np.empty(n)
-    bound = 0.0
+    d, bound = np.empty(n), 0.0
     for i in range(n):
         d[i] = y[i]
         for r in range(COLUMNS):

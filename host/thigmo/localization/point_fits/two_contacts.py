@@ -20,31 +20,25 @@ from thigmo.compiled import compiled
 from thigmo.localization.point_fits.response import Floats, integer, response
 from thigmo.localization.point_fits.signed_fit import COLUMNS, EACH, fit_l1, fit_l2
 
-SIGNS = 4
-BOUND = 6
-BOX = 7
-THINNEST = 1e-12  # boxes no wider than this are not split
+Limits = tuple[float, float, float]
+Room = tuple[Floats, Floats, Floats, Floats]
+
+SIGNS, BOUND, BOX = 4, 6, 7
+THINNEST = 1e-12  # boxes no wider are not split
 
 
 @compiled
 def hull_columns(
     box: Floats, y: Floats, low: Floats, high: Floats, g: Floats, data: Floats, cut: Floats
 ) -> tuple[int, int]:
-    """How many readings take part in the bound of a box, and how many no contact of it reaches.
+    """Responses `g` (6, N) at the Bezier points of both contacts of a box.
 
-    Args:
-        box: (BOX,).
-        y: readings.
-        low: near ends of the spans.
-        high: far ends.
-        g: (6, N) written: responses at the Bezier points of both contacts.
-        data: (N,) written: readings that take part; at the end those that no contact reaches.
-        cut: (3,) written: the end of a span that lies deepest inside a place, which place (0 or
-            2), and how deep; 0 if none does.
+    Returns how many readings take part, which `data` (N,) begins with, and how many no contact
+    reaches, which it ends with. Writes into `cut` the end of a span that lies deepest inside a
+    place, the place (0 or 2), and how deep; 0 if none does.
     """
     n = y.shape[0]
-    used = integer(0)
-    idle = 0
+    used, idle = integer(0), 0
     cut[2] = 0.0
     for i in range(n):
         mixed = False
@@ -53,9 +47,7 @@ def hull_columns(
                 depth = min(end - box[place], box[place + 1] - end)
                 mixed = mixed or depth > 0.0
                 if depth > cut[2]:
-                    cut[0] = end
-                    cut[1] = place
-                    cut[2] = depth
+                    cut[0], cut[1], cut[2] = end, place, depth
         if mixed:
             continue
         if box[1] <= low[i] and box[3] <= low[i]:
@@ -63,17 +55,15 @@ def hull_columns(
             data[n - idle] = y[i]
             continue
         for c in range(2):
-            near = box[2 * c]
-            far = box[2 * c + 1]
+            near, far = box[2 * c], box[2 * c + 1]
             first = box[SIGNS + c] * response(near, low[i], high[i])
             last = box[SIGNS + c] * response(far, low[i], high[i])
             middle = 0.5 * (first + last)
             if low[i] <= near and far <= high[i] and low[i] < high[i]:
                 middle = box[SIGNS + c] * 0.5 * (near - low[i]) * (far - low[i])
                 middle /= high[i] - low[i]
-            g[EACH * c, used] = first
-            g[EACH * c + 1, used] = last
-            g[EACH * c + 2, used] = middle
+            r = EACH * c
+            g[r, used], g[r + 1, used], g[r + 2, used] = first, last, middle
         data[used] = y[i]
         used += 1
     return used, idle
@@ -81,12 +71,7 @@ def hull_columns(
 
 @compiled
 def bound_box(
-    box: Floats,
-    y: Floats,
-    sensors: Floats,
-    norm: int,
-    limit: float,
-    room: tuple[Floats, Floats, Floats, Floats],
+    box: Floats, y: Floats, sensors: Floats, norm: int, limit: float, room: Room
 ) -> float:
     """Lower bound over a box; exact if it is a point. Weights and cut are left in the room."""
     g, data, beta, cut = room
@@ -111,9 +96,8 @@ def aim(box: Floats, beta: Floats, cut: Floats, point: Floats) -> None:
         point[SIGNS + c] = box[SIGNS + c]
         loose = abs(beta[EACH * c + 1] - force * share * share) * width * width + 1e-30 * width
         if cut[2] == 0.0 and width > THINNEST and loose > loosest:
-            loosest = loose
             cut[0] = near + (share if 0.1 <= share <= 0.9 else 0.5) * width
-            cut[1] = 2 * c
+            loosest, cut[1] = loose, 2 * c
     cut[2] = loosest
 
 
@@ -123,8 +107,7 @@ def split_box(boxes: Floats, k: int, other: int, cut: Floats) -> None:
     place = int(cut[1])
     for j in range(BOX):
         boxes[other, j] = boxes[k, j]
-    boxes[k, place + 1] = cut[0]
-    boxes[other, place] = cut[0]
+    boxes[k, place + 1] = boxes[other, place] = cut[0]
     for part in (k, other):
         boxes[part, 2] = max(boxes[part, 2], boxes[part, 0])
         boxes[part, 1] = min(boxes[part, 1], boxes[part, 3])
@@ -132,32 +115,20 @@ def split_box(boxes: Floats, k: int, other: int, cut: Floats) -> None:
 
 @compiled
 def search_boxes(
-    y: Floats,
-    sensors: Floats,
-    norm: int,
-    limits: tuple[float, float, float, float],
-    boxes: Floats,
-    answer: Floats,
+    y: Floats, sensors: Floats, norm: int, limits: Limits, boxes: Floats, answer: Floats
 ) -> int:
     """Branch and bound; returns how many boxes were looked at.
 
-    Args:
-        y: readings.
-        sensors: (2, N) near and far ends of the spans.
-        norm: 1 or 2.
-        limits: largest |force|; boxes are given up where they could gain no more than the second;
-            the search ends once the objective is as low as the third, or cannot be (negative for
-            the minimum), or after as many boxes as the fourth.
-        boxes: (B, BOX) the first four are searched, one for each pair of signs; changed.
-        answer: (6,) written: both arcs, both forces, the least objective found, its proven bound.
+    `sensors` (2, N) are both ends of the spans; `limits` the largest |force|, the gain below which
+    boxes are given up, and the objective at which the search ends (negative for the minimum). The
+    first four of `boxes` (B, BOX) are searched, one for each pair of signs, until none is left or
+    all are in use. Writes both arcs, both forces, the objective, its bound into `answer` (6,).
     """
-    limit, slack, wanted, most = limits
+    limit, slack, wanted = limits
     n = y.shape[0]
-    beta = np.empty(COLUMNS)
-    cut = np.empty(3)
+    beta, cut, point = np.empty(COLUMNS), np.empty(3), np.empty(BOX)
     room = (np.empty((COLUMNS, n)), np.empty(n), beta, cut)
     spare = (room[0], room[1], beta, np.empty(3))
-    point = np.empty(BOX)
     count = integer(4)
     best = lower = np.inf
     bar = wanted if wanted >= 0.0 else np.inf
@@ -168,7 +139,7 @@ def search_boxes(
             if boxes[j, BOUND] < boxes[k, BOUND]:
                 k = j
         box = boxes[k]
-        if box[BOUND] > bar or done >= most:
+        if box[BOUND] > bar or count == boxes.shape[0]:
             lower = min(lower, box[BOUND])
             break
         done += 1
@@ -185,16 +156,11 @@ def search_boxes(
                 left -= second * response(point[2], sensors[0, i], sensors[1, i])
                 value += abs(left) if norm == 1 else left * left
             if value < best:
-                best = value
-                bar = min(bar, best - slack)
+                best, bar = value, min(bar, value - slack)
                 c = 1 if point[0] <= point[2] else 0
-                answer[1 - c] = point[0]
-                answer[c] = point[2]
-                answer[3 - c] = first
-                answer[2 + c] = second
+                answer[1 - c], answer[c] = point[0], point[2]
+                answer[3 - c], answer[2 + c] = first, second
         if box[BOUND] <= bar and cut[2] > 0.0:
-            if count == boxes.shape[0]:
-                boxes = grown(boxes)
             split_box(boxes, k, count, cut)
             count += 1
             continue
@@ -206,13 +172,3 @@ def search_boxes(
     answer[4] = best
     answer[5] = min(lower, best)
     return done
-
-
-@compiled
-def grown(boxes: Floats) -> Floats:
-    """The same boxes with as much room again."""
-    more = np.empty((2 * boxes.shape[0], BOX))
-    for k in range(boxes.shape[0]):
-        for j in range(BOX):
-            more[k, j] = boxes[k, j]
-    return more
