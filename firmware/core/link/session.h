@@ -61,26 +61,7 @@ class Session {
       case FrameDecoder::Result::kFrame:
         break;
     }
-    ++counters_.rx_frames;
-    const Frame& frame = decoder_.frame();
-    // Before anything else is asked: whose it is, which layout he speaks, whether we are ready.
-    if (frame.id() == protocol::kStop) {
-      take_stop(frame, handler);
-      return true;
-    }
-    // Until the boot counter is stored, this boot has no name to give.
-    if (!open_) return true;
-    switch (frame.id()) {
-      case protocol::kHello:
-        take_hello(frame, handler);
-        break;
-      case protocol::kHeartbeat:
-        take_heartbeat(frame, now_us, handler);
-        break;
-      default:
-        take_command(frame, handler);
-        break;
-    }
+    take(decoder_.frame(), now_us, handler);
     return true;
   }
 
@@ -171,6 +152,30 @@ class Session {
     uint16_t session;
     uint32_t host_nonce;
   };
+
+  // Apart from receive(), whose work for each byte it would burden with its registers.
+  template <typename Handler>
+  THIGMO_NOINLINE void take(const Frame& frame, uint32_t now_us, Handler& handler) {
+    ++counters_.rx_frames;
+    // Before anything else is asked: whose it is, which layout he speaks, whether we are ready.
+    if (frame.id() == protocol::kStop) {
+      take_stop(frame, handler);
+      return;
+    }
+    // Until the boot counter is stored, this boot has no name to give.
+    if (!open_) return;
+    switch (frame.id()) {
+      case protocol::kHello:
+        take_hello(frame, handler);
+        break;
+      case protocol::kHeartbeat:
+        take_heartbeat(frame, now_us, handler);
+        break;
+      default:
+        take_command(frame, handler);
+        break;
+    }
+  }
 
   template <typename Handler>
   void take_hello(const Frame& frame, Handler& handler) {
