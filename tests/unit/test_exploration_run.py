@@ -197,7 +197,7 @@ def test_young_sensors_are_waited_for_and_zeroed_if_their_rest_stays_unknown(
 def test_a_sweep_that_placed_its_contact_is_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH_CM", 20.0)
+    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH_CM", 60.0)
     robot = Script(touches_at=50)
     robot.clear = True
     run = _explore(tmp_path, robot)
@@ -222,7 +222,7 @@ def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Pa
     assert run.document.outcome == "full length"
     (contact,) = run.document.contacts
     assert contact.everted_length_cm == pytest.approx(50.02)
-    assert contact.arc_cm == pytest.approx(48, abs=1.5)
+    assert contact.arc_cm == pytest.approx(48, abs=2.5)
     assert contact.readings == 5
     assert contact.y_cm > 20  # bent to the left
     assert [bool(s.triggers) for s in run.document.stages] == [False] * 4 + [True, False]

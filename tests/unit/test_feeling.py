@@ -87,17 +87,32 @@ def test_free_sweeps_teach_scale_and_constant_and_sharpen_them() -> None:
     for sensor in config.sensors.right:
         sensor.scale_se = 0.03
     response = FreeResponse(config)
-    before, doubt = response.expected("left", 0.02)
-    assert before == pytest.approx(np.full(10, 0.02))
+    every = np.ones(10, dtype=np.bool_)
+    readings = np.full(10, 0.02)
+    before = response.expected("left", 2, 0.02, readings, every)
+    assert before.mean == pytest.approx(readings)
     rng = np.random.default_rng(2)
     for _ in range(4):
-        response.learn(_free_sweep(1.03, 5e-4, rng), "left")
-    after, sharper = response.expected("left", 0.02)
-    assert after[5:] == pytest.approx(np.full(5, 0.02 * 1.03 + 5e-4), abs=2.5e-4)
+        response.learn(_free_sweep(1.03, 5e-4, rng), "left", 2)
+    after = response.expected("left", 2, 0.02, readings, every)
+    assert after.mean[5:] == pytest.approx(np.full(5, 0.02 * 1.03 + 5e-4), abs=2.5e-4)
+    doubt, sharper = (np.hypot.reduce(each.shared_errors, axis=1) for each in (before, after))
     assert (sharper[5:] < 0.5 * doubt[5:]).all()
-    # The active side wrinkles, and the other direction was not swept: nothing is learnt of them.
-    assert after[:5] == pytest.approx(np.full(5, 0.02))
-    assert response.expected("right", -0.02)[0] == pytest.approx(np.full(10, -0.02))
+    # All sensors depart alike: it is the map's scale, and the body itself bends so.
+    assert 0.02 < after.body_curvature < 0.02 * 1.03 + 5e-4
+    # The other direction was not swept: nothing is learnt of it.
+    right = response.expected("right", 2, -0.02, -readings, every)
+    assert right.mean == pytest.approx(-readings)
+
+
+def test_frames_before_the_touch_teach_a_map_that_is_a_tenth_off() -> None:
+    response = FreeResponse(CONFIG)
+    response.learn(_free_sweep(0.9, 0.0, np.random.default_rng(3)), "left", 2, below=0.012)
+    use = np.arange(10) >= 5
+    known = response.expected("left", 2, 0.025, np.full(10, 0.0225), use)
+    error = np.hypot.reduce(known.shared_errors, axis=1)
+    assert known.mean == pytest.approx(np.full(5, 0.0225), abs=3 * error.max())
+    assert error.max() < 0.04 * 0.025
 
 
 def test_a_contact_lies_on_what_has_grown_since_the_last_free_sweep() -> None:

@@ -130,8 +130,6 @@ class Console:
                     f"{c.force_per_cm2:.2g} 1/cm²", c.status,
                 )  # fmt: skip
             say(table)
-        if document.doubt:
-            say(f"[bold]Doubtful[/bold]: {document.doubt}.", highlight=False, soft_wrap=True)
         if document.error_x_cm is not None:
             say(
                 f"Against the room's truth: |x error| {document.error_x_cm:.2f} cm, in the plane "

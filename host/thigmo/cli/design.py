@@ -53,7 +53,7 @@ def design(
         length=length,
         noise=noise,
         span=span,
-        offset_sigma=offset,
+        offset_error=offset,
         separations=[gap / 2 for gap in range(10, int(1.7 * length))],
     )
     one, two = found.table(), found.pair_table()

@@ -28,8 +28,28 @@ def localize(
     noise: Annotated[
         float | None, typer.Option(help="One sigma of a reading; estimated when left out.")
     ] = None,
+    gain_error: Annotated[
+        float, typer.Option(help="Relative standard error of each sensor's gain.")
+    ] = 0.0,
+    offset_error: Annotated[
+        float, typer.Option(help="One sigma of an offset that all readings share.")
+    ] = 0.0,
+    map_error: Annotated[
+        float, typer.Option(help="Relative standard error of the free curvature.")
+    ] = 0.0,
+    bad_reading_odds: Annotated[
+        float, typer.Option(help="Prior odds that a given reading is bad.")
+    ] = 1e-3,
+    tube_radius: Annotated[
+        float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if left out.")
+    ] = None,
+    critical_curvature: Annotated[
+        float | None, typer.Option(help="Contact moment over EI that folds the base, if any does.")
+    ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
-    method: Annotated[str, typer.Option(help="exact, l1 or l2.")] = "exact",
+    method: Annotated[
+        str, typer.Option(help="posterior; or l1, l2: exact point fits without intervals.")
+    ] = "posterior",
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""
@@ -49,6 +69,12 @@ def localize(
         span=span if table.span is None else table.span,
         free_curvature=free_curvature,
         noise=noise,
+        gain_error=gain_error,
+        offset_error=offset_error,
+        map_error=map_error,
+        bad_reading_odds=bad_reading_odds,
+        tube_radius=tube_radius,
+        critical_curvature=critical_curvature,
         contacts="auto" if contacts == "auto" else int(contacts),
         method=method,
     )
@@ -70,13 +96,15 @@ def result_object(result: LocalizeResult) -> dict[str, Any]:
                 "interval": list(contact.interval),
                 "intervals": [list(piece) for piece in contact.intervals],
                 "status": contact.status,
+                "probability": contact.probability,
             }
             for contact in result.contacts
         ],
-        "model": result.model,
+        "hypothesis": result.hypothesis,
+        "hypotheses": dict(result.hypotheses),
+        "discarded": list(result.discarded),
         "parameters": dict(result.parameters),
         "noise": result.noise,
-        "outliers": list(result.outliers),
         "message": result.message,
     }
 
@@ -88,12 +116,16 @@ def _show(result: LocalizeResult) -> None:
     console = Console()
     console.print(f"[bold]{result.status}[/bold]")
     if result.contacts:
-        table = Table("arc", "force / EI", "95 % interval", "status", box=None)
+        table = Table("arc", "force / EI", "95 % interval", "probability", "status", box=None)
         for contact in result.contacts:
             low, high = contact.interval
             table.add_row(
                 f"{contact.arc:.4g}", f"{contact.force:.3g}", f"{low:.4g} to {high:.4g}",
-                contact.status,
+                f"{contact.probability:.3g}", contact.status,
             )  # fmt: skip
         console.print(table)
+    console.print(f"Explained by: {result.hypothesis}.")
+    if result.discarded:
+        rows = ", ".join(str(index + 1) for index in result.discarded)
+        console.print(f"Taken for bad: row {rows} of the readings.")
     console.print(result.message)

@@ -42,8 +42,6 @@ def replay(
         )
     if not result.document.contacts:
         console.print("no contact")
-    if result.document.doubt:
-        console.print(f"doubtful: {result.document.doubt}", highlight=False, soft_wrap=True)
     console.print(f"{result.sweeps} sweeps; {run / 'replay.json'}", highlight=False)
 
 

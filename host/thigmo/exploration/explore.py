@@ -17,7 +17,6 @@ from typing import Any
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
-from thigmo.exploration.feel import warm_up
 from thigmo.exploration.prior import PriorMap, keep_prior, read_prior
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
@@ -119,8 +118,6 @@ def explore(
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
         used = config or robot.known_config or RobotConfig()
-        tell("compiling the localizer", 0.0)
-        warm_up(used)
         folder = RunFolder.create(out, label, started.astimezone())
         used.save(folder.path / "robot.toml")
         if given is not None:

@@ -7,7 +7,7 @@ free response corrects it, and with what earlier sweeps rule out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,9 +23,11 @@ from thigmo.record import Shape
 from thigmo.robot import Peak, SensorTable
 from thigmo.robot.readings import Floats
 
+# Least relative standard error of the critical moment: it goes with the body's pressure, set by hand.
+_LEAST_FOLD_ERROR = 0.1
 _PLACED = ("localized", "ambiguous")
 _GRID_CM = 0.25
-_BENT = 0.02  # 1/cm, of the body that `warm_up` makes up
+LIKELY = 0.5  # probability from which a contact that the localizer lists goes on the map
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +40,7 @@ class Felt:
         bend: the body's shape at the measurement.
         contact: the localizer's.
         mass: posterior over the arc, on `arc_grid`.
-        model: the localizer's.
+        hypothesis: the localizer's.
         readings: number of sensors used.
     """
 
@@ -47,7 +49,7 @@ class Felt:
     bend: Bend
     contact: Contact
     mass: Floats
-    model: str
+    hypothesis: str
     readings: int
 
 
@@ -89,70 +91,68 @@ def feel(
     """
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
-    muscle = config.actuators.side(peak.side)
-    free, error = response.expected(peak.side, peak.free_curvature)
+    body = config.body
+    free = response.expected(peak.side, zone, peak.free_curvature, peak.curvature, use)
     result = localize(
         peak.curvature[use],
         table.center_cm[use],
         length=peak.length_cm,
         span=table.span_cm[use],
-        free_curvature=free[use],
-        noise=np.sqrt(table.noise**2 + error**2 + peak.added_noise**2)[use],
-        offset_sigma=muscle.offset_se,
+        free_curvature=free.mean,
+        body_curvature=free.body_curvature,
+        noise=np.hypot(table.noise, peak.added_noise)[use],
+        offset_error=config.actuators.side(peak.side).offset_se,
+        shared_errors=free.shared_errors,
         critical_curvature=fold_moment(config, zone),
+        critical_curvature_error=max(
+            body.critical_curvature_se / body.critical_curvature, _LEAST_FOLD_ERROR
+        ),
         tube_radius=config.body.radius_cm,
         width_limit=WIDEST_CM,
         within=(nearest_arc, peak.length_cm) if nearest_arc > 0 else None,
     )
-    found = [c for c in result.contacts if c.status in _PLACED]
+    found = [c for c in result.contacts if c.status in _PLACED and c.probability > LIKELY]
     if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
-    unfolded = (peak.curvature - free)[use] - fold * fold_share(
+    unfolded = peak.curvature[use] - free.mean - fold * fold_share(
         centers, spans, config.body.diameter_cm
     )
     last = max((contact.arc for contact in found), default=0.0)
-    bent = peak.free_curvature + _common((free - peak.free_curvature)[use])
-    bend = Bend(peak.length_cm, bent, excess_knots(centers, unfolded, last), fold)
+    bend = Bend(
+        peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold
+    )
+    masses = [_mass(result, contact, config.body.length_cm) for contact in found]
     if prior is not None and len(found) == 1:
-        result = _expected(result, prior, bend, config.body.radius_cm)
-        found = list(result.contacts)
+        boost = _boost(prior, bend, arc_grid(config.body.length_cm), config.body.radius_cm)
+        found[0], masses[0] = expected(
+            found[0], result.bend, arc_grid(config.body.length_cm), masses[0], boost
+        )
+        result = replace(result, status=found[0].status, contacts=tuple(found))
     felt = [
         Felt(
             side=peak.side,
             length_cm=peak.length_cm,
             bend=bend,
             contact=contact,
-            mass=_mass(result, contact, config.body.length_cm),
-            model=result.model,
+            mass=mass,
+            hypothesis=result.hypothesis,
             readings=int(use.sum()),
         )
-        for contact in found
+        for contact, mass in zip(found, masses, strict=True)
     ]
     shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
     return Feeling(result, felt, shape)
 
 
-def _common(departure: Floats) -> float:
-    """The part of the sensors' learnt departures from the map (1/cm) that is the body's own bend.
-
-    What all of them show is the map's error, or the lag's, and the body does bend so; a sensor's
-    own part is its scale's error. Before learning, both are taken as equally large.
-    """
-    return float(departure.sum() / (len(departure) + 1))
-
-
-def _expected(
-    result: LocalizeResult, prior: PriorMap, bend: Bend, radius_cm: float
-) -> LocalizeResult:
-    """The one contact's posterior with a map's obstacles as its prior, through the body's shape."""
-    arcs = arc_grid(bend.length_cm)
+def _boost(prior: PriorMap, bend: Bend, arcs: Floats, radius_cm: float) -> Floats:
+    """A map's obstacles as a prior over the arc, through the body's shape."""
     curve = centreline(bend)
     # A peg in the way of a bend pushes against it.
     force = -bend.free_curvature
     points = np.array([skin_point(curve, float(arc), force, radius_cm)[:2] for arc in arcs])
-    return expected(result, arcs, prior.boost(points, bend.length_cm))
+    return prior.boost(points, bend.length_cm)
 
 
 def arc_grid(full_cm: float) -> Floats:
@@ -173,18 +173,3 @@ def _mass(result: LocalizeResult, contact: Contact, full_cm: float) -> Floats:
         mass = np.ones(len(grid))
     normalised: Floats = mass / mass.sum()
     return normalised
-
-
-def warm_up(config: RobotConfig) -> None:
-    """Compile everything that `feel` needs, before any output is energised."""
-    table = SensorTable.of(config)
-    length = config.body.length_cm
-    every = (1 << len(table.center_cm)) - 1
-    bends: tuple[tuple[Side, float], ...] = (("left", _BENT), ("right", -_BENT))
-    for side, free in bends:
-        # A bent robot held back at its tip, then also pushed at its middle: every model is weighed.
-        one = free * (1 + table.center_cm / length) / 2
-        two = one - 1.5 * free * np.maximum(0.4 - table.center_cm / length, 0.0)
-        for curvature in (one, two):
-            peak = Peak(side, 0.0, length, curvature, free, 0.0, every, 1)
-            feel(peak, config, 0, FreeResponse(config))

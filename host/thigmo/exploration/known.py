@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thigmo.localization import LocalizeResult
-from thigmo.localization.result import Status
+from thigmo.localization import Contact, LocalizeResult
 from thigmo.robot.readings import Floats
 
 _LEVEL = 0.95
@@ -19,15 +18,11 @@ _SAME_CM = 1.0  # a contact on the end that moves by more is on the side
 
 
 def cell_masses(result: LocalizeResult, grid: Floats) -> Floats:
-    """Posterior mass in the cell around each node of an evenly spaced grid.
-
-    A contact on the end of the body is a narrow peak, which samples of the density would miss.
-    """
+    """Posterior mass in the cell around each node of an evenly spaced grid."""
     step = grid[1] - grid[0]
     edges = np.concatenate((grid - 0.5 * step, [grid[-1] + 0.5 * step]))
-    parts = np.diff(result.arcs) * 0.5 * (result.density[1:] + result.density[:-1])
-    below = np.concatenate(([0.0], np.cumsum(parts)))
-    return np.diff(np.interp(edges, result.arcs, below))
+    below = np.concatenate(([0.0], np.cumsum(result.probability)))
+    return np.diff(np.interp(edges, result.edges, below))
 
 
 def median(arcs: Floats, mass: Floats) -> float:
@@ -36,45 +31,42 @@ def median(arcs: Floats, mass: Floats) -> float:
     return float(np.interp(half, np.cumsum(mass) - 0.5 * mass, arcs))
 
 
-def expected(result: LocalizeResult, arcs: Floats, boost: Floats) -> LocalizeResult:
+def expected(
+    contact: Contact, bend: Floats, arcs: Floats, mass: Floats, boost: Floats
+) -> tuple[Contact, Floats]:
     """Multiply a single contact's posterior with a prior over its arc.
 
     Args:
-        result: of `localize`, with one contact; others are returned as they are.
+        contact: the localizer's.
+        bend: (K, 2) arc, and curvature that it causes there.
         arcs: (n,) evenly spaced, cm.
+        mass: (n,) posterior in each cell, of sum one.
         boost: (n,) prior density there, of any scale.
+
+    Returns:
+        The contact and its posterior with that prior.
     """
-    if len(result.contacts) != 1 or float(np.ptp(boost)) < _FLAT * float(boost.max()):
-        return result
-    mass = cell_masses(result, arcs) * boost
-    if not mass.sum() > 0:
-        return result
-    contact = result.contacts[0]
-    mass = mass / mass.sum()
-    arc = median(arcs, mass)
-    low, high = shortest(arcs, mass)
+    product = mass * boost
+    if float(np.ptp(boost)) < _FLAT * float(boost.max()) or not product.sum() > 0:
+        return contact, mass
+    product = product / product.sum()
+    arc = median(arcs, product)
+    low, high = shortest(arcs, product)
     # Few sensors see the difference, so what stays is the moment at the body's base.
     force, offset = contact.force * contact.arc / arc, contact.end_offset
     if offset is not None and arc < contact.arc - _SAME_CM:
-        force, offset = float(result.bend[0, 1]) / arc, None
-    status: Status = "localized" if high - low <= WIDEST_CM else "ambiguous"
+        force, offset = float(bend[0, 1]) / arc, None
+    certain = contact.status == "localized" or contact.probability > _LEVEL
     placed = replace(
         contact,
         arc=arc,
         force=force,
         interval=(low, high),
         intervals=((low, high),),
-        status=status,
+        status="localized" if certain and high - low <= WIDEST_CM else "ambiguous",
         end_offset=offset,
     )
-    return replace(
-        result,
-        status=status,
-        contacts=(placed,),
-        message=f"{result.message}; with what the map given shows",
-        arcs=arcs,
-        density=mass / (arcs[1] - arcs[0]),
-    )
+    return placed, product
 
 
 def shortest(arcs: Floats, mass: Floats) -> tuple[float, float]:

@@ -188,7 +188,7 @@ class ContactMap:
             normal_rad=placed.normal_rad,
             covariance_cm2=placed.covariance_cm2,
             track=placed.track,
-            model=newest.model,
+            model=newest.hypothesis,
             readings=newest.readings,
             merged=[felt.length_cm for felt in stages[:-1]],
         )

@@ -176,7 +176,7 @@ def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float) -> Mask:
             passed(shape for shape in stage.shapes if shape.side == side)
             for side in ("left", "right")
         ]
-        for lines in [straight] if document.doubt else [straight, *swept]:
+        for lines in [straight, *swept]:
             for polygon in _pixels(grid, outline(lines, inner)):
                 cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
     return canvas.astype(np.bool_)

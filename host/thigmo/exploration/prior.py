@@ -98,7 +98,7 @@ def read_prior(path: str | os.PathLike[str]) -> PriorMap:
     if file.suffix == ".json":
         known = read_obstacles(file).obstacles
         return PriorMap(
-            [o for o in known if o.source != "prior, not felt" and o.status != "doubtful"]
+            [o for o in known if o.source != "prior, not felt"]
         )
     if file.suffix in (".yaml", ".yml"):
         return PriorMap(_grid_obstacles(read_ros_map(file)))

@@ -1,15 +1,23 @@
-"""What each sensor reads when nothing touches: learnt from the sweeps that felt nothing.
+"""What each sensor reads when nothing touches: learnt from what the sweeps show before a touch.
 
 A bent robot's reading is the free curvature plus a contact's small share, so one per cent of error
 in a sensor's scale or in the actuator map looks like a force, and so does the sensor's own
-hysteresis. All of these are the same at every stage, and sweeps without contact show them. Each
-sensor's free reading is modelled as g + c + s g: a constant c (hysteresis keeps to one side
-while the pressure rises) and a share s of g (scale and map). Both start at zero with the standard
-errors that calibration states; each free sweep sharpens them (Bayesian linear regression). The
-thesis compared with the map alone.
+hysteresis. All of these are the same at every stage, and untouched frames show them. A free reading
+is modelled as
+
+    y_i = g + c_i + (s + e_i) g,
+
+with a constant c_i of each sensor (its zero; hysteresis keeps to one side while the pressure
+rises), the map's scale s at a body pressure, and each sensor's own gain e_i. All start at zero with
+the standard errors that calibration states, widened by what a robot may have changed since, and
+each untouched frame sharpens them (Bayesian linear regression). What is still unknown of them goes
+to the localizer as errors that readings share. The thesis compared with the map alone.
 """
 
 from __future__ import annotations
+
+from copy import deepcopy
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -21,6 +29,23 @@ _LEAST_PSI = 2.5  # below, the regulator is near its live zero and the body stil
 _BINS = 10
 # Bins of one sweep share its zero and its hysteresis: together they count as so many readings.
 _INDEPENDENT = 3.0
+# One sigma by which map and gains may have changed since the calibration: a body regulator is set
+# by hand, muscles age.
+_MAP_DRIFT, _GAIN_DRIFT = 0.08, 0.04
+
+
+class FreeReading(NamedTuple):
+    """What N sensors would read if nothing touched.
+
+    Attributes:
+        mean: (N,) 1/cm.
+        body_curvature: of the free body itself, 1/cm.
+        shared_errors: (N, K) what is unknown of `mean`: columns of one standard deviation.
+    """
+
+    mean: Floats
+    body_curvature: float
+    shared_errors: Floats
 
 
 def scale_errors(config: RobotConfig) -> Floats:
@@ -33,7 +58,7 @@ def scale_errors(config: RobotConfig) -> Floats:
 
 
 class FreeResponse:
-    """Departure of each sensor's free reading from the map, per side, with its standard error.
+    """Posterior of the constants, the gains and the map's scales, for each inflated side.
 
     Args:
         config: scales, maps, and what calibration says of their errors.
@@ -41,22 +66,30 @@ class FreeResponse:
 
     def __init__(self, config: RobotConfig) -> None:
         self._table = SensorTable.of(config)
-        size = len(self._table.center_cm)
-        scale_se = scale_errors(config)
-        # Normal equations of (constant, share of g) for each side and sensor.
-        self._matrix = np.zeros((len(SIDES), size, 2, 2))
-        self._vector = np.zeros((len(SIDES), size, 2))
+        self._count = len(self._table.center_cm)
+        zones = len(config.body.zones)
+        gain = np.hypot(scale_errors(config), _GAIN_DRIFT)
+        # Normal equations of (c, e, s) for each side.
+        size = 2 * self._count + zones
+        self._matrix = np.zeros((len(SIDES), size, size))
+        self._vector = np.zeros((len(SIDES), size))
         for row, name in enumerate(SIDES):
-            map_se = max(zone.scale_se for zone in config.actuators.side(name).maps)
-            self._matrix[row, :, 0, 0] = 1 / self._table.noise**2
-            self._matrix[row, :, 1, 1] = 1 / np.maximum(scale_se**2 + map_se**2, 1e-6)
+            maps = config.actuators.side(name).maps
+            scale = [np.hypot(each.scale_se, _MAP_DRIFT) for each in maps]
+            deviation = np.concatenate([self._table.noise, gain, scale])
+            self._matrix[row] = np.diag(1.0 / deviation**2)
 
-    def learn(self, sweep: SweepResult, side: Side, below: float = np.inf) -> None:
+    def copy(self) -> Self:
+        """One that can learn without this one."""
+        return deepcopy(self)
+
+    def learn(self, sweep: SweepResult, side: Side, zone: int, below: float = np.inf) -> None:
         """Take the rising half of a sweep's side, as far as nothing was touched.
 
         Args:
             sweep: any.
             side: of it.
+            zone: index of the body-pressure zone.
             below: nothing was touched up to this free curvature (1/cm, unsigned).
         """
         mine = np.array([f.side == side for f in sweep.frames], dtype=np.bool_)
@@ -73,18 +106,46 @@ class FreeResponse:
                 continue
             g = float(free[part].mean())
             departure = readings[part].mean(axis=0) - g
-            use = self._table.usable(side, sweep.sensors) & np.isfinite(departure)
-            weight = _INDEPENDENT / _BINS / self._table.noise**2
-            regressors = np.array([1.0, g])
-            for sensor in np.flatnonzero(use):
-                self._matrix[row, sensor] += weight[sensor] * np.outer(regressors, regressors)
-                self._vector[row, sensor] += weight[sensor] * departure[sensor] * regressors
+            use = np.flatnonzero(
+                self._table.usable(side, sweep.sensors) & np.isfinite(departure)
+            )
+            effect = self._effect(use, zone, g, np.full(use.size, g))
+            weight = _INDEPENDENT / _BINS / self._table.noise[use] ** 2
+            self._matrix[row] += effect.T @ (weight[:, None] * effect)
+            self._vector[row] += effect.T @ (weight * departure[use])
 
-    def expected(self, side: Side, free_curvature: float) -> tuple[Floats, Floats]:
-        """Reading of every sensor of an untouched robot, and its standard error; 1/cm, (10,)."""
+    def _effect(
+        self, sensors: np.typing.NDArray[np.intp], zone: int, free: float, reading: Floats
+    ) -> Floats:
+        """(n, size) what each unknown adds to the readings of some sensors."""
+        effect = np.zeros((sensors.size, self._matrix.shape[1]))
+        rows = np.arange(sensors.size)
+        effect[rows, sensors] = 1.0
+        effect[rows, self._count + sensors] = reading
+        effect[:, 2 * self._count + zone] = free
+        return effect
+
+    def expected(
+        self, side: Side, zone: int, free_curvature: float, curvature: Floats,
+        use: np.typing.NDArray[np.bool_],
+    ) -> FreeReading:  # fmt: skip
+        """What sensors would read of an untouched robot, and what is unknown of that.
+
+        Args:
+            side: inflated muscle.
+            zone: index of the body-pressure zone.
+            free_curvature: by the map, 1/cm.
+            curvature: (10,) what they read now: a gain's error is a share of it.
+            use: (10,) which of them.
+        """
         row = SIDES.index(side)
-        regressors = np.array([1.0, free_curvature])
         covariance = np.linalg.inv(self._matrix[row])
-        estimate = np.einsum("sij,sj->si", covariance, self._vector[row]) @ regressors
-        variance = np.einsum("i,sij,j->s", regressors, covariance, regressors)
-        return free_curvature + estimate, np.sqrt(variance)
+        mean = covariance @ self._vector[row]
+        sensors = np.flatnonzero(use)
+        effect = self._effect(sensors, zone, free_curvature, curvature[sensors])
+        variance, axes = np.linalg.eigh(effect @ covariance @ effect.T)
+        return FreeReading(
+            free_curvature + effect @ mean,
+            free_curvature * (1.0 + float(mean[2 * self._count + zone])),
+            axes * np.sqrt(np.maximum(variance, 0.0)),
+        )

@@ -21,7 +21,6 @@ from thigmo.errors import RunFolderError
 from thigmo.exploration.deflection import deflection
 from thigmo.exploration.eversion import stall
 from thigmo.exploration.map import ContactMap
-from thigmo.exploration.map_error import with_doubt
 from thigmo.exploration.missed import judged
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
@@ -272,7 +271,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
             found.add_ahead(stalled)
         elif (leaning := deflection(*grown, *reader.zeros(), table)) is not None:
             found.add_leaning(leaning)
-    document = with_doubt(_document(folder, log, found.contacts, stages), interpreter.doubt)
+    document = _document(folder, log, found.contacts, stages)
     document = judged(document, config, prior)
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")

@@ -17,7 +17,6 @@ from thigmo.exploration.deflection import Deflection, deflection
 from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.map import ContactMap, peg_ahead
-from thigmo.exploration.map_error import with_doubt
 from thigmo.exploration.measuring import (
     held_now,
     held_sides,
@@ -364,7 +363,6 @@ class Exploration:
     def _judge(self) -> None:
         """Say what is known of the contacts felt so far, and put it on the disk."""
         document = replace(self.document, contacts=self.map.contacts)
-        document = with_doubt(document, self.interpreter.doubt)
         self.document = judged(document, self.config, self.prior)
         self.keep()
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.exploration.feel import Feeling, feel
-from thigmo.exploration.map_error import MapDoubt, MapError
 from thigmo.exploration.measuring import GIVES_UP, held_back, held_sides, touch_curvature
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse
@@ -26,6 +25,8 @@ _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 # A 95 % interval this narrow ends a sweep: less than the tube's diameter. Contacts on the tip's end
 # need it: at 5 cm they were 0.8 cm farther off, for 7 s of robot time less.
 ENOUGH_CM = 3.0
+# Probability from which a contact counts although the trigger did not fire.
+_CERTAIN = 0.99
 _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
 
 
@@ -42,15 +43,12 @@ class Interpreter:
         self._prior = prior
         self._response = FreeResponse(config)
         self._swept = SweptSpace()
-        self._map_error = MapError(config)
-
-    @property
-    def doubt(self) -> MapDoubt | None:
-        """Why the contacts are doubtful, if the untouched body does not bend as the map says."""
-        return self._map_error.doubt()
 
     def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
-        """Contacts of a stage: on each side on which the board's trigger fired.
+        """Contacts of a stage: where the board's trigger fired, or the readings leave no doubt.
+
+        The trigger compares with the map; where the body bends more than that, a contact does not
+        hold the base back by as much.
 
         Args:
             sweep: the sweep that looked for contacts.
@@ -58,8 +56,6 @@ class Interpreter:
             zone: index of the body-pressure zone.
         """
         fired = held_sides(sweep)
-        if sweep.peaks:
-            self._map_error.take(sweep, sweep.peaks[0].length_cm, zone)
         measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
         feelings = []
         table = SensorTable.of(self._config)
@@ -67,10 +63,7 @@ class Interpreter:
             if not table.usable(peak.side, peak.sensors).any():
                 continue  # nothing to feel with: no sensor is out and well
             nearest = self._nearest(sweep, peak) if peak.side in fired else 0.0
-            if measuring is not None and peak.side in fired:
-                touch = touch_curvature(sweep.frames, peak.side)
-                if touch is not None:
-                    self._response.learn(measuring, peak.side, abs(touch) - _TOUCH_MARGIN)
+            self._learn_before_touch(sweep, measuring, peak.side, zone)
             feeling = feel(
                 measured.get(peak.side, peak),
                 self._config,
@@ -79,11 +72,12 @@ class Interpreter:
                 nearest,
                 self._prior,
             )
-            if peak.side in fired:
+            certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
+            if peak.side in fired or certain:
                 feelings.append(feeling)
-            if peak.side not in fired:
-                self._response.learn(sweep, peak.side)
-            if peak.side not in fired or feeling.result.status == "no contact":
+            else:
+                self._response.learn(sweep, peak.side, zone)
+            if feeling.result.status == "no contact":
                 self._swept.remember(peak.side, peak.length_cm, peak.free_curvature)
         return feelings
 
@@ -93,8 +87,22 @@ class Interpreter:
         if not SensorTable.of(self._config).usable(peak.side, peak.sensors).any():
             return False
         nearest = self._nearest(so_far, peak)
-        told = feel(peak, self._config, zone, self._response, nearest, self._prior)
+        response = self._response.copy()
+        touch = touch_curvature(so_far.frames, peak.side)
+        if touch is not None:
+            response.learn(so_far, peak.side, zone, abs(touch) - _TOUCH_MARGIN)
+        told = feel(peak, self._config, zone, response, nearest, self._prior)
         return len(told.felt) == 1 and _narrow(told.felt[0].contact)
+
+    def _learn_before_touch(
+        self, sweep: SweepResult, measuring: SweepResult | None, side: Side, zone: int
+    ) -> None:
+        touch = touch_curvature(sweep.frames, side)
+        if touch is None:
+            return
+        for each in (sweep, measuring):
+            if each is not None:
+                self._response.learn(each, side, zone, abs(touch) - _TOUCH_MARGIN)
 
     def _nearest(self, sweep: SweepResult, peak: Peak) -> float:
         touch = touch_curvature(sweep.frames, peak.side)

@@ -1,106 +1,53 @@
-"""`localize_batch`: many frames at once, compiled from end to end.
-
-Without Python between rows: the exact 1-norm or 2-norm optimum (microseconds a row), or the plain
-one-contact posterior with its interval and status. Rows of a study that want everything `localize`
-knows go through `localize_rows`, over joblib's backends.
-"""
+"""`localize_batch`: the numbers of `localize`, row by row, without Python between the rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled_parallel
 from thigmo.errors import DataError
-from thigmo.localization import prior
-from thigmo.localization.frame import Frame
-from thigmo.localization.influence import Sensors
-from thigmo.localization.posterior import one_contact
-from thigmo.localization.prior import BaseMoment
-from thigmo.localization.readings import TRUST, normalise
-from thigmo.localization.result import LocalizeResult, Status
+from thigmo.localization import _posterior, priors
+from thigmo.localization.estimate import METHODS, STATUSES, Options, localize, options_of
+from thigmo.localization.readings import refusal, vector
+from thigmo.localization.result import Array, Status
 
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+_MOST = 3  # contacts of a row
 
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """One contact for each of B rows, in the caller's units.
+    """Contacts of M rows, in the caller's units; base to tip, NaN beyond the last.
 
     Attributes:
-        arc: (B,) place.
-        force: (B,) normal force over EI.
-        low, high: (B,) ends of the 95 % interval ("exact") or of the optimum set ("l1", "l2").
-        found: (B,) whether there is evidence for a contact ("exact"), else whether force is not 0.
-        status: (B,) as in `localize` ("exact"); "ambiguous" without a posterior.
-        objective: (B,) least 1-norm or 2-norm; NaN for "exact".
+        status: (M,) as in `localize`.
+        contacts: (M,) how many are listed.
+        arc, force: (M, 3) of each.
+        low, high: (M, 3) ends of its 95 % interval; of the optimum set for "l1" and "l2".
+        localized: (M, 3) whether it is.
+        probability: (M,) that there is any contact; NaN for "l1" and "l2".
+        log_odds: (M,) of that; NaN for "l1" and "l2".
+        discarded: (M,) index of the reading taken for bad, or -1.
+        objective: (M,) least norm of the residual of "l1" and "l2"; NaN for "posterior".
     """
 
+    status: list[Status]
+    contacts: npt.NDArray[np.int64]
     arc: Array
     force: Array
     low: Array
     high: Array
-    found: Flags
-    status: list[Status]
+    localized: npt.NDArray[np.bool_]
+    probability: Array
+    log_odds: Array
+    discarded: npt.NDArray[np.int64]
     objective: Array
 
     def __len__(self) -> int:
         return len(self.arc)
-
-
-@compiled_parallel
-def _posteriors(
-    y: Array,
-    free: Array,
-    low: Array,
-    high: Array,
-    variance: Array,
-    known: bool,
-    mean: Array,
-    spread: Array,
-    weight: Array,
-    out: Array,
-) -> None:
-    """Rows of (arc, force, low, high, log odds, modes) of the plain one-contact posterior."""
-    for row in numba.prange(y.shape[0]):
-        n = 0
-        for i in range(y.shape[1]):
-            if not np.isnan(y[row, i]):
-                n += 1
-        if n == 0:
-            out[row, :] = 0.0
-            out[row, 3] = 1.0
-            continue
-        part = np.empty((4, n))
-        k = 0
-        most = free[row]
-        for i in range(y.shape[1]):
-            if not np.isnan(y[row, i]):
-                part[0, k] = y[row, i]
-                part[1, k] = low[i]
-                part[2, k] = high[i]
-                part[3, k] = variance[i]
-                most = max(most, abs(y[row, i]))
-                k += 1
-        if known:
-            for k in range(n):
-                part[3, k] = max(part[3, k], max(TRUST * most, 1e-9) ** 2)
-        sensors = Sensors(part[1], part[2], np.empty((0, 5)), np.empty((n, 4)))
-        frame = Frame(part[0], part[3], known, np.empty((n, 0)), sensors)
-        found = one_contact(frame, BaseMoment(mean, spread, weight))
-        out[row, 0] = found.arc
-        out[row, 1] = found.force
-        out[row, 2] = found.low
-        out[row, 3] = found.high
-        out[row, 4] = found.evidence - found.null
-        out[row, 5] = found.pieces.shape[0]
-        out[row, 6] = n
 
 
 def localize_batch(
@@ -108,145 +55,104 @@ def localize_batch(
     position: npt.ArrayLike,
     *,
     length: float,
-    span: npt.ArrayLike = 0.0,
     free_curvature: npt.ArrayLike = 0.0,
-    noise: npt.ArrayLike | None = None,
-    method: Literal["l1", "l2", "exact"] = "l1",
-    threads: int = 1,
+    method: Literal["posterior", "l1", "l2"] = "posterior",
+    jobs: int = 1,
+    **options: Any,
 ) -> BatchResult:
-    """One contact in each row of readings from the same sensors.
+    """Contacts in each row of readings from the same sensors.
 
     Args:
-        curvature: (B, N) readings; NaN marks a missing one.
+        curvature: (M, N) readings; NaN marks a missing one.
         position: (N,) sensor centres.
         length: everted length.
-        span: scalar or (N,).
-        free_curvature: scalar, (N,) or (B, 1) for one value a row.
-        noise: as in `localize`; weights the residuals of "l1" and "l2" if it is (N,).
-        method: "l1" (the exact optimum of the thesis's objective and its set, fastest), "l2", or
-            "exact" (the posterior of the plain beam, with evidence, interval and status).
-        threads: cores to use; 0 for all of them.
+        free_curvature: scalar, (N,) or (M, 1) or (M, N).
+        method: as in `localize`.
+        jobs: threads to share the rows.
+        options: every other option of `localize`, the same for all rows.
 
     Raises:
-        DataError: as `localize`; no row is skipped silently (a row without any finite reading
-            has no contact).
+        DataError: as `localize`, naming the row; no row is skipped silently.
     """
-    readings = np.asarray(curvature, dtype=np.float64)
-    if readings.ndim != 2 or readings.shape[1] == 0:
-        raise DataError(f"curvature has shape {readings.shape}", "give (B, N) readings")
+    table = np.ascontiguousarray(curvature, dtype=np.float64)
+    if table.ndim != 2 or table.shape[1] == 0:
+        raise DataError(f"curvature has shape {table.shape}", "give (M, N) readings")
+    count, sensors = table.shape
     free = np.asarray(free_curvature, dtype=np.float64)
-    if free.ndim > 2 or (free.ndim == 2 and free.shape != (len(readings), 1)):
-        raise DataError(f"free_curvature has shape {free.shape}", "give a scalar, (N,) or (B, 1)")
-    if np.isinf(readings).any() or not np.isfinite(free).all():
-        raise DataError("a reading is infinite", "mark missing sensors with NaN")
-    # One frame of zeros checks what all rows share.
-    checked = normalise(
-        np.zeros(readings.shape[1]),
-        position,
-        length,
-        span,
-        free if free.ndim < 2 else 0.0,
-        noise,
-    )
-    y = np.ascontiguousarray(readings - free)
-    workers = _cores() if threads == 0 else threads
-    scale = checked.length
-    if method in ("l1", "l2"):
-        from thigmo.localization.exact import one_contact_batch
+    if free.ndim < 2:
+        free = vector(free, "free_curvature", sensors)[None, :]
+    if free.shape[0] not in (1, count) or free.shape[1] not in (1, sensors):
+        raise DataError(
+            f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
+        )
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
+    if method != "posterior":
+        return _point_fits(table, position, length, free, method, options)
+    given = options_of(position, sensors, length, Options(**options))
+    parts = [part for part in np.array_split(np.arange(count), max(jobs, 1)) if part.size]
 
-        weight = 1.0 if noise is None else 1.0 / np.sqrt(checked.variance)
-        solved = one_contact_batch(
-            y,
-            np.asarray(position, dtype=np.float64),
-            scale,
-            span=span,
-            weight=weight / np.max(weight),
-            norm=1 if method == "l1" else 2,
-            threads=workers,
-        )
-        return BatchResult(
-            solved.arc,
-            solved.force,
-            solved.low,
-            solved.high,
-            solved.force != 0.0,
-            ["ambiguous"] * len(y),
-            solved.objective,
-        )
-    if method != "exact":
-        raise DataError(f"unknown method {method!r}", 'use "l1", "l2" or "exact"')
-    out = np.zeros((len(y), 7))
-    before = numba.get_num_threads()
-    numba.set_num_threads(max(1, min(workers, _cores())))
-    try:
-        _posteriors(
-            np.clip(y * scale, -1e6, 1e6),
-            np.broadcast_to(np.abs(free).max(axis=-1) if free.ndim else abs(free), len(y)) * scale,
-            checked.low,
-            checked.high,
-            checked.variance,
-            checked.known,
-            *prior.BASE_MOMENT,
-            out,
-        )
-    finally:
-        numba.set_num_threads(before)
-    counts = np.maximum(out[:, 6], 1.0)
-    threshold = np.where(checked.known, 2.0, 2.0 + 5.0 / counts)
-    found = out[:, 4] > threshold
-    wide = (out[:, 3] - out[:, 2] > prior.WIDTH_SHARE) | (out[:, 5] != 1.0)
-    status: list[Status] = []
-    for is_found, is_wide, log_odds in zip(found, wide, out[:, 4], strict=True):
-        if is_found:
-            status.append("ambiguous" if is_wide else "localized")
-        else:
-            status.append("below detection" if log_odds > prior.HINT else "no contact")
+    def run(rows: npt.NDArray[np.int64]) -> dict[str, Array]:
+        own = free if free.shape[0] == 1 else free[rows]
+        return _posterior.localize_rows(
+            table[rows], given.position, given.span, np.ascontiguousarray(own), given.noise,
+            given.gain, given.bad_odds, given.shared, given.offset, given.map, given.length,
+            given.radius, given.settings, priors.compiled(),
+        )  # fmt: skip
+
+    if len(parts) > 1:
+        with ThreadPoolExecutor(len(parts)) as pool:
+            tables = list(pool.map(run, parts))
+    else:
+        tables = [run(part) for part in parts]
+    if not tables:
+        tables = [run(np.arange(0))]
+    found = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
+    wrong = np.flatnonzero(found["problem"])
+    if wrong.size:
+        row = int(wrong[0])
+        error = refusal(int(found["problem"][row]), float(found["shows"][row]), given.length)
+        raise DataError(f"row {row}: {error.what}", error.next_step)
     return BatchResult(
-        out[:, 0] * scale,
-        out[:, 1] / scale**2,
-        out[:, 2] * scale,
-        out[:, 3] * scale,
-        found,
-        status,
-        np.full(len(y), np.nan),
+        [STATUSES[int(status)] for status in found["status"].tolist()],
+        found["contacts"].astype(np.int64),
+        found["arc"],
+        found["force"],
+        found["low"],
+        found["high"],
+        found["localized"].astype(np.bool_),
+        found["probability"],
+        found["log_odds"],
+        found["discarded"].astype(np.int64),
+        np.full(count, np.nan),
     )
 
 
-def localize_rows(
-    curvature: npt.ArrayLike, position: npt.ArrayLike, *, jobs: int = 1, **options: Any
-) -> list[LocalizeResult]:
-    """`localize` on every row, over joblib: all cores, or any backend it has been given.
-
-    Wrap the call in `joblib.parallel_config(backend="dask")` (or "ray") to spread it over a
-    cluster.
-
-    Args:
-        curvature: (B, N).
-        position: (N,).
-        jobs: joblib's n_jobs; -1 for all cores.
-        options: keyword arguments of `localize`.
-    """
-    from joblib import Parallel, delayed
-
-    from thigmo.localization.estimate import localize
-
-    rows = np.asarray(curvature, dtype=np.float64)
-    if jobs == 1:
-        return [localize(row, position, **options) for row in rows]
-    task: Callable[..., Any] = delayed(_some_rows)
-    parts = np.array_split(rows, max(1, min(len(rows), 4 * abs(jobs) if jobs > 0 else 64)))
-    answers = Parallel(n_jobs=jobs)(task(part, position, options) for part in parts)
-    return [answer for part in answers for answer in part]
-
-
-def _some_rows(
-    rows: Array, position: npt.ArrayLike, options: dict[str, Any]
-) -> list[LocalizeResult]:
-    from thigmo.localization.estimate import localize
-
-    return [localize(row, position, **options) for row in rows]
-
-
-def _cores() -> int:
-    """Threads that numba may use."""
-    return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+def _point_fits(
+    table: Array, position: npt.ArrayLike, length: float, free: Array, method: str,
+    options: dict[str, Any],
+) -> BatchResult:  # fmt: skip
+    """Rows of the exact fits."""
+    count = len(table)
+    rows = [
+        localize(
+            table[m], position, length=length, free_curvature=free[min(m, len(free) - 1)],
+            method=method, **options,
+        )
+        for m in range(count)
+    ]  # fmt: skip
+    values = np.full((4, count, _MOST), np.nan)
+    for m, result in enumerate(rows):
+        for j, contact in enumerate(result.contacts):
+            values[:, m, j] = contact.arc, contact.force, *contact.interval
+    nothing = np.full(count, np.nan)
+    return BatchResult(
+        [result.status for result in rows],
+        np.array([len(result.contacts) for result in rows], dtype=np.int64),
+        *values,
+        np.zeros((count, _MOST), dtype=np.bool_),
+        nothing,
+        nothing,
+        np.full(count, -1),
+        np.array([result.objective for result in rows], dtype=np.float64),
+    )

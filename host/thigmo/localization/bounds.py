@@ -13,14 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.errors import DataError
-from thigmo.localization.influence import STRAIGHT, Sensors, influence
-from thigmo.localization.information import arc_bounds
-from thigmo.localization.readings import normalise
+from thigmo.localization.readings import Array, everted_length, positive, vector
+from thigmo.mechanics.spans import phi
 
-Array = npt.NDArray[np.float64]
-
-# Signal over noise from which one contact is reported nine times in ten (bench/calibration.py).
+# Signal over noise from which one contact is reported nine times in ten (studies/calibration.py).
 DETECTABLE = 4.5
+_SINGULAR = 1e-11  # pivot of an information matrix of unit diagonal
+_STEP = 1e-6  # of the length: half of the difference that takes the slope of a lever
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +80,58 @@ class Identifiability:
         ]
 
 
+def arc_bounds(
+    arcs: npt.ArrayLike,
+    forces: npt.ArrayLike,
+    position: npt.ArrayLike,
+    span: npt.ArrayLike,
+    noise: npt.ArrayLike,
+    length: float,
+    offset_error: float = 0.0,
+) -> Array:
+    """Cramer-Rao bounds of the arcs of contacts whose forces are unknown too.
+
+    Args:
+        arcs, forces: (k,) of the contacts.
+        position, span, noise: (N,) or scalars, as in `localize`.
+        length: of the body.
+        offset_error: standard deviation of an error that all readings share.
+
+    Returns:
+        (k,) standard deviations; infinite where the readings fix no place.
+    """
+    x = vector(position, "position")
+    width, sigma = (np.broadcast_to(vector(v, "span", x.size), x.shape) for v in (span, noise))
+    at, force = np.atleast_1d(arcs)[:, None], np.atleast_1d(forces)[:, None]
+    step = _STEP * length
+    slope = (phi(at + step, x, width) - phi(at - step, x, width)) / (2.0 * step)
+    rows = np.concatenate([phi(at, x, width), force * slope]) / sigma
+    information = rows @ rows.T
+    if offset_error > 0.0:
+        common = offset_error / sigma
+        taken = rows @ common
+        information -= np.outer(taken, taken) / (1.0 + common @ common)
+    scale = np.sqrt(np.diag(information))
+    count = len(at)
+    if not (scale > 1e-150).all():
+        return np.full(count, np.inf)
+    try:
+        factor = np.linalg.cholesky(information / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        return np.full(count, np.inf)
+    if (np.diag(factor) ** 2 < _SINGULAR).any():
+        return np.full(count, np.inf)
+    inverse = np.linalg.inv(factor)
+    return np.asarray(np.sqrt((inverse**2).sum(axis=0)) / scale)[count:]
+
+
 def identifiability(
     position: npt.ArrayLike,
     *,
     length: float,
     noise: npt.ArrayLike,
     span: npt.ArrayLike = 0.0,
-    offset_sigma: float = 0.0,
+    offset_error: float = 0.0,
     arcs: npt.ArrayLike | None = None,
     moments: npt.ArrayLike | None = None,
     separations: npt.ArrayLike | None = None,
@@ -99,7 +143,7 @@ def identifiability(
         length: of the body.
         noise: standard deviation of a reading, scalar or (N,).
         span: scalar or (N,).
-        offset_sigma: standard deviation of an error that all readings share.
+        offset_error: standard deviation of an error that all readings share.
         arcs: (A,) places to look at; 107 even ones if not given.
         moments: (M,) moments at the base over EI; six from 0.1 to 1.2 over the length if not
             given (0.002 to 0.023 1/cm for 53 cm).
@@ -108,58 +152,48 @@ def identifiability(
     Raises:
         DataError: as `localize`; an arc or separation that is not within the length.
     """
-    count = np.asarray(position, dtype=np.float64).size
-    readings = normalise(np.zeros(count), position, length, span, 0.0, noise)
-    scale = readings.length
-    places = np.linspace(0.0, 1.0, 107) if arcs is None else _within(arcs, scale, "arcs")
+    total = everted_length(length)
+    x = vector(position, "position")
+    width = np.broadcast_to(vector(span, "span", x.size), x.shape)
+    sigma = np.broadcast_to(vector(noise, "noise", x.size), x.shape)
+    if not ((x >= 0.0) & (x <= total)).all() or not (width >= 0.0).all():
+        raise DataError("a sensor is centred beyond the length", "check positions, spans and units")
+    if not (sigma > 0.0).all():
+        raise DataError("noise is not above zero", "give the standard deviation of a reading")
+    shared = positive(offset_error, "offset_error")
+    places = np.linspace(0.0, total, 107) if arcs is None else _within(arcs, total, "arcs")
     gaps = (
-        np.linspace(1.0, 12.0, 12) / 13.0
+        np.linspace(1.0, 12.0, 12) / 13.0 * total
         if separations is None
-        else _within(separations, scale, "separations")
+        else _within(separations, total, "separations")
     )
-    strength = (
-        np.geomspace(0.1, 1.2, 6)
-        if moments is None
-        else np.atleast_1d(np.asarray(moments, dtype=np.float64)) * scale
-    )
-    n = len(readings.y)
-    weight = 1.0 / readings.variance
-    columns = np.full((n, 1), offset_sigma * scale) if offset_sigma > 0.0 else np.empty((n, 0))
-    sensors = Sensors(readings.low, readings.high, STRAIGHT, np.empty((n, 4)))
-    bound = np.full((len(strength), len(places)), np.inf)
-    signal = np.zeros_like(bound)
-    pair = np.full((len(strength), len(gaps), 2), np.inf)
-    phi = np.empty(n)
-    for a, place in enumerate(places):
-        lever = max(float(place), 1e-9)
-        influence(float(place), sensors, phi)
-        felt = float(np.sqrt(np.sum(weight * phi**2))) / lever
-        for m, moment in enumerate(strength):
-            signal[m, a] = abs(moment) * felt
-            bound[m, a] = arc_bounds(
-                np.array([place]),
-                np.array([moment / lever]),
-                sensors,
-                weight,
-                columns,
-            )[0]
-    for s, gap in enumerate(gaps):
-        for m, moment in enumerate(strength):
-            near = max(1.0 - float(gap), 1e-9)
-            pair[m, s] = arc_bounds(
-                np.array([near, 1.0]),
-                np.array([-0.8 * moment / near, moment]),
-                sensors,
-                weight,
-                columns,
+    strength = np.geomspace(0.1, 1.2, 6) / total if moments is None else np.atleast_1d(moments)
+    lever = np.maximum(places, 1e-9 * total)
+    felt = np.sqrt(((phi(places[:, None], x, width) / sigma) ** 2).sum(axis=1)) / lever
+    bound = np.array([
+        [
+            arc_bounds(place, moment / arm, x, width, sigma, total, shared)[0]
+            for place, arm in zip(places, lever, strict=True)
+        ]
+        for moment in strength
+    ])  # fmt: skip
+    near = np.maximum(total - gaps, 1e-9 * total)
+    pair = np.array([
+        [
+            arc_bounds(
+                [base, total], [-0.8 * moment / base, moment / total], x, width, sigma, total, shared
             )
+            for base in near
+        ]
+        for moment in strength
+    ])  # fmt: skip
     return Identifiability(
-        places * scale, strength / scale, bound * scale, signal, gaps * scale, pair * scale, scale
+        places, np.asarray(strength), bound, np.abs(strength)[:, None] * felt, gaps, pair, total
     )
 
 
 def _within(values: npt.ArrayLike, length: float, name: str) -> Array:
-    out = np.atleast_1d(np.asarray(values, dtype=np.float64)) / length
-    if not (np.isfinite(out).all() and (out >= 0.0).all() and (out <= 1.0 + 1e-9).all()):
+    out = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if not (np.isfinite(out).all() and (out >= 0.0).all() and (out <= length * (1 + 1e-9)).all()):
         raise DataError(f"{name} are not all within the length", "check the units")
     return out

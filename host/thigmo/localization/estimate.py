@@ -1,35 +1,59 @@
 """`localize`: one frame of readings in, contacts with intervals out.
 
-Called by the exploration, by the command line and by users. The posterior decides: number of
-contacts by evidence, place by its median, interval by its mass. Richer mechanics are tried only
-where a misfit or the bend calls for them (`model_choice`). The exact 1-norm optimum and its set are
-computed when asked for.
+Readings are checked and normalised (`readings`), explanations weighed (`hypotheses.h`), and mixed
+into an answer (`answer.h`): one posterior over everything that may have bent the body, every error
+told, nothing thrown out silently. `localize_batch` runs the same compiled code over rows.
 """
 
 from __future__ import annotations
 
 import math
-from functools import partial
-from typing import Literal
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from thigmo.errors import DataError
-from thigmo.localization import prior
-from thigmo.localization.answer import (
-    SENTENCE,
-    answer,
-    contact_of,
-    contacts_of,
-    plain_answer,
+from thigmo.localization import _posterior, priors
+from thigmo.localization.point_fit import point_fit
+from thigmo.localization.readings import (
+    Range,
+    columns,
+    everted_length,
+    positive,
+    refusal,
+    share_of_length,
+    vector,
 )
-from thigmo.localization.first_look import Look, first_look
-from thigmo.localization.model_choice import MOST_CONTACTS, Options, best_model, stands
-from thigmo.localization.models import fit_one, start
-from thigmo.localization.point_estimates import least_absolute, point_estimate
-from thigmo.localization.readings import normalise
-from thigmo.localization.result import LocalizeResult, Range, Status
+from thigmo.localization.result import Array, Contact, LocalizeResult, Status
+
+MOST_CONTACTS = 3
+METHODS = ("posterior", "l1", "l2")
+STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
+# In the order of `Load` in hypotheses.h.
+_LOADS = (
+    "free body",
+    "hinge",
+    "one contact",
+    "end wrench",
+    "one contact, folded base",
+    "contact spread out",
+    "one contact, hinge",
+    "two contacts",
+    "three contacts",
+    "end wrench, folded base",
+)
+# Parameters of a hypothesis, and the power of the length's unit in each.
+_PARAMETERS = (
+    ("fold_angle", 0),
+    ("hinge_arc", 1),
+    ("half_width", 1),
+    ("push_back", -2),
+    ("tip_moment", -1),
+    ("end_offset", 1),
+)
+_NONE = np.zeros(0)
 
 
 def localize(
@@ -39,148 +63,266 @@ def localize(
     length: float,
     span: npt.ArrayLike = 0.0,
     free_curvature: npt.ArrayLike = 0.0,
+    body_curvature: npt.ArrayLike | None = None,
     noise: npt.ArrayLike | None = None,
+    gain_error: npt.ArrayLike = 0.0,
+    offset_error: float = 0.0,
+    map_error: float = 0.0,
+    shared_errors: npt.ArrayLike | None = None,
+    bad_reading_odds: npt.ArrayLike = priors.BAD_READING,
     contacts: int | Literal["auto"] = "auto",
-    method: str = "exact",
-    offset_sigma: float = 0.0,
+    method: str = "posterior",
     critical_curvature: float | None = None,
-    critical_of: Literal["contact", "total"] = "contact",
-    mechanics: Literal["auto", "plain"] = "auto",
+    critical_curvature_error: float = priors.CRITICAL_ERROR,
     tube_radius: float | None = None,
+    held_end: bool | None = None,
     width_limit: float | None = None,
     within: Range | None = None,
 ) -> LocalizeResult:
     """Find the contacts that a body of known length feels.
 
-    Lengths in any one unit (cm, mm, m), curvature in its inverse: the result scales with it.
+    Lengths in any one unit (cm, mm, m), curvature in its inverse: the result scales with it. Every
+    error that is told widens the answer by what it is worth; one that is not told makes it wrong.
 
     Args:
         curvature: (N,) readings, average curvature over each sensor; NaN marks a missing one.
         position: (N,) sensor centres along the body, 0 at the base.
         length: everted length.
         span: scalar or (N,) sensor lengths; 0 for point sensors.
-        free_curvature: scalar or (N,) curvature that actuation alone would cause.
-        noise: standard deviation of a reading, scalar or (N,); None if it is not known.
+        free_curvature: scalar or (N,) what each sensor would read if nothing touched.
+        body_curvature: scalar or (N,) curvature of the free body at the sensors, where it differs
+            from what they would read; the same if not given.
+        noise: standard deviation of a reading, scalar or (N,), 1/length; None if it is not known.
+        gain_error: relative standard error of each sensor's gain, scalar or (N,).
+        offset_error: standard deviation of an offset that all readings share, 1/length.
+        map_error: relative standard error of the free curvature, shared by all readings.
+        shared_errors: (N, K) further errors that readings share: what each adds at one standard
+            deviation, 1/length.
+        bad_reading_odds: prior odds that a given reading is bad, scalar or (N,).
         contacts: how many (0 to 3), or "auto" to let the evidence decide.
-        method: "exact"; or "l1" and "l2", which give point estimates without intervals.
-        offset_sigma: standard deviation of an error that all readings share (of the free
-            curvature or the zero); it is marginalised.
+        method: "posterior"; or "l1", "l2": exact point fits of one or two contacts, without
+            intervals.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure
-            (it is proportional to it: `thigmo.mechanics.buckling.critical_moment`).
-        critical_of: whether the contact's moment or the total curvature is critical.
-        mechanics: "auto" takes what the scene needs; "plain" keeps to the straight beam.
+            (it is proportional to it: `thigmo.mechanics.buckling.critical_moment`); None for a
+            base that does not fold.
+        critical_curvature_error: its relative standard error.
         tube_radius: radius of the body; 1.75/53 of the length if not given.
+        held_end: whether something holds the end, so that it may bear any couple and be pulled. If
+            not given, that is possible only where no tube radius is.
         width_limit: widest 95 % interval that counts as localized; 10/53 of the length (10 cm of
             the 53 cm body) if not given.
         within: arcs between which a single contact is known to lie, by whatever else is known
             (a sweep that felt nothing, say). It does not decide how many contacts there are.
 
     Returns:
-        Contacts with 95 % intervals, status, model.
+        Contacts with 95 % intervals, probabilities, status, and the likeliest explanation.
 
     Raises:
-        DataError: readings that cannot be used as given.
+        DataError: readings that cannot be used as given, or that look like another unit.
     """
+    k = vector(curvature, "curvature")
+    given = options_of(
+        position, k.size, length,
+        Options(
+            span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
+            contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
+            width_limit, within,
+        ),
+    )  # fmt: skip
+    free = vector(free_curvature, "free_curvature", k.size)
+    if method in ("l1", "l2"):
+        return point_fit(k, given.position, given.length, given.span, free, method, contacts)
+    if method != "posterior":
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
+    body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
+    found = _posterior.localize(
+        k, given.position, given.span, free, body, given.noise, given.gain, given.bad_odds,
+        given.shared, given.offset, given.map, given.length, given.radius, given.settings,
+        priors.compiled(),
+    )  # fmt: skip
+    if found.problem:
+        raise refusal(found.problem, found.shows, given.length)
+    return _result(found, given.length)
+
+
+class Options(NamedTuple):
+    """Options of `localize` that hold for every frame of the same sensors, as the caller gives."""
+
+    span: npt.ArrayLike = 0.0
+    noise: npt.ArrayLike | None = None
+    gain_error: npt.ArrayLike = 0.0
+    offset_error: float = 0.0
+    map_error: float = 0.0
+    shared_errors: npt.ArrayLike | None = None
+    bad_reading_odds: npt.ArrayLike = priors.BAD_READING
+    contacts: int | str = "auto"
+    critical_curvature: float | None = None
+    critical_curvature_error: float = priors.CRITICAL_ERROR
+    tube_radius: float | None = None
+    held_end: bool | None = None
+    width_limit: float | None = None
+    within: Range | None = None
+
+
+class Given(NamedTuple):
+    """The same, checked, as the compiled code takes them."""
+
+    position: Array
+    span: Array
+    noise: Array
+    gain: Array
+    bad_odds: Array
+    shared: Array
+    offset: float
+    map: float
+    length: float
+    radius: float
+    settings: _posterior.Settings
+
+
+def options_of(position: npt.ArrayLike, count: int, length: float, options: Options) -> Given:
+    """Check the options of N readings.
+
+    Raises:
+        DataError: an option that is not possible.
+    """
+    total = everted_length(length)
+    x = vector(position, "position")
+    if x.size != count:
+        raise DataError(
+            "position and curvature differ in length", "give one position for each reading"
+        )
+    noise = _NONE
+    if options.noise is not None:
+        noise = vector(options.noise, "noise", count)
+        if not noise.size:
+            raise DataError(
+                "noise is empty", "give one standard deviation, or None if it is unknown"
+            )
+    radius = priors.TUBE_RADIUS * total
+    if options.tube_radius is not None:
+        radius = max(positive(options.tube_radius, "tube_radius"), 1e-6 * total)
+    return Given(
+        x,
+        vector(options.span, "span", count),
+        noise,
+        vector(options.gain_error, "gain_error", count),
+        vector(options.bad_reading_odds, "bad_reading_odds", count),
+        columns(options.shared_errors, count),
+        positive(options.offset_error, "offset_error"),
+        positive(options.map_error, "map_error"),
+        total,
+        radius,
+        _settings(
+            total, radius, options.contacts, options.critical_curvature,
+            options.critical_curvature_error,
+            options.tube_radius is None if options.held_end is None else 2 * options.held_end,
+            options.width_limit,
+            options.within,
+        ),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _settings(
+    total: float,
+    radius: float,
+    contacts: int | str,
+    critical: float | None,
+    critical_error: float,
+    held_end: int,
+    width_limit: float | None,
+    within: Range | None,
+) -> _posterior.Settings:
     if contacts != "auto" and (
         isinstance(contacts, bool)
         or not isinstance(contacts, (int, np.integer))
         or not 0 <= contacts <= MOST_CONTACTS
     ):
         raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
-    if method != "exact":
-        readings = normalise(curvature, position, length, span, free_curvature, noise)
-        return point_estimate(method, readings, contacts)
-    if mechanics not in ("auto", "plain"):
-        raise DataError(f"unknown mechanics {mechanics!r}", 'use "auto" or "plain"')
-    if critical_of not in ("contact", "total"):
-        raise DataError(f"unknown critical_of {critical_of!r}", 'use "contact" or "total"')
-    offset = _positive("offset_sigma", offset_sigma)
-    look = first_look(curvature, position, length, span, free_curvature, noise, offset)
-    scale = look.length
-    options = Options(
-        None
-        if critical_curvature is None
-        else max(_positive("critical_curvature", critical_curvature) * scale, 1e-6),
-        critical_of,
-        mechanics,
-        prior.TUBE_RADIUS
-        if tube_radius is None
-        else max(_positive("tube_radius", tube_radius) / scale, 1e-6),
-        prior.WIDTH_SHARE if width_limit is None else _positive("width_limit", width_limit) / scale,
-        None if within is None else _range(within, scale),
+    moment = math.inf
+    if critical is not None:
+        moment = max(positive(critical, "critical_curvature") * total, 1e-6)
+    limit = priors.WIDTH_SHARE
+    if width_limit is not None:
+        limit = positive(width_limit, "width_limit") / total
+    return _posterior.Settings(
+        moment,
+        max(positive(critical_error, "critical_curvature_error"), 1e-3),
+        radius / total,
+        int(held_end),
+        -1 if contacts == "auto" else int(contacts),
+        share_of_length(within, total),
+        limit,
     )
-    solve = partial(least_absolute, curvature, position, length, span, free_curvature)
-    return _decide(look, contacts, options, solve)
 
 
-def _positive(name: str, value: float) -> float:
-    number = float(value)
-    if not (math.isfinite(number) and number >= 0.0):
-        raise DataError(f"{name} is {value!r}", f"give a finite {name} of zero or more")
-    return number
+def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
+    """The answer in the caller's units."""
+    status = STATUSES[found.status]
+    probability = 1.0 - found.number[0]
+    listed = tuple(
+        Contact(
+            arc * total,
+            force / total**2,
+            (low * total, high * total),
+            _own_status(status, localized),
+            tuple((near * total, far * total) for near, far in pieces),
+            deviation / total**2,
+            probability,
+            None if math.isnan(offset) else offset * total,
+        )
+        for arc, force, low, high, deviation, offset, localized, pieces in found.contacts
+    )
+    weighed = found.hypotheses
+    hypotheses: dict[str, float] = {}
+    for load, bad, _, share, _ in weighed:
+        name = _name(load, bad)
+        hypotheses[name] = hypotheses.get(name, 0.0) + share
+    return LocalizeResult(
+        status,
+        listed,
+        _name(*weighed[found.best][:2]),
+        _message(status, found, len(listed)),
+        found.noise,
+        found.log_odds,
+        hypotheses,
+        () if found.discarded < 0 else (found.discarded,),
+        {
+            name: value * total**power
+            for (name, power), value in zip(_PARAMETERS, found.parameters, strict=True)
+            if value == value  # not NaN: of this hypothesis
+        },
+        length=total,
+        _answer=found,
+    )
 
 
-def _range(within: Range, scale: float) -> Range:
-    low, high = (_positive("within", end) / scale for end in within)
-    high = min(high, 1.0)
-    if not low < high:
-        raise DataError(f"within={within!r} holds no place", "give two arcs, base first")
-    return low, high
+def _own_status(status: Status, localized: bool) -> Status:
+    if status == "below detection":
+        return status
+    return "localized" if localized else "ambiguous"
 
 
-def _decide(
-    look: Look,
-    contacts: int | str,
-    options: Options,
-    solve: partial[tuple[float, tuple[tuple[Range, ...], ...]]],
-) -> LocalizeResult:
-    fit = None
-    odds, null = look.evidence - look.null, look.null
-    if options.mechanics == "auto" and abs(look.bend) >= prior.BEND:
-        # The levers of the bend from the start.
-        readings = look.readings()
-        fit = fit_one(readings, start(readings, look.offset, True))
-        odds, null = fit.score - fit.null, fit.null
-    threshold = prior.contact_threshold(look.finite, look.known)
-    found = odds > threshold
-    # Contacts of opposed forces, or one on the end, can explain what one on the side does not.
-    odd = contacts == "auto" and not found and _not_free(look)
-    if not odd and (contacts == 0 or (contacts == "auto" and not found)):
-        status: Status = "below detection" if odds > prior.HINT else "no contact"
-        if fit is None:
-            return plain_answer(look, (), status, SENTENCE[status], solve)
-        return answer(readings, fit, (), status, "free body", SENTENCE[status], odds, solve)
-    weak: Status = "below detection"
-    if not odd and stands(look, contacts, options):
-        contact = contact_of(look, options, None if found else weak)
-        return plain_answer(look, (contact,), contact.status, SENTENCE[contact.status], solve)
-    if fit is None:
-        readings = look.readings()
-        fit = look.fit(readings)
-    fit, second_likely = best_model(readings, fit, contacts, options)
-    model = fit.setting.name
-    if odd:
-        odds = fit.score - null
-        found = odds > threshold
-    if not found and (odd or len(fit.arcs) == 1):
-        listed = () if odd else contacts_of(readings, fit, options, weak)
-        return answer(readings, fit, listed, weak, model, SENTENCE[weak], odds, solve)
-    listed = contacts_of(readings, fit, options, "ambiguous" if second_likely else None)
-    statuses = [contact.status for contact in listed]
-    status = "ambiguous" if "ambiguous" in statuses else "localized"
-    message = SENTENCE[status]
-    if second_likely:
-        message = "a second contact is likely, but not certain; average more readings"
-    return answer(readings, fit, listed, status, model, message, fit.score - null, solve)
+def _name(load: int, bad: int) -> str:
+    return _LOADS[load] if bad < 0 else f"{_LOADS[load]}, one bad reading"
 
 
-def _not_free(look: Look) -> bool:
-    """Whether readings of known noise are beyond those of a free body with a common offset."""
-    if not look.known:
-        return False
-    y, _, _, variance = look.block[:, : look.finite]
-    misfit = float(y @ (y / variance))
-    if look.offset > 0.0:
-        taken = look.offset * float((y / variance).sum())
-        misfit -= taken**2 / (1.0 + look.offset**2 * float((1.0 / variance).sum()))
-    return misfit > prior.free_limit(look.finite)
+def _message(status: Status, found: _posterior.Answer, count: int) -> str:
+    bad = "; one reading looks bad (see `discarded`)" if found.discarded >= 0 else ""
+    if status == "no contact":
+        return "the readings are those of the free body" + bad
+    if status == "below detection":
+        return "a contact is not certain; average more readings or bend further" + bad
+    others = sum(found.number[count + 1 :])
+    more = ""
+    if others > priors.EXCLUDED:
+        more = f"; another contact is not excluded (probability {others:.2f})"
+    elif count == 1:
+        more = "; further contacts on the same side are not excluded"
+    if status == "localized":
+        places = ("one place explains", "two places explain", "three places explain")[count - 1]
+        return f"{places} the readings{more}{bad}"
+    if found.number[0] > priors.EXCLUDED:
+        return f"a contact has probability {1.0 - found.number[0]:.2f}{more}{bad}"
+    return f"the readings do not fix the place; see `intervals`{more}{bad}"

@@ -17,12 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.compiled import compiled
 from thigmo.errors import DataError
-from thigmo.localization import prior
+from thigmo.localization import priors
 from thigmo.localization.bodies import LENGTH, SHIFTS, Bodies, Inflation, Seen, bodies, seen
-from thigmo.localization.intervals import median, mixed
-from thigmo.localization.readings import normalise
+from thigmo.localization.readings import everted_length, positive, vector
 from thigmo.localization.result import Contact, LocalizeResult, Status
 
 Array = npt.NDArray[np.float64]
@@ -35,11 +33,16 @@ _FINER = ((2, 8), (5, 2))
 _CLOSE = 8.0
 # Readings are trusted to no less than what these places resolve, 1/cm of a body of 53 cm.
 _LEAST_NOISE = 1e-4
+# Radius of a peg over that of the tube, where the caller gives none.
+_PEG_RADIUS = 0.6
 # Cells of the grid whose best place can only be this far behind (in log likelihood) are left out.
 _HOPELESS = 12.0
 # Nodes of an error that all readings share, in deviations.
 _OFFSETS = np.linspace(-2.5, 2.5, 7)
 _BINS = 106  # of the posterior over the arc
+_TOGETHER = 512  # places that are weighed at once
+# A sensor may be bad in all frames: one in twenty, with ten times the noise.
+_BAD_ODDS, _BAD_VARIANCE = 0.05 / 0.95, 100.0
 
 
 def localize_obstacle(
@@ -50,9 +53,9 @@ def localize_obstacle(
     free_curvature: npt.ArrayLike,
     noise: npt.ArrayLike,
     span: npt.ArrayLike = 0.0,
-    gain_sigma: float = 0.0,
-    place_sigma: float = 0.0,
-    offset_sigma: float = 0.0,
+    gain_error: float = 0.0,
+    place_error: float = 0.0,
+    offset_error: float = 0.0,
     critical_curvature: float | None = None,
     tube_radius: float | None = None,
     peg_radius: float | None = None,
@@ -70,9 +73,9 @@ def localize_obstacle(
         free_curvature: (T,) curvature that actuation alone would cause, of one sign.
         noise: standard deviation of a reading, scalar or (N,), independent between frames.
         span: scalar or (N,) sensor lengths.
-        gain_sigma: relative standard deviation of the sensors' gains, each the same in all frames.
-        place_sigma: standard deviation of the sensors' places, likewise.
-        offset_sigma: of an error that all readings of all frames share.
+        gain_error: relative standard deviation of the sensors' gains, each the same in all frames.
+        place_error: standard deviation of the sensors' places, likewise.
+        offset_error: of an error that all readings of all frames share.
         critical_curvature: as in `localize`; None for a base that does not fold.
         tube_radius: 1.75/53 of the length if not given.
         peg_radius: of the obstacle; 0.6 tube radii if not given.
@@ -94,34 +97,36 @@ def localize_obstacle(
     turn = float(np.sign(free[-1]))
     if turn == 0.0 or (np.diff(free * turn) <= 0.0).any() or free[0] * turn < 0.0:
         raise DataError("the frames do not bend the body further each", "give a rising pressure")
-    for name, value in (
-        ("gain_sigma", gain_sigma), ("place_sigma", place_sigma), ("offset_sigma", offset_sigma),
-    ):  # fmt: skip
-        if not (math.isfinite(value) and value >= 0.0):
-            raise DataError(f"{name} is {value!r}", f"give a finite {name} of zero or more")
-    checked = normalise(np.zeros(frames.shape[1]), position, length, span, 0.0, noise)
+    gain, place_error = positive(gain_error, "gain_error"), positive(place_error, "place_error")
+    offset = positive(offset_error, "offset_error")
+    total, count = everted_length(length), frames.shape[1]
+    x = vector(position, "position")
+    half = 0.5 * np.broadcast_to(vector(span, "span", count), count)
+    sigma = np.broadcast_to(vector(noise, "noise", count), count)
+    if x.size != count or not ((x >= 0.0) & (x <= total)).all() or not (half >= 0.0).all():
+        raise DataError("a sensor is off the body", "check positions, spans and units")
     if np.isinf(frames).any() or not np.isfinite(frames[-1]).any():
         raise DataError("readings are infinite, or the last frame has none", "mark missing by NaN")
-    scale = checked.length / LENGTH
-    radius = prior.TUBE_RADIUS * LENGTH if tube_radius is None else tube_radius / scale
+    scale = total / LENGTH
+    radius = priors.TUBE_RADIUS * LENGTH if tube_radius is None else tube_radius / scale
     inflation = Inflation(
         tuple((free * turn * scale).tolist()),
         radius,
-        prior.PEG_RADIUS * radius if peg_radius is None else peg_radius / scale,
+        _PEG_RADIUS * radius if peg_radius is None else peg_radius / scale,
         None if critical_curvature is None else critical_curvature * scale,
     )
-    place = place_sigma / scale
-    low, high = (tuple((ends * LENGTH).tolist()) for ends in (checked.low, checked.high))
+    place = place_error / scale
+    low, high = (tuple((ends / scale).tolist()) for ends in (x - half, x + half))
     shown = seen(inflation, low, high, place)
     readings = _Readings(
         turn * frames * scale,
-        np.maximum(np.sqrt(checked.variance) / LENGTH, _LEAST_NOISE) ** 2,
-        gain_sigma,
+        np.maximum(sigma * scale, _LEAST_NOISE) ** 2,
+        gain,
         *_normal(SHIFTS if place > 0.0 else np.zeros(1)),
-        *_normal(_OFFSETS if offset_sigma > 0.0 else np.zeros(1)),
-        offset_sigma * scale,
+        *_normal(_OFFSETS if offset > 0.0 else np.zeros(1)),
+        offset * scale,
     )
-    limit = prior.WIDTH_SHARE if width_limit is None else width_limit / checked.length
+    limit = priors.WIDTH_SHARE if width_limit is None else width_limit / total
     found = _weigh(bodies(inflation), shown, readings)
     odds = found.evidence - readings.untouched(np.array(inflation.free))
     return _answer(
@@ -141,12 +146,9 @@ def _normal(nodes: Array) -> tuple[Array, Array]:
     return nodes, np.asarray(log - np.logaddexp.reduce(log))
 
 
-@compiled
 def _likelihood(
     mean: Array,
     blur: Array,
-    at: Indices,
-    share: Array,
     curvature: Array,
     variance: Array,
     gain: float,
@@ -154,67 +156,39 @@ def _likelihood(
     offsets: Array,
     offset_weight: Array,
     odds: float,
-    kappa2: float,
-    out: Array,
-) -> None:
-    """Log likelihood of K bodies: outliers and the errors of gains, places, offset integrated out.
+    widening: float,
+) -> Array:
+    """(K,) log likelihood of K bodies: bad sensors, errors of gains, places, offset integrated out.
 
     Args:
-        mean, blur: as in `Seen`.
-        at, share: (K, 2) node of the table, and how far it is to the next along both axes.
+        mean: (K, T, N, D) what the sensors would read, displaced by each of D shifts.
+        blur: (K, N, D) its variance between a shift and the next.
         curvature: (T, N) readings; NaN marks a missing one.
         variance: (N,) of a reading.
         gain: relative deviation of each sensor's gain.
         shift_weight: (D,) log weights of the shifts.
         offsets, offset_weight: (Q,) values of a shared error, and log weights.
-        odds, kappa2: prior odds of a sensor being an outlier in all frames; its variance ratio.
-        out: (K,) written.
+        odds, widening: prior odds of a sensor being bad in all frames; its variance over a good
+            one's.
     """
-    frames, sensors, shifts = mean.shape[2], mean.shape[3], mean.shape[4]
-    each = np.empty(shifts)
-    totals = np.empty(offsets.shape[0])
-    for p in range(at.shape[0]):
-        a, g = at[p, 0], at[p, 1]
-        u, v = share[p, 0], share[p, 1]
-        b, h = min(a + 1, mean.shape[0] - 1), min(g + 1, mean.shape[1] - 1)
-        for q in range(offsets.shape[0]):
-            totals[q] = offset_weight[q]
-            for i in range(sensors):
-                for d in range(shifts):
-                    square = 0.0
-                    power = 0.0
-                    cross = 0.0
-                    count = 0
-                    for t in range(frames):
-                        y = curvature[t, i]
-                        if np.isnan(y):
-                            continue
-                        near = (1.0 - v) * mean[a, g, t, i, d] + v * mean[a, h, t, i, d]
-                        far = (1.0 - v) * mean[b, g, t, i, d] + v * mean[b, h, t, i, d]
-                        k = (1.0 - u) * near + u * far
-                        r = y - k - offsets[q]
-                        square += r * r
-                        power += k * k
-                        cross += r * k
-                        count += 1
-                    total = 0.0
-                    for outlier in range(2):
-                        s = variance[i] * (kappa2 if outlier else 1.0) + blur[a, g, i, d]
-                        # A gain's error is common to the frames: a term of rank one.
-                        common = gain * gain / (s + gain * gain * power)
-                        log = -0.5 * (square - common * cross * cross) / s
-                        log -= 0.5 * np.log1p(gain * gain * power / s) + 0.5 * count * np.log(s)
-                        if outlier:
-                            log += np.log(odds)
-                            top = max(total, log)
-                            total = top + np.log(np.exp(total - top) + np.exp(log - top))
-                        else:
-                            total = log
-                    each[d] = total + shift_weight[d]
-                top = each.max()
-                totals[q] += top + np.log(np.sum(np.exp(each - top)))
-        top = totals.max()
-        out[p] = top + np.log(np.sum(np.exp(totals - top)))
+    there = np.isfinite(curvature)[:, :, None]
+    model = np.where(there, mean, 0.0)
+    power = (model**2).sum(axis=1)
+    count = there.sum(axis=0)
+    totals = []
+    for offset, weight in zip(offsets, offset_weight, strict=True):
+        residual = np.where(there, np.nan_to_num(curvature)[:, :, None] - mean - offset, 0.0)
+        square, cross = (residual**2).sum(axis=1), (residual * model).sum(axis=1)
+        parts = []
+        for factor, log_odds in ((1.0, 0.0), (widening, np.log(odds))):
+            s = variance[:, None] * factor + blur
+            # A gain's error is common to the frames: a term of rank one.
+            common = gain**2 / (s + gain**2 * power)
+            log = -0.5 * (square - common * cross**2) / s - 0.5 * np.log1p(gain**2 * power / s)
+            parts.append(log - 0.5 * count * np.log(s) + log_odds)
+        each = np.logaddexp.reduce(np.logaddexp(*parts) + shift_weight, axis=-1)
+        totals.append(each.sum(axis=-1) + weight)
+    return np.asarray(np.logaddexp.reduce(totals, axis=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,30 +215,31 @@ class _Readings:
 
     def likelihood(self, shown: Seen, at: Indices, share: Array) -> Array:
         """(K,) of places between the nodes of the table."""
-        out = np.empty(len(at))
-        _likelihood(
-            shown.mean,
-            shown.blur,
-            at,
-            share,
+        parts = np.array_split(np.arange(len(at)), max(1, len(at) // _TOGETHER))
+        return np.concatenate([
+            self._of(_between(shown.mean, at[part], share[part]), shown.blur[tuple(at[part].T)])
+            for part in parts
+        ])  # fmt: skip
+
+    def _of(self, mean: Array, blur: Array) -> Array:
+        return _likelihood(
+            mean,
+            blur,
             self.curvature,
             self.variance,
             self.gain,
             self.shift_weight,
             self.offset * self.offset_sigma,
             self.offset_weight,
-            prior.OUTLIER_ODDS,
-            prior.OUTLIER_VARIANCE,
-            out,
+            _BAD_ODDS,
+            _BAD_VARIANCE,
         )
-        return out
 
     def untouched(self, free: Array) -> float:
         """Log likelihood of a body that bends freely."""
-        shape = (1, 1, *self.curvature.shape, len(self.shift))
-        mean = np.ascontiguousarray(np.broadcast_to(free[:, None, None], shape))
-        alone = Seen(mean, np.zeros((1, 1, *shape[3:])))
-        return float(self.likelihood(alone, np.zeros((1, 2), np.int64), np.zeros((1, 2)))[0])
+        shape = (1, *self.curvature.shape, len(self.shift))
+        mean = np.broadcast_to(free[:, None, None], shape)
+        return float(self._of(mean, np.zeros((1, *shape[2:])))[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,8 +306,9 @@ def _between(values: Array, at: Indices, share: Array) -> Array:
     """(K, ..) of a table (A, G, ..) at places between its nodes."""
     (a, g), shape = at.T, (-1, *(1,) * (values.ndim - 2))
     u, v = share[:, 0].reshape(shape), share[:, 1].reshape(shape)
-    near = (1.0 - v) * values[a, g] + v * values[a, g + 1]
-    far = (1.0 - v) * values[a + 1, g] + v * values[a + 1, g + 1]
+    b, h = np.minimum(a + 1, len(values) - 1), np.minimum(g + 1, values.shape[1] - 1)
+    near = (1.0 - v) * values[a, g] + v * values[a, h]
+    far = (1.0 - v) * values[b, g] + v * values[b, h]
     return np.asarray((1.0 - u) * near + u * far)
 
 
@@ -347,28 +323,21 @@ def _answer(
 ) -> LocalizeResult:
     edges = np.linspace(0.0, 1.0, _BINS + 1)
     share, _ = np.histogram(found.arc / LENGTH, edges, weights=found.mass)
-    log = np.log(np.maximum(share * _BINS, 1e-290))
-    # Flat in each bin.
-    nodes = np.repeat(edges, 2)[1:-1] + np.tile([1e-9, -1e-9], _BINS)
-    nodes[[0, -1]] = 0.0, 1.0
-    density = np.repeat(log, 2)
-    # Denser at the tip itself, so that intervals close there.
-    density[-2:] += -0.05, 0.05
-    _, near, far, pieces = mixed(nodes, density, prior.LEVEL)
-    arc = median(nodes, density)
-    status: Status = "no contact"
-    if odds > prior.HINT:
-        status = "below detection"
-    if odds > prior.contact_threshold(1, known=True):
-        # The end is a place of its own, no second mode.
-        modes = np.count_nonzero(pieces[:, 0] < 1.0 - prior.CORNER_WIDTH)
-        status = "localized" if modes <= 1 and far - near <= limit else "ambiguous"
+    order = np.argsort(-share, kind="stable")
+    kept = np.sort(order[: int(np.searchsorted(np.cumsum(share[order]), priors.LEVEL)) + 1])
+    near, far = float(edges[kept[0]]), float(edges[kept[-1] + 1])
+    arc = float(np.interp(0.5, np.append(0.0, np.cumsum(share)), edges))
     name = f"one obstacle at rest over {len(inflation.free)} frames"
-    if status not in ("localized", "ambiguous"):
+    log_odds = odds + priors.CONTACT
+    probability = 1.0 / (1.0 + math.exp(min(-log_odds, 700.0)))
+    if probability < 0.5:
+        status: Status = "no contact" if probability < 2.0 * priors.EXCLUDED else "below detection"
         return LocalizeResult(
-            status, (), name, "no obstacle is certain", noise, odds,
-            nodes * LENGTH * scale, np.exp(density) / (LENGTH * scale),
+            status, (), name, "no obstacle is certain", noise, log_odds, {name: probability},
+            length=LENGTH * scale,
         )  # fmt: skip
+    sure = probability > 1.0 - priors.EXCLUDED and far - near <= limit
+    status = "localized" if sure else "ambiguous"
     peg, touch = _typical(found, arc)
     body = inflation.last(peg, touch)
     # Where the body slips off that very peg, its nearest point.
@@ -384,26 +353,25 @@ def _answer(
         turn * (contact.normal if contact else 0.0) / scale**2,
         (near * LENGTH * scale, far * LENGTH * scale),
         status,
-        tuple((low * LENGTH * scale, high * LENGTH * scale) for low, high, _ in pieces.tolist()),
-        0.0,
-        end,
+        ((near * LENGTH * scale, far * LENGTH * scale),),
+        probability=probability,
+        end_offset=end,
     )
-    above = turn * (body.curvature - inflation.free[-1]) / scale
     return LocalizeResult(
         status,
         (felt,),
         name,
         "one place of the room explains all frames",
         noise,
-        odds,
-        nodes * LENGTH * scale,
-        np.exp(density) / (LENGTH * scale),
+        log_odds,
+        {name: probability},
         parameters={
             "peg_x": float(peg[0]) * scale,
             "peg_y": turn * float(peg[1]) * scale,
             "fold_angle": turn * body.fold_angle,
         },
-        _bend=np.column_stack([body.s * scale, above]),
+        length=LENGTH * scale,
+        bent=(body.s * scale, turn * (body.curvature - inflation.free[-1]) / scale),
     )
 
 

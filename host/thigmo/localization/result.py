@@ -1,17 +1,19 @@
-"""What `localize` answers: contacts, how sure, by which model and why."""
+"""What `localize` answers: contacts, how sure, by which hypothesis and why."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.localization import _posterior
+from thigmo.localization.readings import Range
+
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact"]
-Range = tuple[float, float]
+
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,16 +21,16 @@ class Contact:
     """One contact. Arc in the caller's unit, force over EI in that unit to the power -2.
 
     Attributes:
-        arc: place along the body: median of the posterior, or of its heaviest mode.
+        arc: place along the body: median of the posterior.
         force: normal force over EI, positive towards positive curvature, at `arc`.
-        interval: shortest arc interval that holds 95 % of the posterior.
-        status: `localized` (one mode, interval no wider than the limit), `ambiguous`, or
-            `below detection` (a contact that was asked for, but is not in the readings).
-        intervals: the 95 % highest-density set; more than one piece if there are several modes.
+        interval: hull of the 95 % highest-density set of the arc.
+        status: `localized` (the interval is no wider than the limit, and the number of contacts
+            is certain to 95 %), or `ambiguous`.
+        intervals: that set; more than one piece if there are several modes.
         force_deviation: posterior standard deviation of the force.
-        end_offset: where a contact on the end of the body bears, left of the centreline (its force
-            pushes the end back as well: `tangential_force` of the result's parameters); None for a
-            contact on the side.
+        probability: that there is such a contact at all.
+        end_offset: where a contact on the end of the body bears, left of the centreline; None for
+            one on the side.
     """
 
     arc: float
@@ -37,6 +39,7 @@ class Contact:
     status: Status
     intervals: tuple[Range, ...] = ()
     force_deviation: float = 0.0
+    probability: float = 1.0
     end_offset: float | None = None
 
 
@@ -45,53 +48,61 @@ class LocalizeResult:
     """Contacts felt in one set of readings.
 
     Attributes:
-        status: the worst of the contacts' statuses; `no contact` without any.
+        status: the worst of the contacts' statuses; `no contact` or `below detection` without any.
         contacts: base to tip.
-        model: which model explains the readings, and why it was chosen.
+        hypothesis: the likeliest explanation of the readings.
         message: one sentence for the operator.
-        noise: the noise of one reading that was used or found (1/length).
-        log_odds: natural log of the evidence ratio: these contacts against none.
-        arcs: (M,) nodes of the posterior over the arc of the (most distal) contact.
-        density: (M,) posterior density at them (1/length).
-        outliers: indices of readings taken for outliers.
-        parameters: further parameters of the model, e.g. `fold_angle` or `tip_moment`.
+        noise: standard deviation of one reading's white noise, as given or found (1/length).
+        log_odds: log posterior odds of any contact against none.
+        hypotheses: posterior probability of each explanation that was weighed.
+        discarded: indices of readings that the likeliest explanation takes for bad.
+        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `half_width`,
+            `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
+        objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only.
+        optimum_set: for each contact the arcs at which that minimum is attained.
+        length: of the body.
+        bent: arcs, and curvature above the free one there, where `bend` is not the posterior's.
     """
 
     status: Status
     contacts: tuple[Contact, ...]
-    model: str
+    hypothesis: str
     message: str
     noise: float
     log_odds: float
-    arcs: Array
-    density: Array
-    outliers: tuple[int, ...] = ()
+    hypotheses: dict[str, float]
+    discarded: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
-    _shape: Callable[[], Array] | None = None
-    _bend: Array | None = None
-    _solve: Callable[[int], tuple[float, tuple[tuple[Range, ...], ...]]] | None = None
-    _solved: tuple[float, tuple[tuple[Range, ...], ...]] | None = None
+    objective: float | None = None
+    optimum_set: tuple[tuple[Range, ...], ...] = ()
+    length: float = 1.0
+    bent: tuple[Array, Array] | None = None
+    _answer: _posterior.Answer | None = None
 
-    def _exact(self) -> tuple[float, tuple[tuple[Range, ...], ...]]:
-        if self._solved is None:
-            self._solved = (0.0, ()) if self._solve is None else self._solve(len(self.contacts))
-        return self._solved
+    @property
+    def edges(self) -> Array:
+        """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
+        return np.zeros(0) if self._answer is None else self._answer.edges * self.length
+
+    @property
+    def places(self) -> Array:
+        """(M,) middles of these cells."""
+        return 0.5 * (self.edges[1:] + self.edges[:-1])
+
+    @property
+    def probability(self) -> Array:
+        """(M,) posterior mass in each of `places`."""
+        return np.zeros(0) if self._answer is None else self._answer.mass
 
     @property
     def bend(self) -> Array:
-        """(K, 2) arc, and curvature above the free one that the contacts cause there, without the
-        fold: the body's shape under the model; (0, 2) where nothing was found.
+        """(K, 2) arc, and curvature above the free one that the loads cause there, without a fold.
+
+        (0, 2) where no contact is listed.
         """
-        if self._bend is None:
-            self._bend = np.zeros((0, 2)) if self._shape is None else self._shape()
-        return self._bend
-
-    @property
-    def objective(self) -> float:
-        """Global minimum of the 1-norm (thesis, equation 2.10) for this number of contacts."""
-        return self._exact()[0]
-
-    @property
-    def optimum_set(self) -> tuple[tuple[Range, ...], ...]:
-        """For each contact the arc ranges over which that minimum is attained."""
-        return self._exact()[1]
+        if self.bent is not None:
+            return np.column_stack(self.bent)
+        if self._answer is None or not self.contacts:
+            return np.zeros((0, 2))
+        above = self._answer.bend / self.length
+        return np.column_stack([np.linspace(0.0, self.length, above.size), above])

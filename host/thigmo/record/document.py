@@ -55,7 +55,7 @@ class MapContact:
         x_cm, y_cm: the point of the skin that touches.
         force_per_cm2: signed, F/EI; positive pushes towards +y of the body there.
         interval_cm: 95 % interval of the arc.
-        status: "localized", "ambiguous", or "doubtful": felt with a map that does not hold.
+        status: "localized" or "ambiguous".
         everted_length_cm: stage at which it was felt.
         side: active muscle; empty for a peg that growth met: it stopped the tip, or bent it aside.
         normal_rad: direction from the centreline to the contact point.
@@ -178,7 +178,6 @@ class RunDocument:
         error_cm: distance in the plane from it to the true contact point.
         missed: contacts known otherwise that are not on the map; null if nothing else is known.
         false: contacts of the map that are not in the room; null without truth.
-        doubt: why contacts are doubtful, and what to check; empty if they are not.
         robot_time_s: device time that the run took.
         wall_time_s: the operator's time that it took, from connecting on.
     """
@@ -196,7 +195,6 @@ class RunDocument:
     error_cm: float | None = None
     missed: list[MissedContact] | None = None
     false: list[FalseContact] | None = None
-    doubt: str = ""
     robot_time_s: float = 0.0
     wall_time_s: float = 0.0
     version: int = 1

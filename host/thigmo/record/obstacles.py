@@ -53,7 +53,7 @@ class Obstacle:
         track: the 95 % interval along the skin, in the room; of a grid's obstacle, its outline.
         source: "felt" in this run; "prior", shown by the map given and not reached; "felt, prior";
             "prior, not felt", where the robot swept through its place.
-        status: "localized", "ambiguous" or "doubtful", as in contacts.json.
+        status: "localized" or "ambiguous", as in contacts.json.
         normal_rad: direction from the body into the obstacle; None for a grid's obstacle.
         body_side: part of the robot that it touched: "left", "right" or "tip"; empty for a grid's.
         arc_cm, interval_cm: along the body when it was last measured.

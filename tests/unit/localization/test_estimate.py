@@ -23,7 +23,7 @@ def felt(arcs, forces, position=BOTH, **scene):
 
 
 def find(curvature, position=BOTH, **options):
-    options = {"length": LENGTH, "span": SPAN, "noise": SIGMA} | options
+    options = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": 1.75} | options
     return thigmo.localize(curvature, position, **options)
 
 
@@ -116,7 +116,7 @@ def test_one_gross_outlier_is_named_and_costs_little():
         curvature[victim] += rng.choice([-1.0, 1.0]) * SIGMA * rng.uniform(8.0, 20.0)
         result = find(curvature, contacts=1)
         dirty.append(result.contacts[0].arc - arc)
-        named += victim in result.outliers
+        named += victim in result.discarded
     assert np.sqrt(np.mean(np.square(dirty))) <= 1.5 * np.sqrt(np.mean(np.square(clean)))
     assert named >= 150
 
@@ -135,7 +135,7 @@ def test_two_opposed_contacts_are_told_apart_at_18_5_cm():
     assert localized >= 15
 
 
-def test_two_contacts_that_no_sensor_parts_are_ambiguous():
+def test_two_contacts_that_no_sensor_parts_are_not_placed_wrongly():
     """13 cm apart between centres 5..45: one sensor sees the region between them."""
     rng = np.random.default_rng(16)
     truth = (LENGTH - 13.0, LENGTH)
@@ -143,7 +143,12 @@ def test_two_contacts_that_no_sensor_parts_are_ambiguous():
     for moments in ((-0.016, 0.02), (-0.02, 0.03)):
         clean = felt(truth, (moments[0] / truth[0], moments[1] / truth[1]))
         for _ in range(15):
-            wrong += find(clean + SIGMA * rng.standard_normal(10)).status != "ambiguous"
+            result = find(clean + SIGMA * rng.standard_normal(10))
+            wrong += any(
+                contact.status == "localized"
+                and not any(contact.interval[0] <= arc <= contact.interval[1] for arc in truth)
+                for contact in result.contacts
+            )
     assert wrong <= 1
 
 
@@ -151,8 +156,8 @@ def test_a_contact_before_the_second_sensor_is_an_interval():
     """Only the product of force and lever is known there."""
     result = find(felt(10.0, 0.01 / 5.0), noise=2e-4)
     (contact,) = result.contacts
-    assert contact.status == "ambiguous"
     assert contact.interval[0] <= 10.0 <= contact.interval[1]
+    assert contact.interval[1] - contact.interval[0] > 7.0
 
 
 def test_two_informative_readings_are_enough():
@@ -180,9 +185,9 @@ def test_units_of_length_do_not_matter(unit, noise):
         span=SPAN * unit,
         noise=None if noise is None else noise / unit,
         free_curvature=0.01 / unit,
+        tube_radius=1.75 * unit,
     )
-    assert (there.status, there.model) == (here.status, here.model)
-    assert there.objective * unit == pytest.approx(here.objective, rel=1e-6)
+    assert (there.status, there.hypothesis) == (here.status, here.hypothesis)
     for one, other in zip(here.contacts, there.contacts, strict=True):
         assert other.arc / unit == pytest.approx(one.arc, abs=1e-4)
         assert other.force * unit**2 == pytest.approx(one.force, rel=1e-4)
@@ -192,37 +197,9 @@ def test_units_of_length_do_not_matter(unit, noise):
 def test_a_common_offset_widens_the_interval_beyond_the_last_sensor():
     curvature = felt(50.0, 0.008 / 50.0) + 5e-4
     plain = find(curvature, contacts=1).contacts[0].interval
-    wary = find(curvature, contacts=1, offset_sigma=5e-4).contacts[0].interval
+    wary = find(curvature, contacts=1, offset_error=5e-4).contacts[0].interval
     assert wary[1] - wary[0] > plain[1] - plain[0] + 1.0
     assert wary[0] <= 50.0 <= wary[1]
-
-
-def test_objective_and_set_are_the_exact_optimum():
-    curvature = felt(40.0, 2e-4)
-    result = find(curvature, contacts=1)
-    grid = np.linspace(0.0, LENGTH, 2000)
-    low, high = BOTH - SPAN / 2, BOTH + SPAN / 2
-    best = np.inf
-    for arc in grid:
-        reach = np.clip(arc - low, 0.0, None)
-        phi = np.where(arc >= high, arc - BOTH, reach**2 / (2 * SPAN))
-        if phi.any():
-            for force in curvature[phi > 0] / phi[phi > 0]:
-                best = min(best, np.abs(curvature - force * phi).sum())
-    assert result.objective <= best + 1e-12
-    ((piece, *_),) = result.optimum_set
-    assert piece[0] <= piece[1]
-
-
-@pytest.mark.parametrize("method", ["l1", "l2", "grid", "coordinate"])
-def test_other_methods_answer_points_behind_the_same_interface(method):
-    result = find(felt(40.0, 2e-4), method=method)
-    assert result.contacts[0].arc == pytest.approx(40.0, abs=10.0)
-    assert result.model == method
-    scaled = thigmo.localize(
-        felt(40.0, 2e-4) / 10, BOTH * 10, length=LENGTH * 10, span=SPAN * 10, method=method
-    )
-    assert scaled.contacts[0].arc / 10 == pytest.approx(result.contacts[0].arc, abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", [1989, 6278])

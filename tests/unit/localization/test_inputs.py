@@ -13,7 +13,7 @@ import thigmo
 from thigmo.errors import DataError
 
 STATUSES = {"localized", "ambiguous", "below detection", "no contact"}
-finite = st.floats(-1e3, 1e3, allow_nan=False)
+finite = st.floats(-25.0, 25.0, allow_nan=False)  # turns of the body: what a tube can bend
 
 
 def check(result, length):
@@ -26,7 +26,8 @@ def check(result, length):
         assert 0.0 <= contact.arc <= length * (1 + 1e-9)
         numbers += [contact.arc, contact.force, low, high]
     assert all(math.isfinite(number) for number in numbers)
-    assert np.isfinite(result.density).all()
+    assert np.isfinite(result.probability).all()
+    assert result.probability.sum() == pytest.approx(1.0 if result.contacts else 0.0)
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -34,15 +35,18 @@ def check(result, length):
 def test_any_finite_input_is_answered(data):
     n = data.draw(st.integers(1, 12))
     length = data.draw(st.floats(0.01, 1e4))
-    scale = data.draw(st.sampled_from([1e-9, 1e-3, 1.0, 1e6]))
+    scale = data.draw(st.sampled_from([1e-9, 1e-3, 1.0])) / length
     curvature = [scale * data.draw(st.one_of(finite, st.just(math.nan))) for _ in range(n)]
     curvature[0] = scale * data.draw(finite)
     position = [length * data.draw(st.floats(0.0, 1.0)) for _ in range(n)]
-    span = length * data.draw(st.sampled_from([0.0, 1e-7, 0.1, 2.0]))
-    free = data.draw(st.sampled_from([0.0, 0.03, -1e3]))
-    noise = data.draw(st.sampled_from([None, 0.0, 6e-4, 1e3]))
+    position[-1] = 0.9 * length
+    position[0] = 0.5 * length
+    span = length * data.draw(st.sampled_from([0.0, 1e-7, 0.1, 1.0]))
+    free = data.draw(st.sampled_from([0.0, 1.5, -20.0])) / length
+    noise = data.draw(st.sampled_from([None, 0.0, 0.03, 1e3]))
+    noise = None if noise is None else noise / length
     contacts = data.draw(st.sampled_from(["auto", "auto", 0, 1, 2]))
-    critical = data.draw(st.sampled_from([None, 0.011, 0.0]))
+    critical = data.draw(st.sampled_from([None, 0.6 / length, 0.0]))
     result = thigmo.localize(
         curvature,
         position,
@@ -52,16 +56,19 @@ def test_any_finite_input_is_answered(data):
         noise=noise,
         contacts=contacts,
         critical_curvature=critical,
-        offset_sigma=data.draw(st.sampled_from([0.0, 5e-4])),
+        offset_error=data.draw(st.sampled_from([0.0, 0.03])) / length,
+        gain_error=data.draw(st.sampled_from([0.0, 0.1])),
+        map_error=data.draw(st.sampled_from([0.0, 0.1])),
+        held_end=data.draw(st.sampled_from([None, True, False])),
     )
     check(result, length)
     if contacts != "auto":
-        assert len(result.contacts) == contacts
+        assert len(result.contacts) in (contacts, 0)
 
 
 def test_three_contacts_on_any_readings():
     rng = np.random.default_rng(31)
-    for scale in (0.0, 1e-3, 10.0):
+    for scale in (0.0, 1e-3, 0.1):
         result = thigmo.localize(
             scale * rng.standard_normal(10),
             np.tile(np.arange(5.0, 50.0, 10.0), 2),
@@ -113,9 +120,13 @@ GOOD = {
         {"contacts": 1.5},
         {"contacts": True},
         {"method": "guess"},
-        {"mechanics": "quantum"},
-        {"critical_of": "moon"},
-        {"offset_sigma": -1.0},
+        {"offset_error": -1.0},
+        {"map_error": math.nan},
+        {"gain_error": [-0.1, 0.0, 0.0]},
+        {"bad_reading_odds": -1.0},
+        {"shared_errors": [1.0, 2.0, 3.0]},
+        {"shared_errors": [[math.nan]] * 3},
+        {"method": "l1", "contacts": 3},
         {"critical_curvature": math.nan},
         {"tube_radius": -1.0},
         {"width_limit": math.inf},
@@ -127,3 +138,23 @@ def test_unusable_input_is_a_typed_error(change):
     with pytest.raises(DataError) as caught:
         thigmo.localize(curvature, position, **arguments)
     assert caught.value.next_step
+
+
+@pytest.mark.parametrize(
+    ("change", "cure"),
+    [
+        ({"curvature": [0.1, 5.0, 0.0]}, "1/m"),  # 1/m where lengths are in cm
+        ({"curvature": [10.0, 25.0, 0.0]}, "degrees"),
+        ({"position": [50.0, 150.0, 250.0]}, "mm"),
+        ({"position": [0.05, 0.15, 0.25]}, "same unit"),
+        ({"span": 55.0}, "mm"),
+        ({"position": [5.0, 5.0, 5.0]}, "centre"),
+        ({"curvature": [1e-3, 1e-3, 1e-3]}, "column"),
+    ],
+)
+def test_another_unit_is_refused_with_its_likely_cure(change, cure):
+    arguments = GOOD | change
+    curvature, position = arguments.pop("curvature"), arguments.pop("position")
+    with pytest.raises(DataError) as caught:
+        thigmo.localize(curvature, position, **arguments)
+    assert cure in caught.value.next_step

@@ -244,8 +244,7 @@ def errors(document: RunDocument, dowel: Place) -> tuple[float, float]:
 
 
 def _summary(document: RunDocument, dowel: Place) -> str:
-    doubt = f"; {document.doubt}" if document.doubt else ""
     if not document.contacts:
-        return f"{document.outcome}; no contact{doubt}"
+        return f"{document.outcome}; no contact"
     x, plane = errors(document, dowel)
-    return f"{document.outcome}; |x error| {x:.2f} cm, in the plane {plane:.2f} cm{doubt}"
+    return f"{document.outcome}; |x error| {x:.2f} cm, in the plane {plane:.2f} cm"

@@ -1,0 +1,100 @@
+"""Stated priors and thresholds: everything that the evidence rests on, in one place.
+
+All are in units of the everted length: arc over length, curvature times length, base moment over
+EI times length. None depends on the data. They are handed to the compiled code with each call, so
+an edit here counts at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from thigmo.localization import _posterior
+
+# Standard deviations of a contact's largest moment: a touch, a push, a lean; equally likely. For a
+# body of 53 cm they are 0.003, 0.011 and 0.045 1/cm: unactuated contacts stay below the moment that
+# folds the base, 0.011 1/cm, and actuated ones seldom pass the free curvature.
+MOMENTS = np.array([0.15, 0.6, 2.4])
+# Nearer to the base than this share of the body the prior of the force no longer widens.
+LEAST_LEVER = 0.02
+
+# Log prior odds against a free body whose readings are all good.
+CONTACT = -2.0
+# Of a contact on the end of a bent body, against one on its side. Of pegs spread evenly over the
+# room that a bending body of 20 to 53 cm sweeps, 10 to 15 % bear on its end.
+END = math.log(0.15 / 0.85)
+# The same where nothing but the contact bends the body, which then hardly meets a peg end on.
+END_STRAIGHT = -5.0
+# Of a hand or a clamp that holds the end of a body that need not be a tube.
+HELD = -6.0
+# Of one more contact, of a contact that is spread out, of a kink anywhere on the body.
+ANOTHER = -2.5
+SPREAD = -3.0
+HINGE = -5.0
+# Of a kink near the base, where the contact alone would bear a moment that folds most bodies.
+BASE_FOLD = 0.0
+# Odds that a given reading is bad, where the caller does not say.
+BAD_READING = 1e-3
+# Standard deviation of a bad reading; one that is stuck departs by its free curvature as well.
+BAD_DEVIATION = 0.5
+# Standard deviation of a fold's or a hinge's angle (rad).
+ANGLE = 0.5
+# Half widths of a contact that is spread out.
+HALF_WIDTHS = np.array([0.05, 0.12])
+
+# Relative standard error of the critical moment, where the caller does not say.
+CRITICAL_ERROR = 0.1
+# Share of the critical moment from which a fold is weighed.
+NEAR_FOLD = 0.75
+# Moment from which a hinge is weighed beside a contact: twice that which folds the body of 53 cm.
+STRONG = 1.2
+# Tube radius where the caller gives none: that of the 53 cm body.
+TUBE_RADIUS = 1.75 / 53.0
+
+# Turn (rad) of the whole body below which it counts as straight, and from which a contact on its
+# end is weighed apart; change of curvature below which a shape rests.
+STRAIGHT = 0.25
+END_TURN = 0.35
+SHAPE_RESTS = 0.02
+# A contact on the end is drawn as one on this last share of the body.
+END_CELL = 0.01
+
+# Mass of the intervals; probability below which another number of contacts is excluded.
+LEVEL = 0.95
+EXCLUDED = 0.05
+# A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
+WIDTH_SHARE = 10.0 / 53.0
+# Misfit of a free body over that of a contact, from which the contact is listed whatever its
+# probability: five standard errors.
+FIVE_SIGMA = 25.0
+# Log odds against the likeliest explanation below which one is not weighed further.
+HOPELESS = -7.0
+# Standard normal deviate of the misfit that calls for further explanations: 5 % of right ones.
+MISFIT_DEVIATE = 1.645
+
+# Readings are never trusted to more than this share of the largest of them or of the free
+# curvature: no beam model and no sensor constant is better.
+TRUST = 5e-4
+# Where the noise is unknown, its levels: shares of the readings' root mean square.
+NOISE_LEVELS = 1.3 * 0.6 ** np.arange(9)
+
+
+def compiled() -> _posterior.Priors:
+    """All of them, as the compiled code takes them; made anew when one was changed."""
+    global _kept
+    now = globals()
+    values = {name: now[name.upper()] for name in _NAMES}
+    if _kept is None or any(_kept[0][name] is not value for name, value in values.items()):
+        _kept = (values, _posterior.Priors(values))
+    return _kept[1]
+
+
+_kept: tuple[dict[str, object], _posterior.Priors] | None = None
+_NAMES = (
+    "moments", "least_lever", "contact", "end", "end_straight", "held", "another", "spread", "hinge", "base_fold",
+    "bad_deviation", "angle", "half_widths", "near_fold", "strong", "straight", "end_turn",
+    "shape_rests", "level", "excluded", "five_sigma", "hopeless", "trust", "end_cell",
+    "misfit_deviate", "noise_levels",
+)  # fmt: skip
