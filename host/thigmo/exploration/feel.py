@@ -23,7 +23,7 @@ from thigmo.record import Shape
 from thigmo.robot import Peak, SensorTable
 from thigmo.robot.readings import Floats
 
-# Least relative standard error of the critical moment: it goes with the body's pressure, set by hand.
+# Least relative standard error of the critical moment, which goes with a pressure set by hand.
 _LEAST_FOLD_ERROR = 0.1
 _PLACED = ("localized", "ambiguous")
 _GRID_CM = 0.25
@@ -116,13 +116,11 @@ def feel(
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
-    unfolded = peak.curvature[use] - free.mean - fold * fold_share(
-        centers, spans, config.body.diameter_cm
+    unfolded = (
+        peak.curvature[use] - free.mean - fold * fold_share(centers, spans, config.body.diameter_cm)
     )
     last = max((contact.arc for contact in found), default=0.0)
-    bend = Bend(
-        peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold
-    )
+    bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
     masses = [_mass(result, contact, config.body.length_cm) for contact in found]
     if prior is not None and len(found) == 1:
         boost = _boost(prior, bend, arc_grid(config.body.length_cm), config.body.radius_cm)

@@ -97,9 +97,7 @@ def read_prior(path: str | os.PathLike[str]) -> PriorMap:
         file = file / OBSTACLES_FILE
     if file.suffix == ".json":
         known = read_obstacles(file).obstacles
-        return PriorMap(
-            [o for o in known if o.source != "prior, not felt"]
-        )
+        return PriorMap([o for o in known if o.source != "prior, not felt"])
     if file.suffix in (".yaml", ".yml"):
         return PriorMap(_grid_obstacles(read_ros_map(file)))
     raise RunFolderError(

@@ -106,9 +106,7 @@ class FreeResponse:
                 continue
             g = float(free[part].mean())
             departure = readings[part].mean(axis=0) - g
-            use = np.flatnonzero(
-                self._table.usable(side, sweep.sensors) & np.isfinite(departure)
-            )
+            use = np.flatnonzero(self._table.usable(side, sweep.sensors) & np.isfinite(departure))
             effect = self._effect(use, zone, g, np.full(use.size, g))
             weight = _INDEPENDENT / _BINS / self._table.noise[use] ** 2
             self._matrix[row] += effect.T @ (weight[:, None] * effect)

@@ -12,218 +12,217 @@
 namespace thigmo {
 
 struct FeltContact {
-    double arc, force, low, high, deviation, offset;
-    bool localized;
-    std::vector<std::pair<double, double>> pieces;
+  double arc, force, low, high, deviation, offset;
+  bool localized;
+  std::vector<std::pair<double, double>> pieces;
 };
 
 enum class Status { no_contact, below_detection, ambiguous, localized };
 
 struct Answer {
-    Status status = Status::no_contact;
-    Problem problem = Problem::none;
-    double shows = 0.0;  // a number that shows the problem
-    std::vector<FeltContact> contacts;
-    std::array<double, 4> number{};  // probability of so many contacts
-    std::vector<Hypothesis> hypotheses;
-    Row probability;  // of each
-    int best = 0;     // the likeliest of the chosen number
-    Row edges, mass;  // cells of the most distal contact
-    Nodes rest{};     // curvature of the free body
-    int discarded = -1;
-    double noise = 0.0;
-    double log_odds = 0.0;
+  Status status = Status::no_contact;
+  Problem problem = Problem::none;
+  double shows = 0.0;  // a number that shows the problem
+  std::vector<FeltContact> contacts;
+  std::array<double, 4> number{};  // probability of so many contacts
+  std::vector<Hypothesis> hypotheses;
+  Row probability;  // of each
+  int best = 0;     // the likeliest of the chosen number
+  Row edges, mass;  // cells of the most distal contact
+  Nodes rest{};     // curvature of the free body
+  int discarded = -1;
+  double noise = 0.0;
+  double log_odds = 0.0;
 };
 
 class Mixture {
-  public:
-    Row edges, mass, force, variance;
+ public:
+  Row edges, mass, force, variance;
 
-    Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
-        edges = {within.near, within.far};
-        for (const auto& [weight, part] : parts) {
-            for (const double place : part->place) add_edge(place - 0.5 * part->width, within);
-            add_edge(part->place.back() + 0.5 * part->width, within);
-        }
-        std::sort(edges.begin(), edges.end());
-        edges.erase(std::unique(edges.begin(), edges.end(),
-                                [](double a, double b) { return b - a < 1e-9; }),
-                    edges.end());
-        edges.back() = within.far;
-        const std::size_t cells = edges.size() - 1;
-        mass.assign(cells, 0.0);
-        force.assign(cells, 0.0);
-        variance.assign(cells, 0.0);
-        double total = 0.0;
-        for (const auto& [weight, part] : parts) {
-            const double near = part->place.front() - 0.5 * part->width;
-            const int last = static_cast<int>(part->place.size()) - 1;
-            for (std::size_t c = 0; c < cells; ++c) {
-                const double middle = 0.5 * (edges[c] + edges[c + 1]);
-                const int m = static_cast<int>(std::floor((middle - near) / part->width));
-                if (m < 0 || m > last) continue;
-                const double share =
-                    weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
-                mass[c] += share;
-                force[c] += share * part->force[m];
-                variance[c] += share * (part->force[m] * part->force[m] +
-                                        part->spread[m] * part->spread[m]);
-                total += share;
-            }
-        }
-        for (std::size_t c = 0; c < cells; ++c) {
-            if (mass[c] > 0.0) {
-                force[c] /= mass[c];
-                variance[c] = std::max(variance[c] / mass[c] - force[c] * force[c], 0.0);
-            }
-            // Where nothing of the posterior is within, that is all that is known.
-            mass[c] = total > 0.0 ? mass[c] / total
-                                  : (edges[c + 1] - edges[c]) / (within.far - within.near);
-        }
+  Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
+    edges = {within.near, within.far};
+    for (const auto& [weight, part] : parts) {
+      for (const double place : part->place) add_edge(place - 0.5 * part->width, within);
+      add_edge(part->place.back() + 0.5 * part->width, within);
     }
+    std::sort(edges.begin(), edges.end());
+    edges.erase(
+        std::unique(edges.begin(), edges.end(), [](double a, double b) { return b - a < 1e-9; }),
+        edges.end());
+    edges.back() = within.far;
+    const std::size_t cells = edges.size() - 1;
+    mass.assign(cells, 0.0);
+    force.assign(cells, 0.0);
+    variance.assign(cells, 0.0);
+    double total = 0.0;
+    for (const auto& [weight, part] : parts) {
+      const double near = part->place.front() - 0.5 * part->width;
+      const int last = static_cast<int>(part->place.size()) - 1;
+      for (std::size_t c = 0; c < cells; ++c) {
+        const double middle = 0.5 * (edges[c] + edges[c + 1]);
+        const int m = static_cast<int>(std::floor((middle - near) / part->width));
+        if (m < 0 || m > last) continue;
+        const double share = weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
+        mass[c] += share;
+        force[c] += share * part->force[m];
+        variance[c] +=
+            share * (part->force[m] * part->force[m] + part->spread[m] * part->spread[m]);
+        total += share;
+      }
+    }
+    for (std::size_t c = 0; c < cells; ++c) {
+      if (mass[c] > 0.0) {
+        force[c] /= mass[c];
+        variance[c] = std::max(variance[c] / mass[c] - force[c] * force[c], 0.0);
+      }
+      // Where nothing of the posterior is within, that is all that is known.
+      mass[c] =
+          total > 0.0 ? mass[c] / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
+    }
+  }
 
-    double quantile(double share) const {
-        double below = 0.0;
-        for (std::size_t c = 0; c < mass.size(); ++c) {
-            if (below + mass[c] >= share && mass[c] > 0.0) {
-                return edges[c] + (edges[c + 1] - edges[c]) * (share - below) / mass[c];
-            }
-            below += mass[c];
-        }
-        return edges.back();
+  double quantile(double share) const {
+    double below = 0.0;
+    for (std::size_t c = 0; c < mass.size(); ++c) {
+      if (below + mass[c] >= share && mass[c] > 0.0) {
+        return edges[c] + (edges[c + 1] - edges[c]) * (share - below) / mass[c];
+      }
+      below += mass[c];
     }
+    return edges.back();
+  }
 
-    std::size_t cell(double arc) const {
-        const auto after = std::upper_bound(edges.begin() + 1, edges.end() - 1, arc);
-        return static_cast<std::size_t>(after - edges.begin()) - 1;
-    }
+  std::size_t cell(double arc) const {
+    const auto after = std::upper_bound(edges.begin() + 1, edges.end() - 1, arc);
+    return static_cast<std::size_t>(after - edges.begin()) - 1;
+  }
 
-    // Pieces of the highest-density set that holds a share of the mass, ascending.
-    std::vector<std::pair<double, double>> densest(double share) const {
-        std::vector<int> order(mass.size());
-        std::iota(order.begin(), order.end(), 0);
-        const auto density = [&](int c) { return mass[c] / (edges[c + 1] - edges[c]); };
-        std::sort(order.begin(), order.end(), [&](int a, int b) { return density(a) > density(b); });
-        double held = 0.0;
-        std::size_t count = 0;
-        while (count < order.size() && held < share * (1.0 - 1e-12)) held += mass[order[count++]];
-        order.resize(count);
-        std::sort(order.begin(), order.end());
-        std::vector<std::pair<double, double>> pieces;
-        for (const int c : order) {
-            if (!pieces.empty() && pieces.back().second == edges[c]) {
-                pieces.back().second = edges[c + 1];
-            } else {
-                pieces.emplace_back(edges[c], edges[c + 1]);
-            }
-        }
-        return pieces;
+  // Pieces of the highest-density set that holds a share of the mass, ascending.
+  std::vector<std::pair<double, double>> densest(double share) const {
+    std::vector<int> order(mass.size());
+    std::iota(order.begin(), order.end(), 0);
+    const auto density = [&](int c) { return mass[c] / (edges[c + 1] - edges[c]); };
+    std::sort(order.begin(), order.end(), [&](int a, int b) { return density(a) > density(b); });
+    double held = 0.0;
+    std::size_t count = 0;
+    while (count < order.size() && held < share * (1.0 - 1e-12)) held += mass[order[count++]];
+    order.resize(count);
+    std::sort(order.begin(), order.end());
+    std::vector<std::pair<double, double>> pieces;
+    for (const int c : order) {
+      if (!pieces.empty() && pieces.back().second == edges[c]) {
+        pieces.back().second = edges[c + 1];
+      } else {
+        pieces.emplace_back(edges[c], edges[c + 1]);
+      }
     }
+    return pieces;
+  }
 
-  private:
-    void add_edge(double edge, Window within) {
-        if (edge > within.near && edge < within.far) edges.push_back(edge);
-    }
+ private:
+  void add_edge(double edge, Window within) {
+    if (edge > within.near && edge < within.far) edges.push_back(edge);
+  }
 };
 
 inline Answer answer(const Input& input, const Priors& priors, const Settings& settings) {
-    constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
-    Answer out;
-    std::tie(out.problem, out.shows) = problem_of(input);
-    if (out.problem != Problem::none) return out;
-    const Readings readings = normalised(input, priors);
-    Weighing weighing(readings, priors, settings);
-    weighing.run();
-    out.hypotheses = std::move(weighing.found);
-    out.rest = readings.frame.rest;
-    out.noise = readings.noise;
-    double top = -INFINITY, total = 0.0, contact_misfit = INFINITY;
-    for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
-    for (const Hypothesis& h : out.hypotheses) {
-        out.probability.push_back(std::exp(h.log_weight - top));
-        total += out.probability.back();
-        if (!h.contacts.empty()) contact_misfit = std::min(contact_misfit, h.misfit);
+  constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
+  Answer out;
+  std::tie(out.problem, out.shows) = problem_of(input);
+  if (out.problem != Problem::none) return out;
+  const Readings readings = normalised(input, priors);
+  Weighing weighing(readings, priors, settings);
+  weighing.run();
+  out.hypotheses = std::move(weighing.found);
+  out.rest = readings.frame.rest;
+  out.noise = readings.noise;
+  double top = -INFINITY, total = 0.0, contact_misfit = INFINITY;
+  for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
+  for (const Hypothesis& h : out.hypotheses) {
+    out.probability.push_back(std::exp(h.log_weight - top));
+    total += out.probability.back();
+    if (!h.contacts.empty()) contact_misfit = std::min(contact_misfit, h.misfit);
+  }
+  for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
+    out.probability[k] /= total;
+    out.number[out.hypotheses[k].contacts.size()] += out.probability[k];
+  }
+  const double touched = out.number[1] + out.number[2] + out.number[3];
+  out.log_odds = std::log(std::max(touched, 1e-300) / std::max(out.number[0], 1e-300));
+  std::size_t count = 1;
+  for (std::size_t k = 2; k < 4; ++k) count = out.number[k] > out.number[count] ? k : count;
+  // Likelier than not; or five standard errors off a free body whose readings are all good.
+  const bool far_off = readings.known && touched > 0.2 * priors.excluded &&
+                       out.hypotheses[0].misfit - contact_misfit > priors.five_sigma;
+  if (touched < 0.5 && !far_off) count = 0;
+  if (settings.contacts >= 0) count = static_cast<std::size_t>(settings.contacts);
+  double most = -1.0;
+  for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
+    if (out.hypotheses[k].contacts.size() == count && out.probability[k] > most) {
+      most = out.probability[k];
+      out.best = static_cast<int>(k);
     }
+  }
+  const Hypothesis& best = out.hypotheses[out.best];
+  if (best.bad >= 0) out.discarded = readings.index[best.bad];
+  if (best.contacts.size() != count) count = best.contacts.size();
+  // What fits as many numbers as there are good readings explains nothing.
+  double all = 0.0, open = 0.0;
+  for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
+    const Hypothesis& h = out.hypotheses[k];
+    if (h.contacts.size() != count) continue;
+    all += out.probability[k];
+    if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
+  }
+  const bool sure = (settings.contacts >= 0 || out.number[count] > 1.0 - priors.excluded) &&
+                    touched > 1.0 - priors.excluded && open <= priors.excluded * all;
+  for (std::size_t j = 0; j < count; ++j) {
+    std::vector<std::pair<double, const Marginal*>> parts;
     for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
-        out.probability[k] /= total;
-        out.number[out.hypotheses[k].contacts.size()] += out.probability[k];
+      const Hypothesis& h = out.hypotheses[k];
+      if (h.contacts.size() == count && out.probability[k] > kNegligible * most) {
+        parts.emplace_back(out.probability[k], &h.contacts[j]);
+      }
     }
-    const double touched = out.number[1] + out.number[2] + out.number[3];
-    out.log_odds = std::log(std::max(touched, 1e-300) / std::max(out.number[0], 1e-300));
-    std::size_t count = 1;
-    for (std::size_t k = 2; k < 4; ++k) count = out.number[k] > out.number[count] ? k : count;
-    // Likelier than not; or five standard errors off a free body whose readings are all good.
-    const bool far_off = readings.known && touched > 0.2 * priors.excluded &&
-                         out.hypotheses[0].misfit - contact_misfit > priors.five_sigma;
-    if (touched < 0.5 && !far_off) count = 0;
-    if (settings.contacts >= 0) count = static_cast<std::size_t>(settings.contacts);
-    double most = -1.0;
-    for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
-        if (out.hypotheses[k].contacts.size() == count && out.probability[k] > most) {
-            most = out.probability[k];
-            out.best = static_cast<int>(k);
-        }
-    }
-    const Hypothesis& best = out.hypotheses[out.best];
-    if (best.bad >= 0) out.discarded = readings.index[best.bad];
-    if (best.contacts.size() != count) count = best.contacts.size();
-    // What fits as many numbers as there are good readings explains nothing.
-    double all = 0.0, open = 0.0;
-    for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
+    const Mixture mixture(parts, count == 1 ? settings.within : Window{0.0, 1.0});
+    FeltContact felt;
+    felt.arc = mixture.quantile(0.5);
+    felt.pieces = mixture.densest(priors.level);
+    felt.low = felt.pieces.front().first;
+    felt.high = felt.pieces.back().second;
+    const std::size_t at = mixture.cell(felt.arc);
+    felt.force = mixture.force[at];
+    felt.deviation = std::sqrt(mixture.variance[at]);
+    felt.localized = sure && felt.high - felt.low <= settings.width_limit;
+    felt.offset = NAN;
+    if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
+      double heaviest = 0.0;
+      for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
         const Hypothesis& h = out.hypotheses[k];
-        if (h.contacts.size() != count) continue;
-        all += out.probability[k];
-        if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
-    }
-    const bool sure = (settings.contacts >= 0 || out.number[count] > 1.0 - priors.excluded) &&
-                      touched > 1.0 - priors.excluded && open <= priors.excluded * all;
-    for (std::size_t j = 0; j < count; ++j) {
-        std::vector<std::pair<double, const Marginal*>> parts;
-        for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
-            const Hypothesis& h = out.hypotheses[k];
-            if (h.contacts.size() == count && out.probability[k] > kNegligible * most) {
-                parts.emplace_back(out.probability[k], &h.contacts[j]);
-            }
+        if ((h.load == Load::end || h.load == Load::end_fold) && out.probability[k] > heaviest) {
+          heaviest = out.probability[k];
+          felt.offset = h.offset;
+          felt.arc = 1.0;
+          felt.force = h.contacts[0].force[0];
         }
-        const Mixture mixture(parts, count == 1 ? settings.within : Window{0.0, 1.0});
-        FeltContact felt;
-        felt.arc = mixture.quantile(0.5);
-        felt.pieces = mixture.densest(priors.level);
-        felt.low = felt.pieces.front().first;
-        felt.high = felt.pieces.back().second;
-        const std::size_t at = mixture.cell(felt.arc);
-        felt.force = mixture.force[at];
-        felt.deviation = std::sqrt(mixture.variance[at]);
-        felt.localized = sure && felt.high - felt.low <= settings.width_limit;
-        felt.offset = NAN;
-        if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
-            double heaviest = 0.0;
-            for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
-                const Hypothesis& h = out.hypotheses[k];
-                if ((h.load == Load::end || h.load == Load::end_fold) && out.probability[k] > heaviest) {
-                    heaviest = out.probability[k];
-                    felt.offset = h.offset;
-                    felt.arc = 1.0;
-                    felt.force = h.contacts[0].force[0];
-                }
-            }
-        }
-        out.contacts.push_back(std::move(felt));
-        if (j + 1 == count) {
-            out.edges = mixture.edges;
-            out.mass = mixture.mass;
-        }
+      }
     }
-    const bool asked = settings.contacts > 0;
-    if (count == 0 || (asked && touched < 0.5)) {
-        const bool hint = touched > 2.0 * priors.excluded || count > 0;
-        out.status = hint ? Status::below_detection : Status::no_contact;
-    } else {
-        const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
-                                               [](const FeltContact& c) { return c.localized; });
-        out.status = all_localized ? Status::localized : Status::ambiguous;
+    out.contacts.push_back(std::move(felt));
+    if (j + 1 == count) {
+      out.edges = mixture.edges;
+      out.mass = mixture.mass;
     }
-    return out;
+  }
+  const bool asked = settings.contacts > 0;
+  if (count == 0 || (asked && touched < 0.5)) {
+    const bool hint = touched > 2.0 * priors.excluded || count > 0;
+    out.status = hint ? Status::below_detection : Status::no_contact;
+  } else {
+    const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
+                                           [](const FeltContact& c) { return c.localized; });
+    out.status = all_localized ? Status::localized : Status::ambiguous;
+  }
+  return out;
 }
 
 }  // namespace thigmo

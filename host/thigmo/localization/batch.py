@@ -141,15 +141,19 @@ def _point_fits(
         )
         for m in range(count)
     ]  # fmt: skip
-    values = np.full((4, count, _MOST), np.nan)
+    arc, force, low, high = np.full((4, count, _MOST), np.nan)
     for m, result in enumerate(rows):
         for j, contact in enumerate(result.contacts):
-            values[:, m, j] = contact.arc, contact.force, *contact.interval
+            arc[m, j], force[m, j] = contact.arc, contact.force
+            low[m, j], high[m, j] = contact.interval
     nothing = np.full(count, np.nan)
     return BatchResult(
         [result.status for result in rows],
         np.array([len(result.contacts) for result in rows], dtype=np.int64),
-        *values,
+        arc,
+        force,
+        low,
+        high,
         np.zeros((count, _MOST), dtype=np.bool_),
         nothing,
         nothing,

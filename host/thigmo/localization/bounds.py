@@ -181,7 +181,8 @@ def identifiability(
     pair = np.array([
         [
             arc_bounds(
-                [base, total], [-0.8 * moment / base, moment / total], x, width, sigma, total, shared
+                [base, total], [-0.8 * moment / base, moment / total],
+                x, width, sigma, total, shared,
             )
             for base in near
         ]

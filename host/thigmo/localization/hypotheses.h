@@ -2,9 +2,9 @@
 //
 // Every frame weighs a free body, one contact, and each of them with one bad reading. What a scene
 // calls for comes in order of cost: a contact on the end of a bent body, a folded base near its
-// critical moment; and where one contact and good readings leave a misfit, a hinge, a contact that is
-// spread out, two contacts, three. All evidences are densities of the same readings, so they compare
-// directly; prior odds are those of priors.py.
+// critical moment; and where one contact and good readings leave a misfit, a hinge, a contact that
+// is spread out, two contacts, three. All evidences are densities of the same readings, so they
+// compare directly; prior odds are those of priors.py.
 #pragma once
 
 #include "loads.h"
@@ -13,334 +13,330 @@
 namespace thigmo {
 
 struct Settings {
-    double critical, critical_error;  // base moment that folds it, and its relative standard error
-    double radius;                    // of the tube
-    // Whether something holds the end, so that it bears any couple: surely, surely not, or perhaps.
-    enum class Held { no, perhaps, yes } held_end;
-    int contacts;  // how many there are known to be, or -1
-    Window within;
-    double width_limit;
+  double critical, critical_error;  // base moment that folds it, and its relative standard error
+  double radius;                    // of the tube
+  // Whether something holds the end, so that it bears any couple: surely, surely not, or perhaps.
+  enum class Held { no, perhaps, yes } held_end;
+  int contacts;  // how many there are known to be, or -1
+  Window within;
+  double width_limit;
 };
 
 // Posterior of one contact's place: even cells, their mass, the force at each.
 struct Marginal {
-    Row place;
-    double width;
-    Row mass, force, spread;
+  Row place;
+  double width;
+  Row mass, force, spread;
 };
 
 enum class Load { none, hinge, contact, end, fold, spread, contact_hinge, two, three, end_fold };
 
 struct Hypothesis {
-    Load load;
-    double log_weight;                 // log evidence plus log prior odds
-    std::vector<Marginal> contacts{};  // base to tip
-    int numbers = 0;                 // how many numbers of its own it fits
-    double misfit = INFINITY;        // squared whitened residual
-    Nodes curvature{};               // of the body
-    int bad = -1;                    // index of the bad reading
-    // Further numbers: fold's or hinge's angle, place of the hinge, half width of a spread contact;
-    // force that pushes the end back, couple on it, where that bears left of the centreline.
-    double angle = NAN, at = NAN, half_width = NAN, push = NAN, couple = NAN, offset = NAN;
+  Load load;
+  double log_weight;                 // log evidence plus log prior odds
+  std::vector<Marginal> contacts{};  // base to tip
+  int numbers = 0;                   // how many numbers of its own it fits
+  double misfit = INFINITY;          // squared whitened residual
+  Nodes curvature{};                 // of the body
+  int bad = -1;                      // index of the bad reading
+  // Further numbers: fold's or hinge's angle, place of the hinge, half width of a spread contact;
+  // force that pushes the end back, couple on it, where that bears left of the centreline.
+  double angle = NAN, at = NAN, half_width = NAN, push = NAN, couple = NAN, offset = NAN;
 };
 
 class Weighing {
-  public:
-    static constexpr int kCells = 107;  // of a contact's first grid: 0.5 cm of the 53 cm body
-    static constexpr int kPairCells = 36, kTripleCells = 16, kCoarseCells = 12;
+ public:
+  static constexpr int kCells = 107;  // of a contact's first grid: 0.5 cm of the 53 cm body
+  static constexpr int kPairCells = 36, kTripleCells = 16, kCoarseCells = 12;
 
-    std::vector<Hypothesis> found;
+  std::vector<Hypothesis> found;
 
-    Weighing(const Readings& readings, const Priors& priors, const Settings& settings)
-        : readings_(readings),
-          frame_(readings.frame),
-          priors_(priors),
-          settings_(settings),
-          prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
-                 priors.shape_rests},
-          bad_(frame_.size(), frame_.size()),
-          none_(0, frame_.size()) {
-        for (int i = 0; i < frame_.size(); ++i) bad_[i][i] = readings.bad[i];
-        double share = 0.0;
-        for (const double moment : priors.moments) {
-            share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
-        }
-        unfolded_ = share / static_cast<double>(priors.moments.size());
-        const double freedom = std::max(frame_.size() - 2, 1), part = 2.0 / (9.0 * freedom);
-        // Chi-squared that a right explanation passes in few frames (Wilson and Hilferty).
-        limit_ = freedom * std::pow(1.0 - part + priors.misfit_deviate * std::sqrt(part), 3);
+  Weighing(const Readings& readings, const Priors& priors, const Settings& settings)
+      : readings_(readings),
+        frame_(readings.frame),
+        priors_(priors),
+        settings_(settings),
+        prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
+               priors.shape_rests},
+        bad_(frame_.size(), frame_.size()),
+        none_(0, frame_.size()) {
+    for (int i = 0; i < frame_.size(); ++i) bad_[i][i] = readings.bad[i];
+    double share = 0.0;
+    for (const double moment : priors.moments) {
+      share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
     }
+    unfolded_ = share / static_cast<double>(priors.moments.size());
+    const double freedom = std::max(frame_.size() - 2, 1), part = 2.0 / (9.0 * freedom);
+    // Chi-squared that a right explanation passes in few frames (Wilson and Hilferty).
+    limit_ = freedom * std::pow(1.0 - part + priors.misfit_deviate * std::sqrt(part), 3);
+  }
 
-    void run() {
-        free();
-        const Hypothesis one = weigh_one();
-        const bool misfit = readings_.known && one.misfit > limit_;
-        double turn = readings_.turn;
-        turn = std::max(turn, turn_of(one.curvature));
-        const bool held = settings_.held_end == Settings::Held::yes;
-        if (frame_.size() > 1 && (turn > priors_.end_turn || held)) end(one.curvature, held);
-        const double moment = std::abs(one.curvature[0] - frame_.rest[0]);
-        if (settings_.critical < INFINITY &&
-            (misfit || moment > priors_.near_fold * settings_.critical)) {
-            fold(one.curvature);
-        }
-        const bool several = settings_.contacts != 0 && settings_.contacts != 1;
-        bool poor = misfit;
-        if (!readings_.known && several && frame_.size() >= 5) {
-            poor = several_contacts_of(2, kCoarseCells, -1).log_weight > best() - 2.0;
-        }
-        // A moment that few contacts have may be a kink.
-        const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
-        if (poor || strong) hinge(one.curvature, strong);
-        if (poor) spread(one.curvature);
-        if (poor && settings_.held_end == Settings::Held::perhaps) end(one.curvature, true);
-        if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
+  void run() {
+    free();
+    const Hypothesis one = weigh_one();
+    const bool misfit = readings_.known && one.misfit > limit_;
+    double turn = readings_.turn;
+    turn = std::max(turn, turn_of(one.curvature));
+    const bool held = settings_.held_end == Settings::Held::yes;
+    if (frame_.size() > 1 && (turn > priors_.end_turn || held)) end(one.curvature, held);
+    const double moment = std::abs(one.curvature[0] - frame_.rest[0]);
+    if (settings_.critical < INFINITY &&
+        (misfit || moment > priors_.near_fold * settings_.critical)) {
+      fold(one.curvature);
     }
-
-  private:
-    double best() const {
-        double top = -INFINITY;
-        for (const Hypothesis& hypothesis : found) top = std::max(top, hypothesis.log_weight);
-        return top;
+    const bool several = settings_.contacts != 0 && settings_.contacts != 1;
+    bool poor = misfit;
+    if (!readings_.known && several && frame_.size() >= 5) {
+      poor = several_contacts_of(2, kCoarseCells, -1).log_weight > best() - 2.0;
     }
+    // A moment that few contacts have may be a kink.
+    const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
+    if (poor || strong) hinge(one.curvature, strong);
+    if (poor) spread(one.curvature);
+    if (poor && settings_.held_end == Settings::Held::perhaps) end(one.curvature, true);
+    if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
+  }
 
-    void free() {
-        Hypothesis plain{Load::none, log_density(frame_, frame_.shared)};
-        plain.misfit = free_misfit(frame_);
-        plain.curvature = frame_.rest;
+ private:
+  double best() const {
+    double top = -INFINITY;
+    for (const Hypothesis& hypothesis : found) top = std::max(top, hypothesis.log_weight);
+    return top;
+  }
+
+  void free() {
+    Hypothesis plain{Load::none, log_density(frame_, frame_.shared)};
+    plain.misfit = free_misfit(frame_);
+    plain.curvature = frame_.rest;
+    found.push_back(plain);
+    const Row with = log_densities(frame_, bad_);
+    for (int i = 0; i < frame_.size(); ++i) {
+      const double weight = with[i] + readings_.log_bad[i];
+      if (weight > plain.log_weight + priors_.hopeless) {
         found.push_back(plain);
-        const Row with = log_densities(frame_, bad_);
-        for (int i = 0; i < frame_.size(); ++i) {
-            const double weight = with[i] + readings_.log_bad[i];
-            if (weight > plain.log_weight + priors_.hopeless) {
-                found.push_back(plain);
-                found.back().log_weight = weight;
-                found.back().bad = i;
-            }
-        }
+        found.back().log_weight = weight;
+        found.back().bad = i;
+      }
     }
+  }
 
-    // Shared columns of the frame and one more.
-    Matrix with(const Matrix& columns, int row) const {
-        Matrix more(1, frame_.size());
-        std::copy(columns[row], columns[row] + frame_.size(), more[0]);
-        return stacked(frame_.shared, more);
+  // Shared columns of the frame and one more.
+  Matrix with(const Matrix& columns, int row) const {
+    Matrix more(1, frame_.size());
+    std::copy(columns[row], columns[row] + frame_.size(), more[0]);
+    return stacked(frame_.shared, more);
+  }
+
+  OneContact fit_one(const Matrix& shared, const Nodes& start, double half,
+                     const Matrix& rivals) const {
+    return one_contact(frame_, shared, prior_, {0.0, 1.0}, kCells, half, start, rivals);
+  }
+
+  Hypothesis contact(Load load, OneContact&& fit, double weight) const {
+    Hypothesis out{load, fit.log_evidence + weight};
+    out.contacts.push_back({std::move(fit.place), fit.width, std::move(fit.mass),
+                            std::move(fit.force), std::move(fit.spread)});
+    out.numbers = 2;
+    out.misfit = fit.misfit;
+    out.curvature = fit.curvature;
+    return out;
+  }
+
+  Hypothesis weigh_one() {
+    OneContact fit = fit_one(frame_.shared, frame_.rest, 0.0, bad_);
+    const double weight = priors_.contact + std::log(unfolded_);
+    const Row rival = fit.rival;
+    const Hypothesis plain = contact(Load::contact, std::move(fit), weight);
+    found.push_back(plain);
+    const double limit = best() + priors_.hopeless;
+    for (int i = 0; i < frame_.size(); ++i) {
+      if (plain.log_weight + rival[i] + readings_.log_bad[i] < limit) continue;
+      OneContact other = fit_one(with(bad_, i), plain.curvature, 0.0, none_);
+      found.push_back(contact(Load::contact, std::move(other), weight + readings_.log_bad[i]));
+      found.back().bad = i;
     }
+    return plain;
+  }
 
-    OneContact fit_one(const Matrix& shared, const Nodes& start, double half,
-                       const Matrix& rivals) const {
-        return one_contact(frame_, shared, prior_, {0.0, 1.0}, kCells, half, start, rivals);
+  void add_end(const Matrix& shared, const Nodes& start, bool held, double weight, int bad) {
+    const EndWrench fit = end_wrench(frame_, shared, prior_, settings_.radius, held, start);
+    Hypothesis out{Load::end, fit.log_evidence + weight};
+    const double cell = priors_.end_cell;
+    out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
+    out.numbers = 3;
+    out.misfit = fit.misfit;
+    out.curvature = fit.curvature;
+    out.bad = bad;
+    out.push = fit.load[1];
+    out.couple = fit.load[2];
+    if (!held && fit.load[1] > 0.0) {
+      out.offset = std::clamp(fit.load[2] / fit.load[1], -settings_.radius, settings_.radius);
     }
+    found.push_back(std::move(out));
+  }
 
-    Hypothesis contact(Load load, OneContact&& fit, double weight) const {
-        Hypothesis out{load, fit.log_evidence + weight};
-        out.contacts.push_back({std::move(fit.place), fit.width, std::move(fit.mass),
-                                std::move(fit.force), std::move(fit.spread)});
-        out.numbers = 2;
-        out.misfit = fit.misfit;
-        out.curvature = fit.curvature;
-        return out;
+  void end(const Nodes& start, bool held) {
+    double weight = priors_.contact;
+    const bool bends = readings_.turn > priors_.end_turn;
+    if (!held) weight += bends ? priors_.end : priors_.end_straight;
+    if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
+    add_end(frame_.shared, start, held, weight, -1);
+    if (found.back().misfit < limit_) return;
+    const Nodes shape = found.back().curvature;
+    for (int i = 0; i < frame_.size(); ++i) {
+      add_end(with(bad_, i), shape, held, weight + readings_.log_bad[i], i);
     }
+  }
 
-    Hypothesis weigh_one() {
-        OneContact fit = fit_one(frame_.shared, frame_.rest, 0.0, bad_);
-        const double weight = priors_.contact + std::log(unfolded_);
-        const Row rival = fit.rival;
-        const Hypothesis plain = contact(Load::contact, std::move(fit), weight);
-        found.push_back(plain);
-        const double limit = best() + priors_.hopeless;
-        for (int i = 0; i < frame_.size(); ++i) {
-            if (plain.log_weight + rival[i] + readings_.log_bad[i] < limit) continue;
-            OneContact other = fit_one(with(bad_, i), plain.curvature, 0.0, none_);
-            found.push_back(contact(Load::contact, std::move(other), weight + readings_.log_bad[i]));
-            found.back().bad = i;
-        }
-        return plain;
+  // What a fold of one radian, spread over one diameter from the base, adds to each reading.
+  Row fold_share() const {
+    const double diameter = 2.0 * settings_.radius;
+    Row share(frame_.size());
+    for (int i = 0; i < frame_.size(); ++i) {
+      const double span = frame_.high[i] - frame_.low[i];
+      const double inside = std::min(frame_.high[i], diameter) - frame_.low[i];
+      share[i] = span < kPoint ? frame_.low[i] < diameter : std::max(inside, 0.0) / span;
+      share[i] /= diameter;
     }
+    return share;
+  }
 
-    void add_end(const Matrix& shared, const Nodes& start, bool held, double weight, int bad) {
-        const EndWrench fit =
-            end_wrench(frame_, shared, prior_, settings_.radius, held, start);
-        Hypothesis out{Load::end, fit.log_evidence + weight};
-        const double cell = priors_.end_cell;
-        out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
-        out.numbers = 3;
-        out.misfit = fit.misfit;
-        out.curvature = fit.curvature;
-        out.bad = bad;
-        out.push = fit.load[1];
-        out.couple = fit.load[2];
-        if (!held && fit.load[1] > 0.0) {
-            out.offset = std::clamp(fit.load[2] / fit.load[1], -settings_.radius, settings_.radius);
-        }
-        found.push_back(std::move(out));
+  void fold(const Nodes& start) {
+    const int n = frame_.size();
+    const Row share = fold_share();
+    if (found.back().load == Load::end) {  // the end of a bent body may bear the load as well
+      Matrix column(1, n);
+      for (int i = 0; i < n; ++i) column[0][i] = priors_.angle * share[i];
+      const double weight = priors_.contact + priors_.end + std::log(1.0 - unfolded_ + 1e-12);
+      add_end(with(column, 0), found.back().curvature, false, weight, -1);
+      found.back().load = Load::end_fold;
+      found.back().numbers = 4;
     }
-
-    void end(const Nodes& start, bool held) {
-        double weight = priors_.contact;
-        const bool bends = readings_.turn > priors_.end_turn;
-        if (!held) weight += bends ? priors_.end : priors_.end_straight;
-        if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
-        add_end(frame_.shared, start, held, weight, -1);
-        if (found.back().misfit < limit_) return;
-        const Nodes shape = found.back().curvature;
-        for (int i = 0; i < frame_.size(); ++i) {
-            add_end(with(bad_, i), shape, held, weight + readings_.log_bad[i], i);
-        }
+    const double weight = priors_.contact + std::log(std::max(1.0 - unfolded_, 1e-12));
+    for (int i = -1; i < n; ++i) {
+      const FoldedContact fit =
+          folded_contact(frame_, i < 0 ? frame_.shared : with(bad_, i), prior_, settings_.critical,
+                         settings_.critical_error, share, priors_.angle, kCells, start);
+      if (!(fit.log_evidence > -INFINITY)) return;
+      Hypothesis out{Load::fold, fit.log_evidence + weight + (i < 0 ? 0.0 : readings_.log_bad[i])};
+      Row spread = fit.force;
+      for (double& value : spread) value = settings_.critical_error * std::abs(value);
+      out.contacts.push_back({fit.place, 1.0 / kCells, fit.mass, fit.force, spread});
+      out.numbers = 3;
+      out.misfit = fit.misfit;
+      out.curvature = fit.curvature;
+      out.bad = i;
+      out.angle = fit.angle[fit.top];
+      found.push_back(std::move(out));
+      if (i < 0 && fit.misfit < limit_) return;
     }
+  }
 
-    // What a fold of one radian, spread over one diameter from the base, adds to each reading.
-    Row fold_share() const {
-        const double diameter = 2.0 * settings_.radius;
-        Row share(frame_.size());
-        for (int i = 0; i < frame_.size(); ++i) {
-            const double span = frame_.high[i] - frame_.low[i];
-            const double inside = std::min(frame_.high[i], diameter) - frame_.low[i];
-            share[i] = span < kPoint ? frame_.low[i] < diameter : std::max(inside, 0.0) / span;
-            share[i] /= diameter;
-        }
-        return share;
+  void spread(const Nodes& start) {
+    const double weight = priors_.contact + priors_.spread -
+                          std::log(static_cast<double>(priors_.half_widths.size()));
+    for (const double half : priors_.half_widths) {
+      found.push_back(contact(Load::spread, fit_one(frame_.shared, start, half, none_), weight));
+      found.back().numbers = 3;
+      found.back().half_width = half;
     }
+  }
 
-    void fold(const Nodes& start) {
-        const int n = frame_.size();
-        const Row share = fold_share();
-        if (found.back().load == Load::end) {  // the end of a bent body may bear the load as well
-            Matrix column(1, n);
-            for (int i = 0; i < n; ++i) column[0][i] = priors_.angle * share[i];
-            const double weight = priors_.contact + priors_.end + std::log(1.0 - unfolded_ + 1e-12);
-            add_end(with(column, 0), found.back().curvature, false, weight, -1);
-            found.back().load = Load::end_fold;
-            found.back().numbers = 4;
-        }
-        const double weight = priors_.contact + std::log(std::max(1.0 - unfolded_, 1e-12));
-        for (int i = -1; i < n; ++i) {
-            const FoldedContact fit = folded_contact(
-                frame_, i < 0 ? frame_.shared : with(bad_, i), prior_, settings_.critical,
-                settings_.critical_error, share, priors_.angle, kCells, start);
-            if (!(fit.log_evidence > -INFINITY)) return;
-            Hypothesis out{Load::fold, fit.log_evidence + weight + (i < 0 ? 0.0 : readings_.log_bad[i])};
-            Row spread = fit.force;
-            for (double& value : spread) value = settings_.critical_error * std::abs(value);
-            out.contacts.push_back({fit.place, 1.0 / kCells, fit.mass, fit.force, spread});
-            out.numbers = 3;
-            out.misfit = fit.misfit;
-            out.curvature = fit.curvature;
-            out.bad = i;
-            out.angle = fit.angle[fit.top];
-            found.push_back(std::move(out));
-            if (i < 0 && fit.misfit < limit_) return;
-        }
+  // `folds`: the base may have folded, for a moment that folds most bodies acts there.
+  void hinge(const Nodes& start, bool folds) {
+    Row edges = frame_.low;
+    edges.insert(edges.end(), frame_.high.begin(), frame_.high.end());
+    std::sort(edges.begin(), edges.end());
+    Row place, log_odds, values;
+    const int n = frame_.size();
+    for (std::size_t e = 1; e < edges.size(); ++e) {
+      const double middle = 0.5 * (edges[e - 1] + edges[e]);
+      if (edges[e] - edges[e - 1] < kPoint) continue;
+      Row column(n);
+      bool seen = false;
+      for (int i = 0; i < n; ++i) {
+        const bool covers = frame_.low[i] < middle && middle < frame_.high[i];
+        column[i] = covers ? priors_.angle / (frame_.high[i] - frame_.low[i]) : 0.0;
+        seen = seen || covers;
+      }
+      if (!seen) continue;
+      values.insert(values.end(), column.begin(), column.end());
+      place.push_back(middle);
+      log_odds.push_back(priors_.hinge + std::log(edges[e] - edges[e - 1]));
     }
-
-    void spread(const Nodes& start) {
-        const double weight = priors_.contact + priors_.spread -
-                              std::log(static_cast<double>(priors_.half_widths.size()));
-        for (const double half : priors_.half_widths) {
-            found.push_back(
-                contact(Load::spread, fit_one(frame_.shared, start, half, none_), weight));
-            found.back().numbers = 3;
-            found.back().half_width = half;
-        }
+    if (place.empty()) return;
+    Matrix columns(static_cast<int>(place.size()), n);
+    columns.value = values;
+    const Row alone = log_densities(frame_, columns);
+    OneContact fit = fit_one(frame_.shared, start, 0.0, columns);
+    const double weight = priors_.contact + std::log(unfolded_);
+    for (int h = 0; h < columns.rows; ++h) {
+      Hypothesis free{Load::hinge, alone[h] + log_odds[h]};
+      free.at = place[h];
+      free.curvature = frame_.rest;
+      free.numbers = 1;
+      found.push_back(free);
+      const bool at_base = folds && place[h] < 4.0 * settings_.radius;
+      const double odds = at_base ? priors_.base_fold : log_odds[h];
+      if (fit.log_evidence + weight + fit.rival[h] + odds < best() + priors_.hopeless) continue;
+      OneContact other = fit_one(with(columns, h), fit.curvature, 0.0, none_);
+      found.push_back(contact(Load::contact_hinge, std::move(other), weight + odds));
+      found.back().numbers = 3;
+      found.back().at = place[h];
     }
+  }
 
-    // `folds`: the base may have folded, for a moment that folds most bodies acts there.
-    void hinge(const Nodes& start, bool folds) {
-        Row edges = frame_.low;
-        edges.insert(edges.end(), frame_.high.begin(), frame_.high.end());
-        std::sort(edges.begin(), edges.end());
-        Row place, log_odds, values;
-        const int n = frame_.size();
-        for (std::size_t e = 1; e < edges.size(); ++e) {
-            const double middle = 0.5 * (edges[e - 1] + edges[e]);
-            if (edges[e] - edges[e - 1] < kPoint) continue;
-            Row column(n);
-            bool seen = false;
-            for (int i = 0; i < n; ++i) {
-                const bool covers = frame_.low[i] < middle && middle < frame_.high[i];
-                column[i] = covers ? priors_.angle / (frame_.high[i] - frame_.low[i]) : 0.0;
-                seen = seen || covers;
-            }
-            if (!seen) continue;
-            values.insert(values.end(), column.begin(), column.end());
-            place.push_back(middle);
-            log_odds.push_back(priors_.hinge + std::log(edges[e] - edges[e - 1]));
-        }
-        if (place.empty()) return;
-        Matrix columns(static_cast<int>(place.size()), n);
-        columns.value = values;
-        const Row alone = log_densities(frame_, columns);
-        OneContact fit = fit_one(frame_.shared, start, 0.0, columns);
-        const double weight = priors_.contact + std::log(unfolded_);
-        for (int h = 0; h < columns.rows; ++h) {
-            Hypothesis free{Load::hinge, alone[h] + log_odds[h]};
-            free.at = place[h];
-            free.curvature = frame_.rest;
-            free.numbers = 1;
-            found.push_back(free);
-            const bool at_base = folds && place[h] < 4.0 * settings_.radius;
-            const double odds = at_base ? priors_.base_fold : log_odds[h];
-            if (fit.log_evidence + weight + fit.rival[h] + odds < best() + priors_.hopeless) continue;
-            OneContact other = fit_one(with(columns, h), fit.curvature, 0.0, none_);
-            found.push_back(
-                contact(Load::contact_hinge, std::move(other), weight + odds));
-            found.back().numbers = 3;
-            found.back().at = place[h];
-        }
+  Hypothesis several_contacts_of(int count, int cells, int bad) const {
+    const SeveralContacts fit = several_contacts(frame_, bad < 0 ? frame_.shared : with(bad_, bad),
+                                                 prior_, count, cells, frame_.rest);
+    double weight = priors_.contact + (count - 1) * priors_.another;
+    if (bad >= 0) weight += readings_.log_bad[bad];
+    Hypothesis out{count == 2 ? Load::two : Load::three, fit.log_evidence + weight};
+    for (std::size_t j = 0; j < fit.place.size(); ++j) {
+      out.contacts.push_back({fit.place[j], fit.width[j], fit.mass[j], Row(cells, fit.force[j]),
+                              Row(cells, fit.spread[j])});
     }
+    out.numbers = 2 * count;
+    out.misfit = fit.misfit;
+    out.curvature = fit.curvature;
+    out.bad = bad;
+    return out;
+  }
 
-    Hypothesis several_contacts_of(int count, int cells, int bad) const {
-        const SeveralContacts fit =
-            several_contacts(frame_, bad < 0 ? frame_.shared : with(bad_, bad), prior_, count,
-                             cells, frame_.rest);
-        double weight = priors_.contact + (count - 1) * priors_.another;
-        if (bad >= 0) weight += readings_.log_bad[bad];
-        Hypothesis out{count == 2 ? Load::two : Load::three, fit.log_evidence + weight};
-        for (std::size_t j = 0; j < fit.place.size(); ++j) {
-            out.contacts.push_back({fit.place[j], fit.width[j], fit.mass[j],
-                                    Row(cells, fit.force[j]), Row(cells, fit.spread[j])});
-        }
-        out.numbers = 2 * count;
-        out.misfit = fit.misfit;
-        out.curvature = fit.curvature;
-        out.bad = bad;
-        return out;
+  void weigh_several() {
+    const Hypothesis two = several_contacts_of(2, kPairCells, -1);
+    if (two.contacts.empty()) return;
+    found.push_back(two);
+    if (two.misfit > limit_) {
+      // With one bad reading, of those that one contact would rather do without.
+      std::vector<std::pair<double, int>> bad;
+      for (const Hypothesis& other : found) {
+        if (other.bad >= 0) bad.emplace_back(-other.log_weight, other.bad);
+      }
+      std::sort(bad.begin(), bad.end());
+      std::vector<int> tried;
+      for (const auto& [weight, i] : bad) {
+        if (tried.size() == 3) break;
+        if (std::find(tried.begin(), tried.end(), i) != tried.end()) continue;
+        tried.push_back(i);
+        found.push_back(several_contacts_of(2, kPairCells, i));
+      }
     }
-
-    void weigh_several() {
-        const Hypothesis two = several_contacts_of(2, kPairCells, -1);
-        if (two.contacts.empty()) return;
-        found.push_back(two);
-        if (two.misfit > limit_) {
-            // With one bad reading, of those that one contact would rather do without.
-            std::vector<std::pair<double, int>> bad;
-            for (const Hypothesis& other : found) {
-                if (other.bad >= 0) bad.emplace_back(-other.log_weight, other.bad);
-            }
-            std::sort(bad.begin(), bad.end());
-            std::vector<int> tried;
-            for (const auto& [weight, i] : bad) {
-                if (tried.size() == 3) break;
-                if (std::find(tried.begin(), tried.end(), i) != tried.end()) continue;
-                tried.push_back(i);
-                found.push_back(several_contacts_of(2, kPairCells, i));
-            }
-        }
-        const bool more = settings_.contacts < 0 && two.misfit > limit_ && frame_.size() >= 6;
-        if (settings_.contacts == 3 || more) {
-            const Hypothesis three = several_contacts_of(3, kTripleCells, -1);
-            if (!three.contacts.empty()) found.push_back(three);
-        }
+    const bool more = settings_.contacts < 0 && two.misfit > limit_ && frame_.size() >= 6;
+    if (settings_.contacts == 3 || more) {
+      const Hypothesis three = several_contacts_of(3, kTripleCells, -1);
+      if (!three.contacts.empty()) found.push_back(three);
     }
+  }
 
-    const Readings& readings_;
-    const Frame& frame_;
-    const Priors& priors_;
-    const Settings& settings_;
-    ForcePrior prior_;
-    Matrix bad_, none_;
-    double unfolded_;  // prior share of contacts that leave the base as it is
-    double limit_;     // misfit beyond which an explanation is poor
+  const Readings& readings_;
+  const Frame& frame_;
+  const Priors& priors_;
+  const Settings& settings_;
+  ForcePrior prior_;
+  Matrix bad_, none_;
+  double unfolded_;  // prior share of contacts that leave the base as it is
+  double limit_;     // misfit beyond which an explanation is poor
 };
 
 }  // namespace thigmo

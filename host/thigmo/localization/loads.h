@@ -13,15 +13,15 @@
 namespace thigmo {
 
 struct ForcePrior {
-    Row scales;       // standard deviations of the largest moment, equally likely
-    double least;     // the prior widens no more than at this share of the largest lever
-    double critical;  // base moment at which the base folds; infinite if it does not
-    double straight;  // turn (rad) below which a body counts as straight
-    double rests;     // change of curvature below which a shape rests
+  Row scales;       // standard deviations of the largest moment, equally likely
+  double least;     // the prior widens no more than at this share of the largest lever
+  double critical;  // base moment at which the base folds; infinite if it does not
+  double straight;  // turn (rad) below which a body counts as straight
+  double rests;     // change of curvature below which a shape rests
 };
 
 struct Window {
-    double near, far;
+  double near, far;
 };
 
 constexpr int kMostPasses = 9;
@@ -31,679 +31,675 @@ constexpr double kOutside = 1e-6;   // mass of a cell below which the grid may l
 
 // Probability that a normal number lies within plus and minus a limit.
 inline double probability_within(double mean, double variance, double limit) {
-    const double scale = 1.0 / std::sqrt(2.0 * std::max(variance, 1e-300));
-    return 0.5 * (std::erf((limit - mean) * scale) + std::erf((limit + mean) * scale));
+  const double scale = 1.0 / std::sqrt(2.0 * std::max(variance, 1e-300));
+  return 0.5 * (std::erf((limit - mean) * scale) + std::erf((limit + mean) * scale));
 }
 
 // Normal density of up to four loads on whitened readings.
 struct Solution {
-    static constexpr int kMost = 4;
-    int count;
-    double gain, log_volume;  // log evidence is gain / 2 - log_volume / 2
-    std::array<double, kMost> mean, deviation;
+  static constexpr int kMost = 4;
+  int count;
+  double gain, log_volume;  // log evidence is gain / 2 - log_volume / 2
+  std::array<double, kMost> mean, deviation;
 
-    // `column` are whitened and in units of their prior deviations, so the prior is N(0, I).
-    Solution(const std::vector<Row>& column, const Row& read) : count(column.size()) {
-        const int n = static_cast<int>(read.size());
-        double a[kMost][kMost], inverse[kMost][kMost] = {}, told[kMost];
-        for (int j = 0; j < count; ++j) {
-            told[j] = Whitener::dot(column[j].data(), read.data(), n);
-            for (int k = 0; k <= j; ++k) {
-                a[j][k] = (j == k) + Whitener::dot(column[j].data(), column[k].data(), n);
-            }
-        }
-        log_volume = 0.0;
-        for (int j = 0; j < count; ++j) {  // Cholesky, and the inverse of its factor
-            for (int k = 0; k <= j; ++k) {
-                for (int l = 0; l < k; ++l) a[j][k] -= a[j][l] * a[k][l];
-                if (k < j) a[j][k] /= a[k][k];
-            }
-            a[j][j] = std::sqrt(a[j][j]);
-            log_volume += 2.0 * std::log(a[j][j]);
-            for (int k = 0; k <= j; ++k) {
-                double sum = j == k;
-                for (int l = k; l < j; ++l) sum -= a[j][l] * inverse[l][k];
-                inverse[j][k] = sum / a[j][j];
-            }
-        }
-        gain = 0.0;
-        mean = deviation = {};
-        for (int j = 0; j < count; ++j) {
-            double half = 0.0;
-            for (int k = 0; k <= j; ++k) half += inverse[j][k] * told[k];
-            gain += half * half;
-            for (int k = 0; k <= j; ++k) {
-                mean[k] += inverse[j][k] * half;
-                deviation[k] += inverse[j][k] * inverse[j][k];
-            }
-        }
-        for (int j = 0; j < count; ++j) deviation[j] = std::sqrt(deviation[j]);
+  // `column` are whitened and in units of their prior deviations, so the prior is N(0, I).
+  Solution(const std::vector<Row>& column, const Row& read) : count(column.size()) {
+    const int n = static_cast<int>(read.size());
+    double a[kMost][kMost], inverse[kMost][kMost] = {}, told[kMost];
+    for (int j = 0; j < count; ++j) {
+      told[j] = Whitener::dot(column[j].data(), read.data(), n);
+      for (int k = 0; k <= j; ++k) {
+        a[j][k] = (j == k) + Whitener::dot(column[j].data(), column[k].data(), n);
+      }
     }
+    log_volume = 0.0;
+    for (int j = 0; j < count; ++j) {  // Cholesky, and the inverse of its factor
+      for (int k = 0; k <= j; ++k) {
+        for (int l = 0; l < k; ++l) a[j][k] -= a[j][l] * a[k][l];
+        if (k < j) a[j][k] /= a[k][k];
+      }
+      a[j][j] = std::sqrt(a[j][j]);
+      log_volume += 2.0 * std::log(a[j][j]);
+      for (int k = 0; k <= j; ++k) {
+        double sum = j == k;
+        for (int l = k; l < j; ++l) sum -= a[j][l] * inverse[l][k];
+        inverse[j][k] = sum / a[j][j];
+      }
+    }
+    gain = 0.0;
+    mean = deviation = {};
+    for (int j = 0; j < count; ++j) {
+      double half = 0.0;
+      for (int k = 0; k <= j; ++k) half += inverse[j][k] * told[k];
+      gain += half * half;
+      for (int k = 0; k <= j; ++k) {
+        mean[k] += inverse[j][k] * half;
+        deviation[k] += inverse[j][k] * inverse[j][k];
+      }
+    }
+    for (int j = 0; j < count; ++j) deviation[j] = std::sqrt(deviation[j]);
+  }
 };
 
 // Levers of normal forces on a shape; of loads spread evenly over `half` to either side.
 inline Levers levers_at(const Frame& frame, bool straight, const Shape& shape, const Row& place,
                         double half) {
-    constexpr int kPoints = 5;  // of a spread load
-    const int count = static_cast<int>(place.size());
-    Levers out(frame.size(), count);
-    const auto fill = [&](const Row& at, Levers& into) {
-        if (straight) {
-            straight_levers(at, frame.low, frame.high, into);
-        } else {
-            bent_levers(shape, at, frame.low, frame.high, 0.0, into);
-        }
-    };
-    if (half == 0.0) {
-        fill(place, out);
-        return out;
+  constexpr int kPoints = 5;  // of a spread load
+  const int count = static_cast<int>(place.size());
+  Levers out(frame.size(), count);
+  const auto fill = [&](const Row& at, Levers& into) {
+    if (straight) {
+      straight_levers(at, frame.low, frame.high, into);
+    } else {
+      bent_levers(shape, at, frame.low, frame.high, 0.0, into);
     }
-    Levers part(frame.size(), count);
-    Row moved(count);
-    for (int p = 0; p < kPoints; ++p) {
-        for (int m = 0; m < count; ++m) {
-            moved[m] = std::clamp(place[m] + half * (2.0 * p / (kPoints - 1) - 1.0), 0.0, 1.0);
-        }
-        fill(moved, part);
-        const auto add = [](Row& to, const Row& from) {
-            for (std::size_t k = 0; k < to.size(); ++k) to[k] += from[k] / kPoints;
-        };
-        add(out.sensor.value, part.sensor.value);
-        add(out.largest, part.largest);
-        add(out.base, part.base);
-    }
+  };
+  if (half == 0.0) {
+    fill(place, out);
     return out;
+  }
+  Levers part(frame.size(), count);
+  Row moved(count);
+  for (int p = 0; p < kPoints; ++p) {
+    for (int m = 0; m < count; ++m) {
+      moved[m] = std::clamp(place[m] + half * (2.0 * p / (kPoints - 1) - 1.0), 0.0, 1.0);
+    }
+    fill(moved, part);
+    const auto add = [](Row& to, const Row& from) {
+      for (std::size_t k = 0; k < to.size(); ++k) to[k] += from[k] / kPoints;
+    };
+    add(out.sensor.value, part.sensor.value);
+    add(out.largest, part.largest);
+    add(out.base, part.base);
+  }
+  return out;
 }
 
 inline Row prior_deviations(const ForcePrior& prior, const Row& largest, double scale) {
-    const double widest = *std::max_element(largest.begin(), largest.end());
-    Row out(largest.size());
-    for (std::size_t m = 0; m < out.size(); ++m) {
-        out[m] = scale / std::max(largest[m], std::max(prior.least * widest, 1e-12));
-    }
-    return out;
+  const double widest = *std::max_element(largest.begin(), largest.end());
+  Row out(largest.size());
+  for (std::size_t m = 0; m < out.size(); ++m) {
+    out[m] = scale / std::max(largest[m], std::max(prior.least * widest, 1e-12));
+  }
+  return out;
 }
 
 inline double largest_change(const Nodes& a, const Nodes& b) {
-    double most = 0.0;
-    for (int k = 0; k < kNodes; ++k) most = std::max(most, std::abs(a[k] - b[k]));
-    return most;
+  double most = 0.0;
+  for (int k = 0; k < kNodes; ++k) most = std::max(most, std::abs(a[k] - b[k]));
+  return most;
 }
 
 inline double turn_of(const Nodes& curvature) {
-    double heading = 0.0, most = 0.0;
-    for (const double value : curvature) {
-        heading += value / kNodes;
-        most = std::max(most, std::abs(heading));
-    }
-    return most;
+  double heading = 0.0, most = 0.0;
+  for (const double value : curvature) {
+    heading += value / kNodes;
+    most = std::max(most, std::abs(heading));
+  }
+  return most;
 }
 
 // Cells that hold all but nothing of a mass, widened by one: where a finer grid is laid.
 inline Window support(const double* mass, int cells, Window window, double outside) {
-    int first = 0, last = cells - 1;
-    while (first < last && mass[first] < outside) ++first;
-    while (last > first && mass[last] < outside) --last;
-    const double width = (window.far - window.near) / cells;
-    return {window.near + std::max(first - 1, 0) * width,
-            window.near + std::min(last + 2, cells) * width};
+  int first = 0, last = cells - 1;
+  while (first < last && mass[first] < outside) ++first;
+  while (last > first && mass[last] < outside) --last;
+  const double width = (window.far - window.near) / cells;
+  return {window.near + std::max(first - 1, 0) * width,
+          window.near + std::min(last + 2, cells) * width};
 }
 
 // Posterior of one contact over M cells of the body.
 struct OneContact {
-    Row place;           // (M,) middles of the cells
-    double width = 0.0;  // of a cell
-    Row mass;            // (M,) of sum one
-    Row force, spread;   // (M,) its mean and standard deviation
-    Nodes curvature;     // of the body bent by the force at the likeliest place
-    double log_evidence = -INFINITY, misfit = INFINITY;
-    int top = 0;         // index of the likeliest place
-    Row rival;           // (E,) log likelihood that each further column adds at most
+  Row place;           // (M,) middles of the cells
+  double width = 0.0;  // of a cell
+  Row mass;            // (M,) of sum one
+  Row force, spread;   // (M,) its mean and standard deviation
+  Nodes curvature;     // of the body bent by the force at the likeliest place
+  double log_evidence = -INFINITY, misfit = INFINITY;
+  int top = 0;  // index of the likeliest place
+  Row rival;    // (E,) log likelihood that each further column adds at most
 };
 
 // Weighs one contact at all places of a grid, over levels of noise and scales of the force.
 class OneContactGrid {
-  public:
-    OneContactGrid(const Frame& frame, const Matrix& shared, const ForcePrior& prior)
-        : frame_(frame), prior_(prior) {
-        for (const double level : frame.levels) {
-            white_.emplace_back(frame, level, shared);
-            read_.push_back(white_.back()(frame.excess.data()));
-        }
+ public:
+  OneContactGrid(const Frame& frame, const Matrix& shared, const ForcePrior& prior)
+      : frame_(frame), prior_(prior) {
+    for (const double level : frame.levels) {
+      white_.emplace_back(frame, level, shared);
+      read_.push_back(white_.back()(frame.excess.data()));
     }
+  }
 
-    // Fills mass (not normalised), force, spread, misfit; returns the log scale of the mass.
-    double weigh(const Levers& levers, OneContact& out) {
-        const int n = frame_.size(), count = levers.sensor.columns;
-        const int levels = static_cast<int>(white_.size());
-        const int scales = static_cast<int>(prior_.scales.size());
-        Matrix told(levels, count), square(levels, count), white(n, count);
-        Matrix variance(scales, count);
-        for (int p = 0; p < scales; ++p) {
-            const Row deviation = prior_deviations(prior_, levers.largest, prior_.scales[p]);
-            for (int m = 0; m < count; ++m) variance[p][m] = deviation[m] * deviation[m];
+  // Fills mass (not normalised), force, spread, misfit; returns the log scale of the mass.
+  double weigh(const Levers& levers, OneContact& out) {
+    const int n = frame_.size(), count = levers.sensor.columns;
+    const int levels = static_cast<int>(white_.size());
+    const int scales = static_cast<int>(prior_.scales.size());
+    Matrix told(levels, count), square(levels, count), white(n, count);
+    Matrix variance(scales, count);
+    for (int p = 0; p < scales; ++p) {
+      const Row deviation = prior_deviations(prior_, levers.largest, prior_.scales[p]);
+      for (int m = 0; m < count; ++m) variance[p][m] = deviation[m] * deviation[m];
+    }
+    Row constant(levels);
+    double top = -INFINITY;
+    for (int s = 0; s < levels; ++s) {
+      white_[s](levers.sensor, white);
+      for (int i = 0; i < n; ++i) {
+        const double* row = white[i];
+        for (int m = 0; m < count; ++m) {
+          told[s][m] += row[m] * read_[s][i];
+          square[s][m] += row[m] * row[m];
         }
-        Row constant(levels);
-        double top = -INFINITY;
-        for (int s = 0; s < levels; ++s) {
-            white_[s](levers.sensor, white);
-            for (int i = 0; i < n; ++i) {
-                const double* row = white[i];
-                for (int m = 0; m < count; ++m) {
-                    told[s][m] += row[m] * read_[s][i];
-                    square[s][m] += row[m] * row[m];
-                }
-            }
-            const double free = Whitener::dot(read_[s].data(), read_[s].data(), n);
-            constant[s] = white_[s].log_det - 0.5 * free;
-            for (int p = 0; p < scales; ++p) {
-                double best = 0.0;
-                for (int m = 0; m < count; ++m) {
-                    const double v = variance[p][m];
-                    const double gain = told[s][m] * told[s][m] * v / (1.0 + square[s][m] * v);
-                    best = gain > best ? gain : best;
-                }
-                top = std::max(top, constant[s] + 0.5 * best);
-            }
-        }
-        out.misfit = INFINITY;
-        out.mass.assign(count, 0.0);
-        out.force.assign(count, 0.0);
-        Row second(count);
+      }
+      const double free = Whitener::dot(read_[s].data(), read_[s].data(), n);
+      constant[s] = white_[s].log_det - 0.5 * free;
+      for (int p = 0; p < scales; ++p) {
         double best = 0.0;
-        for (int s = 0; s < levels; ++s) {
-            for (int p = 0; p < scales; ++p) {
-                for (int m = 0; m < count; ++m) {
-                    const double q = 1.0 / (1.0 + square[s][m] * variance[p][m]);
-                    const double v = variance[p][m] * q, f = told[s][m] * v;
-                    const double exponent = constant[s] - top + 0.5 * told[s][m] * f;
-                    if (exponent < -40.0) continue;
-                    double w = std::exp(exponent) * std::sqrt(q);
-                    if (prior_.critical < INFINITY) {
-                        w *= below_fold(f, v, variance[p][m], levers.base[m]);
-                    }
-                    out.mass[m] += w;
-                    out.force[m] += w * f;
-                    second[m] += w * (f * f + v);
-                    if (w > best) {
-                        best = w;
-                        level_ = s;
-                        const double free = Whitener::dot(read_[s].data(), read_[s].data(), n);
-                        out.misfit = free - f * (2.0 * told[s][m] - square[s][m] * f);
-                    }
-                }
-            }
-        }
-        out.spread.assign(count, 0.0);
         for (int m = 0; m < count; ++m) {
-            if (out.mass[m] <= 0.0) continue;
-            out.force[m] /= out.mass[m];
-            const double variance_of = second[m] / out.mass[m] - out.force[m] * out.force[m];
-            out.spread[m] = std::sqrt(std::max(variance_of, 0.0));
+          const double v = variance[p][m];
+          const double gain = told[s][m] * told[s][m] * v / (1.0 + square[s][m] * v);
+          best = gain > best ? gain : best;
         }
-        return top - std::log(static_cast<double>(levels * scales));
+        top = std::max(top, constant[s] + 0.5 * best);
+      }
     }
-
-    // What each column of `extra` (in units of its deviation) adds at most to the log likelihood of
-    // the likeliest place, whichever place that then is.
-    Row rivals(const Levers& levers, const Matrix& extra) const {
-        const int n = frame_.size(), count = levers.sensor.columns;
-        const Row& read = read_[level_];
-        Matrix white(n, count);
-        white_[level_](levers.sensor, white);
-        const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-        const Row deviation = prior_deviations(prior_, levers.largest, widest);
-        Row told(count), square(count), out(extra.rows);
-        for (int i = 0; i < n; ++i) {
-            for (int m = 0; m < count; ++m) {
-                told[m] += white[i][m] * read[i];
-                square[m] += white[i][m] * white[i][m];
-            }
-        }
-        double plain = 0.0;
+    out.misfit = INFINITY;
+    out.mass.assign(count, 0.0);
+    out.force.assign(count, 0.0);
+    Row second(count);
+    double best = 0.0;
+    for (int s = 0; s < levels; ++s) {
+      for (int p = 0; p < scales; ++p) {
         for (int m = 0; m < count; ++m) {
-            const double precision = 1.0 / (deviation[m] * deviation[m]);
-            plain = std::max(plain, 0.5 * told[m] * told[m] / (square[m] + precision));
+          const double q = 1.0 / (1.0 + square[s][m] * variance[p][m]);
+          const double v = variance[p][m] * q, f = told[s][m] * v;
+          const double exponent = constant[s] - top + 0.5 * told[s][m] * f;
+          if (exponent < -40.0) continue;
+          double w = std::exp(exponent) * std::sqrt(q);
+          if (prior_.critical < INFINITY) {
+            w *= below_fold(f, v, variance[p][m], levers.base[m]);
+          }
+          out.mass[m] += w;
+          out.force[m] += w * f;
+          second[m] += w * (f * f + v);
+          if (w > best) {
+            best = w;
+            level_ = s;
+            const double free = Whitener::dot(read_[s].data(), read_[s].data(), n);
+            out.misfit = free - f * (2.0 * told[s][m] - square[s][m] * f);
+          }
         }
-        for (int e = 0; e < extra.rows; ++e) {
-            const Row column = white_[level_](extra[e]);
-            const double c = 1.0 + Whitener::dot(column.data(), column.data(), n);
-            const double own = Whitener::dot(column.data(), read.data(), n);
-            Row along(count);
-            for (int i = 0; i < n; ++i) {
-                if (column[i] == 0.0) continue;
-                for (int m = 0; m < count; ++m) along[m] += white[i][m] * column[i];
-            }
-            double best = 0.0;
-            for (int m = 0; m < count; ++m) {
-                const double b = told[m] - along[m] * own / c;
-                const double g = square[m] - along[m] * along[m] / c;
-                const double gain = b * b / (g + 1.0 / (deviation[m] * deviation[m]));
-                best = gain > best ? gain : best;
-            }
-            out[e] = 0.5 * best + 0.5 * own * own / c - 0.5 * std::log(c) - plain;
-        }
-        return out;
+      }
     }
-
-  private:
-    // Share of the force's posterior, over that of its prior, that does not fold the base.
-    double below_fold(double mean, double variance, double prior, double lever) const {
-        const double reach = std::abs(lever), limit = prior_.critical;
-        double share = 1.0;
-        if (reach * (std::abs(mean) + 5.0 * std::sqrt(variance)) > limit) {
-            share *= probability_within(mean * reach, variance * reach * reach, limit);
-        }
-        if (reach * 5.0 * std::sqrt(prior) > limit) {
-            share /= probability_within(0.0, prior * reach * reach, limit);
-        }
-        return share;
+    out.spread.assign(count, 0.0);
+    for (int m = 0; m < count; ++m) {
+      if (out.mass[m] <= 0.0) continue;
+      out.force[m] /= out.mass[m];
+      const double variance_of = second[m] / out.mass[m] - out.force[m] * out.force[m];
+      out.spread[m] = std::sqrt(std::max(variance_of, 0.0));
     }
+    return top - std::log(static_cast<double>(levels * scales));
+  }
 
-    const Frame& frame_;
-    const ForcePrior& prior_;
-    std::vector<Whitener> white_;
-    std::vector<Row> read_;
-    int level_ = 0;
+  // What each column of `extra` (in units of its deviation) adds at most to the log likelihood of
+  // the likeliest place, whichever place that then is.
+  Row rivals(const Levers& levers, const Matrix& extra) const {
+    const int n = frame_.size(), count = levers.sensor.columns;
+    const Row& read = read_[level_];
+    Matrix white(n, count);
+    white_[level_](levers.sensor, white);
+    const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
+    const Row deviation = prior_deviations(prior_, levers.largest, widest);
+    Row told(count), square(count), out(extra.rows);
+    for (int i = 0; i < n; ++i) {
+      for (int m = 0; m < count; ++m) {
+        told[m] += white[i][m] * read[i];
+        square[m] += white[i][m] * white[i][m];
+      }
+    }
+    double plain = 0.0;
+    for (int m = 0; m < count; ++m) {
+      const double precision = 1.0 / (deviation[m] * deviation[m]);
+      plain = std::max(plain, 0.5 * told[m] * told[m] / (square[m] + precision));
+    }
+    for (int e = 0; e < extra.rows; ++e) {
+      const Row column = white_[level_](extra[e]);
+      const double c = 1.0 + Whitener::dot(column.data(), column.data(), n);
+      const double own = Whitener::dot(column.data(), read.data(), n);
+      Row along(count);
+      for (int i = 0; i < n; ++i) {
+        if (column[i] == 0.0) continue;
+        for (int m = 0; m < count; ++m) along[m] += white[i][m] * column[i];
+      }
+      double best = 0.0;
+      for (int m = 0; m < count; ++m) {
+        const double b = told[m] - along[m] * own / c;
+        const double g = square[m] - along[m] * along[m] / c;
+        const double gain = b * b / (g + 1.0 / (deviation[m] * deviation[m]));
+        best = gain > best ? gain : best;
+      }
+      out[e] = 0.5 * best + 0.5 * own * own / c - 0.5 * std::log(c) - plain;
+    }
+    return out;
+  }
+
+ private:
+  // Share of the force's posterior, over that of its prior, that does not fold the base.
+  double below_fold(double mean, double variance, double prior, double lever) const {
+    const double reach = std::abs(lever), limit = prior_.critical;
+    double share = 1.0;
+    if (reach * (std::abs(mean) + 5.0 * std::sqrt(variance)) > limit) {
+      share *= probability_within(mean * reach, variance * reach * reach, limit);
+    }
+    if (reach * 5.0 * std::sqrt(prior) > limit) {
+      share /= probability_within(0.0, prior * reach * reach, limit);
+    }
+    return share;
+  }
+
+  const Frame& frame_;
+  const ForcePrior& prior_;
+  std::vector<Whitener> white_;
+  std::vector<Row> read_;
+  int level_ = 0;
 };
 
 inline Row middles(Window window, int cells) {
-    Row place(cells);
-    for (int m = 0; m < cells; ++m) {
-        place[m] = window.near + (m + 0.5) * (window.far - window.near) / cells;
-    }
-    return place;
+  Row place(cells);
+  for (int m = 0; m < cells; ++m) {
+    place[m] = window.near + (m + 0.5) * (window.far - window.near) / cells;
+  }
+  return place;
 }
 
 // One contact in a window of the body. `extra` (E, N) are columns of rival explanations.
 inline OneContact one_contact(const Frame& frame, const Matrix& shared, const ForcePrior& prior,
                               Window window, int cells, double half, const Nodes& start,
                               const Matrix& extra) {
-    OneContactGrid grid(frame, shared, prior);
-    OneContact out;
-    Window grid_window = window;
-    out.curvature = start;
-    bool straight = turn_of(start) < prior.straight;
-    for (int turn = 0; turn < kMostTurns; ++turn) {
-        out.place = middles(grid_window, cells);
-        out.width = (grid_window.far - grid_window.near) / cells;
-        const Shape shape(out.curvature);
-        const Levers levers = levers_at(frame, straight, shape, out.place, half);
-        const double scale = grid.weigh(levers, out);
-        double total = 0.0;
-        for (int m = 0; m < cells; ++m) total += out.mass[m];
-        out.top = static_cast<int>(
-            std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
-        if (!(total > 0.0)) break;
-        out.log_evidence = scale + std::log(total * out.width / (window.far - window.near));
-        for (double& mass : out.mass) mass /= total;
-        Nodes bent = frame.rest;
-        const double arc = out.place[out.top], force = out.force[out.top];
-        if (straight) {
-            for (int k = 0; k < kNodes; ++k) {
-                bent[k] += force * std::max(arc - k / (kNodes - 1.0), 0.0);
-            }
-        } else {
-            shape.add_moment(arc, force, 0.0, bent);
-        }
-        bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
-        if (straight) {
-            straight = turn_of(bent) < prior.straight;
-            rests = straight;
-        }
-        if (rests) {
-            const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
-            const Window finer = support(out.mass.data(), cells, grid_window, kOutside);
-            if (resolved || finer.far - finer.near > 0.7 * (grid_window.far - grid_window.near)) {
-                out.curvature = bent;
-                out.rival = grid.rivals(levers, extra);
-                return out;
-            }
-            grid_window = finer;
-        }
-        out.curvature = bent;
+  OneContactGrid grid(frame, shared, prior);
+  OneContact out;
+  Window grid_window = window;
+  out.curvature = start;
+  bool straight = turn_of(start) < prior.straight;
+  for (int turn = 0; turn < kMostTurns; ++turn) {
+    out.place = middles(grid_window, cells);
+    out.width = (grid_window.far - grid_window.near) / cells;
+    const Shape shape(out.curvature);
+    const Levers levers = levers_at(frame, straight, shape, out.place, half);
+    const double scale = grid.weigh(levers, out);
+    double total = 0.0;
+    for (int m = 0; m < cells; ++m) total += out.mass[m];
+    out.top =
+        static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
+    if (!(total > 0.0)) break;
+    out.log_evidence = scale + std::log(total * out.width / (window.far - window.near));
+    for (double& mass : out.mass) mass /= total;
+    Nodes bent = frame.rest;
+    const double arc = out.place[out.top], force = out.force[out.top];
+    if (straight) {
+      for (int k = 0; k < kNodes; ++k) {
+        bent[k] += force * std::max(arc - k / (kNodes - 1.0), 0.0);
+      }
+    } else {
+      shape.add_moment(arc, force, 0.0, bent);
     }
-    out.rival.assign(extra.rows, -INFINITY);
-    return out;
+    bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
+    if (straight) {
+      straight = turn_of(bent) < prior.straight;
+      rests = straight;
+    }
+    if (rests) {
+      const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
+      const Window finer = support(out.mass.data(), cells, grid_window, kOutside);
+      if (resolved || finer.far - finer.near > 0.7 * (grid_window.far - grid_window.near)) {
+        out.curvature = bent;
+        out.rival = grid.rivals(levers, extra);
+        return out;
+      }
+      grid_window = finer;
+    }
+    out.curvature = bent;
+  }
+  out.rival.assign(extra.rows, -INFINITY);
+  return out;
 }
 
 // Two or three contacts, base to tip, over M cells each.
 struct SeveralContacts {
-    std::vector<Row> place, mass;  // of each contact's cells; marginal mass of sum one
-    Row width;                     // of each contact's cells
-    Row best, force, spread;       // the likeliest set of places; its mean forces, deviations
-    Nodes curvature;               // of the body that it bends
-    double log_evidence = -INFINITY, misfit = INFINITY;
+  std::vector<Row> place, mass;  // of each contact's cells; marginal mass of sum one
+  Row width;                     // of each contact's cells
+  Row best, force, spread;       // the likeliest set of places; its mean forces, deviations
+  Nodes curvature;               // of the body that it bends
+  double log_evidence = -INFINITY, misfit = INFINITY;
 };
 
 class SetsGrid {
-  public:
-    SetsGrid(int count, int cells) : count_(count), cells_(cells) {}
+ public:
+  SetsGrid(int count, int cells) : count_(count), cells_(cells) {}
 
-    Row place, precision, base;  // (k M,) of all columns
-    Matrix gram;                 // (k M, k M) products of whitened levers
-    Row told;                    // (k M,) and with the readings
-    std::vector<Row> mass;       // (k, M)
-    Row best, force, spread;     // (k,)
-    double total = 0.0, misfit = INFINITY, top = -INFINITY;
+  Row place, precision, base;  // (k M,) of all columns
+  Matrix gram;                 // (k M, k M) products of whitened levers
+  Row told;                    // (k M,) and with the readings
+  std::vector<Row> mass;       // (k, M)
+  Row best, force, spread;     // (k,)
+  double total = 0.0, misfit = INFINITY, top = -INFINITY;
 
-    void clear() {
-        mass.assign(count_, Row(cells_, 0.0));
-        best.assign(count_, 0.0);
-        force = spread = best;
-        total = 0.0, misfit = INFINITY, top = -INFINITY, peak_ = -1.0;
-    }
+  void clear() {
+    mass.assign(count_, Row(cells_, 0.0));
+    best.assign(count_, 0.0);
+    force = spread = best;
+    total = 0.0, misfit = INFINITY, top = -INFINITY, peak_ = -1.0;
+  }
 
-    // Adds the weights of all sets at one level of noise and one prior of the forces.
-    void weigh(double log_scale, double free, double critical, double gap) {
-        for (int m = 0; m < cells_; ++m) {
-            const double a = gram[m][m] + precision[m], u = told[m];
-            for (int n = cells_; n < 2 * cells_; ++n) {
-                if (place[n] - place[m] < gap) continue;
-                const double b = gram[n][n] + precision[n], v = told[n], c = gram[m][n];
-                const double pair = a * b - c * c;
-                const double volume = pair / (precision[m] * precision[n]);
-                if (count_ == 2) {
-                    const double x = (u * b - v * c) / pair, y = (v * a - u * c) / pair;
-                    const double moment = x * base[m] + y * base[n];
-                    const std::array<int, 3> at{m, n, 0};
-                    add(log_scale, u * x + v * y, volume, free, moment, critical, at,
-                        {x, y, 0.0}, {b / pair, a / pair, 0.0});
-                    continue;
-                }
-                for (int o = 2 * cells_; o < 3 * cells_; ++o) {
-                    if (place[o] - place[n] < gap) continue;
-                    const double d = gram[o][o] + precision[o], w = told[o];
-                    const double e = gram[m][o], f = gram[n][o];
-                    // Cofactors of [[a c e] [c b f] [e f d]].
-                    const double aa = b * d - f * f, ac = e * f - c * d, ae = c * f - b * e;
-                    const double bb = a * d - e * e, bf = c * e - a * f;
-                    const double det = a * aa + c * ac + e * ae;
-                    const double x = (aa * u + ac * v + ae * w) / det;
-                    const double y = (ac * u + bb * v + bf * w) / det;
-                    const double z = (ae * u + bf * v + pair * w) / det;
-                    const double moment = x * base[m] + y * base[n] + z * base[o];
-                    const double all = det / (precision[m] * precision[n] * precision[o]);
-                    add(log_scale, u * x + v * y + w * z, all, free, moment, critical,
-                        {m, n, o}, {x, y, z}, {aa / det, bb / det, pair / det});
-                }
-            }
+  // Adds the weights of all sets at one level of noise and one prior of the forces.
+  void weigh(double log_scale, double free, double critical, double gap) {
+    for (int m = 0; m < cells_; ++m) {
+      const double a = gram[m][m] + precision[m], u = told[m];
+      for (int n = cells_; n < 2 * cells_; ++n) {
+        if (place[n] - place[m] < gap) continue;
+        const double b = gram[n][n] + precision[n], v = told[n], c = gram[m][n];
+        const double pair = a * b - c * c;
+        const double volume = pair / (precision[m] * precision[n]);
+        if (count_ == 2) {
+          const double x = (u * b - v * c) / pair, y = (v * a - u * c) / pair;
+          const double moment = x * base[m] + y * base[n];
+          const std::array<int, 3> at{m, n, 0};
+          add(log_scale, u * x + v * y, volume, free, moment, critical, at, {x, y, 0.0},
+              {b / pair, a / pair, 0.0});
+          continue;
         }
-    }
-
-  private:
-    void add(double log_scale, double gain, double volume, double free, double moment,
-             double critical, std::array<int, 3> at, std::array<double, 3> f,
-             std::array<double, 3> variance) {
-        const double exponent = log_scale + 0.5 * gain;
-        if (exponent < top - 25.0 || std::abs(moment) > critical) return;
-        if (exponent > top + 25.0) {  // what was added so far is small beside this
-            const double shrink = std::exp(top - exponent);
-            for (Row& row : mass) {
-                for (double& value : row) value *= shrink;
-            }
-            total *= shrink, peak_ *= shrink, top = exponent;
+        for (int o = 2 * cells_; o < 3 * cells_; ++o) {
+          if (place[o] - place[n] < gap) continue;
+          const double d = gram[o][o] + precision[o], w = told[o];
+          const double e = gram[m][o], f = gram[n][o];
+          // Cofactors of [[a c e] [c b f] [e f d]].
+          const double aa = b * d - f * f, ac = e * f - c * d, ae = c * f - b * e;
+          const double bb = a * d - e * e, bf = c * e - a * f;
+          const double det = a * aa + c * ac + e * ae;
+          const double x = (aa * u + ac * v + ae * w) / det;
+          const double y = (ac * u + bb * v + bf * w) / det;
+          const double z = (ae * u + bf * v + pair * w) / det;
+          const double moment = x * base[m] + y * base[n] + z * base[o];
+          const double all = det / (precision[m] * precision[n] * precision[o]);
+          add(log_scale, u * x + v * y + w * z, all, free, moment, critical, {m, n, o}, {x, y, z},
+              {aa / det, bb / det, pair / det});
         }
-        const double weight = std::exp(exponent - top) / std::sqrt(volume);
-        for (int j = 0; j < count_; ++j) mass[j][at[j] - j * cells_] += weight;
-        total += weight;
-        if (weight > peak_) {
-            peak_ = weight, misfit = free - gain;
-            for (int j = 0; j < count_; ++j) {
-                best[j] = place[at[j]], force[j] = f[j], spread[j] = std::sqrt(variance[j]);
-            }
-        }
+      }
     }
+  }
 
-    int count_, cells_;
-    double peak_ = -1.0;
+ private:
+  void add(double log_scale, double gain, double volume, double free, double moment,
+           double critical, std::array<int, 3> at, std::array<double, 3> f,
+           std::array<double, 3> variance) {
+    const double exponent = log_scale + 0.5 * gain;
+    if (exponent < top - 25.0 || std::abs(moment) > critical) return;
+    if (exponent > top + 25.0) {  // what was added so far is small beside this
+      const double shrink = std::exp(top - exponent);
+      for (Row& row : mass) {
+        for (double& value : row) value *= shrink;
+      }
+      total *= shrink, peak_ *= shrink, top = exponent;
+    }
+    const double weight = std::exp(exponent - top) / std::sqrt(volume);
+    for (int j = 0; j < count_; ++j) mass[j][at[j] - j * cells_] += weight;
+    total += weight;
+    if (weight > peak_) {
+      peak_ = weight, misfit = free - gain;
+      for (int j = 0; j < count_; ++j) {
+        best[j] = place[at[j]], force[j] = f[j], spread[j] = std::sqrt(variance[j]);
+      }
+    }
+  }
+
+  int count_, cells_;
+  double peak_ = -1.0;
 };
 
 inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared,
                                         const ForcePrior& prior, int count, int cells,
                                         const Nodes& start) {
-    const int n = frame.size(), wide = count * cells;
-    SeveralContacts out;
-    std::vector<Window> window(count, Window{0.0, 1.0});
-    out.curvature = start;
-    bool straight = turn_of(start) < prior.straight;
-    SetsGrid sets(count, cells);
-    Matrix white(n, wide);
-    for (int turn = 0; turn < kMostTurns; ++turn) {
-        sets.place.clear();
-        out.width.clear();
-        double log_volume = 0.0, gap = 1.0;
-        for (int j = 0; j < count; ++j) {
-            const Row part = middles(window[j], cells);
-            sets.place.insert(sets.place.end(), part.begin(), part.end());
-            out.width.push_back((window[j].far - window[j].near) / cells);
-            log_volume += std::log((j + 1.0) * out.width[j]);
-            gap = std::min(gap, 0.5 * out.width[j]);
-        }
-        const Shape shape(out.curvature);
-        const Levers levers = levers_at(frame, straight, shape, sets.place, 0.0);
-        sets.base = levers.base;
-        sets.clear();
-        for (const double level : frame.levels) {
-            const Whitener by(frame, level, shared);
-            const Row read = by(frame.excess.data());
-            by(levers.sensor, white);
-            sets.gram = Matrix(wide, wide);
-            sets.told.assign(wide, 0.0);
-            for (int i = 0; i < n; ++i) {
-                const double* row = white[i];
-                for (int k = 0; k < wide; ++k) {
-                    sets.told[k] += row[k] * read[i];
-                    double* to = sets.gram[k];
-                    for (int l = k; l < wide; ++l) to[l] += row[k] * row[l];
-                }
-            }
-            const double free = Whitener::dot(read.data(), read.data(), n);
-            for (const double scale : prior.scales) {
-                const Row deviation = prior_deviations(prior, levers.largest, scale);
-                sets.precision.resize(wide);
-                for (int k = 0; k < wide; ++k) {
-                    sets.precision[k] = 1.0 / (deviation[k] * deviation[k]);
-                }
-                sets.weigh(by.log_det - 0.5 * free, free, prior.critical, gap);
-            }
-        }
-        if (!(sets.total > 0.0)) return out;
-        out.best = sets.best, out.force = sets.force, out.spread = sets.spread;
-        out.misfit = sets.misfit;
-        const double weights = static_cast<double>(frame.levels.size() * prior.scales.size());
-        out.log_evidence = sets.top + std::log(sets.total / weights) + log_volume;
-        out.place.clear();
-        for (int j = 0; j < count; ++j) {
-            for (double& mass : sets.mass[j]) mass /= sets.total;
-            out.place.emplace_back(sets.place.begin() + j * cells,
-                                   sets.place.begin() + (j + 1) * cells);
-        }
-        out.mass = sets.mass;
-        Nodes bent = frame.rest;
-        const Shape levered = straight ? Shape(Nodes{}) : shape;
-        for (int j = 0; j < count; ++j) {
-            levered.add_moment(out.best[j], out.force[j], 0.0, bent);
-        }
-        bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
-        if (straight) {
-            straight = turn_of(bent) < prior.straight;
-            rests = straight;
-        }
-        out.curvature = bent;
-        if (!rests) continue;
-        bool finer = false;
-        for (int j = 0; j < count; ++j) {
-            const Row& mass = out.mass[j];
-            if (*std::max_element(mass.begin(), mass.end()) < kResolved) continue;
-            const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside);
-            if (part.far - part.near < 0.75 * (window[j].far - window[j].near) &&
-                out.width[j] > 1e-6) {
-                window[j] = part;
-                finer = true;
-            }
-        }
-        if (!finer) return out;
+  const int n = frame.size(), wide = count * cells;
+  SeveralContacts out;
+  std::vector<Window> window(count, Window{0.0, 1.0});
+  out.curvature = start;
+  bool straight = turn_of(start) < prior.straight;
+  SetsGrid sets(count, cells);
+  Matrix white(n, wide);
+  for (int turn = 0; turn < kMostTurns; ++turn) {
+    sets.place.clear();
+    out.width.clear();
+    double log_volume = 0.0, gap = 1.0;
+    for (int j = 0; j < count; ++j) {
+      const Row part = middles(window[j], cells);
+      sets.place.insert(sets.place.end(), part.begin(), part.end());
+      out.width.push_back((window[j].far - window[j].near) / cells);
+      log_volume += std::log((j + 1.0) * out.width[j]);
+      gap = std::min(gap, 0.5 * out.width[j]);
     }
-    return out;
+    const Shape shape(out.curvature);
+    const Levers levers = levers_at(frame, straight, shape, sets.place, 0.0);
+    sets.base = levers.base;
+    sets.clear();
+    for (const double level : frame.levels) {
+      const Whitener by(frame, level, shared);
+      const Row read = by(frame.excess.data());
+      by(levers.sensor, white);
+      sets.gram = Matrix(wide, wide);
+      sets.told.assign(wide, 0.0);
+      for (int i = 0; i < n; ++i) {
+        const double* row = white[i];
+        for (int k = 0; k < wide; ++k) {
+          sets.told[k] += row[k] * read[i];
+          double* to = sets.gram[k];
+          for (int l = k; l < wide; ++l) to[l] += row[k] * row[l];
+        }
+      }
+      const double free = Whitener::dot(read.data(), read.data(), n);
+      for (const double scale : prior.scales) {
+        const Row deviation = prior_deviations(prior, levers.largest, scale);
+        sets.precision.resize(wide);
+        for (int k = 0; k < wide; ++k) {
+          sets.precision[k] = 1.0 / (deviation[k] * deviation[k]);
+        }
+        sets.weigh(by.log_det - 0.5 * free, free, prior.critical, gap);
+      }
+    }
+    if (!(sets.total > 0.0)) return out;
+    out.best = sets.best, out.force = sets.force, out.spread = sets.spread;
+    out.misfit = sets.misfit;
+    const double weights = static_cast<double>(frame.levels.size() * prior.scales.size());
+    out.log_evidence = sets.top + std::log(sets.total / weights) + log_volume;
+    out.place.clear();
+    for (int j = 0; j < count; ++j) {
+      for (double& mass : sets.mass[j]) mass /= sets.total;
+      out.place.emplace_back(sets.place.begin() + j * cells, sets.place.begin() + (j + 1) * cells);
+    }
+    out.mass = sets.mass;
+    Nodes bent = frame.rest;
+    const Shape levered = straight ? Shape(Nodes{}) : shape;
+    for (int j = 0; j < count; ++j) {
+      levered.add_moment(out.best[j], out.force[j], 0.0, bent);
+    }
+    bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
+    if (straight) {
+      straight = turn_of(bent) < prior.straight;
+      rests = straight;
+    }
+    out.curvature = bent;
+    if (!rests) continue;
+    bool finer = false;
+    for (int j = 0; j < count; ++j) {
+      const Row& mass = out.mass[j];
+      if (*std::max_element(mass.begin(), mass.end()) < kResolved) continue;
+      const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside);
+      if (part.far - part.near < 0.75 * (window[j].far - window[j].near) && out.width[j] > 1e-6) {
+        window[j] = part;
+        finer = true;
+      }
+    }
+    if (!finer) return out;
+  }
+  return out;
 }
 
 // A load on the end of the body: normal and tangential force and a couple there.
 struct EndWrench {
-    std::array<double, 3> load{}, spread{};  // normal and tangential force, couple
-    Nodes curvature;                         // of the body that it bends
-    double log_evidence = -INFINITY, misfit = INFINITY;
+  std::array<double, 3> load{}, spread{};  // normal and tangential force, couple
+  Nodes curvature;                         // of the body that it bends
+  double log_evidence = -INFINITY, misfit = INFINITY;
 };
 
 // `radius`: of the tube, the longest arm of a tangential force, unless something `held` the end.
 // Then the couple is free and the tangential force may pull as well.
 inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const ForcePrior& prior,
                             double radius, bool held, const Nodes& start) {
-    const int n = frame.size();
-    EndWrench out;
-    out.curvature = start;
-    for (int turn = 0; turn < kMostPasses; ++turn) {
-        const Shape shape(out.curvature);
-        Levers normal(n, 1), along(n, 1);
-        bent_levers(shape, {1.0}, frame.low, frame.high, 0.0, normal);
-        bent_levers(shape, {1.0}, frame.low, frame.high, 0.5 * std::numbers::pi, along);
-        const double arm = std::max({normal.largest[0], along.largest[0], 1e-6});
-        Row each;
-        double best = -INFINITY;
-        for (const double level : frame.levels) {
-            const Whitener by(frame, level, shared);
-            const Row read = by(frame.excess.data());
-            const double free = Whitener::dot(read.data(), read.data(), n);
-            for (const double scale : prior.scales) {
-                const double force = scale / arm, couple = held ? scale : force * radius;
-                const std::array<double, 3> unit{force, force, couple};
-                Row column[3] = {Row(n), Row(n), Row(n, couple)};
-                for (int i = 0; i < n; ++i) {
-                    column[0][i] = force * normal.sensor[i][0];
-                    column[1][i] = force * along.sensor[i][0];
-                }
-                const Solution found(
-                    {by(column[0].data()), by(column[1].data()), by(column[2].data())}, read);
-                double log_weight =
-                    by.log_det - 0.5 * free + 0.5 * found.gain - 0.5 * found.log_volume;
-                if (!held) {  // a peg pushes the end back, and never pulls it
-                    const double pushed =
-                        std::erfc(-found.mean[1] / (std::numbers::sqrt2 * found.deviation[1]));
-                    log_weight += std::log(std::max(pushed, 1e-300));
-                }
-                each.push_back(log_weight);
-                if (log_weight > best) {
-                    best = log_weight;
-                    out.misfit = free;
-                    for (int j = 0; j < 3; ++j) {
-                        out.load[j] = found.mean[j] * unit[j];
-                        out.spread[j] = found.deviation[j] * unit[j];
-                    }
-                    const Row r = by([&] {
-                        Row rest(n);
-                        for (int i = 0; i < n; ++i) {
-                            rest[i] = frame.excess[i] - found.mean[0] * column[0][i] -
-                                      found.mean[1] * column[1][i] - found.mean[2] * column[2][i];
-                        }
-                        return rest;
-                    }().data());
-                    out.misfit = Whitener::dot(r.data(), r.data(), n);
-                }
-            }
+  const int n = frame.size();
+  EndWrench out;
+  out.curvature = start;
+  for (int turn = 0; turn < kMostPasses; ++turn) {
+    const Shape shape(out.curvature);
+    Levers normal(n, 1), along(n, 1);
+    bent_levers(shape, {1.0}, frame.low, frame.high, 0.0, normal);
+    bent_levers(shape, {1.0}, frame.low, frame.high, 0.5 * std::numbers::pi, along);
+    const double arm = std::max({normal.largest[0], along.largest[0], 1e-6});
+    Row each;
+    double best = -INFINITY;
+    for (const double level : frame.levels) {
+      const Whitener by(frame, level, shared);
+      const Row read = by(frame.excess.data());
+      const double free = Whitener::dot(read.data(), read.data(), n);
+      for (const double scale : prior.scales) {
+        const double force = scale / arm, couple = held ? scale : force * radius;
+        const std::array<double, 3> unit{force, force, couple};
+        Row column[3] = {Row(n), Row(n), Row(n, couple)};
+        for (int i = 0; i < n; ++i) {
+          column[0][i] = force * normal.sensor[i][0];
+          column[1][i] = force * along.sensor[i][0];
         }
-        out.log_evidence = log_mean_exp(each);
-        Nodes bent = frame.rest;
-        shape.add_moment(1.0, out.load[0], 0.0, bent);
-        shape.add_moment(1.0, out.load[1], 0.5 * std::numbers::pi, bent);
-        for (double& value : bent) value += out.load[2];
-        const bool rests = largest_change(bent, out.curvature) < prior.rests;
-        out.curvature = bent;
-        if (rests) break;
+        const Solution found({by(column[0].data()), by(column[1].data()), by(column[2].data())},
+                             read);
+        double log_weight = by.log_det - 0.5 * free + 0.5 * found.gain - 0.5 * found.log_volume;
+        if (!held) {  // a peg pushes the end back, and never pulls it
+          const double pushed =
+              std::erfc(-found.mean[1] / (std::numbers::sqrt2 * found.deviation[1]));
+          log_weight += std::log(std::max(pushed, 1e-300));
+        }
+        each.push_back(log_weight);
+        if (log_weight > best) {
+          best = log_weight;
+          out.misfit = free;
+          for (int j = 0; j < 3; ++j) {
+            out.load[j] = found.mean[j] * unit[j];
+            out.spread[j] = found.deviation[j] * unit[j];
+          }
+          const Row r = by([&] {
+            Row rest(n);
+            for (int i = 0; i < n; ++i) {
+              rest[i] = frame.excess[i] - found.mean[0] * column[0][i] -
+                        found.mean[1] * column[1][i] - found.mean[2] * column[2][i];
+            }
+            return rest;
+          }()
+                               .data());
+          out.misfit = Whitener::dot(r.data(), r.data(), n);
+        }
+      }
     }
-    return out;
+    out.log_evidence = log_mean_exp(each);
+    Nodes bent = frame.rest;
+    shape.add_moment(1.0, out.load[0], 0.0, bent);
+    shape.add_moment(1.0, out.load[1], 0.5 * std::numbers::pi, bent);
+    for (double& value : bent) value += out.load[2];
+    const bool rests = largest_change(bent, out.curvature) < prior.rests;
+    out.curvature = bent;
+    if (rests) break;
+  }
+  return out;
 }
 
 // A contact that has folded the base: its moment there is the critical one, and the fold's angle
 // has its sign.
 struct FoldedContact {
-    Row place, mass, force, angle;  // (M,)
-    Nodes curvature;
-    double log_evidence = -INFINITY, misfit = INFINITY;
-    int top = 0;
+  Row place, mass, force, angle;  // (M,)
+  Nodes curvature;
+  double log_evidence = -INFINITY, misfit = INFINITY;
+  int top = 0;
 };
 
 // `fold` (N,): what a fold of one radian adds to each reading. `tolerance`: relative standard error
 // of the critical moment. `spread`: prior standard deviation of the fold's angle.
 inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
                                     const ForcePrior& prior, double critical, double tolerance,
-                                    const Row& fold, double spread, int cells,
-                                    const Nodes& start) {
-    const int n = frame.size();
-    FoldedContact out;
-    out.curvature = start;
-    out.place = middles({0.0, 1.0}, cells);
-    std::vector<Whitener> white;
-    for (const double level : frame.levels) white.emplace_back(frame, level, shared);
-    for (int turn = 0; turn < kMostPasses; ++turn) {
-        const Shape shape(out.curvature);
-        const Levers levers = levers_at(frame, false, shape, out.place, 0.0);
-        Row log_mass(cells, -INFINITY);
-        out.force.assign(cells, 0.0);
-        out.angle.assign(cells, 0.0);
-        double best = -INFINITY;
-        for (int m = 0; m < cells; ++m) {
-            const double lever = levers.base[m];
-            if (std::abs(lever) < 0.02) continue;
-            Row each;
-            double top = -INFINITY;
-            for (const Whitener& by : white) {
-                for (const double sign : {-1.0, 1.0}) {
-                    const double mean = sign * critical / std::abs(lever);
-                    Row contact(n), column(n), rest(n);
-                    for (int i = 0; i < n; ++i) {
-                        rest[i] = frame.excess[i] - mean * levers.sensor[i][m];
-                        contact[i] = tolerance * mean * levers.sensor[i][m];
-                        column[i] = spread * fold[i];
-                    }
-                    const Row read = by(rest.data());
-                    const Solution found({by(contact.data()), by(column.data())}, read);
-                    // The prior of the angle is one-sided: its sign is the moment's.
-                    const double own = lever > 0.0 ? sign : -sign;
-                    const double z = -own * found.mean[1] / found.deviation[1];
-                    const double share = std::erfc(z / std::numbers::sqrt2);
-                    const double free = Whitener::dot(read.data(), read.data(), n);
-                    const double log_weight = by.log_det - 0.5 * free + 0.5 * found.gain -
-                                              0.5 * found.log_volume +
-                                              std::log(std::max(share, 1e-300));
-                    each.push_back(log_weight);
-                    if (log_weight > top) {
-                        top = log_weight;
-                        out.force[m] = mean * (1.0 + tolerance * found.mean[0]);
-                        out.angle[m] = spread * found.mean[1];
-                        if (log_weight > best) {
-                            best = log_weight;
-                            out.top = m;
-                            out.misfit = free - found.gain;
-                        }
-                    }
-                }
+                                    const Row& fold, double spread, int cells, const Nodes& start) {
+  const int n = frame.size();
+  FoldedContact out;
+  out.curvature = start;
+  out.place = middles({0.0, 1.0}, cells);
+  std::vector<Whitener> white;
+  for (const double level : frame.levels) white.emplace_back(frame, level, shared);
+  for (int turn = 0; turn < kMostPasses; ++turn) {
+    const Shape shape(out.curvature);
+    const Levers levers = levers_at(frame, false, shape, out.place, 0.0);
+    Row log_mass(cells, -INFINITY);
+    out.force.assign(cells, 0.0);
+    out.angle.assign(cells, 0.0);
+    double best = -INFINITY;
+    for (int m = 0; m < cells; ++m) {
+      const double lever = levers.base[m];
+      if (std::abs(lever) < 0.02) continue;
+      Row each;
+      double top = -INFINITY;
+      for (const Whitener& by : white) {
+        for (const double sign : {-1.0, 1.0}) {
+          const double mean = sign * critical / std::abs(lever);
+          Row contact(n), column(n), rest(n);
+          for (int i = 0; i < n; ++i) {
+            rest[i] = frame.excess[i] - mean * levers.sensor[i][m];
+            contact[i] = tolerance * mean * levers.sensor[i][m];
+            column[i] = spread * fold[i];
+          }
+          const Row read = by(rest.data());
+          const Solution found({by(contact.data()), by(column.data())}, read);
+          // The prior of the angle is one-sided: its sign is the moment's.
+          const double own = lever > 0.0 ? sign : -sign;
+          const double z = -own * found.mean[1] / found.deviation[1];
+          const double share = std::erfc(z / std::numbers::sqrt2);
+          const double free = Whitener::dot(read.data(), read.data(), n);
+          const double log_weight = by.log_det - 0.5 * free + 0.5 * found.gain -
+                                    0.5 * found.log_volume + std::log(std::max(share, 1e-300));
+          each.push_back(log_weight);
+          if (log_weight > top) {
+            top = log_weight;
+            out.force[m] = mean * (1.0 + tolerance * found.mean[0]);
+            out.angle[m] = spread * found.mean[1];
+            if (log_weight > best) {
+              best = log_weight;
+              out.top = m;
+              out.misfit = free - found.gain;
             }
-            log_mass[m] = log_mean_exp(each);
+          }
         }
-        out.log_evidence = log_mean_exp(log_mass);
-        out.mass.assign(cells, 0.0);
-        double total = 0.0;
-        for (int m = 0; m < cells; ++m) {
-            total += out.mass[m] = std::exp(log_mass[m] - out.log_evidence);
-        }
-        for (double& mass : out.mass) mass /= total;
-        Nodes bent = frame.rest;
-        shape.add_moment(out.place[out.top], out.force[out.top], 0.0, bent);
-        const bool rests = largest_change(bent, out.curvature) < prior.rests;
-        out.curvature = bent;
-        if (rests) break;
+      }
+      log_mass[m] = log_mean_exp(each);
     }
-    return out;
+    out.log_evidence = log_mean_exp(log_mass);
+    out.mass.assign(cells, 0.0);
+    double total = 0.0;
+    for (int m = 0; m < cells; ++m) {
+      total += out.mass[m] = std::exp(log_mass[m] - out.log_evidence);
+    }
+    for (double& mass : out.mass) mass /= total;
+    Nodes bent = frame.rest;
+    shape.add_moment(out.place[out.top], out.force[out.top], 0.0, bent);
+    const bool rests = largest_change(bent, out.curvature) < prior.rests;
+    out.curvature = bent;
+    if (rests) break;
+  }
+  return out;
 }
 
 }  // namespace thigmo

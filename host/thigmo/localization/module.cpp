@@ -1,4 +1,5 @@
-// Binds the compiled localizer to Python as `thigmo.localization._posterior`: arrays in, answers out.
+// Binds the compiled localizer to Python as `thigmo.localization._posterior`: arrays in, answers
+// out.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -22,180 +23,195 @@ Row row(const Numbers& from) { return Row(from.data(), from.data() + from.size()
 // A new array that owns its numbers.
 template <int Dimensions>
 Array<Dimensions> array(Row values, const std::array<std::size_t, Dimensions>& shape) {
-    Row* kept = new Row(std::move(values));
-    nb::capsule owner(kept, [](void* of) noexcept { delete static_cast<Row*>(of); });
-    return Array<Dimensions>(kept->data(), Dimensions, shape.data(), owner);
+  Row* kept = new Row(std::move(values));
+  nb::capsule owner(kept, [](void* of) noexcept { delete static_cast<Row*>(of); });
+  return Array<Dimensions>(kept->data(), Dimensions, shape.data(), owner);
 }
 Array<1> array(const Row& values) { return array<1>(values, {values.size()}); }
 
 Matrix columns(const Table& from, std::size_t sensors) {
-    Matrix out(static_cast<int>(from.shape(0)), static_cast<int>(sensors));
-    if (out.rows > 0 && from.shape(1) != sensors) {
-        throw nb::value_error("shared errors need one value for each reading");
-    }
-    std::copy(from.data(), from.data() + out.value.size(), out.value.begin());
-    return out;
+  Matrix out(static_cast<int>(from.shape(0)), static_cast<int>(sensors));
+  if (out.rows > 0 && from.shape(1) != sensors) {
+    throw nb::value_error("shared errors need one value for each reading");
+  }
+  std::copy(from.data(), from.data() + out.value.size(), out.value.begin());
+  return out;
 }
 
 void check_sizes(const Input& in) {
-    const std::size_t n = in.curvature.size();
-    const auto fits = [n](const Row& values) { return values.size() == n || values.size() == 1; };
-    if (in.position.size() != n || !fits(in.span) || !fits(in.free) || !fits(in.body) ||
-        !(in.noise.empty() || fits(in.noise)) || !fits(in.gain) || !fits(in.bad_odds)) {
-        throw nb::value_error("arrays differ in length");
-    }
+  const std::size_t n = in.curvature.size();
+  const auto fits = [n](const Row& values) { return values.size() == n || values.size() == 1; };
+  if (in.position.size() != n || !fits(in.span) || !fits(in.free) || !fits(in.body) ||
+      !(in.noise.empty() || fits(in.noise)) || !fits(in.gain) || !fits(in.bad_odds)) {
+    throw nb::value_error("arrays differ in length");
+  }
 }
 
 // Plain numbers of many answers, one row each.
 struct Rows {
-    static constexpr std::size_t kContacts = 3;
-    std::size_t count;
-    Row status, contacts, problem, shows, probability, log_odds, discarded;
-    Row arc, force, low, high, localized;
-    explicit Rows(std::size_t m)
-        : count(m), status(m), contacts(m), problem(m), shows(m), probability(m), log_odds(m), discarded(m),
-          arc(m * kContacts, NAN), force(arc), low(arc), high(arc), localized(m * kContacts, 0.0) {}
+  static constexpr std::size_t kContacts = 3;
+  std::size_t count;
+  Row status, contacts, problem, shows, probability, log_odds, discarded;
+  Row arc, force, low, high, localized;
+  explicit Rows(std::size_t m)
+      : count(m),
+        status(m),
+        contacts(m),
+        problem(m),
+        shows(m),
+        probability(m),
+        log_odds(m),
+        discarded(m),
+        arc(m * kContacts, NAN),
+        force(arc),
+        low(arc),
+        high(arc),
+        localized(m * kContacts, 0.0) {}
 
-    void set(std::size_t at, const Answer& from, double length) {
-        status[at] = static_cast<double>(from.status);
-        problem[at] = static_cast<double>(from.problem);
-        shows[at] = from.shows;
-        if (from.problem != Problem::none) return;
-        contacts[at] = static_cast<double>(from.contacts.size());
-        probability[at] = 1.0 - from.number[0];
-        log_odds[at] = from.log_odds;
-        discarded[at] = from.discarded;
-        for (std::size_t j = 0; j < from.contacts.size(); ++j) {
-            const FeltContact& felt = from.contacts[j];
-            const std::size_t to = at * kContacts + j;
-            arc[to] = felt.arc * length, force[to] = felt.force / (length * length);
-            low[to] = felt.low * length, high[to] = felt.high * length;
-            localized[to] = felt.localized;
-        }
+  void set(std::size_t at, const Answer& from, double length) {
+    status[at] = static_cast<double>(from.status);
+    problem[at] = static_cast<double>(from.problem);
+    shows[at] = from.shows;
+    if (from.problem != Problem::none) return;
+    contacts[at] = static_cast<double>(from.contacts.size());
+    probability[at] = 1.0 - from.number[0];
+    log_odds[at] = from.log_odds;
+    discarded[at] = from.discarded;
+    for (std::size_t j = 0; j < from.contacts.size(); ++j) {
+      const FeltContact& felt = from.contacts[j];
+      const std::size_t to = at * kContacts + j;
+      arc[to] = felt.arc * length, force[to] = felt.force / (length * length);
+      low[to] = felt.low * length, high[to] = felt.high * length;
+      localized[to] = felt.localized;
     }
+  }
 };
 
 }  // namespace
 
 NB_MODULE(_posterior, m) {
-    nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
-        const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
-        const auto numbers = [&](const char* name) { return row(nb::cast<Numbers>(values[name])); };
-        new (self) Priors{numbers("moments"),    numbers("half_widths"), numbers("noise_levels"),
-                          number("least_lever"), number("contact"),      number("end"),
-                          number("end_straight"), number("held"), number("another"), number("spread"),
-                          number("hinge"),       number("base_fold"),    number("bad_deviation"),
-                          number("angle"),       number("near_fold"),    number("strong"),
-                          number("straight"),    number("end_turn"),     number("shape_rests"),
-                          number("level"),       number("excluded"),     number("five_sigma"),
-                          number("hopeless"),    number("trust"),        number("end_cell"),
-                          number("misfit_deviate")};
-    });
+  nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
+    const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
+    const auto numbers = [&](const char* name) { return row(nb::cast<Numbers>(values[name])); };
+    new (self) Priors{numbers("moments"),      numbers("half_widths"),  numbers("noise_levels"),
+                      number("least_lever"),   number("contact"),       number("end"),
+                      number("end_straight"),  number("held"),          number("another"),
+                      number("spread"),        number("hinge"),         number("base_fold"),
+                      number("bad_deviation"), number("angle"),         number("near_fold"),
+                      number("strong"),        number("straight"),      number("end_turn"),
+                      number("shape_rests"),   number("level"),         number("excluded"),
+                      number("five_sigma"),    number("hopeless"),      number("trust"),
+                      number("end_cell"),      number("misfit_deviate")};
+  });
 
-    nb::class_<Settings>(m, "Settings")
-        .def("__init__", [](Settings* self, double critical, double critical_error, double radius,
-                            int held_end, int contacts, std::pair<double, double> within,
-                            double width_limit) {
-            new (self) Settings{critical, critical_error, radius, Settings::Held(held_end), contacts,
-                                {within.first, within.second}, width_limit};
+  nb::class_<Settings>(m, "Settings")
+      .def("__init__",
+           [](Settings* self, double critical, double critical_error, double radius, int held_end,
+              int contacts, std::pair<double, double> within, double width_limit) {
+             new (self) Settings{critical,   critical_error,
+                                 radius,     Settings::Held(held_end),
+                                 contacts,   {within.first, within.second},
+                                 width_limit};
+           });
+
+  nb::class_<Answer>(m, "Answer")
+      .def_prop_ro("status", [](const Answer& a) { return static_cast<int>(a.status); })
+      .def_prop_ro("problem", [](const Answer& a) { return static_cast<int>(a.problem); })
+      .def_ro("shows", &Answer::shows)
+      .def_ro("number", &Answer::number)
+      .def_ro("discarded", &Answer::discarded)
+      .def_ro("noise", &Answer::noise)
+      .def_ro("log_odds", &Answer::log_odds)
+      // arc, force, low, high, deviation, end offset, localized; and the pieces of the interval
+      .def_prop_ro("contacts",
+                   [](const Answer& a) {
+                     nb::list out;
+                     for (const FeltContact& c : a.contacts) {
+                       out.append(nb::make_tuple(c.arc, c.force, c.low, c.high, c.deviation,
+                                                 c.offset, c.localized, c.pieces));
+                     }
+                     return out;
+                   })
+      // load, bad reading or -1, log weight, probability, misfit; the likeliest is `best`
+      .def_prop_ro("hypotheses",
+                   [](const Answer& a) {
+                     nb::list out;
+                     for (std::size_t k = 0; k < a.hypotheses.size(); ++k) {
+                       const Hypothesis& h = a.hypotheses[k];
+                       out.append(nb::make_tuple(static_cast<int>(h.load), h.bad, h.log_weight,
+                                                 a.probability[k], h.misfit));
+                     }
+                     return out;
+                   })
+      .def_ro("best", &Answer::best)
+      .def_prop_ro("parameters",
+                   [](const Answer& a) {
+                     const Hypothesis& h = a.hypotheses[a.best];
+                     return nb::make_tuple(h.angle, h.at, h.half_width, h.push, h.couple, h.offset);
+                   })
+      .def_prop_ro(
+          "edges", [](const Answer& a) { return array(a.edges); }, nb::rv_policy::reference)
+      .def_prop_ro(
+          "mass", [](const Answer& a) { return array(a.mass); }, nb::rv_policy::reference)
+      .def_prop_ro(
+          "bend",
+          [](const Answer& a) {
+            Row above(kNodes);
+            const Nodes& bent = a.hypotheses[a.best].curvature;
+            for (int k = 0; k < kNodes; ++k) above[k] = bent[k] - a.rest[k];
+            return array(above);
+          },
+          nb::rv_policy::reference);
+
+  m.def("localize",
+        [](Numbers curvature, Numbers position, Numbers span, Numbers free, Numbers body,
+           Numbers noise, Numbers gain, Numbers bad_odds, Table shared, double offset, double map,
+           double length, double radius, const Settings& settings, const Priors& priors) {
+          const Input input{row(curvature), row(position), row(span),
+                            row(free),      row(body),     row(noise),
+                            row(gain),      row(bad_odds), columns(shared, curvature.size()),
+                            offset,         map,           length,
+                            radius};
+          check_sizes(input);
+          nb::gil_scoped_release released;
+          return answer(input, priors, settings);
         });
 
-    nb::class_<Answer>(m, "Answer")
-        .def_prop_ro("status", [](const Answer& a) { return static_cast<int>(a.status); })
-        .def_prop_ro("problem", [](const Answer& a) { return static_cast<int>(a.problem); })
-        .def_ro("shows", &Answer::shows)
-        .def_ro("number", &Answer::number)
-        .def_ro("discarded", &Answer::discarded)
-        .def_ro("noise", &Answer::noise)
-        .def_ro("log_odds", &Answer::log_odds)
-        // arc, force, low, high, deviation, end offset, localized; and the pieces of the interval
-        .def_prop_ro("contacts",
-                     [](const Answer& a) {
-                         nb::list out;
-                         for (const FeltContact& c : a.contacts) {
-                             out.append(nb::make_tuple(c.arc, c.force, c.low, c.high, c.deviation,
-                                                       c.offset, c.localized, c.pieces));
-                         }
-                         return out;
-                     })
-        // load, bad reading or -1, log weight, probability, misfit; the likeliest is `best`
-        .def_prop_ro("hypotheses",
-                     [](const Answer& a) {
-                         nb::list out;
-                         for (std::size_t k = 0; k < a.hypotheses.size(); ++k) {
-                             const Hypothesis& h = a.hypotheses[k];
-                             out.append(nb::make_tuple(static_cast<int>(h.load), h.bad,
-                                                       h.log_weight, a.probability[k], h.misfit));
-                         }
-                         return out;
-                     })
-        .def_ro("best", &Answer::best)
-        .def_prop_ro("parameters",
-                     [](const Answer& a) {
-                         const Hypothesis& h = a.hypotheses[a.best];
-                         return nb::make_tuple(h.angle, h.at, h.half_width, h.push, h.couple,
-                                               h.offset);
-                     })
-        .def_prop_ro("edges", [](const Answer& a) { return array(a.edges); },
-                     nb::rv_policy::reference)
-        .def_prop_ro("mass", [](const Answer& a) { return array(a.mass); },
-                     nb::rv_policy::reference)
-        .def_prop_ro("bend",
-                     [](const Answer& a) {
-                         Row above(kNodes);
-                         const Nodes& bent = a.hypotheses[a.best].curvature;
-                         for (int k = 0; k < kNodes; ++k) above[k] = bent[k] - a.rest[k];
-                         return array(above);
-                     },
-                     nb::rv_policy::reference);
-
-    m.def("localize", [](Numbers curvature, Numbers position, Numbers span, Numbers free,
-                         Numbers body, Numbers noise, Numbers gain, Numbers bad_odds, Table shared,
-                         double offset, double map, double length, double radius,
-                         const Settings& settings, const Priors& priors) {
-        const Input input{row(curvature), row(position), row(span), row(free), row(body),
-                          row(noise), row(gain), row(bad_odds),
-                          columns(shared, curvature.size()), offset, map, length, radius};
-        check_sizes(input);
-        nb::gil_scoped_release released;
-        return answer(input, priors, settings);
-    });
-
-    // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
-    m.def("localize_rows", [](Table curvature, Numbers position, Numbers span, Table free,
-                              Numbers noise, Numbers gain, Numbers bad_odds, Table shared,
-                              double offset, double map, double length, double radius,
-                              const Settings& settings, const Priors& priors) {
-        const std::size_t n = curvature.shape(1), count = curvature.shape(0);
-        Input input{Row(n), row(position), row(span), Row(free.shape(1)), Row(free.shape(1)),
-                    row(noise), row(gain), row(bad_odds), columns(shared, n), offset, map, length,
-                    radius};
-        check_sizes(input);
-        if (free.shape(0) != count && free.shape(0) != 1) {
-            throw nb::value_error("free needs one row, or one for each row");
-        }
-        Rows out(count);
-        {
-            nb::gil_scoped_release released;
-            for (std::size_t m = 0; m < count; ++m) {
-                std::copy_n(curvature.data() + m * n, n, input.curvature.begin());
-                const std::size_t from = free.shape(0) == 1 ? 0 : m;
-                std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
-                input.body = input.free;
-                out.set(m, answer(input, priors, settings), length);
-            }
-        }
-        nb::dict table;
-        const auto one = [&](const char* name, const Row& values) { table[name] = array(values); };
-        one("status", out.status), one("contacts", out.contacts), one("problem", out.problem);
-        one("shows", out.shows);
-        one("probability", out.probability), one("log_odds", out.log_odds);
-        one("discarded", out.discarded);
-        const auto three = [&](const char* name, const Row& values) {
-            table[name] = array<2>(values, {count, Rows::kContacts});
-        };
-        three("arc", out.arc), three("force", out.force), three("low", out.low);
-        three("high", out.high), three("localized", out.localized);
-        return table;
-    });
+  // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
+  m.def("localize_rows", [](Table curvature, Numbers position, Numbers span, Table free,
+                            Numbers noise, Numbers gain, Numbers bad_odds, Table shared,
+                            double offset, double map, double length, double radius,
+                            const Settings& settings, const Priors& priors) {
+    const std::size_t n = curvature.shape(1), count = curvature.shape(0);
+    Input input{Row(n),     row(position), row(span),     Row(free.shape(1)), Row(free.shape(1)),
+                row(noise), row(gain),     row(bad_odds), columns(shared, n), offset,
+                map,        length,        radius};
+    check_sizes(input);
+    if (free.shape(0) != count && free.shape(0) != 1) {
+      throw nb::value_error("free needs one row, or one for each row");
+    }
+    Rows out(count);
+    {
+      nb::gil_scoped_release released;
+      for (std::size_t m = 0; m < count; ++m) {
+        std::copy_n(curvature.data() + m * n, n, input.curvature.begin());
+        const std::size_t from = free.shape(0) == 1 ? 0 : m;
+        std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
+        input.body = input.free;
+        out.set(m, answer(input, priors, settings), length);
+      }
+    }
+    nb::dict table;
+    const auto one = [&](const char* name, const Row& values) { table[name] = array(values); };
+    one("status", out.status), one("contacts", out.contacts), one("problem", out.problem);
+    one("shows", out.shows);
+    one("probability", out.probability), one("log_odds", out.log_odds);
+    one("discarded", out.discarded);
+    const auto three = [&](const char* name, const Row& values) {
+      table[name] = array<2>(values, {count, Rows::kContacts});
+    };
+    three("arc", out.arc), three("force", out.force), three("low", out.low);
+    three("high", out.high), three("localized", out.localized);
+    return table;
+  });
 }

@@ -1,4 +1,4 @@
-"""`localize(method="l1")` and `"l2"`: exact point fits of one or two contacts, without intervals."""
+"""The methods "l1" and "l2" of `localize`: exact point fits of one or two contacts."""
 
 from __future__ import annotations
 
@@ -36,14 +36,11 @@ def point_fit(
     high = np.minimum(position[good] + half, length) / length
     found = fit(excess, low, high, count, "l1" if method == "l1" else "l2")
     sets = tuple(
-        tuple((near * length, far * length) for near, far in pieces)
-        for pieces in found.optimum_set
+        tuple((near * length, far * length) for near, far in pieces) for pieces in found.optimum_set
     )
     listed = tuple(
         Contact(arc * length, force / length**2, (pieces[0][0], pieces[-1][1]), "ambiguous", pieces)
-        for arc, force, pieces in zip(
-            found.arcs.tolist(), found.forces.tolist(), sets, strict=True
-        )
+        for arc, force, pieces in zip(found.arcs.tolist(), found.forces.tolist(), sets, strict=True)
     )
     return LocalizeResult(
         "ambiguous",

@@ -9,170 +9,170 @@ namespace thigmo {
 
 // Constants of priors.py, passed with every call.
 struct Priors {
-    Row moments, half_widths, noise_levels;
-    double least_lever, contact, end, end_straight, held, another, spread, hinge, base_fold, bad_deviation, angle;
-    double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma;
-    double hopeless, trust, end_cell, misfit_deviate;
+  Row moments, half_widths, noise_levels;
+  double least_lever, contact, end, end_straight, held, another, spread, hinge, base_fold,
+      bad_deviation, angle;
+  double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma;
+  double hopeless, trust, end_cell, misfit_deviate;
 };
 
 // What the caller gives: arrays of N numbers, or of one for all sensors.
 struct Input {
-    Row curvature, position, span, free, body, noise, gain, bad_odds;
-    Matrix shared;  // (K, N) in the caller's unit
-    double offset, map, length, radius;
+  Row curvature, position, span, free, body, noise, gain, bad_odds;
+  Matrix shared;  // (K, N) in the caller's unit
+  double offset, map, length, radius;
 };
 
 struct Readings {
-    Frame frame;
-    std::vector<int> index;  // (N,) places in the caller's arrays
-    Row bad;                 // (N,) standard deviation of a bad reading
-    Row log_bad;             // (N,) log prior odds of one
-    double noise, turn;      // mean white noise; turn of the free body
-    bool known;              // whether the noise is known
+  Frame frame;
+  std::vector<int> index;  // (N,) places in the caller's arrays
+  Row bad;                 // (N,) standard deviation of a bad reading
+  Row log_bad;             // (N,) log prior odds of one
+  double noise, turn;      // mean white noise; turn of the free body
+  bool known;              // whether the noise is known
 };
 
 // Why an input is refused; readings.py has the sentences.
 enum class Problem {
-    none,
-    infinite,
-    no_reading,
-    position,
-    span,
-    free,
-    noise,
-    gain,
-    odds,
-    off_body,
-    long_span,
-    crowded,
-    one_position,
-    too_tight,
-    constant
+  none,
+  infinite,
+  no_reading,
+  position,
+  span,
+  free,
+  noise,
+  gain,
+  odds,
+  off_body,
+  long_span,
+  crowded,
+  one_position,
+  too_tight,
+  constant
 };
 
-inline double pick(const Row& values, std::size_t i) {
-    return values[values.size() == 1 ? 0 : i];
-}
+inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }
 
 // The problem, and a number that shows it.
 inline std::pair<Problem, double> problem_of(const Input& in) {
-    constexpr std::size_t kFew = 3;
-    const std::size_t n = in.curvature.size();
-    double farthest = -INFINITY, nearest = INFINITY, widest = 0.0, tightest = 0.0;
-    std::size_t finite = 0;
-    bool same = true, passive = true;
-    for (std::size_t i = 0; i < n; ++i) {
-        const double k = in.curvature[i], x = in.position[i], w = pick(in.span, i);
-        const double g = pick(in.free, i);
-        if (std::isinf(k)) return {Problem::infinite, k};
-        if (!std::isfinite(x)) return {Problem::position, x};
-        if (!(std::isfinite(w) && w >= 0.0)) return {Problem::span, w};
-        if (!std::isfinite(g)) return {Problem::free, g};
-        if (!in.noise.empty() && !(std::isfinite(pick(in.noise, i)) && pick(in.noise, i) >= 0.0)) {
-            return {Problem::noise, pick(in.noise, i)};
-        }
-        if (!(std::isfinite(pick(in.gain, i)) && pick(in.gain, i) >= 0.0)) {
-            return {Problem::gain, pick(in.gain, i)};
-        }
-        if (!(pick(in.bad_odds, i) >= 0.0)) return {Problem::odds, pick(in.bad_odds, i)};
-        farthest = std::max(farthest, x), nearest = std::min(nearest, x);
-        widest = std::max(widest, w);
-        tightest = std::max(tightest, std::abs(g));
-        passive = passive && g == 0.0;
-        if (std::isnan(k)) continue;
-        tightest = std::max(tightest, std::abs(k));
-        same = same && (finite == 0 || k == in.curvature[i - 1]);
-        ++finite;
+  constexpr std::size_t kFew = 3;
+  const std::size_t n = in.curvature.size();
+  double farthest = -INFINITY, nearest = INFINITY, widest = 0.0, tightest = 0.0;
+  std::size_t finite = 0;
+  bool same = true, passive = true;
+  for (std::size_t i = 0; i < n; ++i) {
+    const double k = in.curvature[i], x = in.position[i], w = pick(in.span, i);
+    const double g = pick(in.free, i);
+    if (std::isinf(k)) return {Problem::infinite, k};
+    if (!std::isfinite(x)) return {Problem::position, x};
+    if (!(std::isfinite(w) && w >= 0.0)) return {Problem::span, w};
+    if (!std::isfinite(g)) return {Problem::free, g};
+    if (!in.noise.empty() && !(std::isfinite(pick(in.noise, i)) && pick(in.noise, i) >= 0.0)) {
+      return {Problem::noise, pick(in.noise, i)};
     }
-    if (finite == 0) return {Problem::no_reading, 0.0};
-    const double slack = 1e-9 * in.length;
-    if (farthest > in.length + slack) return {Problem::off_body, farthest};
-    if (nearest < -slack) return {Problem::off_body, nearest};
-    if (widest > in.length) return {Problem::long_span, widest};
-    if (n >= kFew && farthest == nearest) return {Problem::one_position, farthest};
-    if (n >= kFew && farthest < 0.12 * in.length) return {Problem::crowded, farthest};
-    if (tightest * in.radius > 1.0) return {Problem::too_tight, tightest};
-    // A body that nothing bends reads no constant curvature but zero.
-    if (n >= kFew && same && passive && finite == n && in.curvature[0] != 0.0) {
-        return {Problem::constant, in.curvature[0]};
+    if (!(std::isfinite(pick(in.gain, i)) && pick(in.gain, i) >= 0.0)) {
+      return {Problem::gain, pick(in.gain, i)};
     }
-    return {Problem::none, 0.0};
+    if (!(pick(in.bad_odds, i) >= 0.0)) return {Problem::odds, pick(in.bad_odds, i)};
+    farthest = std::max(farthest, x), nearest = std::min(nearest, x);
+    widest = std::max(widest, w);
+    tightest = std::max(tightest, std::abs(g));
+    passive = passive && g == 0.0;
+    if (std::isnan(k)) continue;
+    tightest = std::max(tightest, std::abs(k));
+    same = same && (finite == 0 || k == in.curvature[i - 1]);
+    ++finite;
+  }
+  if (finite == 0) return {Problem::no_reading, 0.0};
+  const double slack = 1e-9 * in.length;
+  if (farthest > in.length + slack) return {Problem::off_body, farthest};
+  if (nearest < -slack) return {Problem::off_body, nearest};
+  if (widest > in.length) return {Problem::long_span, widest};
+  if (n >= kFew && farthest == nearest) return {Problem::one_position, farthest};
+  if (n >= kFew && farthest < 0.12 * in.length) return {Problem::crowded, farthest};
+  if (tightest * in.radius > 1.0) return {Problem::too_tight, tightest};
+  // A body that nothing bends reads no constant curvature but zero.
+  if (n >= kFew && same && passive && finite == n && in.curvature[0] != 0.0) {
+    return {Problem::constant, in.curvature[0]};
+  }
+  return {Problem::none, 0.0};
 }
 
 // Curvature of the free body at the nodes, linear between sensors.
 inline Nodes rest_of(const Row& body, const Row& position, double length) {
-    Nodes rest;
-    if (body.size() == 1) {
-        rest.fill(body[0] * length);
-        return rest;
-    }
-    std::vector<int> order(body.size());
-    std::iota(order.begin(), order.end(), 0);
-    std::sort(order.begin(), order.end(), [&](int a, int b) { return position[a] < position[b]; });
-    std::size_t next = 0;
-    for (int k = 0; k < kNodes; ++k) {
-        const double at = k * length / (kNodes - 1);
-        while (next < order.size() && position[order[next]] <= at) ++next;
-        if (next == 0) {
-            rest[k] = body[order[0]];
-        } else if (next == order.size()) {
-            rest[k] = body[order.back()];
-        } else {
-            const int a = order[next - 1], b = order[next];
-            rest[k] = body[a] + (body[b] - body[a]) * (at - position[a]) / (position[b] - position[a]);
-        }
-        rest[k] *= length;
-    }
+  Nodes rest;
+  if (body.size() == 1) {
+    rest.fill(body[0] * length);
     return rest;
+  }
+  std::vector<int> order(body.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](int a, int b) { return position[a] < position[b]; });
+  std::size_t next = 0;
+  for (int k = 0; k < kNodes; ++k) {
+    const double at = k * length / (kNodes - 1);
+    while (next < order.size() && position[order[next]] <= at) ++next;
+    if (next == 0) {
+      rest[k] = body[order[0]];
+    } else if (next == order.size()) {
+      rest[k] = body[order.back()];
+    } else {
+      const int a = order[next - 1], b = order[next];
+      rest[k] = body[a] + (body[b] - body[a]) * (at - position[a]) / (position[b] - position[a]);
+    }
+    rest[k] *= length;
+  }
+  return rest;
 }
 
 inline Readings normalised(const Input& in, const Priors& priors) {
-    const double length = in.length;
-    Readings out;
-    Frame& frame = out.frame;
-    double most = 1e-6, square = 0.0;
-    out.turn = out.noise = 0.0;
-    Row free;
-    for (std::size_t i = 0; i < in.curvature.size(); ++i) {
-        if (std::isnan(in.curvature[i])) continue;
-        const double x = in.position[i], half = 0.5 * pick(in.span, i), g = pick(in.free, i);
-        const double excess = (in.curvature[i] - g) * length;
-        out.index.push_back(static_cast<int>(i));
-        frame.excess.push_back(excess);
-        frame.low.push_back(std::max(x - half, 0.0) / length);
-        frame.high.push_back(std::min(x + half, length) / length);
-        frame.noise.push_back(in.noise.empty() ? 1.0 : pick(in.noise, i) * length);
-        frame.gain.push_back(pick(in.gain, i) * in.curvature[i] * length);
-        free.push_back(g * length);
-        out.bad.push_back(std::hypot(priors.bad_deviation, g * length));
-        out.log_bad.push_back(std::log(std::max(pick(in.bad_odds, i), 1e-300)));
-        most = std::max({most, std::abs(excess), std::abs(g * length)});
-        out.turn = std::max(out.turn, std::abs(g * length));
-        square += excess * excess;
+  const double length = in.length;
+  Readings out;
+  Frame& frame = out.frame;
+  double most = 1e-6, square = 0.0;
+  out.turn = out.noise = 0.0;
+  Row free;
+  for (std::size_t i = 0; i < in.curvature.size(); ++i) {
+    if (std::isnan(in.curvature[i])) continue;
+    const double x = in.position[i], half = 0.5 * pick(in.span, i), g = pick(in.free, i);
+    const double excess = (in.curvature[i] - g) * length;
+    out.index.push_back(static_cast<int>(i));
+    frame.excess.push_back(excess);
+    frame.low.push_back(std::max(x - half, 0.0) / length);
+    frame.high.push_back(std::min(x + half, length) / length);
+    frame.noise.push_back(in.noise.empty() ? 1.0 : pick(in.noise, i) * length);
+    frame.gain.push_back(pick(in.gain, i) * in.curvature[i] * length);
+    free.push_back(g * length);
+    out.bad.push_back(std::hypot(priors.bad_deviation, g * length));
+    out.log_bad.push_back(std::log(std::max(pick(in.bad_odds, i), 1e-300)));
+    most = std::max({most, std::abs(excess), std::abs(g * length)});
+    out.turn = std::max(out.turn, std::abs(g * length));
+    square += excess * excess;
+  }
+  const int n = frame.size();
+  for (double& gain : frame.gain) gain = std::hypot(gain, priors.trust * most);
+  out.known = !in.noise.empty();
+  frame.levels = {1.0};
+  if (!out.known) {
+    const double scale = std::max(std::sqrt(square / n), priors.trust * most);
+    frame.levels = priors.noise_levels;
+    for (double& level : frame.levels) level *= scale;
+  }
+  for (const double noise : frame.noise) out.noise += noise / n / length;
+  const int own = (in.offset > 0.0) + (in.map > 0.0);
+  frame.shared = Matrix(own + in.shared.rows, n);
+  for (int i = 0; i < n; ++i) {
+    int k = 0;
+    if (in.offset > 0.0) frame.shared[k++][i] = in.offset * length;
+    if (in.map > 0.0) frame.shared[k++][i] = in.map * free[i];
+    for (int j = 0; j < in.shared.rows; ++j) {
+      frame.shared[k++][i] = in.shared[j][out.index[i]] * length;
     }
-    const int n = frame.size();
-    for (double& gain : frame.gain) gain = std::hypot(gain, priors.trust * most);
-    out.known = !in.noise.empty();
-    frame.levels = {1.0};
-    if (!out.known) {
-        const double scale = std::max(std::sqrt(square / n), priors.trust * most);
-        frame.levels = priors.noise_levels;
-        for (double& level : frame.levels) level *= scale;
-    }
-    for (const double noise : frame.noise) out.noise += noise / n / length;
-    const int own = (in.offset > 0.0) + (in.map > 0.0);
-    frame.shared = Matrix(own + in.shared.rows, n);
-    for (int i = 0; i < n; ++i) {
-        int k = 0;
-        if (in.offset > 0.0) frame.shared[k++][i] = in.offset * length;
-        if (in.map > 0.0) frame.shared[k++][i] = in.map * free[i];
-        for (int j = 0; j < in.shared.rows; ++j) {
-            frame.shared[k++][i] = in.shared[j][out.index[i]] * length;
-        }
-    }
-    frame.rest = rest_of(in.body, in.position, length);
-    frame.straight = std::all_of(frame.rest.begin(), frame.rest.end(), [](double k) { return k == 0.0; });
-    return out;
+  }
+  frame.rest = rest_of(in.body, in.position, length);
+  frame.straight =
+      std::all_of(frame.rest.begin(), frame.rest.end(), [](double k) { return k == 0.0; });
+  return out;
 }
 
 }  // namespace thigmo

@@ -148,10 +148,9 @@ def refusal(problem: int, shows: float, total: float) -> DataError:
                 cure = f"it looks like {given} where the length is in {meant}: use one unit"
                 break
     if "tighter" in what:
-        for factor, unit in ((100.0, "1/m, with lengths in cm"), (1000.0, "1/m, with lengths in mm")):
+        cure = "give the inverse of the length's unit (not degrees, ohm or counts)"
+        for factor, unit in ((100.0, "cm"), (1000.0, "mm")):
             if shows / factor * total < 2.0 * math.pi:
-                cure = f"it looks like {unit}, or like degrees: give the inverse of the length's unit"
+                cure = f"it looks like 1/m with lengths in {unit}, or like degrees: give 1/{unit}"
                 break
-        else:
-            cure = "give the inverse of the length's unit (not degrees, ohm or counts)"
     return DataError(what.format(shows, total), cure)

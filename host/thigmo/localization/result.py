@@ -15,7 +15,6 @@ Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact"]
 
 
-
 @dataclass(frozen=True, slots=True)
 class Contact:
     """One contact. Arc in the caller's unit, force over EI in that unit to the power -2.

@@ -64,7 +64,12 @@ def test_an_oblique_force_on_the_tips_corner_is_recognised():
             LENGTH, force, COLUMN, free_curvature=free, tangential=along, couple=-1.75 * along
         )
         result = thigmo.localize(
-            curvature, COLUMN, length=LENGTH, span=SPAN, free_curvature=free, noise=1e-5,
+            curvature,
+            COLUMN,
+            length=LENGTH,
+            span=SPAN,
+            free_curvature=free,
+            noise=1e-5,
             tube_radius=1.75,
         )
         assert result.hypothesis == "end wrench"

@@ -19,7 +19,7 @@ import numpy as np
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
-from thigmo.exploration.reference import FreeResponse, scale_errors
+from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
 from thigmo.studies.experiments import thesis
@@ -177,10 +177,10 @@ def _trial(row: Line, config: RobotConfig, shown: dict[Side, tuple[Floats, Float
             _PLACE_SE_CM,
         )  # fmt: skip
     scale_se = scale_errors(config)
-    _, error = FreeResponse(config).expected(side, free)
     sigma = np.sqrt(table.noise**2 + (scale_se * (curvature - free)) ** 2)
-    if free:
-        sigma = np.hypot(sigma, error)
+    if free:  # the zero, and what scale and map may be off by
+        share = np.hypot(scale_se, muscle.maps[-1].scale_se)
+        sigma = np.sqrt(sigma**2 + table.noise**2 + (share * free) ** 2)
     arcs = _numbers(row["true_arcs_cm"]) or _numbers(row["arcs_cm"])
     unknown = (float("nan"),) * len(arcs)
     return Trial(

@@ -1,0 +1,71 @@
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+_Array = npt.NDArray[np.float64]
+
+class Priors:
+    def __init__(self, values: dict[str, Any]) -> None: ...
+
+class Settings:
+    def __init__(
+        self,
+        critical: float,
+        critical_error: float,
+        radius: float,
+        held_end: int,
+        contacts: int,
+        within: tuple[float, float],
+        width_limit: float,
+    ) -> None: ...
+
+class Answer:
+    status: int
+    problem: int
+    shows: float
+    number: list[float]
+    discarded: int
+    noise: float
+    log_odds: float
+    contacts: list[tuple[float, float, float, float, float, float, bool, list[tuple[float, float]]]]
+    hypotheses: list[tuple[int, int, float, float, float]]
+    best: int
+    parameters: tuple[float, ...]
+    edges: _Array
+    mass: _Array
+    bend: _Array
+
+def localize(
+    curvature: _Array,
+    position: _Array,
+    span: _Array,
+    free: _Array,
+    body: _Array,
+    noise: _Array,
+    gain: _Array,
+    bad_odds: _Array,
+    shared: _Array,
+    offset: float,
+    map: float,
+    length: float,
+    radius: float,
+    settings: Settings,
+    priors: Priors,
+) -> Answer: ...
+def localize_rows(
+    curvature: _Array,
+    position: _Array,
+    span: _Array,
+    free: _Array,
+    noise: _Array,
+    gain: _Array,
+    bad_odds: _Array,
+    shared: _Array,
+    offset: float,
+    map: float,
+    length: float,
+    radius: float,
+    settings: Settings,
+    priors: Priors,
+) -> dict[str, _Array]: ...
