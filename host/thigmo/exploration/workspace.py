@@ -177,7 +177,9 @@ def place_contact(
     bent = replace(bend, free_curvature=bend.free_curvature + curvature_se)
     moved = skin_point(centreline(bent), arc, force, radius_cm, end_offset_cm)
     across = np.array([moved[0] - x, moved[1] - y])
-    out = _SHAPE_CM * np.array([np.cos(normal), np.sin(normal)])
+    # On the end it bears anywhere across the face, which readings hardly tell.
+    face = 0.0 if end_offset_cm is None else radius_cm / np.sqrt(3.0)
+    out = np.hypot(_SHAPE_CM, face) * np.array([np.cos(normal), np.sin(normal)])
     covariance = np.outer(along, along) + np.outer(across, across) + np.outer(out, out)
     return PlacedContact(
         x,

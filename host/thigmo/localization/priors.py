@@ -95,6 +95,6 @@ _kept: tuple[dict[str, object], _posterior.Priors] | None = None
 _NAMES = (
     "moments", "least_lever", "contact", "end", "end_straight", "held", "another", "spread",
     "hinge", "base_fold", "bad_deviation", "angle", "half_widths", "near_fold", "strong",
-    "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "hopeless", "trust", "end_cell",
-    "misfit_deviate", "noise_levels",
+    "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "hopeless",
+    "trust", "end_cell", "misfit_deviate", "noise_levels",
 )  # fmt: skip
