@@ -93,9 +93,11 @@ def fused(grid: Floats, masses: list[Floats]) -> Floats:
     reach = np.arange(-3 * _SLIDE_CM, 3 * _SLIDE_CM + step / 2, step)
     kernel = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)
     kernel /= kernel.sum()
-    product = np.ones(len(grid))
+    product = np.zeros(len(grid))
     for mass in masses:
         blurred = np.convolve(mass, kernel, mode="same")
-        product *= blurred / blurred.sum() * (1 - _FLOOR) + _FLOOR / len(grid)
+        product += np.log(blurred / blurred.sum() * (1 - _FLOOR) + _FLOOR / len(grid))
+    # Errors of map and scales are the same at every stage: n of them count as the root of n.
+    product = np.exp((product - product.max()) / np.sqrt(len(masses)))
     result: Floats = product / product.sum()
     return result
