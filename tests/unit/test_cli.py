@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from thigmo.cli.main import main
+from thigmo.config import RobotConfig
 
+BENT = "position,curvature\n5,0.021\n15,0.0223\n25,0.0244\n35,0.0268\n45,0.0285\n"
 GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
 
 
@@ -79,7 +81,7 @@ def test_localize_prints_one_object(tmp_path: Path, thigmo) -> None:  # type: ig
 
 
 def test_the_free_curvature_is_taken_off(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
-    rows = "".join(f"{x},0.03\n" for x in (5, 15, 25, 35, 45))
+    rows = "".join(f"{x},{0.03 + x * 1e-6}\n" for x in (5, 15, 25, 35, 45))
     (tmp_path / "r.csv").write_text("position,curvature\n" + rows)
     ran = thigmo(
         "localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5,
@@ -88,13 +90,92 @@ def test_the_free_curvature_is_taken_off(tmp_path: Path, thigmo) -> None:  # typ
     assert json.loads(ran.out) | {"contacts": [], "status": "no contact"} == json.loads(ran.out)
 
 
+def test_every_error_can_be_told_by_a_flag_and_widens_the_answer(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "r.csv").write_text(BENT)
+    told = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
+    told += ["--free-curvature", 0.03, "--noise", 6e-4]
+
+    def width(*flags: object) -> float:
+        result = json.loads(thigmo(*told, *flags).out)
+        low, high = result["contacts"][-1]["interval"]
+        return float(high - low)
+
+    sharp = width()
+    for flags in (
+        ("--gain-error", 0.1),
+        ("--offset-error", 2e-3),
+        ("--map-error", 0.1),
+        ("--noise", 2e-3),
+    ):
+        assert width(*flags) > 1.1 * sharp, flags
+
+
+def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+    robot = RobotConfig()
+    robot.body.critical_curvature_se = 0.1 * robot.body.critical_curvature
+    robot.actuators.left.offset_se = 2e-4
+    robot.actuators.left.maps[2].scale_se = 0.01
+    for sensor in robot.sensors.right:
+        sensor.scale_se = 0.03
+    robot.save(tmp_path / "robot.toml")
+    (tmp_path / "r.csv").write_text(BENT)
+    told = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
+    told += ["--free-curvature", 0.03]
+    known = json.loads(thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "left").out)
+    spelt = json.loads(
+        thigmo(
+            *told, "--noise", 6e-4, "--gain-error", 0.03, "--offset-error", 2e-4, "--map-error",
+            0.01, "--critical-curvature", 0.01108, "--tube-radius", 1.75,
+        ).out
+    )  # fmt: skip
+    assert known["status"] != "no contact"
+    assert known["contacts"][0]["interval"] == pytest.approx(spelt["contacts"][0]["interval"])
+    assert known["noise"] == pytest.approx(6e-4)
+    sure = json.loads(
+        thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "left", "--noise", 1e-4).out
+    )
+    assert sure["noise"] == pytest.approx(1e-4)
+    wrong = thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "up")
+    assert "--side is 'up'" in wrong.err
+    (tmp_path / "r.csv").write_text(BENT.replace("25,", "28,"))
+    off = thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "left")
+    assert "no sensor at 28 cm" in off.err
+
+
+def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+    rows = [(x, 2.2e-4 * (50 - x) * (x < 50)) for x in range(2, 50, 4)]
+    rows[5] = (rows[5][0], -0.05)
+    (tmp_path / "r.csv").write_text("position,curvature\n" + "".join(f"{x},{k}\n" for x, k in rows))
+    told = ["localize", tmp_path / "r.csv", "--length", 53, "--noise", 2e-4]
+    result = json.loads(thigmo(*told, "--json").out)
+    assert result["discarded"] == [{"line": 7, "position": 22.0}]
+    assert result["hypotheses"][result["hypothesis"]] > 0.5
+    assert 0.9 < result["contacts"][0]["probability"] <= 1.0
+    shown = thigmo(*told).out
+    assert "taken for bad: line 7" in shown
+    assert result["hypothesis"] in shown
+
+
 @pytest.mark.parametrize(
     ("text", "named"),
     [
         ("position,curvature\n5,nan\n", "line 2: curvature is nan"),
         ("position,bend\n5,1\n", "no column `curvature`"),
-        (GOOD.replace("45,", "55,"), "line 6: a sensor at 55 lies outside 0..53"),
+        (GOOD.replace("45,", "55,"), "centred at 55, off a body of 53"),
         ("", "is empty"),
+        (GOOD.replace("5,", "50,"), "looks like mm where the length is in cm"),
+        (re.sub(r"(?m)^(\d+),", r"0.0\1,", GOOD), "look mixed"),
+        (
+            re.sub(r",0\.0", ",1.0", GOOD),
+            "tighter than the tube itself can bend; it looks like 1/m",
+        ),
+        (re.sub(r",0\..*", ",0.01", GOOD), "all readings are 0.01"),
+        (re.sub(r"(?m)^\d+,", "5,", GOOD), "all positions are 5"),
+        (re.sub(r",0\..*", ",", GOOD), "the column `curvature` is empty"),
+        (GOOD.replace(",", ";"), "by semicolons"),
+        (GOOD.replace(",", "\t"), "by tabs"),
+        (GOOD.replace("0.", "0,"), "decimal commas?"),
+        (GOOD + GOOD.partition("\n")[2] * 1000, "more than 2000 rows"),
     ],
 )
 def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
@@ -118,6 +199,12 @@ def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
         (["localize", "r.csv", "--length", "53", "--contacts", "many"], "--contacts is 'many'"),
         (["localize", "r.csv", "--length", "53", "--span", "-2"], "span"),
         (["localize", "r.csv", "--length", "53", "--noise", "-1"], "noise"),
+        (["localize", "r.csv", "--length", "53", "--gain-error", "-1"], "gain_error"),
+        (["localize", "r.csv", "--length", "53", "--offset-error", "nan"], "offset_error"),
+        (["localize", "r.csv", "--length", "53", "--map-error", "-1"], "map_error"),
+        (["localize", "r.csv", "--length", "53", "--tube-radius", "-1"], "tube_radius"),
+        (["localize", "r.csv", "--length", "53", "--bad-reading-odds", "-1"], "bad_reading_odds"),
+        (["localize", "r.csv", "--length", "53", "--config", "none.toml"], "none.toml"),
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["explore", "--robot", "nonsense://x"], "nonsense"),
         (["explore", "--robot", "a", "--scene", "b"], "both given"),

@@ -17,12 +17,13 @@ def _write(path: Path, text: str) -> Path:
 
 def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
     file = _write(tmp_path, "# lab\nspan, note, Curvature ,position\n5.5,a,0.01,5\n4,b,-0.02,15\n")
-    table = read_readings(file, length=53)
+    table = read_readings(file)
     assert table.position.tolist() == [5, 15]
     assert table.curvature.tolist() == [0.01, -0.02]
     assert table.span is not None
     assert table.span.tolist() == [5.5, 4]
-    assert read_readings(_write(tmp_path, "position,curvature\n1,2\n"), length=5).span is None
+    assert table.lines == (3, 4)
+    assert read_readings(_write(tmp_path, "position,curvature\n1,2\n")).span is None
 
 
 @pytest.mark.parametrize(
@@ -42,20 +43,13 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("position,curvature\n5,0,01\n", "decimal commas?"),
         ("position,curvature\n5,\n15,\n", "`curvature` is empty"),
         ("position,curvature\n5,0.01\n15,\n", "line 3: curvature is nan"),
-        ("position,curvature\n5,0.01\n15,0.01\n25,0.01\n", "curvature is 0.01 in every row"),
-        ("position,curvature\n5,0.01\n5,0.02\n5,0.03\n", "position is 5 in every row"),
-        ("position,curvature\n50,0.01\n150,0.02\n250,0.03\n", "in mm where"),
-        ("position,curvature\n.05,0.01\n.15,0.02\n.25,0.03\n", "in a larger unit"),
         ("position,curvature\n" + "5,0.01\n" * 3000, "more than 2000 rows"),
         ("position,Position,curvature\n5,5,0.01\n", "'position' appears twice"),
-        ("position,curvature\n5,0.01\n\n54,0.01\n", "line 4: a sensor at 54 lies outside 0..53"),
-        ("position,curvature\n-1,0.01\n", "outside"),
-        ("position,curvature,span\n5,0.01,-2\n", "negative"),
     ],
 )
 def test_a_bad_table_is_named_in_one_line(tmp_path: Path, text: str, named: str) -> None:
     with pytest.raises(DataError) as caught:
-        read_readings(_write(tmp_path, text), length=53)
+        read_readings(_write(tmp_path, text))
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "; " in str(caught.value)  # what to do next
@@ -66,12 +60,12 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
     with (tmp_path / "huge.csv").open("wb") as file:
         file.write(b"position,curvature\n" + b"5,0.01\n" * 20_000 + bytes(40_000_000))
     with pytest.raises(DataError, match="more than 2000 rows; cut out those of one frame"):
-        read_readings(tmp_path / "huge.csv", length=53)
+        read_readings(tmp_path / "huge.csv")
 
 
 def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(DataError, match="not a text file"):
-        read_readings(tmp_path / "b.csv", length=53)
+        read_readings(tmp_path / "b.csv")
     with pytest.raises(DataError, match="cannot read"):
-        read_readings(tmp_path / "none.csv", length=53)
+        read_readings(tmp_path / "none.csv")

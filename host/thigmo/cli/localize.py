@@ -11,6 +11,7 @@ from thigmo.cli.output import JsonOption, print_json
 
 if TYPE_CHECKING:
     from thigmo.localization import LocalizeResult
+    from thigmo.record import ReadingsTable
 
 
 def register(app: typer.Typer) -> None:
@@ -29,27 +30,32 @@ def localize(
         float | None, typer.Option(help="One sigma of a reading; estimated when left out.")
     ] = None,
     gain_error: Annotated[
-        float, typer.Option(help="Relative standard error of each sensor's gain.")
-    ] = 0.0,
+        float | None, typer.Option(help="One sigma of each sensor's gain, relative.")
+    ] = None,
     offset_error: Annotated[
-        float, typer.Option(help="One sigma of an offset that all readings share.")
-    ] = 0.0,
+        float | None, typer.Option(help="One sigma of an offset that all readings share.")
+    ] = None,
     map_error: Annotated[
-        float, typer.Option(help="Relative standard error of the free curvature.")
-    ] = 0.0,
-    bad_reading_odds: Annotated[
-        float, typer.Option(help="Prior odds that a given reading is bad.")
-    ] = 1e-3,
+        float | None, typer.Option(help="One sigma of the free curvature's scale, relative.")
+    ] = None,
+    critical_curvature: Annotated[
+        float | None, typer.Option(help="Contact moment over EI at which the base folds.")
+    ] = None,
     tube_radius: Annotated[
         float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if left out.")
     ] = None,
-    critical_curvature: Annotated[
-        float | None, typer.Option(help="Contact moment over EI that folds the base, if any does.")
+    bad_reading_odds: Annotated[
+        float | None, typer.Option(help="Prior odds that a given reading is bad.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="robot.toml: all these errors, as calibrated; a flag goes before it."),
+    ] = None,
+    side: Annotated[
+        str | None, typer.Option(help="Inflated muscle, for --config: left or right.")
     ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
-    method: Annotated[
-        str, typer.Option(help="posterior; or l1, l2: exact point fits without intervals.")
-    ] = "posterior",
+    method: Annotated[str, typer.Option(help="posterior, l1 or l2.")] = "posterior",
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""
@@ -61,30 +67,74 @@ def localize(
         raise DataError(f"--length is {length:g}", "give the body's length, above 0")
     if contacts != "auto" and not contacts.isdecimal():
         raise DataError(f"--contacts is {contacts!r}", "give `auto` or a number")
-    table = read_readings(file, length=length)
+    table = read_readings(file)
+    told = {} if config is None else _calibrated(config, side, table, length)
+    flags = {
+        "noise": noise,
+        "gain_error": gain_error,
+        "offset_error": offset_error,
+        "map_error": map_error,
+        "critical_curvature": critical_curvature,
+        "tube_radius": tube_radius,
+        "bad_reading_odds": bad_reading_odds,
+    }
+    told |= {name: value for name, value in flags.items() if value is not None}
     result = thigmo.localize(
         table.curvature,
         table.position,
         length=length,
         span=span if table.span is None else table.span,
         free_curvature=free_curvature,
-        noise=noise,
-        gain_error=gain_error,
-        offset_error=offset_error,
-        map_error=map_error,
-        bad_reading_odds=bad_reading_odds,
-        tube_radius=tube_radius,
-        critical_curvature=critical_curvature,
         contacts="auto" if contacts == "auto" else int(contacts),
         method=method,
+        **told,
     )
     if as_json:
-        print_json(result_object(result))
+        print_json(result_object(result, table))
         return
-    _show(result)
+    _show(result, table)
 
 
-def result_object(result: LocalizeResult) -> dict[str, Any]:
+def _calibrated(
+    path: Path, side: str | None, table: ReadingsTable, length_cm: float
+) -> dict[str, Any]:
+    """The errors of robot.toml, reading by reading: each is that of the sensor at its place.
+
+    Raises:
+        ConfigError, DataError: robot.toml is not valid, or has no sensor there.
+    """
+    from thigmo.config import SIDES, RobotConfig, Side
+    from thigmo.errors import DataError
+    from thigmo.reading_errors import reading_errors
+
+    robot = RobotConfig.load(path)
+    inflated: Side | None = None
+    for name in SIDES:
+        inflated = name if name == side else inflated
+    if side is not None and inflated is None:
+        raise DataError(f"--side is {side!r}", "give left or right")
+    # Sensors on the inflated side wrinkle and are not read.
+    free = [
+        (name, index, sensor)
+        for name in SIDES
+        if name != inflated
+        for index, sensor in enumerate(robot.sensors.column(name))
+    ]
+    found: list[tuple[Side, int]] = []
+    for position in table.position.tolist():
+        near = min(free, key=lambda one: abs(one[2].center_cm - position), default=None)
+        if near is None or abs(near[2].center_cm - position) > max(near[2].span_cm / 2, 0.5):
+            raise DataError(
+                f"{path} has no sensor at {position:g} cm that is not taken",
+                "give positions in cm, and --side where a muscle is inflated",
+            )
+        free.remove(near)
+        found.append((near[0], near[1]))
+    zone = robot.body.zone_at(length_cm)
+    return reading_errors(robot, inflated, zone, found).arguments()
+
+
+def result_object(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
     """A localizer's result as plain data."""
     return {
         "status": result.status,
@@ -92,40 +142,45 @@ def result_object(result: LocalizeResult) -> dict[str, Any]:
             {
                 "arc": contact.arc,
                 "force": contact.force,
+                "force_deviation": contact.force_deviation,
                 "end_offset": contact.end_offset,
                 "interval": list(contact.interval),
                 "intervals": [list(piece) for piece in contact.intervals],
-                "status": contact.status,
                 "probability": contact.probability,
+                "status": contact.status,
             }
             for contact in result.contacts
         ],
         "hypothesis": result.hypothesis,
         "hypotheses": dict(result.hypotheses),
-        "discarded": list(result.discarded),
         "parameters": dict(result.parameters),
         "noise": result.noise,
+        "log_odds": result.log_odds,
+        "discarded": [
+            {"line": table.lines[reading], "position": float(table.position[reading])}
+            for reading in result.discarded
+        ],
         "message": result.message,
     }
 
 
-def _show(result: LocalizeResult) -> None:
+def _show(result: LocalizeResult, table: ReadingsTable) -> None:
     from rich.console import Console
     from rich.table import Table
 
     console = Console()
-    console.print(f"[bold]{result.status}[/bold]")
+    console.print(f"[bold]{result.status}[/bold] ({result.hypothesis})")
     if result.contacts:
-        table = Table("arc", "force / EI", "95 % interval", "probability", "status", box=None)
+        rows = Table("arc", "force / EI", "95 % interval", "probability", "status", box=None)
         for contact in result.contacts:
             low, high = contact.interval
-            table.add_row(
+            rows.add_row(
                 f"{contact.arc:.4g}", f"{contact.force:.3g}", f"{low:.4g} to {high:.4g}",
-                f"{contact.probability:.3g}", contact.status,
+                f"{contact.probability:.2f}", contact.status,
             )  # fmt: skip
-        console.print(table)
-    console.print(f"Explained by: {result.hypothesis}.")
-    if result.discarded:
-        rows = ", ".join(str(index + 1) for index in result.discarded)
-        console.print(f"Taken for bad: row {rows} of the readings.")
+        console.print(rows)
+    for reading in result.discarded:
+        console.print(
+            f"taken for bad: line {table.lines[reading]}, the sensor at {table.position[reading]:g}"
+        )
     console.print(result.message)
