@@ -157,7 +157,7 @@ def test_a_contact_on_the_end_is_not_pulled_inwards(free, peg_radius, sign):
     assert contact.interval[1] == pytest.approx(LENGTH)
     if contact.arc == LENGTH:
         assert contact.end_offset == pytest.approx(-sign * truth.couple / truth.tangential, abs=1.9)
-        assert result.parameters["push_back"] == pytest.approx(-truth.tangential, rel=0.25)
+        assert result.parameters["push_back"] == pytest.approx(-truth.tangential, rel=0.5)
     else:
         assert sum(p for name, p in result.hypotheses.items() if "end wrench" in name) > 0.05
 
