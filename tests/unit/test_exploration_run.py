@@ -132,12 +132,24 @@ class Script:
         self._call("disarm")
 
 
+def _calibrated() -> RobotConfig:
+    """Standard errors of a good calibration; the defaults are those of none."""
+    config = RobotConfig()
+    for side in (config.actuators.left, config.actuators.right):
+        side.offset_se = 1e-4
+        for zone in side.maps:
+            zone.scale_se = 0.005
+    for sensor in config.sensors.left + config.sensors.right:
+        sensor.scale_se = 0.005
+    return config
+
+
 def _explore(tmp_path: Path, robot: Script, protocol: Protocol = "measure") -> Exploration:
     document = RunDocument(thigmo="0", name="n", url="u", started="s")
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
         robot,  # type: ignore[arg-type]
-        RobotConfig(),
+        _calibrated(),
         RunFolder(tmp_path),
         log,
         document,
@@ -194,10 +206,17 @@ def test_young_sensors_are_waited_for_and_zeroed_if_their_rest_stays_unknown(
     assert robot.calls[contact + 1] == "zero"
 
 
+def _well_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The script shows no untouched frames from which its robot could be learnt."""
+    for name in ("_MAP_DRIFT", "_GAIN_DRIFT", "_SWEEP_SCALE", "_SWEEP_OFFSET", "_LEAST_OFFSET"):
+        monkeypatch.setattr(f"thigmo.exploration.reference.{name}", 1e-6)
+
+
 def test_a_sweep_that_placed_its_contact_is_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH_CM", 60.0)
+    _well_calibrated(monkeypatch)
+    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH_CM", 20.0)
     robot = Script(touches_at=50)
     robot.clear = True
     run = _explore(tmp_path, robot)
@@ -216,13 +235,17 @@ def test_the_thesis_protocol_zeroes_before_and_after_every_sweep(tmp_path: Path)
     assert third == ["body 1.47", "zone 0", "grow 26.5", "body 1.01", "zone 1", "grow 30"]
 
 
-def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Path) -> None:
+def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _well_calibrated(monkeypatch)
     robot = Script(touches_at=50)
     run = _explore(tmp_path, robot)
     assert run.document.outcome == "full length"
     (contact,) = run.document.contacts
     assert contact.everted_length_cm == pytest.approx(50.02)
-    assert contact.arc_cm == pytest.approx(48, abs=2.5)
+    low, high = contact.interval_cm
+    assert low <= 48 <= high
     assert contact.readings == 5
     assert contact.y_cm > 20  # bent to the left
     assert [bool(s.triggers) for s in run.document.stages] == [False] * 4 + [True, False]

@@ -118,7 +118,7 @@ def test_frames_before_the_touch_teach_a_map_that_is_a_tenth_off() -> None:
     )
     mean = taught.expected("left", 2, 0.025, np.full(10, 0.0225), use).mean
     assert mean == pytest.approx(np.full(5, 0.0225), abs=3 * after.max())
-    assert after.max() < 0.5 * before.min()
+    assert after.max() < 0.6 * before.min()
 
 
 def test_a_contact_lies_on_what_has_grown_since_the_last_free_sweep() -> None:

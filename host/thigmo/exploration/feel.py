@@ -101,7 +101,6 @@ def feel(
         free_curvature=free.mean,
         body_curvature=free.body_curvature,
         noise=np.hypot(table.noise, peak.added_noise)[use],
-        offset_error=config.actuators.side(peak.side).offset_se,
         shared_errors=free.shared_errors,
         critical_curvature=fold_moment(config, zone),
         critical_curvature_error=max(

@@ -5,10 +5,10 @@ in a sensor's scale or in the actuator map looks like a force, and so does the s
 hysteresis. All of these are the same at every stage, and untouched frames show them. A free reading
 is modelled as
 
-    y_i = g + c_i + (s + e_i) g,
+    y_i = g + c_i + o + (s + e_i) g,
 
 with a constant c_i of each sensor (its zero; hysteresis keeps to one side while the pressure
-rises), the map's scale s at a body pressure, and each sensor's own gain e_i. All start at zero with
+rises), the map's offset o and scale s at a body pressure, and each sensor's own gain e_i. All start at zero with
 the standard errors that calibration states, widened by what a robot may have changed since, and
 each untouched frame sharpens them (Bayesian linear regression). What is still unknown of them goes
 to the localizer as errors that readings share. The thesis compared with the map alone.
@@ -32,6 +32,9 @@ _INDEPENDENT = 3.0
 # One sigma by which map and gains may have changed since the calibration: a body regulator is set
 # by hand, muscles age.
 _MAP_DRIFT, _GAIN_DRIFT = 0.08, 0.04
+# One sigma by which scale and offset differ between sweeps: lag, swing and hysteresis.
+_SWEEP_SCALE, _SWEEP_OFFSET = 0.02, 7e-4
+_LEAST_OFFSET = 8e-4  # 1/cm: no curve through ten pressures is the muscle's own
 
 
 class FreeReading(NamedTuple):
@@ -69,14 +72,17 @@ class FreeResponse:
         self._count = len(self._table.center_cm)
         zones = len(config.body.zones)
         gain = np.hypot(scale_errors(config), _GAIN_DRIFT)
-        # Normal equations of (c, e, s) for each side.
-        size = 2 * self._count + zones
+        # Normal equations of (c, e, s, o) for each side.
+        size = 2 * (self._count + zones)
+        self._scale = 2 * self._count
+        self._offset = self._scale + zones
         self._matrix = np.zeros((len(SIDES), size, size))
         self._vector = np.zeros((len(SIDES), size))
         for row, name in enumerate(SIDES):
             maps = config.actuators.side(name).maps
             scale = [np.hypot(each.scale_se, _MAP_DRIFT) for each in maps]
-            deviation = np.concatenate([self._table.noise, gain, scale])
+            offset = max(config.actuators.side(name).offset_se, _LEAST_OFFSET)
+            deviation = np.concatenate([self._table.noise, gain, scale, np.full(zones, offset)])
             self._matrix[row] = np.diag(1.0 / deviation**2)
 
     def copy(self) -> Self:
@@ -120,7 +126,8 @@ class FreeResponse:
         rows = np.arange(sensors.size)
         effect[rows, sensors] = 1.0
         effect[rows, self._count + sensors] = reading
-        effect[:, 2 * self._count + zone] = free
+        effect[:, self._scale + zone] = free
+        effect[:, self._offset + zone] = 1.0
         return effect
 
     def expected(
@@ -139,11 +146,14 @@ class FreeResponse:
         row = SIDES.index(side)
         covariance = np.linalg.inv(self._matrix[row])
         mean = covariance @ self._vector[row]
+        covariance[self._scale + zone, self._scale + zone] += _SWEEP_SCALE**2
+        covariance[self._offset + zone, self._offset + zone] += _SWEEP_OFFSET**2
         sensors = np.flatnonzero(use)
         effect = self._effect(sensors, zone, free_curvature, curvature[sensors])
         variance, axes = np.linalg.eigh(effect @ covariance @ effect.T)
         return FreeReading(
             free_curvature + effect @ mean,
-            free_curvature * (1.0 + float(mean[2 * self._count + zone])),
+            free_curvature * (1.0 + float(mean[self._scale + zone]))
+            + float(mean[self._offset + zone]),
             axes * np.sqrt(np.maximum(variance, 0.0)),
         )

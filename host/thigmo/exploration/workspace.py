@@ -170,7 +170,14 @@ def place_contact(
     curve = centreline(bend)
     x, y, normal = skin_point(curve, arc, force, radius_cm, end_offset_cm)
     low, high = (float(np.clip(end, 0.0, bend.length_cm)) for end in interval_cm)
-    track = [skin_point(curve, float(s), force, radius_cm)[:2] for s in np.linspace(low, high, 25)]
+    # What bears on the end may be on either side of its corner, and anywhere across its face.
+    side = force if end_offset_cm is None else -bend.free_curvature
+    track = [skin_point(curve, float(s), side, radius_cm)[:2] for s in np.linspace(low, high, 25)]
+    if end_offset_cm is not None:
+        across_face = np.copysign(radius_cm, -side) * np.linspace(1.0, -1.0, 9)
+        track += [
+            skin_point(curve, bend.length_cm, side, radius_cm, float(at))[:2] for at in across_face
+        ]
     # Along the body: 95 % of a normal error spans 3.92 standard deviations.
     heading = curve.pose(arc)[2]
     along = (high - low) / 3.92 * np.array([np.cos(heading), np.sin(heading)])
