@@ -120,7 +120,7 @@ def _number(value: float | None) -> str:
 
 THIGMO = ".venv/bin/thigmo"
 # Studies of minutes: on two processes.
-LONG = ("speed-accuracy", "stability", "calibration", "exploration", "camera")
+LONG = ("speed-accuracy", "stability", "accuracy", "calibration", "exploration", "camera")
 SOURCES: dict[str, Source] = {
     "explore": Source(
         (THIGMO, "explore", "--seed", "1", "--name", "readme", "--json"),
@@ -145,7 +145,11 @@ SOURCES: dict[str, Source] = {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {"stability-force-place.png": "stability.png"},
             "scaling": {},
+<<<<<<< HEAD
             "cold": {},
+=======
+            "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
+>>>>>>> 63591ce (A study of accuracy: every error told and not told, and the price of distrust)
             "calibration": {},
             "exploration": {},
             "plant-models": {},

@@ -13,6 +13,7 @@ from thigmo.studies.engine import Context, Outcome, Study
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures as conditions get harder",
+    "accuracy": "coverage and wrong answers, each error told and not told",
     "calibration": "false contacts, and two contacts told apart",
     "scaling": "time of `localize` and `localize_batch`, over sensors and rows",
     "cold": "the first commands of a new installation, nothing cached",

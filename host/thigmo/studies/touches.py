@@ -1,0 +1,164 @@
+"""Bodies in groups, that touch something or nothing, and what sensors read on them without noise.
+
+Truth is the independent rod (`rod`, `pegs`). With each place of contact comes the Cramer-Rao bound
+of an estimator that knows all but place and force. Used by the accuracy study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.studies.pegs import Part, outline, rooms
+from thigmo.studies.rod import Floats, Profile, solve
+from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
+
+MOST_FREE = 0.05  # 1/cm, of bent bodies
+FRICTION = (0.3, 0.6)  # coefficients, of either sign
+SOFTNESS = 0.2  # relative standard deviation of EI along the body
+WAVES = np.arange(1.0, 5.0)[:, None] * np.pi / LENGTH  # of the stiffness along the body, 1/cm
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """S bodies and what sensors read on them, without noise.
+
+    Attributes:
+        curvature: (S, N).
+        position: (N,).
+        free: (S,) free curvature.
+        arcs: (S, C) contacts; C is 0 for free bodies.
+        bound: (S,) Cramer-Rao standard deviation (cm) of a contact's place where there is one.
+    """
+
+    curvature: Floats
+    position: Floats
+    free: Floats
+    arcs: Floats
+    bound: Floats
+
+
+Draw = Callable[[np.random.Generator, int], Scenes]
+
+
+def _signs(rng: np.random.Generator, count: int) -> Floats:
+    return rng.choice([-1.0, 1.0], count)
+
+
+def one_contact(
+    arc: Floats,
+    force: Floats,
+    free: Floats,
+    position: Floats,
+    friction: Floats | float = 0.0,
+    stiffness: Profile | None = None,
+) -> Scenes:
+    """One contact on the side of each body, with the bound of its place where force is unknown."""
+
+    def read(arc: Floats, force: Floats) -> Floats:
+        along = friction * np.abs(force)
+        bodies = solve(
+            arc[:, None],
+            force[:, None],
+            length=LENGTH,
+            free_curvature=free[:, None],
+            tangential=along[:, None],
+            # Friction acts on the skin, on the side that the push comes from.
+            couple=(np.sign(force) * RADIUS * along)[:, None],
+            stiffness=stiffness,
+        )
+        return bodies.readings(position, SPAN)
+
+    clean = read(arc, force)
+    by_arc = (clean - read(arc - 1e-3, force)) / 1e-3
+    by_force = (read(arc, force * (1.0 + 1e-4)) - clean) / (1e-4 * force)[:, None]
+    alike = (by_arc * by_force).sum(axis=1) ** 2 / (by_force**2).sum(axis=1)
+    information = np.maximum((by_arc**2).sum(axis=1) - alike, 1e-30)
+    return Scenes(clean, position, free, arc[:, None], SIGMA / np.sqrt(information))
+
+
+def pressed(rng: np.random.Generator, count: int) -> Scenes:
+    """A straight body pressed from either side; all ten sensors read."""
+    arc = rng.uniform(5.0, LENGTH, count)
+    force = _signs(rng, count) * rng.uniform(0.1, 1.0, count) * CRITICAL / arc
+    return one_contact(arc, force, np.zeros(count), BOTH)
+
+
+def bent(
+    rng: np.random.Generator,
+    count: int,
+    friction: Floats | float = 0.0,
+    stiffness: Profile | None = None,
+) -> Scenes:
+    """A bent body against something on its side; the inactive side's five sensors read."""
+    free = _signs(rng, count) * rng.uniform(0.005, MOST_FREE, count)
+    arc = rng.uniform(8.0, LENGTH, count)
+    moment = rng.uniform(0.2, 1.0, count) * np.minimum(CRITICAL, 0.9 * np.abs(free))
+    return one_contact(arc, -np.sign(free) * moment / arc, free, COLUMN, friction, stiffness)
+
+
+def rubbed(rng: np.random.Generator, count: int) -> Scenes:
+    """As `bent`, with friction at the contact."""
+    return bent(rng, count, _signs(rng, count) * rng.uniform(*FRICTION, count))
+
+
+def uneven(rng: np.random.Generator, count: int) -> Scenes:
+    """As `bent`, of a stiffness that varies smoothly along the body."""
+    size = SOFTNESS / np.sqrt(len(WAVES)) * rng.standard_normal((2, len(WAVES), count))
+
+    def stiffness(arc: Floats) -> Floats:
+        phase = WAVES * arc
+        softness: Floats = np.exp((size[0] * np.cos(phase) + size[1] * np.sin(phase)).sum(axis=0))
+        return softness
+
+    return bent(rng, count, stiffness=stiffness)
+
+
+def _pegs(rng: np.random.Generator, count: int, part: Part) -> Scenes:
+    room = rooms(rng, count, length=LENGTH, most=MOST_FREE, part=part)
+    side, free = _signs(rng, count), room.free[-1]
+    # The bound is that of a contact on the side with the same normal force.
+    _, _, away, _ = outline(room.u[-1], room.peg_radius, LENGTH)
+    normal = -np.maximum(room.push[-1] * away[1], 1e-9)
+    bound = one_contact(room.arc[-1], normal, free, COLUMN).bound
+    clean = side[:, None] * room.bodies(-1).readings(COLUMN, SPAN)
+    return Scenes(clean, COLUMN, side * free, room.arc[-1][:, None], bound)
+
+
+def pegs(rng: np.random.Generator, count: int) -> Scenes:
+    """A bent body against a peg in the room, on its side."""
+    return _pegs(rng, count, "side")
+
+
+def corners(rng: np.random.Generator, count: int) -> Scenes:
+    """A bent body against a peg in the room, at the corner of its end."""
+    return _pegs(rng, count, "corner")
+
+
+def untouched(rng: np.random.Generator, count: int) -> Scenes:
+    """A straight body that touches nothing."""
+    none = np.empty((count, 0))
+    return Scenes(np.zeros((count, 10)), BOTH, np.zeros(count), none, np.full(count, np.inf))
+
+
+def untouched_bent(rng: np.random.Generator, count: int) -> Scenes:
+    """A bent body that touches nothing."""
+    free = _signs(rng, count) * rng.uniform(0.0, MOST_FREE, count)
+    none = np.empty((count, 0))
+    return Scenes(np.tile(free[:, None], 5), COLUMN, free, none, np.full(count, np.inf))
+
+
+GROUPS: dict[str, Draw] = {
+    "pressed": pressed,
+    "bent": bent,
+    "peg": pegs,
+    "corner": corners,
+    "free": untouched,
+    "free, bent": untouched_bent,
+    "friction": rubbed,
+    "uneven": uneven,
+}
+TOUCHED = ("pressed", "bent", "peg", "corner")
+BENT = ("bent", "peg", "corner")

@@ -1,0 +1,123 @@
+"""The accuracy study: its scenes are what they say, its errors too, and its scores count right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thigmo.studies import accuracy
+from thigmo.studies.accuracy import Score, Task, judge
+from thigmo.studies.engine import Context
+from thigmo.studies.reading_errors import BAD, ERRORS, OFFSET, STEP, Frame
+from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
+from thigmo.studies.touches import GROUPS, TOUCHED, one_contact
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_scenes_have_what_their_bodies_read(group: str) -> None:
+    scenes = GROUPS[group](np.random.default_rng(4), 6)
+    assert scenes.curvature.shape == (6, scenes.position.size)
+    assert np.isfinite(scenes.curvature).all()
+    excess = scenes.curvature - scenes.free[:, None]
+    if group.startswith("free"):
+        assert np.all(excess == 0.0)
+        assert np.isinf(scenes.bound).all()
+    else:
+        assert np.all((scenes.arcs > 0.0) & (scenes.arcs <= LENGTH))
+        assert np.abs(excess).max() < 1.5 * CRITICAL
+        assert np.all(scenes.bound > 0.0)
+        # Whatever is distal of the contact bends as the free body does, but for its skin.
+        distal = scenes.position[None] - SPAN / 2 > scenes.arcs + RADIUS
+        assert np.abs(excess[distal]).max(initial=0.0) < 1e-9
+
+
+def test_the_bound_is_that_of_a_beam_where_the_body_is_straight() -> None:
+    # Readings f (a - x) of sensors at 5 .. 35 cm: for a known f, sigma / (f sqrt(n)).
+    arc, force = 40.0, 2e-4
+    scenes = one_contact(np.array([arc]), np.array([force]), np.zeros(1), COLUMN)
+    levers = arc - COLUMN[:4]
+    by_arc = force * np.ones(4)
+    left = by_arc - levers * (by_arc @ levers) / (levers @ levers)
+    assert scenes.bound[0] == pytest.approx(SIGMA / np.sqrt(left @ left), rel=0.03)
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_errors_are_as_large_as_they_say(name: str) -> None:
+    clean = np.array([0.02, 0.03, 0.025, 0.03, 0.03])
+    error = ERRORS[name]
+    frames = [
+        error.spoil(np.random.default_rng([3, i]), Frame(clean, COLUMN, 0.03, {}))
+        for i in range(400)
+    ]
+    off = np.array([frame.curvature - clean for frame in frames])
+    free = np.array([frame.free for frame in frames]) / 0.03
+    size = {
+        "gains 3 %": np.hypot(0.03 * clean, SIGMA),
+        "gains 5 %": np.hypot(0.05 * clean, SIGMA),
+        "gains 10 %": np.hypot(0.1 * clean, SIGMA),
+        "offset": np.hypot(OFFSET, SIGMA),
+        "noise twice stated": 2.0 * SIGMA,
+        "noise half stated": 0.5 * SIGMA,
+        "counts": np.hypot(SIGMA, STEP / np.sqrt(12.0)),
+    }.get(name, SIGMA)
+    if name in BAD:
+        # All but one reading of five have the noise only.
+        assert np.sort(np.abs(off), axis=1)[:, :3].max() < 4.0 * SIGMA
+        assert np.abs(off).max() > 2e-3
+    else:
+        # The standard deviation of a sample of Student's t varies more.
+        near = 0.3 if name.startswith("Student") else 0.15
+        assert off.std(axis=0) == pytest.approx(np.broadcast_to(size, 5), rel=near)
+    if name.startswith("map"):
+        assert (1.0 / free).std() == pytest.approx(0.05 if "5 %" in name else 0.1, rel=0.15)
+    else:
+        assert np.all(free == 1.0)
+
+
+def test_other_readings_tell_of_a_bad_one_in_their_midst() -> None:
+    rng = np.random.default_rng(8)
+    scenes = GROUPS["peg"](rng, 40)
+    told = {}
+    for offset in (0.0, 8e-3):
+        noise = SIGMA * rng.standard_normal((40, 5)) + offset * (COLUMN == 35.0)
+        told[offset] = accuracy.other_readings_tell(
+            [
+                Frame(readings, COLUMN, free, {})
+                for readings, free in zip(scenes.curvature + noise, scenes.free, strict=True)
+            ]
+        ).sum()
+    assert told[0.0] <= 3
+    assert told[8e-3] >= 30
+
+
+def test_scores_count_what_they_say() -> None:
+    nan = float("nan")
+    rows = [
+        # found, covered, wrong, squared error, bound, other readings tell
+        (1, 1, 0, 4.0, 2.0, 0),
+        (1, 0, 1, 36.0, 4.0, 1),
+        (1, 1, 0, 100.0, 9.0, 1),
+        (0, nan, 0, nan, 1.0, 0),
+    ]
+    score = Score.of(np.array(rows, dtype=float))
+    assert (score.count, score.found, score.wrong) == (4, 0.75, 0.25)
+    assert score.covered == pytest.approx(2 / 3)
+    assert score.wrong_against_others == 0.5
+    assert score.ratio == pytest.approx(np.sqrt(40.0 / 20.0))
+
+
+def test_an_error_told_is_no_worse_than_one_that_is_not() -> None:
+    told, untold = (Score.of(judge(Task(0, "bent", "map 10 %", t, 0, 25))) for t in (True, False))
+    assert told.covered > untold.covered
+    assert told.wrong <= untold.wrong
+
+
+def test_the_study_makes_its_tables_claims_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy, "BATCH", 2)
+    outcome = accuracy.run(Context(scale="quick"))
+    errors, odds = outcome.tables
+    groups = sum(len(e.groups) * (2 if e.tell else 1) for e in ERRORS.values())
+    assert len(errors.rows) == groups
+    assert len(odds.rows) == len(accuracy.ODDS) * len(TOUCHED) * (1 + len(BAD))
+    assert set(outcome.figures) == {"told", "odds"}
+    assert len(outcome.claims) == 12
