@@ -55,4 +55,4 @@ firmware:
 	$(MAKE) -C firmware/mega
 
 clean:
-	rm -rf $(VENV) build .stamps
+	rm -rf $(VENV) build .stamps "$${XDG_CACHE_HOME:-$$HOME/.cache}/thigmo"

@@ -8,10 +8,10 @@ is modelled as
     y_i = g + c_i + o + (s + e_i) g,
 
 with a constant c_i of each sensor (its zero; hysteresis keeps to one side while the pressure
-rises), the map's offset o and scale s at a body pressure, and each sensor's own gain e_i. All start at zero with
-the standard errors that calibration states, widened by what a robot may have changed since, and
-each untouched frame sharpens them (Bayesian linear regression). What is still unknown of them goes
-to the localizer as errors that readings share. The thesis compared with the map alone.
+rises), the map's offset o and scale s at a body pressure, and each sensor's own gain e_i. All start
+at zero with the standard errors that calibration states, widened by what a robot may have changed
+since, and each untouched frame sharpens them (Bayesian linear regression). What is still unknown of
+them goes to the localizer as errors that readings share. The thesis compared with the map alone.
 """
 
 from __future__ import annotations
