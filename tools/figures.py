@@ -145,11 +145,8 @@ SOURCES: dict[str, Source] = {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {"stability-force-place.png": "stability.png"},
             "scaling": {},
-<<<<<<< HEAD
             "cold": {},
-=======
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
->>>>>>> 63591ce (A study of accuracy: every error told and not told, and the price of distrust)
             "calibration": {},
             "exploration": {},
             "plant-models": {},
