@@ -52,6 +52,7 @@ class Board {
   void brake() { motor_ = 0; }
   void air(bool muscles, bool body) { require(muscles || !body); }
   int32_t encoder_count() { return encoder; }
+  uint16_t encoder_errors() { return 0; }
   uint16_t supply_mv() { return supply; }
   bool estop() { return pressed; }
   bool rx_read(uint8_t* byte) {

@@ -56,7 +56,7 @@ def test_the_image_says_what_it_is(image: Path) -> None:
     content = read_image(image)
     assert content.schema_hash == wire.SCHEMA_HASH
     assert content.protocol == wire.PROTOCOL
-    assert 20_000 < content.size < 100_000
+    assert 20_000 < content.size < 130_000
 
 
 @needs_avrdude
