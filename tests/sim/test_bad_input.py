@@ -189,7 +189,7 @@ def test_a_malformed_scene(
         ("position,curvature\n5,0.01\n15\n", "line 3"),
         ("position,curvature\n", "no rows|no readings|empty"),
         ("position,curvature\n5,inf\n", "line 2: curvature is inf"),
-        ("position,curvature\n-5,0.1\n", "line 2: a sensor at -5 lies outside"),
+        ("position,curvature\n-5,0.1\n", "a sensor is centred at -5, off a body of 53"),
         (b"\x89PNG\r\n\x1a\n\xff\xfe", "r.csv"),
     ],
 )
