@@ -88,7 +88,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     assert len(results.claims) == 3
     (each,) = [table for table in results.tables if table.name == "each"]
     ours = dict(zip(each.columns, each.rows[0], strict=True))
-    assert float(ours["error_x_cm"]) < 3.0
+    assert float(ours["error_x_cm"]) < 4.0  # two sensors feel it
     assert float(ours["robot_time_s"]) < float(each.rows[1][-1])
     # A lab does not know the point of contact, only where it measured the dowel.
     document = folder.path / kept(folder.path)[0]["run"] / "contacts.json"
@@ -136,4 +136,4 @@ def test_an_operator_explores_through_a_port_stops_and_evaluates(
     # The emulated body had the pressures that were asked for, or it would stand 5 cm away.
     with (tmp_path / "exploration" / "exploration-each.csv").open(newline="") as file:
         (each,) = csv.DictReader(file)
-    assert float(each["error_x_cm"]) < 3.0
+    assert float(each["error_x_cm"]) < 4.0  # two sensors feel it

@@ -19,6 +19,7 @@ import numpy as np
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
+from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
@@ -353,7 +354,14 @@ class Robot:
             RobotFaultError: a fault is latched.
         """
         self.raise_faults()
-        self._request(wire.Arm())
+        try:
+            self._request(wire.Arm())
+        except CommandRefusedError as error:
+            if error.reason != "host_silent":
+                raise
+            # While an operator was asked nothing was heard of the board, and the heart held still.
+            self.wait(2.0 * PERIOD_S)
+            self._request(wire.Arm())
         if body_air:
             self._request(wire.BodyAir(1))
 
