@@ -30,5 +30,7 @@ def test_a_robot_off_its_map_places_its_contact_within_the_interval(
     assert result.document.contacts
     for contact in result.document.contacts:
         low, high = contact.interval_cm
-        print(f"{bend}: {contact.status}, {low:.1f}..{high:.1f} cm, error {result.document.error_cm}")
+        print(
+            f"{bend}: {contact.status}, {low:.1f}..{high:.1f} cm, error {result.document.error_cm}"
+        )
         assert any(low - 1.0 <= true.arc_cm <= high + 1.0 for true in truth.contacts)

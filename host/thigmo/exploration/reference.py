@@ -33,7 +33,7 @@ _INDEPENDENT = 3.0
 # by hand, muscles age.
 _MAP_DRIFT, _GAIN_DRIFT = 0.08, 0.04
 # One sigma by which scale and offset differ between sweeps: lag, swing and hysteresis.
-_SWEEP_SCALE, _SWEEP_OFFSET = 0.02, 7e-4
+_SWEEP_SCALE, _SWEEP_OFFSET = 0.03, 1.2e-3
 _LEAST_OFFSET = 8e-4  # 1/cm: no curve through ten pressures is the muscle's own
 
 
