@@ -1,0 +1,132 @@
+"""From the board's telemetry and events to messages of the stream, in units.
+
+Called for every frame that anybody listens to, so it is plain arithmetic on ten numbers.
+"""
+
+from __future__ import annotations
+
+from math import nan
+
+import numpy as np
+
+from thigmo.config import SIDES
+from thigmo.link import protocol as wire
+from thigmo.link.received import ReceivedEvent, TelemetryFrame
+from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.settings import SENSORS_A_SIDE
+from thigmo.stream import Event, Telemetry
+from thigmo.stream.messages import Severity
+
+_FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
+_IDLE_CPSI = 10  # below, no muscle bends the body
+_SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(len(SIDES) * SENSORS_A_SIDE)]
+
+
+class Decoder:
+    """Decodes with one set of constants and zeros; made anew when these change.
+
+    Args:
+        table: the sensors' constants.
+        zero_sum: their zeros, (10,) sums of counts; NaN where there is none.
+        oversample: conversions that a sum holds.
+        epoch_s: UTC seconds at which the link's clock was 0.
+    """
+
+    def __init__(
+        self, table: SensorTable, zero_sum: Floats, oversample: int, epoch_s: float
+    ) -> None:
+        self._epoch_s = epoch_s
+        self._oversample = oversample
+        self._divider_ohm = table.divider_ohm
+        self._scale = table.scale_per_ohm.tolist()
+        self._zero_ohm = table.resistance(zero_sum, oversample).tolist()
+        # Everted where it ends, and never if it is not to be used.
+        used = table.healthy & np.isfinite(zero_sum)
+        self._out_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist()
+
+    def telemetry(self, frame: TelemetryFrame, supply_v: float = nan) -> Telemetry:
+        """A frame in units."""
+        raw = frame.message
+        length_cm = raw.length_um / 1e4
+        free = raw.free_e5 / 1e5
+        inflated = None
+        if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
+            inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
+        curvature, expected = [], []
+        for sensor, flex_sum in enumerate(raw.flex_sum):
+            value = self._curvature(sensor, flex_sum) if self._out_cm[sensor] <= length_cm else nan
+            curvature.append(value)
+            expected.append(nan if value != value or _SIDE_OF[sensor] == inflated else free)
+        return Telemetry(
+            t_s=frame.t_s,
+            epoch_s=self._epoch_s + frame.t_s,
+            device_s=frame.device_us * 1e-6,
+            pressure_psi=(raw.left_cpsi / 100, raw.right_cpsi / 100),
+            demand_psi=(raw.left_set_cpsi / 100, raw.right_set_cpsi / 100),
+            drive_ma=(_drive_ma(raw.left_drive), _drive_ma(raw.right_drive)),
+            curvature_per_cm=tuple(curvature),
+            expected_per_cm=tuple(expected),
+            base_per_cm=raw.base_e5 / 1e5,
+            free_per_cm=free,
+            length_cm=length_cm,
+            motor=raw.motor / _FULL_MOTOR,
+            supply_v=supply_v,
+            state=wire.State(raw.state_activity >> 4).key,
+            activity=wire.Activity(raw.state_activity & 0xF).key,
+            faults=tuple(fault.key for fault in wire.Fault.from_mask(raw.faults))
+            if raw.faults
+            else (),
+            flex_sum=raw.flex_sum,
+        )
+
+    def _curvature(self, sensor: int, flex_sum: int) -> float:
+        """As `SensorTable.curvature`, of one reading."""
+        count = flex_sum / self._oversample + 0.5
+        if count <= 0.75:
+            return nan  # the circuit is open
+        ohm = self._divider_ohm * (1024.0 - count) / count
+        return float(self._scale[sensor] * (ohm - self._zero_ohm[sensor]))
+
+    def event(self, received: ReceivedEvent) -> Event:
+        """An event in words."""
+        return described(received.message, received.t_s, self._epoch_s + received.t_s)
+
+
+def _drive_ma(level: int) -> float:
+    return level * _FULL_MA / _FULL_DRIVE
+
+
+def described(event: wire.Event, t_s: float, epoch_s: float) -> Event:
+    """The message of a board's event, with the operator's next step if there is one."""
+    name, severity, text, cure = _told(event)
+    return Event(t_s, epoch_s, name, severity, text, cure.rstrip("."))
+
+
+def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
+    code, arg, value = event.code, event.arg, event.value
+    if code is wire.EventCode.FAULT:
+        what, _, cure = wire.Fault(arg).doc.partition("; ")
+        return wire.Fault(arg).key, "fault", what, cure
+    if code is wire.EventCode.ACTIVITY_ABORTED:
+        what, _, cure = wire.Reason(value).doc.partition("; ")
+        return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
+    text = {
+        wire.EventCode.CONTACT: lambda: (
+            f"contact: the base is {value / 1e5:+.4f} 1/cm off the free bend to the {SIDES[arg]}"
+        ),
+        wire.EventCode.PEAK: lambda: f"peak of the bend to the {SIDES[arg]}: {value} readings",
+        wire.EventCode.ACTIVITY_DONE: lambda: (
+            f"{wire.Activity(arg).key} done at {value / 1e4:.1f} cm"
+        ),
+        wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
+        wire.EventCode.EVERTED: lambda: f"sensor {_sensor(arg)} everted at {value / 1e4:.1f} cm",
+        wire.EventCode.SETTLED: lambda: f"sensor {_sensor(arg)} settled",
+        wire.EventCode.SAVED: lambda: f"configuration {value} stored",
+    }[code]()
+    return code.key, "warning" if code is wire.EventCode.CONTACT else "info", text, ""
+
+
+def _sensor(sensor: int) -> str:
+    """As robot.toml and the calibration call it."""
+    side, index = divmod(sensor, SENSORS_A_SIDE)
+    return f"{SIDES[side]} {index}"

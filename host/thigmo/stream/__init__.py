@@ -1,0 +1,54 @@
+"""What happens on a robot, as it happens: one model of live data, and its ways to whoever looks.
+
+The robot and the exploration publish `messages` on a `Hub`; a program subscribes to it, a `Server`
+passes it to other processes of the same user, and `attach` is their end. Records, the page,
+Foxglove and ROS 2 are views of the same messages. A viewer never slows the robot: each has a
+bounded queue, loses the oldest messages and is told how many.
+"""
+
+from thigmo.stream.client import RemoteRun, Watchable, attach, running
+from thigmo.stream.hub import Hub, Subscription
+from thigmo.stream.messages import (
+    CHANNELS,
+    RETAINED,
+    BodyShape,
+    Contacts,
+    Dropped,
+    Event,
+    Grid,
+    Hello,
+    Log,
+    Message,
+    Posterior,
+    RunState,
+    Telemetry,
+    from_json,
+    to_json,
+)
+from thigmo.stream.server import Command, Server
+
+__all__ = [
+    "CHANNELS",
+    "RETAINED",
+    "BodyShape",
+    "Command",
+    "Contacts",
+    "Dropped",
+    "Event",
+    "Grid",
+    "Hello",
+    "Hub",
+    "Log",
+    "Message",
+    "Posterior",
+    "RemoteRun",
+    "RunState",
+    "Server",
+    "Subscription",
+    "Telemetry",
+    "Watchable",
+    "attach",
+    "from_json",
+    "running",
+    "to_json",
+]

@@ -1,0 +1,196 @@
+"""Where messages are published, and the bounded queues of those who listen.
+
+Publishing takes no longer for a slow listener: a full queue loses its oldest message. Publishers
+of frequent messages ask `wanted` first, so that nobody listening costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from types import TracebackType
+from typing import Generic, Self, TypeVar
+
+from thigmo.stream.messages import CHANNELS, RETAINED, Event, Message
+
+T = TypeVar("T")
+QUEUE = 2048  # messages: ten seconds of telemetry
+_KEPT_EVENTS = 100
+Sink = Callable[[Message], None]
+
+
+class Bounded(Generic[T]):
+    """A queue that drops its oldest entry when it is full. For several threads.
+
+    Attributes:
+        dropped: entries lost so far.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._entries: deque[T] = deque()
+        self._size = size
+        self._closed = False
+        self._changed = threading.Condition()
+        self.dropped = 0
+
+    def put(self, entry: T) -> None:
+        """Add an entry; never waits. Nothing is added after `close`."""
+        with self._changed:
+            if self._closed:
+                return
+            if len(self._entries) >= self._size:
+                self._entries.popleft()
+                self.dropped += 1
+            self._entries.append(entry)
+            self._changed.notify()
+
+    def get(self, timeout_s: float | None = None) -> T | None:
+        """The oldest entry; None if none comes in time, or none will come any more."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._entries or self._closed, timeout_s)
+            return self._entries.popleft() if self._entries else None
+
+    def close(self) -> None:
+        """End it: what is in it can still be taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is closed and empty."""
+        with self._changed:
+            return self._closed and not self._entries
+
+
+class Subscription:
+    """Messages for one listener, oldest first. A context manager and an iterator, which ends when
+    the subscription or the hub is closed.
+    """
+
+    def __init__(self, hub: Hub, channels: frozenset[str], size: int) -> None:
+        self._queue: Bounded[Message] = Bounded(size)
+        self._hub = hub
+        hub.attach(self._queue.put, channels, self._queue.close)
+
+    @property
+    def dropped(self) -> int:
+        """Messages lost so far because the listener was slow."""
+        return self._queue.dropped
+
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """The next message; None if none comes in time, or none will come any more."""
+        return self._queue.get(timeout_s)
+
+    def close(self) -> None:
+        """Listen no more; may be called twice."""
+        self._hub.detach(self._queue.put)
+        self._queue.close()
+
+    def __iter__(self) -> Iterator[Message]:
+        while (message := self.get()) is not None:
+            yield message
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class Hub:
+    """Passes messages from publishers to listeners. For several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sinks: list[tuple[Sink, frozenset[str], Callable[[], None]]] = []
+        self._wanted: frozenset[str] = frozenset()
+        self._last: dict[str, Message] = {}
+        self._events: deque[Message] = deque(maxlen=_KEPT_EVENTS)
+        self._closed = False
+
+    def publish(self, message: Message) -> None:
+        """Hand a message to all that listen to its channel; waits for none of them."""
+        channel = message.CHANNEL
+        with self._lock:
+            if channel in RETAINED:
+                self._last[channel] = message
+            elif channel == Event.CHANNEL:
+                self._events.append(message)
+            for sink, channels, _ in self._sinks:
+                if channel in channels:
+                    sink(message)
+
+    def wanted(self, kind: type[Message]) -> bool:
+        """Whether anybody listens to messages of a kind."""
+        return kind.CHANNEL in self._wanted
+
+    def subscribe(self, channels: Iterable[str] | None = None, size: int = QUEUE) -> Subscription:
+        """Listen.
+
+        Args:
+            channels: names of `messages.CHANNELS`; None takes all.
+            size: of the queue, in messages; when it is full the oldest is lost.
+
+        Returns:
+            An iterator that gives first the last message of each slow channel, and the last
+            hundred events.
+        """
+        return Subscription(self, frozenset(CHANNELS if channels is None else channels), size)
+
+    def attach(
+        self,
+        sink: Sink,
+        channels: Iterable[str] = tuple(CHANNELS),
+        closed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Call `sink` with every message from now on, and first with those that are retained.
+
+        It is called in the publisher's thread: it must be quick, and must not use the hub.
+
+        Args:
+            sink: the function.
+            channels: to which it listens.
+            closed: called when the hub is closed.
+        """
+        names = frozenset(channels)
+        with self._lock:
+            for message in self._retained():
+                if message.CHANNEL in names:
+                    sink(message)
+            if self._closed:
+                closed()
+                return
+            self._sinks.append((sink, names, closed))
+            self._note_wanted()
+
+    def detach(self, sink: Sink) -> None:
+        """Call `sink` no more; nothing happens if it is not attached."""
+        with self._lock:
+            self._sinks = [entry for entry in self._sinks if entry[0] != sink]
+            self._note_wanted()
+
+    def retained(self) -> list[Message]:
+        """The last message of each slow channel, and the last events."""
+        with self._lock:
+            return self._retained()
+
+    def close(self) -> None:
+        """End all subscriptions; may be called twice."""
+        with self._lock:
+            sinks, self._sinks, self._closed = self._sinks, [], True
+            self._note_wanted()
+            for _, _, closed in sinks:
+                closed()
+
+    def _retained(self) -> list[Message]:
+        return [*self._last.values(), *self._events]
+
+    def _note_wanted(self) -> None:
+        self._wanted = frozenset().union(*(channels for _, channels, _ in self._sinks))

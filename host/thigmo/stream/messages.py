@@ -1,0 +1,277 @@
+"""The messages of the stream, and their JSON.
+
+Lengths in cm, pressures in psi, curvature in 1/cm, currents in mA, angles in rad; x along the
+straight robot from its base, y to its left. Left comes before right, and the base before the tip.
+Sensors are numbered as on the board, the left side's five first. A number that is not known is NaN,
+and null in JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import nan
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
+
+from thigmo.errors import DataError
+from thigmo.record import MapContact, OccupancyGrid, Pose
+
+# JSON has no NaN.
+Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
+Pair = tuple[Number, Number]  # left, right
+Severity = Literal["info", "warning", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Base of all messages.
+
+    Attributes:
+        t_s: the robot's time base, as in run.mcap: the host's monotonic clock, or an emulator's
+            virtual time.
+        epoch_s: since 1970, UTC; in the emulator the start of the run plus virtual time.
+    """
+
+    CHANNEL: ClassVar[str]
+
+    t_s: float
+    epoch_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(Message):
+    """Whose stream this is: the first message to each client of a server.
+
+    Attributes:
+        url: of the robot.
+        name: of the run.
+        folder: the run folder, absolute; empty if there is none.
+        pid: process that drives the robot.
+        version: of thigmo.
+        virtual: the robot lives in that process, which is then where to stop it.
+    """
+
+    CHANNEL = "hello"
+
+    url: str
+    name: str
+    folder: str
+    pid: int
+    version: str
+    virtual: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped(Message):
+    """A viewer was too slow: `count` messages before this one are lost to it."""
+
+    CHANNEL = "dropped"
+
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry(Message):
+    """One telemetry frame of the board, decoded.
+
+    Attributes:
+        device_s: the board's own clock when the readings were complete; evenly spaced where `t_s`,
+            the arrival at the host, is not.
+        pressure_psi, demand_psi, drive_ma: of the muscles: measured, set point, current to the
+            pressure transducer.
+        curvature_per_cm: of the ten sensors; NaN where one is not healthy, everted and zeroed.
+        expected_per_cm: what the free body would read by the calibrated map, at the measured
+            pressure; NaN for the same sensors and for those of the inflated side, which wrinkles.
+        base_per_cm, free_per_cm: what the board's contact trigger compares: the base sensor's
+            curvature, and the free curvature by the map.
+        length_cm: everted.
+        motor: of the spool, signed share of full duty; positive pays out.
+        supply_v: of the board, as last asked for.
+        state, activity: of the board, by the schema's names.
+        faults: latched, by the schema's names.
+        flex_sum: the sensors' raw readings, sums of ADC counts.
+    """
+
+    CHANNEL = "telemetry"
+
+    device_s: float
+    pressure_psi: Pair
+    demand_psi: Pair
+    drive_ma: Pair
+    curvature_per_cm: tuple[Number, ...]
+    expected_per_cm: tuple[Number, ...]
+    base_per_cm: float
+    free_per_cm: float
+    length_cm: Number
+    motor: float
+    supply_v: Number
+    state: str
+    activity: str
+    faults: tuple[str, ...]
+    flex_sum: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Event(Message):
+    """Something happened.
+
+    Attributes:
+        name: of the event or, for a fault, of the fault, by the schema.
+        severity: "fault" needs the operator.
+        message: what happened.
+        next: what to do now; empty where nothing is to be done.
+    """
+
+    CHANNEL = "event"
+
+    name: str
+    severity: Severity
+    message: str
+    next: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunState(Message):
+    """What the run does.
+
+    Attributes:
+        state: name of the exploration's state (`exploration.State`).
+        doing: the same in words.
+        stage_cm: everted length of the stage; 0 before the first.
+        done: share of the run, 0 to 1.
+        paused: it waits, vented, to be resumed.
+        outcome: "running", or how the run ended, as in contacts.json.
+    """
+
+    CHANNEL = "state"
+
+    state: str
+    doing: str
+    stage_cm: float
+    done: float
+    paused: bool = False
+    outcome: str = "running"
+
+
+@dataclass(frozen=True, slots=True)
+class BodyShape(Message):
+    """The robot as it lies now.
+
+    Attributes:
+        poses: centreline from base to tip: x, y, heading.
+        radius_cm: of the tube.
+    """
+
+    CHANNEL = "shape"
+
+    poses: tuple[Pose, ...]
+    radius_cm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior(Message):
+    """Where along the body a contact is, as the localizer sees it after a stage's measurement.
+
+    Attributes:
+        side: inflated muscle.
+        length_cm: everted length.
+        places_cm: (N,) middles of cells along the body; empty without a contact.
+        probability: (N,) mass of each cell; their sum is 1.
+        status, hypothesis, message: the localizer's answer in words.
+    """
+
+    CHANNEL = "posterior"
+
+    side: str
+    length_cm: float
+    places_cm: tuple[float, ...]
+    probability: tuple[float, ...]
+    status: str
+    hypothesis: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts(Message):
+    """All contacts of the map so far."""
+
+    CHANNEL = "contacts"
+
+    contacts: tuple[MapContact, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid(Message):
+    """The occupancy grid so far.
+
+    Attributes:
+        resolution_cm: size of a cell.
+        origin: x, y, yaw of the outer corner of the first cell.
+        width, height: in cells.
+        cells: row by row from the lowest y: 0 free, 100 occupied, -1 unknown.
+    """
+
+    CHANNEL = "grid"
+
+    resolution_cm: float
+    origin: Pose
+    width: int
+    height: int
+    cells: tuple[int, ...]
+
+    @classmethod
+    def of(cls, grid: OccupancyGrid, t_s: float, epoch_s: float) -> Self:
+        """The message of a record's grid."""
+        height, width = grid.cells.shape
+        cells = tuple(grid.cells.ravel().tolist())
+        return cls(t_s, epoch_s, grid.resolution_cm, grid.origin, width, height, cells)
+
+
+@dataclass(frozen=True, slots=True)
+class Log(Message):
+    """A line for the operator's log."""
+
+    CHANNEL = "log"
+
+    level: Severity
+    text: str
+
+
+CHANNELS: Mapping[str, type[Message]] = {
+    kind.CHANNEL: kind
+    for kind in (
+        Hello, Dropped, Telemetry, Event, RunState, BodyShape, Posterior, Contacts, Grid, Log,
+    )
+}  # fmt: skip
+# The last of each is given to whoever comes later.
+RETAINED = frozenset(kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid))
+
+_ADAPTERS: dict[str, TypeAdapter[Any]] = {
+    channel: TypeAdapter(kind) for channel, kind in CHANNELS.items()
+}
+
+
+def to_json(message: Message) -> bytes:
+    """A message as a JSON object: its fields, after `channel`."""
+    fields = _ADAPTERS[message.CHANNEL].dump_json(message)
+    return b'{"channel":"%b",%b' % (message.CHANNEL.encode(), fields[1:])
+
+
+def from_json(data: bytes) -> Message:
+    """The message of `to_json`'s bytes.
+
+    Raises:
+        DataError: these are not such bytes.
+    """
+    try:
+        fields = json.loads(data)
+        message: Message = _ADAPTERS[fields.pop("channel")].validate_python(fields)
+    except (ValueError, KeyError, AttributeError, TypeError, ValidationError) as error:
+        raise DataError(
+            f"no message of the stream: {data[:80]!r}",
+            "use the same version of thigmo on both ends",
+        ) from error
+    return message
