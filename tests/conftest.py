@@ -15,7 +15,6 @@ from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
 
-
 # One commit gives one verdict: every run draws the same examples. `HYPOTHESIS_PROFILE=random`
 # draws new ones.
 settings.register_profile("repeatable", derandomize=True)
