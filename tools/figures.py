@@ -120,7 +120,7 @@ def _number(value: float | None) -> str:
 
 THIGMO = ".venv/bin/thigmo"
 # Studies of minutes: on two processes.
-LONG = ("speed-accuracy", "stability", "accuracy", "calibration", "exploration", "camera")
+LONG = ("speed-accuracy", "stability", "accuracy", "calibration", "map", "exploration", "camera")
 SOURCES: dict[str, Source] = {
     "explore": Source(
         (THIGMO, "explore", "--seed", "1", "--name", "readme", "--json"),
@@ -148,6 +148,7 @@ SOURCES: dict[str, Source] = {
             "cold": {},
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "calibration": {},
+            "map": {"map-map.png": "planner.png"},
             "exploration": {},
             "plant-models": {},
             "camera": {},

@@ -15,7 +15,7 @@ from PIL import Image
 from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.missed import judged
-from thigmo.exploration.obstacles import export_obstacles
+from thigmo.exploration.obstacles import SIGMAS, export_obstacles, occupancy
 from thigmo.exploration.prior import PriorMap, read_prior
 from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
 from thigmo.record import (
@@ -61,10 +61,12 @@ def _contact(arc: float = 40.0, length: float = 50.0, width: float = 3.0) -> Map
     )
 
 
-def _document(*contacts: MapContact, top: float = 0.015) -> RunDocument:
+def _document(
+    *contacts: MapContact, top: float = 0.015, curvature_se: float | None = 3e-4
+) -> RunDocument:
     """One stage, 50 cm long, swept to both sides."""
     shapes = [
-        Shape(side, 10.0 * share, centreline(Bend(50.0, sign * top * share)).poses(1.0))
+        Shape(side, 10 * share, centreline(Bend(50.0, sign * top * share)).poses(1.0), curvature_se)
         for side, sign in (("left", 1.0), ("right", -1.0))
         for share in (0.25, 0.5, 0.75, 1.0)
     ]
@@ -134,6 +136,32 @@ def test_what_was_swept_is_free_and_what_was_not_is_unknown(folder: RunFolder) -
     grid = read_ros_map(folder.path / "map.yaml")
     cells = int((grid.cells == 0).sum()) * grid.resolution_cm**2
     assert shoelace == pytest.approx(cells, rel=0.1)
+
+
+def _reach(curvature_se: float | None) -> float:
+    """Largest y of a free cell near the tip of a body that swept to 0.015 1/cm."""
+    document = _document(curvature_se=curvature_se)
+    grid, _ = occupancy(document, RADIUS)
+    x, y = grid.centers()
+    tip, _, _ = centreline(Bend(50.0, 0.015)).pose(49.0)
+    return float(y[(grid.cells == 0) & (np.abs(x - tip) < 1.0)].max(initial=-np.inf))
+
+
+def test_free_space_ends_where_the_shapes_error_begins() -> None:
+    sharp, blunt = _reach(1e-6), _reach(4e-4)
+    # The tip is s^2/2 of the error aside; it moves along its own normal.
+    heading = 0.015 * 50.0
+    assert sharp - blunt == pytest.approx(SIGMAS * 4e-4 * 50**2 / 2 * np.cos(heading), abs=0.75)
+    assert _reach(None) == -np.inf  # a shape of unknown error makes nothing free
+
+
+def test_near_a_contact_nothing_is_free() -> None:
+    contact = _contact()
+    grid, _ = occupancy(_document(contact, top=0.03), RADIUS)
+    x, y = grid.centers()
+    near = np.hypot(x - contact.x_cm, y - contact.y_cm) < 1.2
+    assert near.any()
+    assert (grid.cells[near] != 0).all()
 
 
 def test_obstacles_json_says_all_of_a_contact(folder: RunFolder) -> None:

@@ -13,7 +13,9 @@ from thigmo.exploration.map import best_contact, errors, peg_ahead
 from thigmo.exploration.workspace import (
     Bend,
     centreline,
+    common_error,
     excess_knots,
+    measured_bend,
     place_contact,
     ramp_knots,
     skin_point,
@@ -50,6 +52,26 @@ def test_readings_are_extended_to_the_base_and_end_at_the_contact() -> None:
     (base, _), (only, _), end = excess_knots(centers[:1], ramp[:1], 27.0)
     assert (base, only, end) == (0.0, 5.0, (27.0, 0.0))
     assert excess_knots(centers, ramp, 4.0) == ()
+
+
+def test_a_body_as_its_sensors_see_it_is_the_body() -> None:
+    bend = Bend(50.0, 0.02, ramp_knots([(38.0, -2e-4)]))
+    centers = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+    readings = 0.02 - 2e-4 * np.maximum(38.0 - centers, 0)
+    seen, true = centreline(measured_bend(50.0, centers, readings)), centreline(bend)
+    for arc in (10.0, 30.0, 50.0):
+        assert seen.pose(arc) == pytest.approx(true.pose(arc), abs=0.05)
+
+
+def test_a_common_error_puts_the_tip_as_far_off_as_the_sensors_own() -> None:
+    rng = np.random.default_rng(7)
+    centers, error = np.array([5.0, 15.0, 25.0, 35.0]), np.array([4e-4, 3e-4, 6e-4, 3e-4])
+    tips = [
+        centreline(measured_bend(40.0, centers, error * rng.standard_normal(4))).pose(40.0)[1]
+        for _ in range(800)
+    ]
+    stated = common_error(40.0, centers, error) * 40.0**2 / 2
+    assert np.std(tips) == pytest.approx(stated, rel=0.25)
 
 
 def test_the_point_is_on_the_side_that_the_force_comes_from() -> None:

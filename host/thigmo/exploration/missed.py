@@ -80,11 +80,8 @@ def _missed(
 ) -> list[MissedContact]:
     """One entry for each peg that some sweep's peak touched and that is not on the map."""
     entries = []
-    for peg in sorted({true.peg for true in truth}):
-        touches = [true for true in truth if true.peg == peg]
-        if any(_same(contact, true) for contact in document.contacts for true in touches):
-            continue
-        last = touches[-1]
+    for peg in sorted({true.peg for true in truth} - felt_pegs(document)):
+        last = [true for true in truth if true.peg == peg][-1]
         entries.append(
             MissedContact(
                 "truth",
@@ -97,6 +94,15 @@ def _missed(
             )
         )
     return entries
+
+
+def felt_pegs(document: RunDocument) -> set[int]:
+    """Indices of the room's pegs that some sweep's peak touched and that are on the map."""
+    return {
+        true.peg
+        for true in (document.truth.contacts if document.truth else ())
+        if any(_same(contact, true) for contact in document.contacts)
+    }
 
 
 def _same(contact: MapContact, true: TrueContact) -> bool:

@@ -1,9 +1,9 @@
 """From what a run found to the map that a planner reads: obstacles, free space, a grid.
 
 Built from contacts.json alone, so that a live run, one cut short and a replay all export the same
-way. Free is where the tube has been while nothing held it back, drawn in by what its shape may be
-off; occupied is where a contact is with 95 % of its posterior, and wins over free; the rest is
-unknown.
+way. Free is where the tube has been but for one chance in a thousand, as far as its shapes' errors
+tell; occupied is where a contact is with 95 % of its posterior, and wins over free; the rest is
+unknown, and so is what lies near a contact, up to the same chance.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from thigmo.record.occupancy import FREE, OCCUPIED, UNKNOWN
 _RESOLUTION_CM = 0.5
 _MARGIN_CM = 3.0
 _SIGMA_95 = 2.4477
-# The outline of a free sweep is drawn in by so much: the map's bend is not the body's to the last
-# millimetre, and a body that is held back by less than the trigger's threshold is not free.
-_DRAWN_IN_CM = 0.75
+# Standard errors of a swept shape beyond which a cell is free: one in a thousand is not. Over 200
+# random rooms so few cells inside pegs that were felt are free (`thigmo bench map`).
+SIGMAS = 3.1
 _BITS = 4  # fractions of a cell in OpenCV's drawing
 
 Mask = NDArray[np.bool_]
@@ -61,15 +61,7 @@ def export_obstacles(
     Raises:
         RunFolderError: the folder cannot be written.
     """
-    grid = _empty_grid(document, radius_cm, prior)
-    free = _free(grid, document, radius_cm)
-    obstacles = _obstacles(document.contacts, prior, grid, free)
-    occupied = np.zeros_like(free)
-    for obstacle in obstacles:
-        if obstacle.source != "prior, not felt":
-            occupied |= _near_track(grid, obstacle)
-    grid.cells[free] = FREE
-    grid.cells[occupied] = OCCUPIED
+    grid, obstacles = occupancy(document, radius_cm, prior)
     known = ObstacleMap(
         name=document.name,
         started=document.started,
@@ -81,6 +73,31 @@ def export_obstacles(
     )
     folder.write_map(known, grid, prefix)
     return known
+
+
+def occupancy(
+    document: RunDocument,
+    radius_cm: float,
+    prior: PriorMap | None = None,
+    sigmas: float = SIGMAS,
+) -> tuple[OccupancyGrid, list[Obstacle]]:
+    """The grid of what a run knows, and its obstacles.
+
+    Args:
+        document: contacts and stages.
+        radius_cm: of the tube.
+        prior: the map that the run was given.
+        sigmas: standard errors that free cells keep from what is not.
+    """
+    grid = _empty_grid(document, radius_cm, prior)
+    free = _free(grid, document, radius_cm, sigmas)
+    obstacles = _obstacles(document.contacts, prior, grid, free)
+    grid.cells[free] = FREE
+    there = [each for each in obstacles if each.source != "prior, not felt"]
+    for value, reach in ((UNKNOWN, max(sigmas, _SIGMA_95)), (OCCUPIED, _SIGMA_95)):
+        for obstacle in there:
+            grid.cells[_near_track(grid, obstacle, reach)] = value
+    return grid, obstacles
 
 
 def unfelt(document: RunDocument, prior: PriorMap, *, radius_cm: float) -> list[int]:
@@ -163,41 +180,37 @@ def _pixels(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int3
     return scaled
 
 
-def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float) -> Mask:
-    """Cells that the tube covered in a sweep or standing straight.
-
-    Where it was in a sweep, only the actuator map knows.
-    """
+def _free(
+    grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: float = SIGMAS
+) -> Mask:
+    """Cells that lie whole within the tube at some time of a sweep."""
     canvas = np.zeros(grid.cells.shape, dtype=np.uint8)
-    inner = max(radius_cm - _DRAWN_IN_CM, _RESOLUTION_CM / 2)
+    inner = radius_cm - grid.resolution_cm * np.sqrt(0.5)
     for stage in document.stages:
-        straight = np.array([[[0.0, 0.0, 0.0], [stage.everted_length_cm, 0.0, 0.0]]])
-        swept = [
-            passed(shape for shape in stage.shapes if shape.side == side)
-            for side in ("left", "right")
-        ]
-        for lines in [straight, *swept]:
-            for polygon in _pixels(grid, outline(lines, inner)):
+        for side in ("left", "right"):
+            mine = (s for s in stage.shapes if s.side == side and s.curvature_se is not None)
+            for polygon in _pixels(grid, outline(passed(mine, sigmas), inner)):
                 cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
     return canvas.astype(np.bool_)
 
 
-def _near_track(grid: OccupancyGrid, obstacle: Obstacle) -> Mask:
-    """Cells that may hold the obstacle's surface: 95 % along its track, and across it."""
+def _near_track(grid: OccupancyGrid, obstacle: Obstacle, sigmas: float) -> Mask:
+    """Cells that may hold the obstacle's surface: 95 % along its track, and so far across it."""
     away = np.ones(grid.cells.shape, dtype=np.uint8)
     line = _pixels(grid, np.asarray(obstacle.track))
     cv2.polylines(away, [line], False, 0, lineType=cv2.LINE_8, shift=_BITS)
     distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    mask: Mask = distance * grid.resolution_cm <= _across(obstacle) + grid.resolution_cm / 2
+    reach = sigmas * _across(obstacle) + grid.resolution_cm / 2
+    mask: Mask = distance * grid.resolution_cm <= reach
     return mask
 
 
 def _across(obstacle: Obstacle) -> float:
-    """Half the width (cm) of the band around an obstacle's track that holds it with 95 %."""
+    """Standard error (cm) of an obstacle's place across its track."""
     if obstacle.normal_rad is None:
         return 0.0
     normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
-    return _SIGMA_95 * float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
+    return float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
 
 
 def _swept_through(obstacle: Obstacle, grid: OccupancyGrid, free: Mask) -> bool:

@@ -60,6 +60,11 @@ def scale_errors(config: RobotConfig) -> Floats:
     return made
 
 
+def gain_errors(config: RobotConfig) -> Floats:
+    """The same, with what a sensor may have changed by since its calibration."""
+    return np.hypot(scale_errors(config), _GAIN_DRIFT)
+
+
 class FreeResponse:
     """Posterior of the constants, the gains and the map's scales, for each inflated side.
 
@@ -71,7 +76,7 @@ class FreeResponse:
         self._table = SensorTable.of(config)
         self._count = len(self._table.center_cm)
         zones = len(config.body.zones)
-        gain = np.hypot(scale_errors(config), _GAIN_DRIFT)
+        gain = gain_errors(config)
         # Normal equations of (c, e, s, o) for each side.
         size = 2 * (self._count + zones)
         self._scale = 2 * self._count

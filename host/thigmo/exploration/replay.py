@@ -263,8 +263,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
         for feeling in felt:
             for contact in feeling.felt:
                 found.add(contact)
-        pressure = config.body.zones[sweep.zone].pressure_psi
-        stages.append(stage_entry(sweep.length_cm, pressure, sweep.t_s, result, felt))
+        stages.append(stage_entry(sweep.length_cm, sweep.t_s, result, felt, config, sweep.zone))
     if reader.backed_off:
         grown = reader.growth.profile(table, reader.oversample)
         if (stalled := stall(*grown, table)) is not None:

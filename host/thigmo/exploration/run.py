@@ -353,8 +353,9 @@ class Exploration:
     def _keep_stage(self) -> None:
         """Put the stage into the document, and the document on the disk."""
         assert self.sweep is not None
-        pressure = self.config.body.zones[self.zone].pressure_psi
-        stage = stage_entry(self.length_cm, pressure, self.robot.now(), self.sweep, self.feelings)
+        stage = stage_entry(
+            self.length_cm, self.robot.now(), self.sweep, self.feelings, self.config, self.zone
+        )
         self.document = replace(
             self.document, stages=[*self.document.stages, stage], truth=self._truth()
         )

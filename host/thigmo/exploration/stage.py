@@ -7,18 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.exploration.feel import Feeling, feel
-from thigmo.exploration.measuring import GIVES_UP, held_back, held_sides, touch_curvature
+from thigmo.exploration.measuring import (
+    GIVES_UP,
+    held_back,
+    held_sides,
+    pressed_enough,
+    touch_curvature,
+)
 from thigmo.exploration.prior import PriorMap
-from thigmo.exploration.reference import FreeResponse
+from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.swept import SweptSpace
-from thigmo.exploration.workspace import Bend, centreline
+from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.localization import Contact
 from thigmo.record import Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
 
 _SHAPES_A_SIDE = 12
+_AVERAGED = 5  # frames behind a shape, a quarter of a second
 # The trigger fires when the base is held back by its threshold, so the body was touched before:
 # by so much less free curvature (1/cm).
 _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
@@ -118,18 +127,19 @@ def _narrow(contact: Contact) -> bool:
 
 def stage_entry(
     length_cm: float,
-    body_pressure_psi: float,
     t_s: float,
     sweep: SweepResult,
     feelings: Sequence[Feeling],
+    config: RobotConfig,
+    zone: int,
 ) -> Stage:
     """The stage's entry in contacts.json."""
     by_side = {feeling.shape.side: feeling.result for feeling in feelings}
     return Stage(
         everted_length_cm=length_cm,
-        body_pressure_psi=body_pressure_psi,
+        body_pressure_psi=config.body.zones[zone].pressure_psi,
         t_s=t_s,
-        shapes=[*_free_shapes(length_cm, sweep), *(f.shape for f in feelings)],
+        shapes=[*_swept_shapes(length_cm, zone, sweep, config), *(f.shape for f in feelings)],
         triggers=[
             Trigger(
                 t.side,
@@ -148,18 +158,38 @@ def stage_entry(
     )
 
 
-def _free_shapes(length_cm: float, sweep: SweepResult) -> list[Shape]:
-    """A dozen shapes of each half sweep, as far as nothing was touched."""
+def _swept_shapes(
+    length_cm: float, zone: int, sweep: SweepResult, config: RobotConfig
+) -> list[Shape]:
+    """A dozen shapes of the body on each half sweep's way up, until its base is near its fold.
+
+    They follow the readings, and not the map: a peg may hold the body back long before the trigger
+    fires. Nor do they bend further than the map says: pegs in the way of a bend only take from it,
+    and so a sensor that reads too much makes no space free.
+    """
     shapes = []
-    held = held_sides(sweep)
+    table = SensorTable.of(config)
+    gain = gain_errors(config)
     for side in SIDES:
-        mine = [f for f in sweep.frames if f.side == side]
-        free = [f for f in mine if not f.touched] if side in held else mine
-        top = max((f.pressure_psi for f in free), default=0.0)
-        kept = 0
-        for frame in sorted(free, key=lambda f: f.pressure_psi):
-            if frame.pressure_psi >= top * (kept + 1) / _SHAPES_A_SIDE:
-                poses = centreline(Bend(length_cm, frame.free_curvature)).poses(1.0)
-                shapes.append(Shape(side, frame.pressure_psi, poses))
-                kept += 1
+        use = table.usable(side, sweep.sensors)
+        mine = np.array([frame.side == side for frame in sweep.frames], dtype=np.bool_)
+        if not use.any() or not mine.any():
+            continue
+        frames = [frame for frame in sweep.frames if frame.side == side]
+        readings = sweep.curvature[mine][:, use]
+        pressure = np.array([frame.pressure_psi for frame in frames])
+        held = held_back(frames, side)
+        folds = np.array([pressed_enough(each, config, zone) for each in held])
+        end = min([int(pressure.argmax()) + 1, *np.flatnonzero(folds)[:1]])
+        way = 1.0 if side == "left" else -1.0
+        for part in np.array_split(np.arange(end), _SHAPES_A_SIDE):
+            last = part[-_AVERAGED:]
+            if not last.size:
+                continue
+            free = way * float(np.mean([frames[each].free_curvature for each in last]))
+            bend = way * np.minimum(way * readings[last].mean(axis=0), free)
+            error = np.hypot(table.noise[use], gain[use] * bend)
+            poses = centreline(measured_bend(length_cm, table.center_cm[use], bend)).poses(1.0)
+            se = common_error(length_cm, table.center_cm[use], error)
+            shapes.append(Shape(side, float(pressure[last].mean()), poses, round(se, 6)))
     return shapes

@@ -104,6 +104,36 @@ def excess_knots(
     return ((0.0, float(at_base)), *inner, (last_contact_cm, 0.0))
 
 
+def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
+    """The body as its sensors see it: linear between their centres, constant beyond the last.
+
+    Args:
+        length_cm: everted length.
+        centers: (N,) of the sensors, cm, ascending.
+        curvature: (N,) what they read, 1/cm.
+    """
+    slope = 0.0
+    if len(centers) > 1:
+        slope = float((curvature[1] - curvature[0]) / (centers[1] - centers[0]))
+    at_base = float(curvature[0]) - slope * float(centers[0])
+    inner = [(float(a), float(b)) for a, b in zip(centers, curvature, strict=True)]
+    return Bend(length_cm, 0.0, ((0.0, at_base), *inner, (length_cm, float(curvature[-1]))))
+
+
+def common_error(length_cm: float, centers: Floats, error: Floats) -> float:
+    """Standard error of a common curvature that puts the tip as far off as the sensors' own may.
+
+    Args:
+        length_cm: everted length.
+        centers: (N,) of the sensors, cm, ascending.
+        error: (N,) standard errors of what they read, each its own, 1/cm.
+    """
+    arc = np.arange(0.0, length_cm, _STEP_CM)
+    lever = length_cm - arc
+    share = np.array([np.interp(arc, centers, one) @ lever for one in np.eye(len(centers))])
+    return float(np.hypot.reduce(share / lever.sum() * error))
+
+
 def ramp_knots(contacts: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     """The excess curvature that contacts cause on a straight beam: a ramp to each of them.
 

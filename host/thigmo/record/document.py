@@ -20,11 +20,14 @@ class Shape:
         side: the muscle that was inflated, "left" or "right".
         pressure_psi: its pressure, filtered by the calibrated lag.
         poses: base to tip, evenly spaced in arc length.
+        curvature_se: standard error of its curvature, common to all of it, 1/cm: at arc s the body
+            may be s^2/2 of that aside. None: not known, and no space counts as swept by it.
     """
 
     side: str
     pressure_psi: float
     poses: list[Pose]
+    curvature_se: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

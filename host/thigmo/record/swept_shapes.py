@@ -30,19 +30,41 @@ def outline(poses: ArrayLike, radius_cm: float) -> Floats:
     return around
 
 
-def passed(shapes: Iterable[Shape]) -> Floats:
+def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
     """Centrelines (k, n, 3) of a half sweep's recorded shapes and those passed on the way between.
 
     The sweep starts with the straight robot, and goes up in pressure.
+
+    Args:
+        shapes: of one stage and side.
+        drawn_in: standard errors of the curvature by which the sweep starts later and ends earlier
+            than it seems; then each shape has its error.
     """
     ordered = sorted(shapes, key=lambda shape: shape.pressure_psi)
     if not ordered:
         return np.zeros((0, 0, 3))
     bent = np.array([shape.poses for shape in ordered])
+    steps = np.hypot(*np.moveaxis(np.diff(bent[..., :2], axis=1), -1, 0))
     straight = np.zeros_like(bent[0])
-    along = np.hypot(*np.diff(bent[0, :, :2], axis=0).T).sum()
-    straight[:, 0] = np.linspace(0.0, along, len(straight))
+    straight[1:, 0] = np.cumsum(steps[0])
+    if drawn_in:
+        way = 1.0 if ordered[0].side == "left" else -1.0
+        less = way * drawn_in * np.array([shape.curvature_se or 0.0 for shape in ordered])
+        straight = _turned(straight[None], steps[:1], less[:1])[0]
+        bent = _turned(bent, steps, -less)
     start = np.concatenate((straight[None], bent[:-1]))
     share = np.linspace(0, 1, _BETWEEN)[None, :, None, None]
     between: Floats = start[:, None] + (bent - start)[:, None] * share
     return between.reshape(-1, *straight.shape)
+
+
+def _turned(poses: Floats, steps: Floats, curvature: Floats) -> Floats:
+    """Centrelines (k, n, 3) of (k, n - 1) steps, bent by so much more each (k,)."""
+    arc = np.concatenate((np.zeros((len(steps), 1)), np.cumsum(steps, axis=1)), axis=1)
+    heading = poses[..., 2] + curvature[:, None] * arc
+    middle = (heading[:, 1:] + heading[:, :-1]) / 2
+    turned = np.zeros_like(poses)
+    turned[:, 1:, 0] = np.cumsum(steps * np.cos(middle), axis=1)
+    turned[:, 1:, 1] = np.cumsum(steps * np.sin(middle), axis=1)
+    turned[..., 2] = heading
+    return turned

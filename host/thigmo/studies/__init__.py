@@ -18,6 +18,7 @@ STUDIES: dict[str, str] = {
     "scaling": "time of `localize` and `localize_batch`, over sensors and rows",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
+    "map": "free space that a planner is told, and the pegs in it",
     "exploration": "pegs found and empty rooms silent, as calibrated and not",
     "faults": "single failures: what notices them, how soon it is safe, what it costs",
     "trigger": "contact trigger's latency against its false alarms",

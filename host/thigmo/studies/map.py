@@ -1,0 +1,153 @@
+"""The map for planners against the room: cells inside pegs that it calls free, and what that costs.
+
+Robots as calibrated explore random rooms of one to three pegs, each of which alone would be felt.
+The map is then drawn at several levels of certainty: how many of the cells inside pegs are free,
+apart for pegs that were felt and those that were missed, and how much space is free at all.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from math import hypot
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thigmo.emulator.reach import random_peg
+from thigmo.emulator.scene import PegTable, Scene
+from thigmo.exploration import explore
+from thigmo.exploration.missed import felt_pegs
+from thigmo.exploration.obstacles import SIGMAS, occupancy
+from thigmo.record import RunDocument
+from thigmo.record.occupancy import FREE
+from thigmo.studies import charts
+from thigmo.studies.engine import Claim, Context, Outcome, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LEVELS = (0.0, 1.0, 2.0, SIGMAS, 4.0)
+_RADII_CM = (0.25, 2.5)
+_MOST_PEGS = 3
+_BETWEEN_CM = 0.5  # pegs stand at least so far apart
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A room's map at one level.
+
+    Attributes:
+        seed: of the room.
+        sigmas: standard errors that free cells keep from what is not.
+        felt_cells, felt_free: cells inside pegs that were felt, and those of them that are free.
+        missed_cells, missed_free: the same of pegs that a sweep touched unnoticed, or did not.
+        free_cm2: of the whole map.
+    """
+
+    seed: int
+    sigmas: float
+    felt_cells: int
+    felt_free: int
+    missed_cells: int
+    missed_free: int
+    free_cm2: float
+
+
+def room(seed: int) -> Scene:
+    """A random room for the robot of the default scene."""
+    scene = Scene.load("default")
+    rng = np.random.default_rng([seed, 0x3A9])
+    scene.pegs = []
+    for _ in range(rng.integers(1, _MOST_PEGS + 1)):
+        peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
+        gaps = (hypot(peg.x - o.x, peg.y - o.y) - peg.radius - o.radius for o in scene.pegs)
+        if all(gap > _BETWEEN_CM for gap in gaps):
+            scene.pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))
+    return scene
+
+
+def visit(seed: int) -> list[Mapped]:
+    """Explore a room, and judge its map at every level."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "room.toml"
+        room(seed).save(file)
+        document = explore(f"emulator://{file}", seed=seed, out=folder).document
+    return [judge(document, seed, sigmas) for sigmas in _LEVELS]
+
+
+def judge(
+    document: RunDocument, seed: int, sigmas: float = SIGMAS, radius_cm: float = 1.75
+) -> Mapped:
+    """Compare a run's map with the room that the emulator knows."""
+    grid, _ = occupancy(document, radius_cm, sigmas=sigmas)
+    free = grid.cells == FREE
+    x, y = grid.centers()
+    felt = felt_pegs(document)
+    counts = np.zeros((2, 2), dtype=np.int64)
+    for index, peg in enumerate(document.truth.pegs if document.truth else ()):
+        inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
+        counts[int(index not in felt)] += inside.sum(), (inside & free).sum()
+    area = float(free.sum()) * grid.resolution_cm**2
+    (felt_all, felt_free), (missed_all, missed_free) = counts.tolist()
+    return Mapped(seed, sigmas, felt_all, felt_free, missed_all, missed_free, area)
+
+
+def run(context: Context) -> Outcome:
+    """Random rooms, and what is promised of their maps."""
+    seeds = context.rng(0x3A).integers(0, 2**31, context.count(8, 200)).tolist()
+    found = [one for rows in context.map(visit, seeds, "rooms") for one in rows]
+    summary = Table.of("levels", [_level(found, sigmas) for sigmas in _LEVELS])
+    (chosen,) = (row for row in summary.records() if row["sigmas"] == SIGMAS)
+    return Outcome(
+        tables=[Table.of("rooms", found), summary],
+        figures={"map": _figure(summary)},
+        claims=[
+            Claim("cells inside pegs that were felt and are free", float(chosen["felt_free_%"]),
+                  0.1, unit="%")
+        ],
+        notes=[
+            f"cells inside pegs that were missed and are free: {chosen['missed_free_%']:.2g} % of "
+            f"{chosen['missed_cells']}",
+            f"free space kept of what the sweeps seem to cover: {chosen['kept_%']:.0f} %",
+        ],
+        summary=summary,
+    )  # fmt: skip
+
+
+def _level(found: list[Mapped], sigmas: float) -> dict[str, float | int]:
+    mine = [one for one in found if one.sigmas == sigmas]
+    felt, missed = sum(one.felt_cells for one in mine), sum(one.missed_cells for one in mine)
+    seen = sum(one.free_cm2 for one in found if one.sigmas == 0.0)
+    return {
+        "sigmas": sigmas,
+        "felt_cells": felt,
+        "felt_free_%": 100 * sum(one.felt_free for one in mine) / max(felt, 1),
+        "rooms_with_one": sum(one.felt_free > 0 for one in mine),
+        "missed_cells": missed,
+        "missed_free_%": 100 * sum(one.missed_free for one in mine) / max(missed, 1),
+        "kept_%": 100 * sum(one.free_cm2 for one in mine) / seen,
+    }
+
+
+def _figure(levels: Table) -> Figure:
+    """What a level saves and what it costs."""
+    figure, (left, right) = charts.panels(1, 2, size=(5.0, 3.6), title="The map for planners")
+    rows = levels.records()
+    sigmas = [float(row["sigmas"]) for row in rows]
+    for label, color, what in (
+        ("pegs that were felt", "tab:green", "felt_free_%"),
+        ("pegs that were missed", "tab:red", "missed_free_%"),
+    ):
+        left.plot(sigmas, [float(row[what]) for row in rows], "o-", color=color, label=label)
+    left.axhline(0.1, color="0.6", linestyle=":", label="promised")
+    left.set_yscale("symlog", linthresh=0.1)
+    left.set(ylabel="of the cells inside, free (%)", ylim=(0, None))
+    left.legend(fontsize=8)
+    right.plot(sigmas, [float(row["kept_%"]) for row in rows], "o-")
+    right.set(ylabel="free space kept (%)", ylim=(0, 105))
+    for axis in (left, right):
+        axis.axvline(SIGMAS, color="0.85", linewidth=5, zorder=0)
+        axis.set(xlabel="standard errors kept from the edge")
+    return figure
