@@ -9,36 +9,103 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from thigmo.display import Pictures
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from thigmo.config import RobotConfig
     from thigmo.errors import ThigmoError
-    from thigmo.exploration import explore
-    from thigmo.localization import Contact, LocalizeResult, localize, localize_batch
+    from thigmo.exploration.explore import explore
+    from thigmo.exploration.replay import replay
+    from thigmo.exploration.result import ExplorationResult, open_run
+    from thigmo.localization import (
+        BatchResult,
+        Contact,
+        Identifiability,
+        LocalizeResult,
+        arc_bounds,
+        identifiability,
+        localize,
+        localize_batch,
+        localize_obstacle,
+    )
+    from thigmo.record import (
+        MapContact,
+        ObstacleMap,
+        OccupancyGrid,
+        RunDocument,
+        read_obstacles,
+        read_readings,
+        read_ros_map,
+    )
     from thigmo.robot import Robot, connect
 
 __version__ = "0.1.0"
 
 _HOME = {
+    "BatchResult": "thigmo.localization",
     "Contact": "thigmo.localization",
+    "ExplorationResult": "thigmo.exploration",
+    "Identifiability": "thigmo.localization",
     "LocalizeResult": "thigmo.localization",
+    "MapContact": "thigmo.record",
+    "ObstacleMap": "thigmo.record",
+    "OccupancyGrid": "thigmo.record",
     "Robot": "thigmo.robot",
+    "RobotConfig": "thigmo.config",
+    "RunDocument": "thigmo.record",
     "ThigmoError": "thigmo.errors",
+    "arc_bounds": "thigmo.localization",
     "connect": "thigmo.robot",
     "explore": "thigmo.exploration",
+    "identifiability": "thigmo.localization",
     "localize": "thigmo.localization",
     "localize_batch": "thigmo.localization",
+    "localize_obstacle": "thigmo.localization",
+    "open_run": "thigmo.exploration",
+    "read_obstacles": "thigmo.record",
+    "read_readings": "thigmo.record",
+    "read_ros_map": "thigmo.record",
+    "replay": "thigmo.exploration",
 }
 
 __all__ = [
+    "BatchResult",
     "Contact",
+    "ExplorationResult",
+    "Identifiability",
     "LocalizeResult",
+    "MapContact",
+    "ObstacleMap",
+    "OccupancyGrid",
     "Robot",
+    "RobotConfig",
+    "RunDocument",
     "ThigmoError",
     "__version__",
+    "arc_bounds",
     "connect",
     "explore",
+    "identifiability",
     "localize",
     "localize_batch",
+    "localize_obstacle",
+    "open_run",
+    "read_obstacles",
+    "read_readings",
+    "read_ros_map",
+    "replay",
 ]
+
+
+def _draw(result: object, axes: Axes | None, **options: Any) -> Axes:
+    """Have the report draw a result of a layer below it."""
+    drawn: Axes = import_module("thigmo.report").plot(result, axes, **options)
+    return drawn
+
+
+Pictures.draw = _draw
 
 
 def __getattr__(name: str) -> Any:

@@ -28,7 +28,7 @@ def test_a_contact_tells_where_it_was_first_felt_and_last_measured() -> None:
     document = RunDocument(
         thigmo="0", name="n", url="u", started="2026-01-01T00:00:00", contacts=[contact]
     )
-    printed = ExplorationResult(document, Path("runs/n"), 53.0).as_json()["contacts"][0]
+    printed = ExplorationResult(document, Path("runs/n")).as_json()["contacts"][0]
     assert printed["everted_length_cm"] == 40.0
     assert printed["measured_length_cm"] == 53.0
     assert "track" not in printed

@@ -8,57 +8,20 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
 from thigmo.exploration.prior import PriorMap, keep_prior, read_prior
+from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
-
-
-@dataclass(frozen=True, slots=True)
-class ExplorationResult:
-    """What an exploration found.
-
-    Attributes:
-        document: contacts, stages, truth, errors and times, as in contacts.json.
-        folder: the run folder.
-        length_cm: everted length at the end, which the robot keeps.
-    """
-
-    document: RunDocument
-    folder: Path
-    length_cm: float
-
-    def as_json(self) -> dict[str, Any]:
-        """The object that `thigmo explore --json` prints: the document without its shapes.
-
-        A contact's `everted_length_cm` is the length at which it was first felt, its
-        `measured_length_cm` the one at which it was last measured.
-        """
-        plain = asdict(self.document)
-        for stage in plain["stages"]:
-            del stage["shapes"]
-        for contact in plain["contacts"]:
-            del contact["track"]
-            measured = contact["everted_length_cm"]
-            contact["measured_length_cm"] = measured
-            contact["everted_length_cm"] = min([measured, *contact["merged"]])
-        wall = max(self.document.wall_time_s, 1e-9)
-        return {
-            **plain,
-            "robot_per_wall_time": self.document.robot_time_s / wall,
-            "length_cm": self.length_cm,
-            "run": str(self.folder),
-        }
 
 
 class _TerminatedError(BaseException):
@@ -130,7 +93,7 @@ def explore(
         radius_cm=used.body.radius_cm,
         prior=given.obstacles if given else (),
     )
-    return ExplorationResult(run.document, folder.path, run.length_cm)
+    return ExplorationResult(run.document, folder.path)
 
 
 def _recorded_run(
@@ -163,6 +126,7 @@ def _recorded_run(
                     run.restore()
             run.document = replace(
                 run.document,
+                length_cm=run.length_cm,
                 robot_time_s=round(robot.elapsed_s, 3),
                 wall_time_s=round(time.monotonic() - start, 3),
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -48,6 +49,11 @@ class BatchResult:
 
     def __len__(self) -> int:
         return len(self.arc)
+
+    def __repr__(self) -> str:
+        count = Counter(self.status)
+        told = ", ".join(f"{count[status]} {status}" for status in STATUSES if count[status])
+        return f"BatchResult({len(self)} rows{': ' if told else ''}{told})"
 
 
 def localize_batch(

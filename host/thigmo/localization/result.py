@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.display import Bar, Pictures, body_strip, html_card, html_table
 from thigmo.localization import _posterior
 from thigmo.localization.readings import Range
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact"]
+_COLUMNS = ("arc", "interval", "force / EI", "probability", "status")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +45,28 @@ class Contact:
     force_deviation: float = 0.0
     probability: float = 1.0
     end_offset: float | None = None
+
+    def __repr__(self) -> str:
+        return f"Contact({self._place}, {self.status})"
+
+    def _repr_html_(self) -> str:
+        return html_table(_COLUMNS, [self._cells])
+
+    @property
+    def _place(self) -> str:
+        low, high = self.interval
+        return f"arc {self.arc:.4g}, {low:.4g} to {high:.4g}"
+
+    @property
+    def _cells(self) -> list[str]:
+        low, high = self.interval
+        force = f"{self.force:.3g}"
+        if self.force_deviation > 0.0:
+            force += f" ± {self.force_deviation:.2g}"
+        return [
+            f"{self.arc:.4g}", f"{low:.4g} to {high:.4g}", force, f"{self.probability:.3g}",
+            self.status,
+        ]  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -77,6 +104,34 @@ class LocalizeResult:
     length: float = 1.0
     bent: tuple[Array, Array] | None = None
     _answer: _posterior.Answer | None = None
+
+    def __repr__(self) -> str:
+        places = "; ".join(contact._place for contact in self.contacts)
+        return (
+            f"LocalizeResult({self.status}, {self.hypothesis}{': ' if places else ''}{places}; "
+            f"body of {self.length:.4g})"
+        )
+
+    def _repr_html_(self) -> str:
+        title = f"{self.status}: {self.hypothesis}"
+        if not self.contacts:
+            return html_card(title, self.message)
+        bars = [Bar(c.arc, c.intervals or (c.interval,), c.status) for c in self.contacts]
+        strip = body_strip(self.length, self.edges.tolist(), self.probability.tolist(), bars)
+        table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
+        return html_card(title, self.message, strip, table)
+
+    def plot(self, axes: Axes | None = None, *, unit: str = "") -> Axes:
+        """Draw the posterior along the body, and each contact with its interval.
+
+        Args:
+            axes: where to; None makes a new figure with matplotlib's pyplot.
+            unit: name of the unit in which the lengths were given, for the labels.
+
+        Returns:
+            The axes, for limits, titles or `axes.figure.savefig`.
+        """
+        return Pictures.draw(self, axes, unit=unit)
 
     @property
     def edges(self) -> Array:

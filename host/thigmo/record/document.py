@@ -87,6 +87,13 @@ class MapContact:
     merged: list[float] = field(default_factory=list)
     known: int | None = None
 
+    def __repr__(self) -> str:
+        low, high = self.interval_cm
+        return (
+            f"MapContact(x {self.x_cm:.1f}, y {self.y_cm:.1f} cm; arc {self.arc_cm:.1f} of "
+            f"{self.everted_length_cm:.1f} cm, 95 % {low:.1f} to {high:.1f} cm; {self.status})"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Stage:
@@ -181,6 +188,7 @@ class RunDocument:
         error_cm: distance in the plane from it to the true contact point.
         missed: contacts known otherwise that are not on the map; null if nothing else is known.
         false: contacts of the map that are not in the room; null without truth.
+        length_cm: everted length at the end, which the robot keeps.
         robot_time_s: device time that the run took.
         wall_time_s: the operator's time that it took, from connecting on.
     """
@@ -198,6 +206,7 @@ class RunDocument:
     error_cm: float | None = None
     missed: list[MissedContact] | None = None
     false: list[FalseContact] | None = None
+    length_cm: float = 0.0
     robot_time_s: float = 0.0
     wall_time_s: float = 0.0
     version: int = 1

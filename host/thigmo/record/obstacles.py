@@ -109,6 +109,12 @@ class ObstacleMap:
     )
     version: int = 1
 
+    def __repr__(self) -> str:
+        return (
+            f"ObstacleMap({self.name}: {self.outcome}; {len(self.obstacles)} obstacles, "
+            f"{len(self.free)} free areas)"
+        )
+
 
 _MAP = TypeAdapter(ObstacleMap)
 

@@ -11,15 +11,19 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
+from thigmo.display import Pictures, html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.record.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FREE, UNKNOWN, OCCUPIED = 0, -1, 100  # as in nav_msgs/OccupancyGrid
 _GREY = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
@@ -41,6 +45,41 @@ class OccupancyGrid:
     cells: NDArray[np.int8]
     resolution_cm: float
     origin: tuple[float, float, float]
+
+    def __repr__(self) -> str:
+        count = ", ".join(f"{number} {name}" for name, number in self._count().items())
+        return f"OccupancyGrid({self._size()}: {count})"
+
+    def _repr_html_(self) -> str:
+        x, y, yaw = self.origin
+        said = f"{self._size()}; its lower left corner at x {x:.4g}, y {y:.4g} cm"
+        if yaw:
+            said += f", turned by {np.degrees(yaw):.4g}°"
+        total = max(self.cells.size, 1)
+        rows = [
+            (name, number, f"{number * (self.resolution_cm / _CM_PER_M) ** 2:.3g} m²",
+             f"{100 * number / total:.3g} %")
+            for name, number in self._count().items()
+        ]  # fmt: skip
+        return html_card("Occupancy grid", said, html_table(("", "cells", "area", "share"), rows))
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the cells in the robot's frame.
+
+        Args:
+            axes: where to; None makes a new figure with matplotlib's pyplot.
+        """
+        return Pictures.draw(self, axes)
+
+    def _size(self) -> str:
+        rows, columns = self.cells.shape
+        return f"{columns} x {rows} cells of {self.resolution_cm:.4g} cm"
+
+    def _count(self) -> dict[str, int]:
+        return {
+            name: int((self.cells == value).sum())
+            for name, value in (("free", FREE), ("occupied", OCCUPIED), ("unknown", UNKNOWN))
+        }
 
     def centers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """x and y of every cell's centre, cm, each of the cells' shape."""

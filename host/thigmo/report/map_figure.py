@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thigmo.display import COLORS, OTHER_COLOR
 from thigmo.errors import RunFolderError
 from thigmo.record import outline, passed
+from thigmo.report.axes import INK, new_axes, plain, titled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from thigmo.record import MapContact, Obstacle, RunDocument, Stage
 
-_INK = "#22313f"
 _SWEPT = "#e9eff5"
-_CONTACT = "#c8323c"
-_AMBIGUOUS = "#d98a1f"
 _TRUTH = "#2c7a58"
 _PRIOR = "#6b5b95"
+_SIZE_IN = (8.2, 7.6)
 _SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
 
 
@@ -38,7 +38,7 @@ def draw_map(
     prior: Sequence[Obstacle] = (),
     dpi: int = 160,
 ) -> None:
-    """Draw a run's map.
+    """Draw a run's map into a file.
 
     Args:
         document: the run.
@@ -53,9 +53,33 @@ def draw_map(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.2, 7.6), layout="constrained", facecolor="white")
+    figure = Figure(figsize=_SIZE_IN, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    plot_map(document, figure.add_subplot(), radius_cm=radius_cm, prior=prior)
+    try:
+        figure.savefig(path, dpi=dpi)
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
+        ) from error
+
+
+def plot_map(
+    document: RunDocument,
+    axes: Axes | None = None,
+    *,
+    radius_cm: float,
+    prior: Sequence[Obstacle] = (),
+) -> Axes:
+    """Draw a run's map on axes.
+
+    Args:
+        document: the run.
+        axes: where to; None makes a new figure with matplotlib's pyplot.
+        radius_cm: of the tube, for its outline.
+        prior: obstacles of the map that the run was given.
+    """
+    axes = axes or new_axes(*_SIZE_IN)
     _robot(axes, document.stages, radius_cm)
     for obstacle in prior:
         _prior(axes, obstacle)
@@ -64,12 +88,7 @@ def draw_map(
     if document.truth is not None:
         _truth(axes, document)
     _frame(axes, document)
-    try:
-        figure.savefig(path, dpi=dpi)
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
-        ) from error
+    return axes
 
 
 def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
@@ -106,18 +125,18 @@ def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
         touched = [s for s in last.shapes if s.side in {t.side for t in last.triggers}]
         for shape in sorted(touched, key=lambda s: s.pressure_psi)[-1:]:
             around = outline(shape.poses, radius_cm)
-            axes.fill(*around.T, facecolor="#bcd0e2", alpha=0.55, edgecolor=_INK, lw=0.8, zorder=2)
+            axes.fill(*around.T, facecolor="#bcd0e2", alpha=0.55, edgecolor=INK, lw=0.8, zorder=2)
         axes.plot([], [], color=colormaps["Blues"](0.85), lw=1.6, label="robot at its widest bends")
         axes.fill([], [], color=_SWEPT, label="space swept")
-    axes.fill([-2.4, 0, 0, -2.4], [-2.6, -2.6, 2.6, 2.6], color=_INK, zorder=4)
-    axes.text(-1.2, -3.4, "base", ha="center", va="top", fontsize=8, color=_INK)
+    axes.fill([-2.4, 0, 0, -2.4], [-2.6, -2.6, 2.6, 2.6], color=INK, zorder=4)
+    axes.text(-1.2, -3.4, "base", ha="center", va="top", fontsize=8, color=INK)
 
 
 def _contact(axes: Axes, contact: MapContact) -> None:
     """A contact: point on the skin, interval along the skin, 95 % ellipse, and its words."""
     from matplotlib.patches import Ellipse
 
-    color = _CONTACT if contact.status == "localized" else _AMBIGUOUS
+    color = COLORS.get(contact.status, OTHER_COLOR)
     if len(contact.track) > 1:
         axes.plot(
             *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
@@ -188,23 +207,16 @@ def _frame(axes: Axes, document: RunDocument) -> None:
     axes.autoscale_view()
     axes.set_xlabel("x, along the straight robot (cm)")
     axes.set_ylabel("y, to its left (cm)")
-    axes.grid(color="#d9dfe5", lw=0.5)
-    axes.set_axisbelow(True)
-    for spine in ("top", "right"):
-        axes.spines[spine].set_visible(False)
+    plain(axes)
     count = len(document.contacts)
     found = "no contact" if count == 0 else f"{count} contact{'s' if count > 1 else ''}"
-    axes.set_title(f"{document.name}: {found}", loc="left", fontsize=13, color=_INK, pad=22)
     facts = [shorten(document.outcome, 70, placeholder=" ...")]
     if document.error_x_cm is not None:
         facts.append(
             f"x error {document.error_x_cm:.2f} cm, in the plane {document.error_cm:.2f} cm"
         )
     facts.append(f"{document.robot_time_s:.0f} s of robot time")
-    axes.text(
-        0, 1.012, "; ".join(facts), transform=axes.transAxes, fontsize=9, color="#5b6b7a",
-        va="bottom",
-    )  # fmt: skip
+    titled(axes, f"{document.name}: {found}", "; ".join(facts))
     if axes.get_legend_handles_labels()[0]:
         axes.figure.legend(
             *axes.get_legend_handles_labels(), loc="outside lower center", ncols=4,

@@ -1,0 +1,156 @@
+"""What an exploration found: returned by `explore`, or read from its run folder again."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thigmo.config import RobotConfig
+from thigmo.display import html_card, html_table
+from thigmo.exploration.prior import kept_prior
+from thigmo.record import (
+    OBSTACLES_FILE,
+    MapContact,
+    ObstacleMap,
+    OccupancyGrid,
+    RunDocument,
+    RunFolder,
+    read_obstacles,
+    read_ros_map,
+)
+from thigmo.report import plot_map
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationResult:
+    """What an exploration found.
+
+    Attributes:
+        document: contacts, stages, truth, errors and times, as in contacts.json.
+        folder: the run folder.
+    """
+
+    document: RunDocument
+    folder: Path
+
+    def __repr__(self) -> str:
+        return f"ExplorationResult({self.document.name}: {self._said()}; {self.folder})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                f"{c.x_cm:.1f}, {c.y_cm:.1f}",
+                f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f}",
+                f"{c.interval_cm[0]:.1f} to {c.interval_cm[1]:.1f}",
+                f"{c.force_per_cm2:.2g}",
+                c.status,
+            )
+            for c in self.contacts
+        ]
+        columns = ("x, y (cm)", "arc (cm)", "95 % interval (cm)", "force / EI (1/cm²)", "status")
+        table = html_table(columns, rows) if rows else ""
+        return html_card(self.document.name, f"{self._said()}; {self.folder}", table)
+
+    def _said(self) -> str:
+        found = self.document
+        said = (
+            f"{found.outcome}; {_counted(len(found.contacts), 'contact')}, "
+            f"{_counted(len(found.stages), 'stage')}, {found.robot_time_s:.0f} s of robot time"
+        )
+        if found.error_cm is None:
+            return said
+        return f"{said}; error in the plane {found.error_cm:.2f} cm"
+
+    @property
+    def contacts(self) -> list[MapContact]:
+        """One for each obstacle that was touched, in the order of their discovery."""
+        return self.document.contacts
+
+    @property
+    def length_cm(self) -> float:
+        """Everted length at the end, which the robot keeps."""
+        return self.document.length_cm
+
+    @property
+    def config(self) -> RobotConfig:
+        """robot.toml as it was used.
+
+        Raises:
+            ConfigError: missing or malformed.
+        """
+        return RunFolder(self.folder).read_config()
+
+    @property
+    def map(self) -> OccupancyGrid:
+        """The map as a grid: free, occupied, unknown.
+
+        Raises:
+            RunFolderError: missing or malformed.
+        """
+        return read_ros_map(self.folder / "map.yaml")
+
+    @property
+    def obstacles(self) -> ObstacleMap:
+        """The map as obstacles with their ellipses, and the outlines of what was swept freely.
+
+        Raises:
+            RunFolderError: missing or malformed.
+        """
+        return read_obstacles(self.folder / OBSTACLES_FILE)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the map: the robot's bends, the swept space, the contacts, the truth if known.
+
+        Args:
+            axes: where to; None makes a new figure with matplotlib's pyplot.
+
+        Raises:
+            ConfigError, RunFolderError: the folder's robot.toml or prior.json cannot be read.
+        """
+        prior = kept_prior(RunFolder(self.folder))
+        return plot_map(
+            self.document,
+            axes,
+            radius_cm=self.config.body.radius_cm,
+            prior=prior.obstacles if prior else (),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `thigmo explore --json` prints: the document without its shapes.
+
+        A contact's `everted_length_cm` is the length at which it was first felt, its
+        `measured_length_cm` the one at which it was last measured.
+        """
+        plain = asdict(self.document)
+        for stage in plain["stages"]:
+            del stage["shapes"]
+        for contact in plain["contacts"]:
+            del contact["track"]
+            measured = contact["everted_length_cm"]
+            contact["measured_length_cm"] = measured
+            contact["everted_length_cm"] = min([measured, *contact["merged"]])
+        wall = max(self.document.wall_time_s, 1e-9)
+        return {
+            **plain,
+            "robot_per_wall_time": self.document.robot_time_s / wall,
+            "run": str(self.folder),
+        }
+
+
+def open_run(path: str | os.PathLike[str]) -> ExplorationResult:
+    """Open a run folder: what `explore` returned when it was made.
+
+    Raises:
+        RunFolderError: it holds no contacts.json, or a malformed one.
+    """
+    folder = RunFolder(path)
+    return ExplorationResult(folder.read_document(), folder.path)
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number or 'no'} {thing}{'' if number == 1 else 's'}"

@@ -1,0 +1,33 @@
+"""New axes for a notebook's figure, and the manners that all figures share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INK = "#22313f"
+MUTED = "#5b6b7a"
+
+
+def new_axes(width_in: float, height_in: float) -> Axes:
+    """Axes of a new pyplot figure, which a notebook shows and `pyplot.show` opens."""
+    from matplotlib import pyplot
+
+    _, axes = pyplot.subplots(figsize=(width_in, height_in), layout="constrained")
+    return axes
+
+
+def plain(axes: Axes) -> None:
+    """No box, and a faint grid behind what is drawn."""
+    axes.grid(color="#d9dfe5", lw=0.5)
+    axes.set_axisbelow(True)
+    for spine in ("top", "right"):
+        axes.spines[spine].set_visible(False)
+
+
+def titled(axes: Axes, title: str, said: str) -> None:
+    """A title at the left, and a line of facts below it."""
+    axes.set_title(title, loc="left", fontsize=13, color=INK, pad=22)
+    axes.text(0, 1.012, said, transform=axes.transAxes, fontsize=9, color=MUTED, va="bottom")

@@ -1,0 +1,216 @@
+"""Results in a notebook: one line, an HTML table, a figure; and all of it from `thigmo` itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import thigmo
+from thigmo.record import RunFolder, write_obstacles, write_ros_map
+
+mpl.use("agg")
+
+X = [5.0, 15.0, 25.0, 35.0, 45.0]
+TOUCHED = [0.0104, 0.0083, 0.0060, 0.0041, 0.0017]
+NAME = "<b>run & co</b>"
+
+
+class _Page(HTMLParser):
+    """Checks that every element is closed, and gathers the words."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.elements: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.open.append(tag)
+        self.elements.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: object) -> None:
+        self.elements.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def _page(shown: object) -> _Page:
+    page = _Page()
+    page.feed(shown._repr_html_())  # type: ignore[attr-defined]
+    page.close()
+    assert page.open == []
+    return page
+
+
+@pytest.fixture(scope="module")
+def felt() -> thigmo.LocalizeResult:
+    return thigmo.localize(TOUCHED, X, length=53, span=5.5, noise=6e-4)
+
+
+@pytest.fixture
+def grid() -> thigmo.OccupancyGrid:
+    cells = np.full((3, 4), -1, dtype=np.int8)
+    cells[0, :2], cells[2, 3] = 0, 100
+    return thigmo.OccupancyGrid(cells, 2.0, (10.0, -5.0, 0.0))
+
+
+@pytest.fixture
+def contact() -> thigmo.MapContact:
+    return thigmo.MapContact(
+        arc_cm=31.0,
+        x_cm=29.5,
+        y_cm=7.8,
+        force_per_cm2=-2e-4,
+        interval_cm=(29.0, 34.0),
+        status="localized",
+        everted_length_cm=53.0,
+        side="left",
+        normal_rad=1.0,
+        covariance_cm2=((1.0, 0.0), (0.0, 1.0)),
+        track=[(28.0, 7.0), (31.0, 8.6)],
+        model="one contact",
+        readings=5,
+    )
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, grid: thigmo.OccupancyGrid, contact: thigmo.MapContact
+) -> thigmo.ExplorationResult:
+    folder = RunFolder(tmp_path)
+    folder.write_document(
+        thigmo.RunDocument(
+            thigmo="0",
+            name=NAME,
+            url="emulator://default",
+            started="2026-01-01T00:00:00",
+            outcome="full length",
+            contacts=[contact],
+            length_cm=53.0,
+            robot_time_s=177.0,
+        )
+    )
+    write_ros_map(grid, tmp_path / "map.yaml")
+    write_obstacles(thigmo.ObstacleMap(NAME, "", "", 1.75), tmp_path / "obstacles.json")
+    thigmo.RobotConfig().save(tmp_path / "robot.toml")
+    return thigmo.open_run(tmp_path)
+
+
+def test_every_exported_name_exists_and_is_listed() -> None:
+    assert set(thigmo._HOME) | {"__version__"} == set(thigmo.__all__) == set(dir(thigmo))
+    for name in thigmo.__all__:
+        assert getattr(thigmo, name) is not None
+
+
+def test_importing_thigmo_imports_nothing_heavy() -> None:
+    script = (
+        "import sys, thigmo; "
+        "print([m for m in ('numpy', 'scipy', 'numba', 'matplotlib', 'cv2') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_result_is_one_line(felt: thigmo.LocalizeResult) -> None:
+    (touch,) = felt.contacts
+    low, high = touch.interval
+    place = f"arc {touch.arc:.4g}, {low:.4g} to {high:.4g}"
+    assert repr(felt) == f"LocalizeResult(localized, one contact: {place}; body of 53)"
+    assert repr(touch) == f"Contact({place}, localized)"
+    free = thigmo.localize(np.zeros(5), X, length=53, span=5.5, noise=6e-4)
+    assert repr(free) == "LocalizeResult(no contact, free body; body of 53)"
+    rows = thigmo.localize_batch([TOUCHED, TOUCHED, [0.0] * 5], X, length=53, span=5.5, noise=6e-4)
+    assert repr(rows) == "BatchResult(3 rows: 1 no contact, 2 localized)"
+
+
+def test_a_result_in_a_notebook_draws_body_and_contact(felt: thigmo.LocalizeResult) -> None:
+    page = _page(felt)
+    words = " ".join(page.words)
+    assert felt.message in words
+    assert f"{felt.contacts[0].arc:.4g}" in words
+    assert {"svg", "path", "circle", "table"} <= set(page.elements)
+    point = thigmo.localize(TOUCHED, X, length=53, span=5.5, method="l1")
+    assert "path" not in _page(point).elements  # a point fit has no posterior
+    free = thigmo.localize(np.zeros(5), X, length=53, span=5.5, noise=6e-4)
+    assert "svg" not in _page(free).elements
+    assert "table" in _page(felt.contacts[0]).elements
+
+
+def test_the_posterior_of_the_figure_is_the_result_s(felt: thigmo.LocalizeResult) -> None:
+    axes = felt.plot(unit="cm")
+    assert axes.get_xlabel() == "arc along the body (cm)"
+    assert axes.get_ylabel() == "probability density (1/cm)"
+    values, edges, _ = axes.patches[0].get_data()  # type: ignore[attr-defined]
+    assert np.sum(values * np.diff(edges)) == pytest.approx(1.0)
+    assert edges[-1] == pytest.approx(53.0)
+    # The contact is drawn where it is, and the axes given are the axes used.
+    assert any(line.get_xdata()[0] == felt.contacts[0].arc for line in axes.lines)  # type: ignore[index]
+    assert felt.plot(axes) is axes
+    assert "cm" not in axes.get_xlabel()
+
+
+def test_the_grid_of_the_figure_lies_in_the_robot_s_frame(grid: thigmo.OccupancyGrid) -> None:
+    axes = grid.plot()
+    assert axes.get_xlabel().endswith("(cm)")
+    assert axes.get_xlim() == pytest.approx((10.0, 18.0))
+    assert axes.get_ylim() == pytest.approx((-5.0, 1.0))
+    shade = np.asarray(axes.images[0].get_array())
+    assert (shade == 0).sum() == 2
+    assert shade[2, 3] == 2
+
+
+def test_a_grid_counts_its_cells(grid: thigmo.OccupancyGrid) -> None:
+    assert repr(grid) == "OccupancyGrid(4 x 3 cells of 2 cm: 2 free, 1 occupied, 9 unknown)"
+    words = _page(grid).words
+    assert "0.0008 m²" in words  # two cells of 2 cm
+    assert "75 %" in words
+
+
+def test_a_run_folder_opens_as_what_explore_returned(
+    run: thigmo.ExplorationResult, grid: thigmo.OccupancyGrid, contact: thigmo.MapContact
+) -> None:
+    assert run.contacts == [contact]
+    assert run.length_cm == 53.0
+    assert (run.map.cells == grid.cells).all()
+    assert run.obstacles.name == NAME
+    assert run.config == thigmo.RobotConfig()
+    assert repr(run) == (
+        f"ExplorationResult({NAME}: full length; 1 contact, no stages, 177 s of robot time; "
+        f"{run.folder})"
+    )
+    assert repr(contact) == (
+        "MapContact(x 29.5, y 7.8 cm; arc 31.0 of 53.0 cm, 95 % 29.0 to 34.0 cm; localized)"
+    )
+    assert len(repr(run.obstacles)) < 100
+
+
+def test_a_run_s_name_is_text_and_no_markup(run: thigmo.ExplorationResult) -> None:
+    page = _page(run)
+    assert NAME in page.words
+    assert "b" not in page.elements
+
+
+def test_a_run_draws_its_map_on_the_axes_given(run: thigmo.ExplorationResult) -> None:
+    axes = run.plot()
+    assert axes.get_title(loc="left") == f"{NAME}: 1 contact"
+    assert axes.get_xlabel().endswith("(cm)")
+    other = axes.figure.add_axes((0.7, 0.7, 0.2, 0.2))
+    assert run.plot(other) is other
+    assert other.get_title(loc="left")
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(thigmo.ThigmoError, match="give a run folder"):
+        thigmo.open_run(tmp_path)
