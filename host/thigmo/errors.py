@@ -67,6 +67,10 @@ class RobotFaultError(ThigmoError):
         super().__init__(what, next_step)
 
 
+class StoppedByViewerError(ThigmoError):
+    """Somebody who watches a run stopped the robot."""
+
+
 class ConfigError(ThigmoError):
     """A robot.toml or scene file is malformed."""
 

@@ -15,6 +15,7 @@ from thigmo.exploration.run import Exploration, Protocol
 from thigmo.exploration.states import State
 from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
+from thigmo.stream import Hub
 
 
 class Script:
@@ -34,6 +35,9 @@ class Script:
         self.settles_at = np.inf
         self.clear = False  # ask whether the sweep is enough already
         self.doubt = 0.0  # about what young sensors rest at, 1/cm
+        self.hub = Hub()
+        self.epoch_s = 1.7e9
+        self.virtual = False
 
     def _call(self, text: str) -> None:
         self.clock += 1.0

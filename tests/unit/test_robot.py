@@ -48,6 +48,8 @@ class DictionaryBoard:
         self.sent: list[wire.Message] = []
         self.coming: list[wire.Event] = []
         self.events: deque[Any] = deque()
+        self.on_telemetry: list[Any] = []
+        self.on_event: list[Any] = []
         self.time = 0.0
         self.stubborn = -1
         self.latch_at_poll = 0

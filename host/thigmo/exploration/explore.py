@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,13 +15,15 @@ from types import FrameType
 
 from thigmo import __version__
 from thigmo.config import RobotConfig
-from thigmo.errors import ThigmoError
+from thigmo.errors import StoppedByViewerError, ThigmoError
+from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import PriorMap, keep_prior, read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
+from thigmo.stream import Hello, Server
 
 
 class _TerminatedError(BaseException):
@@ -77,6 +79,7 @@ def explore(
         seed=seed,
     )
     with (
+        ExitStack() as afterwards,
         _sigterm_raises(),
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
@@ -85,14 +88,24 @@ def explore(
         used.save(folder.path / "robot.toml")
         if given is not None:
             keep_prior(given, folder, used.body.radius_cm)
+
+        def draw(kind: object, error: BaseException | None, trace: object) -> None:
+            tell("drawing the map", 1.0)
+            try:
+                draw_map(
+                    folder.read_document(),
+                    folder.map_path,
+                    radius_cm=used.body.radius_cm,
+                    prior=given.obstacles if given else (),
+                )
+            except (ThigmoError, OSError) as failure:
+                if error is None:
+                    raise
+                error.add_note(f"no map: {failure}")
+
+        folder.write_document(document)
+        afterwards.push(draw)  # of what is known, also when the run is cut short
         run = _recorded_run(robot, used, folder, document, tell, protocol, given)
-    tell("drawing the map", 1.0)
-    draw_map(
-        run.document,
-        folder.map_path,
-        radius_cm=used.body.radius_cm,
-        prior=given.obstacles if given else (),
-    )
     return ExplorationResult(run.document, folder.path)
 
 
@@ -107,16 +120,23 @@ def _recorded_run(
 ) -> Exploration:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
-    folder.write_document(document)
-    with folder.open_log(_metadata(robot, document)) as log:
+    control = RunControl()
+    robot.while_waiting(control.obey_stop)
+    with (
+        Server(robot.hub, _hello(robot, folder, document), control.command),
+        folder.open_log(_metadata(robot, document)) as log,
+    ):
         robot.record_frames(log.frame)
-        run = Exploration(robot, config, folder, log, document, tell, protocol, prior)
+        run = Exploration(robot, config, folder, log, document, tell, protocol, prior, control)
         interrupted = False
         try:
             run.run()
         except BaseException as error:
-            interrupted = isinstance(error, KeyboardInterrupt | _TerminatedError)
+            interrupted = isinstance(
+                error, KeyboardInterrupt | _TerminatedError | StoppedByViewerError
+            )
             run.document = replace(run.document, outcome=f"aborted: {_why(error)}")
+            run.live.aborted(error, _why(error))
             error.add_note(f"run folder: {folder.path}")
             raise
         finally:
@@ -131,7 +151,22 @@ def _recorded_run(
                 wall_time_s=round(time.monotonic() - start, 3),
             )
             run.keep()
+            run.end()
     return run
+
+
+def _hello(robot: Robot, folder: RunFolder, document: RunDocument) -> Hello:
+    now_s = robot.now()
+    return Hello(
+        now_s,
+        robot.epoch_s + now_s,
+        robot.url,
+        document.name,
+        str(folder.path.resolve()),
+        os.getpid(),
+        __version__,
+        robot.virtual,
+    )
 
 
 def _metadata(robot: Robot, document: RunDocument) -> dict[str, str]:

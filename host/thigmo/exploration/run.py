@@ -16,6 +16,7 @@ from thigmo.errors import CommandRefusedError
 from thigmo.exploration.deflection import Deflection, deflection
 from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
+from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import ContactMap, peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
@@ -29,7 +30,7 @@ from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stag
 from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.stage import Interpreter, stage_entry
 from thigmo.exploration.states import State, next_state
-from thigmo.record import LogWriter, RunDocument, RunFolder, Truth
+from thigmo.record import LogWriter, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
     SENSORS,
     TRIGGER_PER_CM,
@@ -49,6 +50,7 @@ _BASE = 1 | 1 << SENSORS // 2  # the first sensor of each side: what the trigger
 # A young sensor counts once its rest is known to so many times its noise.
 _YOUNG_NOISE = 1.0
 _STAND_S = 0.5  # between two looks at that
+_PAUSE_S = 0.1
 
 # "measure" sweeps a side with a contact again, to the pressure at which it is felt best; "thesis"
 # takes the readings at the full sweep's peak.
@@ -69,6 +71,7 @@ class Exploration:
         progress: called at each state and while waiting.
         protocol: how a contact is measured.
         prior: a map of the room.
+        control: whether viewers want it to wait.
     """
 
     def __init__(
@@ -81,8 +84,11 @@ class Exploration:
         progress: Progress,
         protocol: Protocol = "measure",
         prior: PriorMap | None = None,
+        control: RunControl | None = None,
     ) -> None:
         self.robot = robot
+        self.live = Live(robot)
+        self.control = control or RunControl()
         self.config = config
         self.folder = folder
         self.log = log
@@ -134,6 +140,8 @@ class Exploration:
             ThigmoError: the robot, the link or the operator stopped it; the document says where.
         """
         while self.state is not State.DONE:
+            if self.state is State.PLAN:
+                self._pause()
             self._tell()
             outcome = self._actions[self.state]()
             after = next_state(self.state, outcome)
@@ -142,12 +150,27 @@ class Exploration:
             )
             self.state = after
 
-    def _tell(self, waiting: str = "") -> None:
+    def _tell(self, waiting: str = "", *, paused: bool = False) -> None:
         words = self.state.value
         if self.stage_cm:
             words += f" at {self.stage_cm:g} cm"
-        done = sum(stage.everted_length_cm for stage in self.document.stages)
-        self.progress(words + (f": {waiting}" if waiting else ""), done / sum(self._lengths))
+        words += f": {waiting}" if waiting else ""
+        done = sum(stage.everted_length_cm for stage in self.document.stages) / sum(self._lengths)
+        self.progress(words, done)
+        self.live.state(
+            self.state, words, self.stage_cm, done, paused=paused, outcome=self.document.outcome
+        )
+
+    def _pause(self) -> None:
+        """Wait, vented, as long as a viewer wants."""
+        if not self.control.paused:
+            return
+        self.robot.vent()
+        self._tell("paused", paused=True)
+        while self.control.paused:
+            if self.robot.virtual:  # its time would rush by
+                self.control.wait(_PAUSE_S)
+            self.robot.wait(_PAUSE_S)
 
     # Before the first stage.
 
@@ -156,6 +179,7 @@ class Exploration:
         return "verified"
 
     def _confirm(self) -> str:
+        self.live.log("the operator measures the everted length")
         length = self.robot.operator.everted_length_cm()
         self.robot.confirm_length(length)
         self.length_cm = length
@@ -187,6 +211,7 @@ class Exploration:
         self.zone = growth_zone(self.config, self.length_cm, self.stage_cm)
         pressure = self.config.body.zones[self.zone].pressure_psi
         if self.protocol == "thesis" or pressure != self.body_psi:
+            self.live.log(f"the operator sets the body pressure to {pressure:g} psi")
             self.robot.operator.set_body_pressure(pressure)
             self.body_psi = pressure
         self.robot.select_zone(self.zone)
@@ -336,6 +361,7 @@ class Exploration:
     def _localize(self) -> str:
         assert self.sweep is not None
         self.feelings = self.interpreter.feel(self.sweep, self.measuring, self.zone)
+        self.live.felt(self.length_cm, self.feelings)
         return "contact" if any(f.felt for f in self.feelings) else "none"
 
     def _map(self) -> str:
@@ -343,6 +369,7 @@ class Exploration:
             for felt in feeling.felt:
                 self.map.add(felt)
         self.document = replace(self.document, contacts=self.map.contacts)
+        self.live.contacts(self.document.contacts)
         return "mapped"
 
     def _vent(self) -> str:
@@ -380,11 +407,13 @@ class Exploration:
         return Truth(self.sweep.truth.pegs, [*known, *looked, *measured])
 
     def keep(self) -> None:
-        """Put what is known on the disk: contacts.json, obstacles.json and the grid."""
+        """Put what is known on the disk and tell it: contacts.json, obstacles.json and the grid."""
         self.folder.write_document(self.document)
         export_obstacles(
             self.folder, self.document, radius_cm=self.config.body.radius_cm, prior=self.prior
         )
+        self.live.contacts(self.document.contacts)
+        self.live.grid(read_ros_map(self.folder.path / "map.yaml"))
 
     # The end.
 
@@ -392,6 +421,10 @@ class Exploration:
         self.robot.disarm()
         self.restore()
         return "safe"
+
+    def end(self) -> None:
+        """Tell those who watch how it ended."""
+        self._tell()
 
     def restore(self) -> None:
         """Leave the board with every healthy sensor in use, as robot.toml says."""

@@ -8,7 +8,7 @@ as `RobotFaultError` with the schema's sentence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from types import TracebackType
@@ -27,12 +27,15 @@ from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.peaks import snapshot_reading
+from thigmo.robot.publishing import Publisher
 from thigmo.robot.readings import Floats, SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SnapshotReading, Status, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.truth import truth_now
 from thigmo.robot.watch import Watch
+from thigmo.stream import Hub, Message, Telemetry
+from thigmo.stream.hub import QUEUE
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client, Tap
@@ -46,6 +49,7 @@ VENTED_PSI = 0.5
 _OPEN, _SHORT = 1 << 3, 1 << 4  # of sensor_report.flags
 _UNKNOWN_ZONE = 255
 _SETTLE_EXTRA_S = 30.0
+_STREAM_S = 0.1
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
@@ -117,6 +121,7 @@ class Robot:
         self._aside = 0
         self._standing: StandingWatch | None = None
         self._closed = False
+        self._publisher = Publisher(client, self.config, self._zero_sum, self._oversample)
 
     # Life.
 
@@ -161,10 +166,75 @@ class Robot:
             self.make_safe()
         finally:
             self._client.close()
+            self.hub.close()
 
     def record_frames(self, tap: Tap) -> None:
         """Call `tap(direction, frame, host time)` with every frame of the link from now on."""
         self._client.taps.append(tap)
+
+    # The stream.
+
+    @property
+    def hub(self) -> Hub:
+        """Where the robot publishes its telemetry, events and shape.
+
+        Others may publish there as well: an exploration does.
+        """
+        return self._publisher.hub
+
+    @property
+    def epoch_s(self) -> float:
+        """UTC seconds since 1970 at which the link's clock (`now`) was 0."""
+        return self._publisher.epoch_s
+
+    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> Callable[[], None]:
+        """Call `callback` with each telemetry frame, decoded, while the link is read.
+
+        It must be quick, and must command nothing; commands go on meanwhile.
+
+        Returns:
+            A function that ends it.
+        """
+
+        def take(message: Message) -> None:
+            if isinstance(message, Telemetry):
+                callback(message)
+
+        self.hub.attach(take, {Telemetry.CHANNEL})
+        return lambda: self.hub.detach(take)
+
+    def stream(
+        self, seconds: float = np.inf, channels: Iterable[str] | None = None, size: int = QUEUE
+    ) -> Iterator[Message]:
+        """Messages as they come, read from the link meanwhile; commands may be sent between them.
+
+        Another thread than the one that drives the robot takes `hub.subscribe()` instead.
+
+        Args:
+            seconds: for so long.
+            channels: names of `thigmo.stream.CHANNELS`; None gives all.
+            size: messages that are kept while nobody takes them; then the oldest are lost.
+
+        Raises:
+            LinkError: the connection is gone.
+        """
+        end = self.now() + seconds
+        with self.hub.subscribe(channels, size) as heard:
+            while self.now() < end:
+                self._client.poll(min(end - self.now(), _STREAM_S))
+                self._watch.forget()  # nobody waits for the board's events meanwhile
+                # What is done between two messages takes time, and brings new ones.
+                while self.now() < end and (message := heard.get(0.0)) is not None:
+                    yield message
+
+    def while_waiting(self, callback: Callable[[], None]) -> None:
+        """Call `callback` whenever something of the board is waited for; it may raise, which ends
+        the waiting, and must command nothing.
+        """
+        self._watch.interruptions.append(callback)
+
+    def _decode(self) -> None:
+        self._publisher.use(self.config, self._zero_sum, self._oversample)
 
     def _request(self, command: Command[R]) -> R:
         """Ask the board; a refusal because of a latched fault becomes that fault's error."""
@@ -255,6 +325,7 @@ class Robot:
         self.config = config
         self._table = SensorTable.of(config)
         self._zero_sum = np.full(SENSORS, np.nan)
+        self._decode()
         self._aside = 0
         status = self.status()
         if changed or status.config_generation == 0 or "bad_config" in status.faults:
@@ -302,6 +373,7 @@ class Robot:
         """Ask the board for its whole state."""
         report = self._client.request(wire.GetStatus())
         conditions = frozenset(c.key for c in wire.Condition.from_mask(report.conditions))
+        self._publisher.supply_v = report.supply_mv / 1e3
         return Status(
             state=wire.State(report.state).key,
             activity=wire.Activity(report.activity).key,
@@ -620,6 +692,7 @@ class Robot:
             if mask >> sensor & 1:
                 report = self._client.request(wire.GetSensor(sensor))
                 self._zero_sum[sensor] = report.zero_sum_q8 / 256
+        self._decode()
         return mask
 
     def zeros(self) -> tuple[Floats, Floats]:

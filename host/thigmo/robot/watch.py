@@ -30,12 +30,16 @@ class Watch:
     Args:
         client: the link.
         url: to clear a fault at, for its message; empty where it goes with the connection.
+
+    Attributes:
+        interruptions: called after each look at the link; what they raise ends the waiting.
     """
 
     def __init__(self, client: Client, url: str = "") -> None:
         self._client = client
         self._url = url
         self._channels: dict[wire.Fault, int] = {}
+        self.interruptions: list[Callable[[], None]] = []
 
     def events(
         self, seconds: float, until: Callable[[], bool] | None = None
@@ -52,6 +56,8 @@ class Watch:
         end = self._client.now() + seconds
         while (left := end - self._client.now()) > 0:
             self._client.poll(min(left, _PROMPT_S if until else _SLICE_S))
+            for interrupt in self.interruptions:
+                interrupt()
             yield from self._taken()
             if until is not None and until():
                 return

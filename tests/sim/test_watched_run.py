@@ -1,0 +1,257 @@
+"""An exploration that is watched: what its viewers see, what they may ask, and that it does not
+feel them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import thigmo
+from thigmo.emulator.scene import Scene
+from thigmo.errors import CommandRefusedError, StoppedByViewerError
+from thigmo.exploration import explore
+from thigmo.exploration.live import RunControl
+from thigmo.record import RunFolder, read_ros_map
+from thigmo.robot import Robot, connect
+from thigmo.stream import (
+    BodyShape,
+    Contacts,
+    Event,
+    Grid,
+    Message,
+    Posterior,
+    RemoteRun,
+    RunState,
+    Telemetry,
+    attach,
+    running,
+)
+
+MODULE = import_module("thigmo.exploration.explore")
+
+
+class Seen:
+    """All that a run publishes, and its control; `act` is called with each message."""
+
+    def __init__(self, act: Callable[[Message, RunControl], None] | None = None) -> None:
+        self.messages: list[Message] = []
+        self.control = RunControl()
+        self._act = act
+
+    def connect(self, *args: Any, **options: Any) -> Robot:
+        robot = connect(*args, **options)
+        robot.hub.attach(self._take)
+        return robot
+
+    def _take(self, message: Message) -> None:
+        self.messages.append(message)
+        if self._act is not None:
+            self._act(message, self.control)
+
+    def of(self, kind: type[Message]) -> list[Any]:
+        return [message for message in self.messages if isinstance(message, kind)]
+
+    def explore(self, url: str, out: Path, **options: Any) -> thigmo.exploration.ExplorationResult:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(MODULE, "connect", self.connect)
+            patch.setattr(MODULE, "RunControl", lambda: self.control)
+            return explore(url, seed=1, out=out, **options)
+
+
+class Viewers:
+    """Three that come over the socket with the first thing that a run tells; one of them reads."""
+
+    def __init__(self) -> None:
+        self.idle: list[RemoteRun] = []
+        self.read: list[Message] = []
+        self._reading: threading.Thread | None = None
+
+    def progress(self, doing: str, done: float) -> None:
+        if self._reading is None:
+            (mine,) = (each for each in running() if each.hello.pid == os.getpid())
+            assert mine.hello.name == "watched"
+            self.idle = [attach(mine.address) for _ in range(2)]
+            run = attach(mine.address)
+            self._reading = threading.Thread(target=lambda: self.read.extend(run))
+            self._reading.start()
+
+    def leave(self) -> None:
+        assert self._reading is not None
+        self._reading.join()
+        for run in self.idle:
+            run.close()
+
+
+class Watched:
+    """One exploration with viewers, and the same one without."""
+
+    def __init__(self, url: str, folder: Path) -> None:
+        self.alone = explore(url, seed=1, out=folder, name="alone")
+        self.viewers, self.seen = Viewers(), Seen()
+        self.watched = self.seen.explore(
+            url, folder, name="watched", progress=self.viewers.progress
+        )
+        self.viewers.leave()
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The default room, of which only the last two stages are explored."""
+    scene = Scene.load("default")
+    scene.start_length_cm = 50.0
+    scene.robot.sensors.settle_s = 0.2
+    path = tmp_path_factory.mktemp("scene") / "late.toml"
+    scene.save(path)
+    return f"emulator://{path}"
+
+
+@pytest.fixture(scope="module")
+def run(url: str, tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    return Watched(url, tmp_path_factory.mktemp("runs"))
+
+
+def _plain(folder: Path) -> dict[str, Any]:
+    document = json.loads((folder / "contacts.json").read_text())
+    for key in ("name", "started", "wall_time_s"):
+        del document[key]
+    return dict(document)
+
+
+def test_robot_time_and_results_are_those_of_a_run_that_nobody_watches(run: Watched) -> None:
+    assert _plain(run.watched.folder) == _plain(run.alone.folder)
+    assert run.watched.document.robot_time_s == run.alone.document.robot_time_s
+    times = [
+        [entry.t_s for entry in RunFolder(each.folder).read_log().entries]
+        for each in (run.watched, run.alone)
+    ]
+    assert times[0] == times[1]
+
+
+def test_a_viewer_reads_to_the_end(run: Watched) -> None:
+    states = [message for message in run.viewers.read if isinstance(message, RunState)]
+    assert (states[-1].state, states[-1].outcome) == ("DONE", "full length")
+
+
+def test_what_a_run_publishes_tells_it_from_its_states_to_its_map(run: Watched) -> None:
+    seen, document = run.seen, run.watched.document
+    states = seen.of(RunState)
+    assert {"CONFIGURE", "PLAN", "GROW", "SWEEP", "LOCALIZE", "MAP"} <= {s.state for s in states}
+    assert [s.done for s in states] == sorted(s.done for s in states)
+    assert (states[-1].state, states[-1].outcome) == ("DONE", "full length")
+    assert seen.of(Contacts)[-1].contacts == tuple(document.contacts)
+    grid = seen.of(Grid)[-1]
+    on_disk = read_ros_map(run.watched.folder / "map.yaml")
+    assert (np.reshape(grid.cells, (grid.height, grid.width)) == on_disk.cells).all()
+    felt = [posterior for posterior in seen.of(Posterior) if posterior.places_cm]
+    assert felt
+    for posterior in felt:
+        assert sum(posterior.probability) == pytest.approx(1.0)
+    assert "contact" in [event.name for event in seen.of(Event)]
+
+
+def test_epoch_and_robot_time_go_together(run: Watched) -> None:
+    apart = [message.epoch_s - message.t_s for message in run.seen.messages]
+    assert max(apart) - min(apart) < 1e-5
+
+
+def test_the_body_is_seen_to_bend_both_ways_as_long_as_it_is(run: Watched) -> None:
+    shapes = [s for s in run.seen.of(BodyShape) if len(s.poses) > 2]  # its length is known
+    sideways = [shape.poses[-1][1] for shape in shapes]
+    assert min(sideways) < -10.0
+    assert max(sideways) > 10.0
+    for shape in shapes:
+        steps = np.hypot(*np.diff(np.array(shape.poses)[:, :2], axis=0).T)
+        assert 49.0 < steps.sum() < 54.0
+    assert len(shapes) < 20 * run.watched.document.robot_time_s
+
+
+def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
+    url: str, run: Watched, tmp_path: Path
+) -> None:
+    def act(message: Message, control: RunControl) -> None:
+        if isinstance(message, RunState) and message.state == "SWEEP" and not paused:
+            control.command("pause")
+        if isinstance(message, RunState) and message.paused:
+            paused.append(message)
+        # Four times the board's limit for a heartbeat.
+        if paused and isinstance(message, Telemetry) and message.t_s > paused[0].t_s + 2.0:
+            control.command("resume")
+
+    paused: list[RunState] = []
+    seen = Seen(act)
+    result = seen.explore(url, tmp_path)
+    assert result.document.outcome == "full length"
+    (state,) = paused
+    assert (state.state, state.doing.split(": ")[-1]) == ("PLAN", "paused")
+    during = [m for m in seen.of(Telemetry) if state.t_s < m.t_s < state.t_s + 2.0]
+    assert len(during) > 300
+    assert max(max(m.pressure_psi) for m in during) < 0.5
+    assert not any(m.faults for m in during)
+    alone_s = run.alone.document.robot_time_s
+    assert alone_s + 2.0 <= result.document.robot_time_s < alone_s + 4.0
+
+
+def test_a_viewer_stops_the_run_in_mid_sweep_and_the_map_so_far_is_kept(
+    url: str, tmp_path: Path
+) -> None:
+    def act(message: Message, control: RunControl) -> None:
+        if isinstance(message, Telemetry) and max(message.pressure_psi) > 3.0 and not clicked:
+            clicked.append(message.t_s)
+            control.command("stop")
+
+    clicked: list[float] = []
+    seen = Seen(act)
+    with pytest.raises(StoppedByViewerError, match="stopped from a viewer"):
+        seen.explore(url, tmp_path)
+    telemetry = seen.of(Telemetry)
+    safe = next(m.t_s for m in telemetry if m.t_s > clicked[0] and m.drive_ma == (0.0, 0.0))
+    assert safe - clicked[0] < 0.3
+    assert telemetry[-1].faults == ("stopped",)
+    assert seen.of(RunState)[-1].outcome.startswith("aborted: stopped from a viewer")
+    assert [(e.name, e.severity) for e in seen.of(Event)].count(("aborted", "fault")) == 1
+    (path,) = tmp_path.iterdir()
+    folder = RunFolder(path)
+    assert folder.read_document().outcome.startswith("aborted: stopped from a viewer")
+    assert folder.map_path.read_bytes().startswith(b"\x89PNG")
+    assert read_ros_map(path / "map.yaml").cells.size
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a mistake in the program")])
+def test_a_run_that_ends_before_its_first_stage_leaves_a_map_too(
+    tmp_path: Path, error: BaseException
+) -> None:
+    def progress(doing: str, done: float) -> None:
+        if doing == "arming":
+            raise error
+
+    with pytest.raises(type(error)):
+        explore("emulator://empty", out=tmp_path, progress=progress)
+    (path,) = tmp_path.iterdir()
+    assert (path / "map.png").read_bytes().startswith(b"\x89PNG")
+    assert read_ros_map(path / "map.yaml").cells.size
+
+
+def test_a_program_reads_the_stream_while_it_commands() -> None:
+    with connect("emulator://empty", Scene.load("empty").believed(1), seed=1) as robot:
+        called: list[Telemetry] = []
+        end = robot.on_telemetry(called.append)
+        seen = list(robot.stream(1.0, {"telemetry"}))
+        assert len(seen) == pytest.approx(200, abs=6)
+        assert called[: len(seen)] == seen
+        end()
+        count = len(called)
+        for message in robot.stream(0.5, {"telemetry", "shape"}):
+            assert isinstance(message, Telemetry | BodyShape)
+            robot.status()  # a command between two messages
+        assert len(called) == count
+        with pytest.raises(CommandRefusedError):
+            robot.grow_to(10.0)  # not armed: nothing of that has changed

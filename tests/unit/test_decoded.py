@@ -1,0 +1,96 @@
+"""From the board's integers to messages in units."""
+
+from __future__ import annotations
+
+from math import isnan, nan, pi
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from thigmo.config import RobotConfig
+from thigmo.link import protocol as wire
+from thigmo.link.received import ReceivedEvent, TelemetryFrame
+from thigmo.robot import SensorTable
+from thigmo.robot.decoded import Decoder
+from thigmo.robot.publishing import bent
+
+TABLE = SensorTable.of(RobotConfig())
+ZERO = np.full(10, 16 * 660.0)
+
+
+def _frame(
+    flex: list[int], left_cpsi: int = 0, right_cpsi: int = 0, length_um: int = 530_000
+) -> TelemetryFrame:
+    message = wire.Telemetry(
+        5_000_000, tuple(flex), left_cpsi, right_cpsi, 1000, 0, 1599, 0, length_um, -400, 1234,
+        1200, wire.State.MOVING << 4 | wire.Activity.SWEEPING, wire.Fault.STOPPED.mask,
+    )  # fmt: skip
+    return TelemetryFrame(1, 6.0, 5_000_000, message.pack())
+
+
+@given(st.lists(st.integers(0, 16 * 1023), min_size=10, max_size=10))
+def test_curvature_is_that_of_the_sensor_table(flex: list[int]) -> None:
+    told = Decoder(TABLE, ZERO, 16, 0.0).telemetry(_frame(flex))
+    by_table = TABLE.curvature(np.array(flex, dtype=np.float64), ZERO, 16)
+    assert told.curvature_per_cm == pytest.approx(by_table.tolist(), rel=1e-12, nan_ok=True)
+
+
+def test_units_and_names() -> None:
+    told = Decoder(TABLE, ZERO, 16, 1.7e9).telemetry(_frame([10_000] * 10, 950, 3), 11.9)
+    assert (told.t_s, told.epoch_s, told.device_s) == (6.0, 1.7e9 + 6.0, 5.0)
+    assert (told.pressure_psi, told.demand_psi) == ((9.5, 0.03), (10.0, 0.0))
+    assert told.drive_ma == (20.0, 0.0)
+    assert (told.length_cm, told.motor, told.supply_v) == (53.0, -0.5, 11.9)
+    assert (told.base_per_cm, told.free_per_cm) == (0.01234, 0.012)
+    assert (told.state, told.activity, told.faults) == ("moving", "sweeping", ("stopped",))
+
+
+def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
+    zero = ZERO.copy()
+    zero[0] = nan
+    told = Decoder(TABLE, zero, 16, 0.0).telemetry(_frame([10_000] * 10, length_um=200_000))
+    known = [not isnan(value) for value in told.curvature_per_cm]
+    assert known == [False, True, False, False, False, True, True, False, False, False]
+
+
+@pytest.mark.parametrize(("pressures", "free"), [((900, 0), "right"), ((0, 900), "left")])
+def test_the_inflated_side_wrinkles_and_is_not_compared(
+    pressures: tuple[int, int], free: str
+) -> None:
+    told = Decoder(TABLE, ZERO, 16, 0.0).telemetry(_frame([10_000] * 10, *pressures))
+    expected = {"left": told.expected_per_cm[:5], "right": told.expected_per_cm[5:]}
+    assert expected.pop(free) == (0.012,) * 5
+    assert all(isnan(value) for value in expected.popitem()[1])
+
+
+@pytest.mark.parametrize("fault", list(wire.Fault))
+def test_a_fault_says_what_happened_and_what_to_do(fault: wire.Fault) -> None:
+    received = ReceivedEvent(wire.Event(1, wire.EventCode.FAULT, 0, fault, 0), 2.0, 0)
+    told = Decoder(TABLE, ZERO, 16, 10.0).event(received)
+    assert (told.name, told.severity, told.epoch_s) == (fault.key, "fault", 12.0)
+    assert told.message
+    assert told.next
+
+
+@pytest.mark.parametrize("code", [c for c in wire.EventCode if c is not wire.EventCode.FAULT])
+def test_every_event_has_words(code: wire.EventCode) -> None:
+    received = ReceivedEvent(wire.Event(1, code, 0, 1, 7), 2.0, 0)
+    told = Decoder(TABLE, ZERO, 16, 0.0).event(received)
+    assert told.name == code.key
+    assert told.message
+
+
+def test_a_quarter_circle_ends_beside_its_start() -> None:
+    length_cm = 40.0
+    poses = bent(length_cm, [(0.0, pi / 2 / length_cm)])
+    radius_cm = length_cm / (pi / 2)
+    assert poses[-1] == pytest.approx((radius_cm, radius_cm, pi / 2), rel=1e-3)
+
+
+def test_between_two_sensors_the_bend_goes_over_from_one_to_the_other() -> None:
+    heading = [pose[2] for pose in bent(20.0, [(5.0, 0.0), (15.0, 0.02)])]
+    assert heading[5] == 0.0
+    assert heading[15] == pytest.approx(0.1)
+    assert heading[20] == pytest.approx(0.2)
