@@ -5,10 +5,17 @@ BIN    := $(VENV)/bin
 # Rebuild the extensions when their sources, the schema or the packaging change.
 CORE   := $(shell find firmware/core firmware/virtual host/thigmo -name '*.h' -o -name '*.cpp') CMakeLists.txt pyproject.toml
 
-.PHONY: help install explore test lint bench soak figures firmware clean
+# Tests run on this many cores; those in real time run alone, one after the other.
+WORKERS ?= 2
+PYTEST  := $(BIN)/pytest -q
+FAST    := not (bench or browser or ros or ci or nightly)
+
+.PHONY: help install explore test ci nightly lint bench soak figures firmware clean
 help:
 	@echo "make explore  set up everything, then explore the default room on the emulator"
-	@echo "make test     set up everything, then lint and run every test"
+	@echo "make test     set up everything, then lint, and test units, protocol, simulation and image"
+	@echo "make ci       the same, and what takes longer: studies, browser, ROS, fault campaign"
+	@echo "make nightly  the same, and the full oracles (hours)"
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
@@ -40,7 +47,15 @@ lint: install
 	git ls-files '*.h' '*.cpp' '*.c' '*.ino' | xargs $(BIN)/clang-format --dry-run --Werror
 
 test: lint
-	$(BIN)/pytest
+	$(PYTEST) -n $(WORKERS) --dist worksteal -m "$(FAST) and not realtime"
+	$(PYTEST) -m "$(FAST) and realtime"
+
+ci: lint
+	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
+	$(PYTEST) -m "realtime and not nightly"
+
+nightly: ci
+	$(PYTEST) -n $(WORKERS) --dist worksteal -m nightly
 
 bench: install
 	$(BIN)/thigmo bench

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -14,6 +14,10 @@ from hypothesis import settings
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
+
+HERE = Path(__file__).parent
+# Folders whose name is the marker of all tests in them (tests/sim/mega: of `sim` and `mega`).
+TIERS = frozenset({"unit", "protocol", "sim", "mega", "bench", "browser", "ros"})
 
 # One commit gives one verdict: every run draws the same examples. `HYPOTHESIS_PROFILE=random`
 # draws new ones.
@@ -29,6 +33,13 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        for folder in item.path.relative_to(HERE).parts:
+            if folder in TIERS:
+                item.add_marker(folder)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--robot",
@@ -40,20 +51,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture
 def serve() -> Iterator[Callable[[Scene], str]]:
     """Puts an emulated robot behind a serial port, in real time, and tells the port."""
-    from thigmo.emulator.serve import PtyServer  # has no import where there are no terminals
+    from served import ServedRobot  # has no import where there are no terminals
 
     with ExitStack() as stack:
 
         def served(scene: Scene) -> str:
-            lockstep = Lockstep(scene, VirtualBoard(1), seed=1)
-            server = PtyServer(lockstep)
-            on = threading.Event()
-            on.set()
-            thread = threading.Thread(target=lambda: server.run(on.is_set))
-            thread.start()
-            stack.callback(server.close)
-            stack.callback(thread.join)
-            stack.callback(on.clear)
-            return server.path
+            robot = ServedRobot(Lockstep(scene, VirtualBoard(1), seed=1))
+            stack.callback(robot.close)
+            return robot.port
 
         yield served

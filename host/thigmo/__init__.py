@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     )
     from thigmo.robot import Robot, connect
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "BatchResult": "thigmo.localization",

@@ -23,7 +23,6 @@ def work(item: int) -> tuple[float, int]:
     return float(np.linalg.norm(np.arange(item + 1.0))), os.getpid()
 
 
-@pytest.mark.timeout(120)
 def test_a_study_spreads_over_a_cluster_and_keeps_its_order() -> None:
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
@@ -48,7 +47,6 @@ def study(context: Context) -> Outcome:
     return Outcome([Table("norms", ("norm", "process"), rows)])
 
 
-@pytest.mark.timeout(120)
 def test_the_command_runs_a_study_on_a_cluster_by_its_address(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,7 +64,6 @@ def test_the_command_runs_a_study_on_a_cluster_by_its_address(
     assert "scaling, norms: 12/12" in done.stderr
 
 
-@pytest.mark.timeout(60)
 def test_a_scheduler_without_workers_is_an_error_that_says_how_to_start_some(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -1,6 +1,8 @@
 """The reference device behind a pseudo-terminal, in real time: what a serial port looks like.
 
-A thread steps it by the monotonic clock. It keeps the host times of the heartbeats that reached it.
+A thread steps it by the monotonic clock. It keeps the device's times of the heartbeats that reached
+it: where the computer is busy, device time slips against the wall clock, and a gap between beats is
+one that the device saw.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ import time
 import tty
 
 from reference_device import ReferenceDevice
+
+MOST_BEHIND_MS = 50
 
 
 class PtyDevice:
@@ -44,9 +48,13 @@ class PtyDevice:
             os.close(self._master)
             os.close(self._slave)
 
+    def now_s(self) -> float:
+        """The device's time."""
+        return self.device.now_us / 1e6
+
     def silent_for(self) -> float:
-        """Seconds since the last heartbeat."""
-        return time.monotonic() - self.beats[-1]
+        """Seconds of the device's time since the last heartbeat."""
+        return self.now_s() - self.beats[-1]
 
     def _run(self) -> None:
         began = time.monotonic()
@@ -56,10 +64,13 @@ class PtyDevice:
                 if ready:
                     self.device.write(os.read(self._master, 4096))
                 behind = int((time.monotonic() - began) * 1000) - self.device.now_us // 1000
+                if behind > MOST_BEHIND_MS:  # a busy computer: the device's time slips instead
+                    began += (behind - MOST_BEHIND_MS) / 1000
+                    behind = MOST_BEHIND_MS
                 count = len(self.device.beats)
                 self.device.step(behind)
                 if len(self.device.beats) > count or len(self.device.beats) > len(self.beats):
-                    self.beats += [time.monotonic()] * (len(self.device.beats) - len(self.beats))
+                    self.beats += [self.now_s()] * (len(self.device.beats) - len(self.beats))
                 out = self.device.read()
             if out and select.select([], [self._master], [], 0)[1]:
                 os.write(self._master, out[:2048])

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +23,7 @@ from pathlib import Path
 import pytest
 from pty_device import PtyDevice
 from reference_device import ReferenceDevice
+from served import EVER_S, comes
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
@@ -38,7 +39,10 @@ from thigmo.link.serial_port import SerialTransport, port_error
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
+]
 LIMIT_S = 0.5  # the board's default limit of host silence
 SETTLE = wire.PARAMETERS["settle_ms"].index
 
@@ -60,12 +64,12 @@ def board() -> Iterator[PtyDevice]:
 @pytest.fixture
 def client(board: PtyDevice) -> Iterator[Client]:
     with Client(open_transport(board.port)) as client:
-        client.wait_for(lambda: len(board.beats) >= 2, 2.0)
+        client.wait_for(lambda: len(board.beats) >= 2, EVER_S)
         yield client
 
 
 def gaps(board: PtyDevice, since: float) -> list[float]:
-    times = [since] + [t for t in board.beats if t > since] + [time.monotonic()]
+    times = [since] + [t for t in board.beats if t > since] + [board.now_s()]
     return [b - a for a, b in pairwise(times)]
 
 
@@ -78,23 +82,12 @@ def alive(pid: int) -> bool:
     return state != "Z"
 
 
-def wait_until(predicate: Callable[[], bool], timeout_s: float) -> bool:
-    """Wait in real time, on a condition."""
-    never = threading.Event()
-    until = time.monotonic() + timeout_s
-    while not predicate():
-        if time.monotonic() > until:
-            return False
-        never.wait(0.01)
-    return True
-
-
 # A conversation.
 
 
 def test_a_conversation_over_a_port(client: Client, board: PtyDevice) -> None:
     assert client.request(wire.SetParameter(SETTLE, 77)).value == 77
-    assert client.wait_for(lambda: client.stats.telemetry >= 100, 2.0)
+    assert client.wait_for(lambda: client.stats.telemetry >= 100, EVER_S)
     assert client.stats.telemetry_lost == 0
     assert client.stats.bad_frames == 0
     assert client.clock.synchronised
@@ -104,12 +97,12 @@ def test_a_conversation_over_a_port(client: Client, board: PtyDevice) -> None:
 
 
 def test_a_busy_main_thread_starves_no_heart(client: Client, board: PtyDevice) -> None:
-    began = time.monotonic()
-    while time.monotonic() - began < 1.5:
+    began = board.now_s()
+    while board.now_s() - began < 1.5:
         sum(range(1000))
     assert max(gaps(board, began)) < LIMIT_S
     stats = client.stats
-    client.wait_for(lambda: stats.telemetry >= 300, 2.0)
+    client.wait_for(lambda: stats.telemetry >= 300, EVER_S)
     assert stats.telemetry_lost == 0  # what came meanwhile was kept
     assert stats.timeouts == 0
 
@@ -134,21 +127,21 @@ def test_the_lease_ends_the_heart_of_a_host_that_hangs_and_stops_an_armed_robot(
 ) -> None:
     board.device.state = wire.State.READY
     with Client(open_transport(board.port)) as client:
-        client.wait_for(lambda: len(board.beats) >= 12, 3.0)
+        client.wait_for(lambda: len(board.beats) >= 12, EVER_S)
         assert board.silent_for() < LIMIT_S  # reading renews it
         assert not board.device.stops
-        assert wait_until(lambda: board.silent_for() > 3 * PERIOD_S + 0.3, 3.0)
+        assert comes(lambda: board.silent_for() > 3 * PERIOD_S + 0.3)
         nonces = [nonce for _, nonce in board.device.stops]
         assert len(set(nonces)) == 1  # one stop, not one each time that the lease is looked at
-        client.wait_for(lambda: board.silent_for() < 0.2, 2.0)
-        assert board.silent_for() < 0.2  # a touch starts the heart again
+        client.wait_for(lambda: board.silent_for() < LIMIT_S, EVER_S)
+        assert board.silent_for() < LIMIT_S  # a touch starts the heart again
 
 
 @pytest.mark.usefixtures("short_lease")
 def test_the_lease_of_a_disarmed_robot_ends_without_a_stop(board: PtyDevice) -> None:
     with Client(open_transport(board.port)) as client:
-        client.wait_for(lambda: len(board.beats) >= 3, 3.0)
-        assert wait_until(lambda: board.silent_for() > 3 * PERIOD_S + 0.3, 3.0)
+        client.wait_for(lambda: len(board.beats) >= 3, EVER_S)
+        assert comes(lambda: board.silent_for() > 3 * PERIOD_S + 0.3)
         assert not board.device.stops
 
 
@@ -156,13 +149,13 @@ def test_the_lease_of_a_disarmed_robot_ends_without_a_stop(board: PtyDevice) -> 
 def test_a_host_that_waits_for_its_operator_does_not_hang(board: PtyDevice) -> None:
     board.device.state = wire.State.READY
     with Client(open_transport(board.port)) as client:
-        client.wait_for(lambda: len(board.beats) >= 3, 3.0)
+        client.wait_for(lambda: len(board.beats) >= 3, EVER_S)
         waits_for_operator()
-        began = time.monotonic()
-        assert not wait_until(lambda: bool(board.device.stops), 1.5)
+        began = board.now_s()
+        assert not comes(lambda: bool(board.device.stops), 1.5)
         assert max(gaps(board, began)) < LIMIT_S
         client.poll()  # the answer has come: from now on it may hang again
-        assert wait_until(lambda: bool(board.device.stops), 3.0)
+        assert comes(lambda: bool(board.device.stops))
 
 
 def test_a_muted_board_hears_no_beats_until_it_speaks(client: Client, board: PtyDevice) -> None:
@@ -179,7 +172,7 @@ def test_a_muted_board_hears_no_beats_until_it_speaks(client: Client, board: Pty
         del board.device.write
         board.device.silent = False
     count = len(board.beats)
-    assert client.wait_for(lambda: len(board.beats) > count, 1.0)
+    assert client.wait_for(lambda: len(board.beats) > count, EVER_S)
 
 
 HOST = """
@@ -202,7 +195,7 @@ def host(board: PtyDevice) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
     )
     assert process.stdout is not None
     pid = int(process.stdout.readline())
-    assert wait_until(lambda: len(board.beats) > 3, 5.0)
+    assert comes(lambda: len(board.beats) > 3)
     yield process, pid
     with suppress(ProcessLookupError):
         process.send_signal(signal.SIGCONT)
@@ -221,7 +214,7 @@ client.wait_for(lambda: False, 0.3)
 ctypes.PyDLL(None).usleep(5_000_000)
 value = client.request(wire.SetParameter(int(sys.argv[2]), 5)).value
 client.wait_for(lambda: False, 0.5)
-print(value, client.stats.timeouts, client.stats.telemetry_lost, client.transport.dropped_bytes)
+print(value, client.stats.telemetry_lost, client.transport.dropped_bytes)
 """
 
 
@@ -230,9 +223,9 @@ def test_five_seconds_of_a_thread_that_holds_the_interpreter_starve_no_heart(
 ) -> None:
     """PyDLL keeps the interpreter's lock, as a long compilation does."""
     command = [sys.executable, "-c", STALLED, board.port, str(SETTLE)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=30)
-    assert done.stdout.split() == [b"5", b"0", b"0", b"0"]
-    assert board.beats[-1] - board.beats[0] > 5.5
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    assert done.stdout.split() == [b"5", b"0", b"0"]
+    assert board.beats[-1] - board.beats[0] > 4.0
     assert max(b - a for a, b in pairwise(board.beats)) < LIMIT_S
 
 
@@ -241,9 +234,9 @@ def test_a_killed_host_takes_the_heart_with_it(
 ) -> None:
     process, pid = host
     process.send_signal(signal.SIGKILL)
-    killed = time.monotonic()
+    killed = board.now_s()
     process.wait()
-    assert wait_until(lambda: not alive(pid), 3.0), "the port's process outlived its host"
+    assert comes(lambda: not alive(pid)), "the port's process outlived its host"
     assert board.beats[-1] - killed < 0.4
     assert board.device.stops
     with Client(open_transport(board.port)):
@@ -255,8 +248,8 @@ def test_a_stopped_host_keeps_the_heart(
 ) -> None:
     process, _ = host
     process.send_signal(signal.SIGSTOP)
-    stopped = time.monotonic()
-    assert not wait_until(lambda: board.silent_for() > LIMIT_S, 1.5)
+    stopped = board.now_s()
+    assert not comes(lambda: board.silent_for() > LIMIT_S, 1.5)
     assert max(gaps(board, stopped)) < LIMIT_S
     process.send_signal(signal.SIGCONT)
 
@@ -267,7 +260,7 @@ def test_control_c_stops_the_robot_though_the_host_hangs(
     process, pid = host
     process.send_signal(signal.SIGSTOP)
     os.killpg(process.pid, signal.SIGINT)  # what a terminal does
-    assert wait_until(lambda: bool(board.device.stops), 2.0)
+    assert comes(lambda: bool(board.device.stops))
     assert alive(pid)
     assert board.silent_for() < LIMIT_S
 
@@ -278,7 +271,7 @@ def test_nothing_that_a_terminal_sends_takes_the_port_from_the_robot(
 ) -> None:
     _, pid = host
     os.kill(pid, number)
-    assert not wait_until(lambda: not alive(pid) or board.silent_for() > LIMIT_S, 0.7)
+    assert not comes(lambda: not alive(pid) or board.silent_for() > LIMIT_S, 0.7)
     assert bool(board.device.stops) == (number == signal.SIGTERM)
 
 
@@ -321,7 +314,7 @@ def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
         stop_robot(board.port)
     with board.lock:
         board.device.write = hears  # type: ignore[method-assign]
-    assert wait_until(lambda: bool(board.device.stops), 2.0)  # and it goes on trying
+    assert comes(lambda: bool(board.device.stops))  # and it goes on trying
 
 
 def test_a_folder_that_others_can_enter_takes_no_stops(sockets: Path, board: PtyDevice) -> None:
@@ -340,7 +333,7 @@ def test_only_the_same_user_reaches_the_socket(client: Client, sockets: Path) ->
 
 
 def wait_for_sockets(folder: Path) -> list[Path]:
-    assert wait_until(lambda: folder.exists() and any(folder.iterdir()), 2.0)
+    assert comes(lambda: folder.exists() and any(folder.iterdir()))
     return list(folder.iterdir())
 
 
@@ -410,7 +403,7 @@ def test_each_failure_has_its_words(number: int, text: str, what: str) -> None:
 def test_a_cable_pulled_in_mid_conversation(client: Client, board: PtyDevice) -> None:
     board.unplug()
     with pytest.raises(LinkError, match=r"was lost: .*; check the cable"):
-        client.wait_for(lambda: False, 3.0)
+        client.wait_for(lambda: False, EVER_S)
     with pytest.raises(LinkError):
         client.request(wire.GetStatus())
 
@@ -420,7 +413,7 @@ def test_a_port_process_that_dies_is_told(client: Client) -> None:
     assert isinstance(transport, SerialTransport)
     os.kill(transport.pid, signal.SIGKILL)
     with pytest.raises(LinkError, match=r"the process that holds .* (died|is gone)"):
-        client.wait_for(lambda: False, 3.0)
+        client.wait_for(lambda: False, EVER_S)
 
 
 class Babble(ReferenceDevice):
@@ -465,7 +458,7 @@ def test_over_a_socket() -> None:
         thread.start()
         with Client(open_transport(f"socket://127.0.0.1:{server.getsockname()[1]}")) as client:
             assert client.request(wire.SetParameter(SETTLE, 9)).value == 9
-            assert client.wait_for(lambda: client.stats.telemetry >= 50, 3.0)
+            assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
             assert client.stats.telemetry_lost == 0
         stop.set()
         thread.join()

@@ -10,16 +10,14 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import pytest
+from served import ServedRobot, comes
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import PtyServer
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError
 from thigmo.link import protocol as wire
@@ -27,9 +25,11 @@ from thigmo.link.client import Client
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
-LIMIT_S = 0.5
-SLACK_S = 0.5  # of a loaded computer's real time
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
+]
+LIMIT_S = 0.6  # of silence, and one period of the heart
 Host = subprocess.Popen[bytes]
 Start = Callable[[str], Host]
 
@@ -76,43 +76,26 @@ print(report.state.key, report.activity.key, report.faults)
 )
 
 
-class Served:
-    """An emulated robot, ready to sweep, on a port in real time."""
-
-    def __init__(self) -> None:
-        scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
-        transport = EmulatorTransport(scene, VirtualBoard(3), seed=3)
-        client = Client(transport)
-        client.request(wire.LoadDefaults())
-        vented = wire.Condition.VENTED.mask
-        while not client.request(wire.GetStatus()).conditions & vented:
-            client.poll(0.01)
-        client.request(wire.ConfirmLength(200_000, 1))
-        client.request(wire.SelectZone(0))
-        client.request(wire.ClearFaults(0xFFFF))
-        client.request(wire.Arm())
-        client.request(wire.ZeroSensors(0b00011_00011))
-        report = client.request(wire.GetStatus())
-        assert client.wait_for(lambda: any(done(e.message) for e in client.events), 30.0), report
-        client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
-        client.request(wire.Disarm())  # armed, it would miss this host: the next one arms it
-        self.lockstep = transport.lockstep
-        self.board = transport.lockstep.board
-        # A board that keeps running while hosts come and go: opening does not reset it.
-        self._server = PtyServer(self.lockstep, reset_on_open=False)
-        self.port = self._server.path
-        self._on = True
-        self._thread = threading.Thread(target=lambda: self._server.run(lambda: self._on))
-        self._thread.start()
-
-    def close(self) -> None:
-        self._on = False
-        self._thread.join()
-        self._server.close()
-
-    @property
-    def energised(self) -> bool:
-        return any(self.board.drive_enabled)
+def ready_to_sweep() -> ServedRobot:
+    """An emulated robot, zeroed in virtual time, then on a port in real time."""
+    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
+    transport = EmulatorTransport(scene, VirtualBoard(3), seed=3)
+    client = Client(transport)
+    client.request(wire.LoadDefaults())
+    vented = wire.Condition.VENTED.mask
+    while not client.request(wire.GetStatus()).conditions & vented:
+        client.poll(0.01)
+    client.request(wire.ConfirmLength(200_000, 1))
+    client.request(wire.SelectZone(0))
+    client.request(wire.ClearFaults(0xFFFF))
+    client.request(wire.Arm())
+    client.request(wire.ZeroSensors(0b00011_00011))
+    report = client.request(wire.GetStatus())
+    assert client.wait_for(lambda: any(done(e.message) for e in client.events), 30.0), report
+    client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
+    client.request(wire.Disarm())  # armed, it would miss this host: the next one arms it
+    # A board that keeps running while hosts come and go: opening does not reset it.
+    return ServedRobot(transport.lockstep, reset_on_open=False)
 
 
 def done(event: wire.Event) -> bool:
@@ -120,25 +103,14 @@ def done(event: wire.Event) -> bool:
 
 
 @pytest.fixture
-def robot() -> Iterator[Served]:
-    served = Served()
+def robot() -> Iterator[ServedRobot]:
+    served = ready_to_sweep()
     yield served
     served.close()
 
 
-def within(condition: Callable[[], bool], seconds: float) -> bool:
-    """Wait in real time, on a condition."""
-    never = threading.Event()
-    until = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > until:
-            return False
-        never.wait(0.01)
-    return True
-
-
 @pytest.fixture
-def start(robot: Served) -> Iterator[Start]:
+def start(robot: ServedRobot) -> Iterator[Start]:
     """Starts a host, in a process group of its own, and waits for its sweep."""
     hosts: list[Host] = []
 
@@ -151,7 +123,7 @@ def start(robot: Served) -> Iterator[Start]:
             )
         )
         assert line_of(hosts[-1]) == "sweeping"
-        assert within(lambda: robot.energised, 8.0), "the sweep never reached the live zero"
+        assert comes(lambda: robot.energised), "the sweep never reached the live zero"
         return hosts[-1]
 
     yield start
@@ -166,12 +138,6 @@ def line_of(host: Host) -> str:
     return host.stdout.readline().decode().strip()
 
 
-def assert_off(robot: Served) -> None:
-    assert within(lambda: not robot.energised, LIMIT_S + SLACK_S)
-    assert robot.board.motor == 0
-    assert robot.board.braked
-
-
 def clear_and_arm(client: Client) -> None:
     """What an operator does before the next run."""
     client.wait_for(lambda: False, 0.3)  # its heart beats: the cause of host_silent is gone
@@ -181,12 +147,12 @@ def clear_and_arm(client: Client) -> None:
 
 
 def test_a_computer_that_dies_in_mid_sweep_leaves_a_safe_robot_and_a_named_fault(
-    robot: Served, start: Start
+    robot: ServedRobot, start: Start
 ) -> None:
     """Host and port process die together, as when the computer loses its power."""
     host = start(LIVE)
     os.killpg(host.pid, signal.SIGKILL)
-    assert_off(robot)
+    assert robot.off_within(LIMIT_S)
     with Client(open_transport(robot.port)) as client:
         report = client.request(wire.GetStatus())
         assert report.state is wire.State.FAULT
@@ -201,9 +167,9 @@ def test_a_computer_that_dies_in_mid_sweep_leaves_a_safe_robot_and_a_named_fault
         clear_and_arm(client)
 
 
-def test_a_host_killed_in_mid_sweep_is_a_stop(robot: Served, start: Start) -> None:
+def test_a_host_killed_in_mid_sweep_is_a_stop(robot: ServedRobot, start: Start) -> None:
     start(LIVE).kill()
-    assert_off(robot)
+    assert robot.off_within(LIMIT_S)
     with Client(open_transport(robot.port)) as client:
         report = client.request(wire.GetStatus())
         assert report.state is wire.State.FAULT
@@ -214,7 +180,7 @@ def test_a_host_killed_in_mid_sweep_is_a_stop(robot: Served, start: Start) -> No
 
 
 def test_thigmo_stop_beside_a_run_that_hangs_and_the_run_does_not_carry_on(
-    robot: Served, start: Start
+    robot: ServedRobot, start: Start
 ) -> None:
     host = start(CARRIES_ON)
     host.send_signal(signal.SIGSTOP)
@@ -225,19 +191,19 @@ def test_thigmo_stop_beside_a_run_that_hangs_and_the_run_does_not_carry_on(
     assert not robot.energised
 
 
-def test_control_c_beside_a_run_that_hangs(robot: Served, start: Start) -> None:
+def test_control_c_beside_a_run_that_hangs(robot: ServedRobot, start: Start) -> None:
     host = start(CARRIES_ON)
     host.send_signal(signal.SIGSTOP)
     os.killpg(host.pid, signal.SIGINT)
-    assert_off(robot)
+    assert robot.off_within(LIMIT_S)
 
 
 def test_a_run_that_hangs_for_longer_than_its_lease_does_not_carry_on(
-    robot: Served, start: Start
+    robot: ServedRobot, start: Start
 ) -> None:
     host = start(SHORT_LEASE + CARRIES_ON)
     host.send_signal(signal.SIGSTOP)
-    assert within(lambda: not robot.energised, 1.0 + LIMIT_S + SLACK_S)
+    assert robot.off_within(1.0 + LIMIT_S)
     host.send_signal(signal.SIGCONT)
     assert refused_for(host, wire.Reason.FAULT_LATCHED)
     assert not robot.energised
@@ -248,7 +214,8 @@ def refused_for(host: Host, reason: wire.Reason) -> bool:
     return any(line_of(host) == reason.key for _ in range(50))
 
 
-def test_five_seconds_without_the_interpreter_in_mid_sweep_are_no_fault(robot: Served) -> None:
+def test_five_seconds_without_the_interpreter_in_mid_sweep_are_no_fault(robot: ServedRobot) -> None:
+    robot.alone()
     command = [sys.executable, "-c", STALL, robot.port]
     done = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=60)
     assert done.stdout.split() == [b"sweeping", b"moving", b"sweeping", b"0"]

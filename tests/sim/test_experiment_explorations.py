@@ -26,8 +26,6 @@ from thigmo.studies.experiments.explorations import (
 )
 from thigmo.studies.experiments.folder import Verdict
 
-pytestmark = pytest.mark.timeout(300)
-
 LENGTH_CM = 26.0
 
 

@@ -10,23 +10,23 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from served import ServedRobot, comes
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import PtyServer
 from thigmo.exploration import replay
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles, read_ros_map
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
-HEARTBEAT_LIMIT_S = 0.5
-SLACK_S = 1.0  # of a loaded computer's real time
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
+]
+LIMIT_S = 0.6  # of silence, and one period of the heart
 
 HOST = """
 import sys
@@ -55,63 +55,29 @@ def room() -> Scene:
     return scene
 
 
-class Served:
-    """A robot that answers on a port."""
-
-    def __init__(self, room: Scene) -> None:
-        self.board = VirtualBoard(1)
-        self.lockstep = Lockstep(room, self.board, seed=1)
-        self.length_cm = room.start_length_cm
-        self._server = PtyServer(self.lockstep)
-        self.port = self._server.path
-        self._on = threading.Event()
-        self._on.set()
-        self._thread = threading.Thread(target=lambda: self._server.run(self._on.is_set))
-        self._thread.start()
-
-    def pull(self) -> None:
-        """Pull the cable: the port is gone, and time stands still for the robot."""
-        self._on.clear()
-        self._thread.join()
-        self._server.close()
-
-    def explore(self, folder: Path, room: Scene) -> subprocess.Popen[bytes]:
-        """A host that explores it, in a process of its own."""
-        room.robot.save(folder / "robot.toml")
-        command = [sys.executable, "-c", HOST, self.port, str(folder / "robot.toml")]
-        command += [str(folder), str(self.length_cm)]
-        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-
-    @property
-    def off(self) -> bool:
-        return not any(self.board.drive_enabled) and self.board.motor == 0 and self.board.braked
-
-
-Serve = Callable[[Scene], Served]
+Serve = Callable[[Scene], ServedRobot]
 
 
 @pytest.fixture
 def serve() -> Iterator[Serve]:
     """Serves a room until the test is over."""
-    running: list[Served] = []
+    running: list[ServedRobot] = []
 
-    def start(room: Scene) -> Served:
-        running.append(Served(room))
+    def start(room: Scene) -> ServedRobot:
+        running.append(ServedRobot(Lockstep(room, VirtualBoard(1), seed=1)))
         return running[-1]
 
     yield start
     for served in running:
-        served.pull()
+        served.close()
 
 
-def _within(condition: Callable[[], bool], seconds: float) -> bool:
-    never = threading.Event()
-    until = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > until:
-            return False
-        never.wait(0.01)
-    return True
+def explore(served: ServedRobot, folder: Path, room: Scene) -> subprocess.Popen[bytes]:
+    """A host that explores it, in a process of its own."""
+    room.robot.save(folder / "robot.toml")
+    command = [sys.executable, "-c", HOST, served.port, str(folder / "robot.toml")]
+    command += [str(folder), str(room.start_length_cm)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 @pytest.mark.parametrize(
@@ -126,12 +92,11 @@ def test_a_run_cut_short_in_mid_sweep_leaves_a_vented_robot_and_a_readable_folde
     tmp_path: Path, room: Scene, serve: Serve, number: signal.Signals, outcome: str
 ) -> None:
     served = serve(room)
-    with served.explore(tmp_path, room) as host:
-        _await(host, lambda: any(served.board.drive_enabled), "the sweep never opened a valve")
+    with explore(served, tmp_path, room) as host:
+        _await(host, lambda: served.energised, "the sweep never opened a valve")
         host.send_signal(number)
-        limit = HEARTBEAT_LIMIT_S + SLACK_S
-        assert _within(lambda: served.off, limit), "a valve is still open"
-        _, said = host.communicate(timeout=20)
+        assert served.off_within(LIMIT_S), "a valve is still open"
+        _, said = host.communicate()
     if number == signal.SIGKILL:
         assert host.returncode == -signal.SIGKILL
     else:
@@ -154,11 +119,11 @@ def test_an_interrupt_during_growth_stops_the_motor_and_leaves_a_readable_folder
 ) -> None:
     room.start_length_cm = 12.0  # it must grow before it may sweep
     served = serve(room)
-    with served.explore(tmp_path, room) as host:
+    with explore(served, tmp_path, room) as host:
         _await(host, lambda: served.board.motor != 0, "the spool never turned")
         host.send_signal(signal.SIGINT)
-        assert _within(lambda: served.off, HEARTBEAT_LIMIT_S + SLACK_S), "the motor still runs"
-        _, said = host.communicate(timeout=20)
+        assert served.off_within(LIMIT_S), "the motor still runs"
+        _, said = host.communicate()
     assert host.returncode == 128 + signal.SIGINT
     (line,) = said.decode().splitlines()
     assert line.startswith("thigmo: interrupted; the robot is vented")
@@ -171,14 +136,14 @@ def test_a_cable_pulled_in_mid_sweep_vents_the_robot_and_leaves_a_readable_folde
     tmp_path: Path, room: Scene, serve: Serve
 ) -> None:
     served = serve(room)
-    with served.explore(tmp_path, room) as host:
-        _await(host, lambda: any(served.board.drive_enabled), "the sweep never opened a valve")
-        served.pull()
+    with explore(served, tmp_path, room) as host:
+        _await(host, lambda: served.energised, "the sweep never opened a valve")
+        served.close()
         assert not served.off
-        for _ in range(round((HEARTBEAT_LIMIT_S + 0.1) * 100)):  # of the robot's own time
+        for _ in range(round(LIMIT_S * 100)):  # of the robot's own time
             served.lockstep.advance()
         assert served.off
-        _, said = host.communicate(timeout=60)
+        _, said = host.communicate()
     assert host.returncode not in (0, -signal.SIGKILL)
     (line,) = said.decode().splitlines()
     assert line.startswith("thigmo: ")
@@ -187,7 +152,7 @@ def test_a_cable_pulled_in_mid_sweep_vents_the_robot_and_leaves_a_readable_folde
 
 
 def _await(host: subprocess.Popen[bytes], condition: Callable[[], bool], otherwise: str) -> None:
-    assert _within(lambda: condition() or host.poll() is not None, 60.0), otherwise
+    assert comes(lambda: condition() or host.poll() is not None), otherwise
     assert host.poll() is None, host.stderr and host.stderr.read()
 
 

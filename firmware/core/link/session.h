@@ -15,7 +15,7 @@
 
 namespace thigmo {
 
-constexpr uint8_t kFirmwareVersion[3] = {0, 1, 0};
+constexpr uint8_t kFirmwareVersion[3] = {0, 2, 0};
 
 // What happened to a command.
 enum class Handled : uint8_t {

@@ -25,7 +25,7 @@ _BRIDGE = ROOT / "firmware" / "mega" / "sim"
 def missing() -> str:
     """What keeps the simulated Mega from running here, in words; empty when nothing does."""
     if not (_BRIDGE / "Makefile").exists():
-        return "this installation has no firmware sources"
+        return "it links to libsimavr (GPL) and is built in a source checkout only"
     absent = [tool for tool in ("make", "cc", "avr-g++") if shutil.which(tool) is None]
     if not Path("/usr/include/simavr/sim_avr.h").exists():
         absent.append("libsimavr-dev")

@@ -23,7 +23,9 @@ from thigmo.errors import PortError
 from thigmo.link.framing import Decoder
 from thigmo.link.protocol import ResetCause, SelectZone
 
-_MOST_BEHIND_S = 0.5  # after a longer stall of this computer, virtual time slips instead
+# After a longer stall of this computer, virtual time slips. It is well below the board's limit of
+# silence: a computer that hangs for a moment must not look like a host that fell silent.
+_MOST_BEHIND_S = 0.05
 _QUEUE = 65_536  # bytes kept for a program that does not read; beyond, they are lost
 
 

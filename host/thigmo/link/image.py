@@ -18,6 +18,7 @@ from thigmo.errors import ConfigError, PortError
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILD = ROOT / "build" / "mega"
+PACKAGED = Path(__file__).parents[1] / "firmware" / "thigmo.hex"  # in a wheel
 MAGIC = b"thigmo-image"
 _SIGNATURE = struct.Struct("<IBB3B")
 LARGEST = 253_952  # bytes below the Mega's boot loader
@@ -99,15 +100,19 @@ def read_image(path: Path) -> Image:
 
 
 def build_image(baud: int = 250_000) -> Path:
-    """The image of this source tree, built if need be (nothing is built that is up to date).
+    """The image of this source tree, built if need be (nothing is built that is up to date), or
+    the one that came with an installation.
 
     Raises:
-        PortError: no sources, no compiler, or the build failed.
+        PortError: neither sources nor image, no compiler, or the build failed.
     """
     folder = ROOT / "firmware" / "mega"
     if not (folder / "Makefile").exists():
+        if PACKAGED.exists() and baud == 250_000:
+            return PACKAGED
         raise PortError(
-            "this installation has no firmware sources", "give the image: --image FILE.hex"
+            f"this installation has no firmware image of {baud} baud",
+            "build it in a checkout with `make firmware`, and give it: --image FILE.hex",
         )
     for tool in ("make", "avr-g++"):
         if shutil.which(tool) is None:

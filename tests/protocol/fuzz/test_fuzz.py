@@ -39,7 +39,6 @@ def targets() -> Path:
     return BUILD
 
 
-@pytest.mark.timeout(100)
 @pytest.mark.parametrize("target", RUNS)
 def test_nothing_is_found(targets: Path, target: str, tmp_path: Path) -> None:
     found = tmp_path / "found"

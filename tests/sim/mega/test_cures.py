@@ -12,8 +12,6 @@ from thigmo.emulator.chip import CHANNELS, CYCLES_PER_MS, Cause, Chip
 Programs = Callable[[str], Chip]
 OUT = 0x1000
 
-pytestmark = pytest.mark.timeout(60)
-
 
 def words(chip: Chip, count: int) -> list[int]:
     return np.frombuffer(chip.read_ram(OUT, 2 * count), "<u2").tolist()

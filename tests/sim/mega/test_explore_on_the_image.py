@@ -14,7 +14,6 @@ from thigmo.emulator.scene import SCENES
 from thigmo.exploration import explore
 
 
-@pytest.mark.timeout(240)
 def test_the_last_stage_finds_the_same_contact_on_both_boards(tmp_path: Path) -> None:
     room = tmp_path / "last_stage.toml"
     text = (SCENES / "default.toml").read_text()

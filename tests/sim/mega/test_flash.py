@@ -59,8 +59,8 @@ def test_the_image_says_what_it_is(image: Path) -> None:
     assert 20_000 < content.size < 130_000
 
 
+@pytest.mark.realtime
 @needs_avrdude
-@pytest.mark.timeout(90)
 def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> None:
     with PtyMega() as mega:
         result = CliRunner().invoke(app, ["flash", mega.path, "--image", str(image), "--json"])
@@ -73,8 +73,8 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
             assert mega.chip.read_flash(start, len(data)) == data
 
 
+@pytest.mark.realtime
 @needs_avrdude
-@pytest.mark.timeout(90)
 def test_another_board_is_told_by_its_signature_and_left_as_it_was(image: Path) -> None:
     with PtyMega() as mega:
         # Where the boot loader answers with its signature: `ldi r24, 0x98` becomes 0x95.
@@ -85,8 +85,8 @@ def test_another_board_is_told_by_its_signature_and_left_as_it_was(image: Path) 
         assert mega.chip.read_flash(0, 1024) == b"\xff" * 1024
 
 
+@pytest.mark.realtime
 @needs_avrdude
-@pytest.mark.timeout(120)
 def test_a_board_without_boot_loader_is_told_apart(image: Path) -> None:
     chip = Chip(mega_build.bridge_library())
     chip.write_flash(0, b"\xff\xcf")  # `rjmp .-2`: it runs, and says nothing

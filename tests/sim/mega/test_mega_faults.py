@@ -72,7 +72,6 @@ def save(mega: SimulatedMega, session: int, value: int) -> list[bytes]:
     raise AssertionError("the save does not end")
 
 
-@pytest.mark.timeout(110)
 def test_a_power_cut_at_every_byte_of_a_save_leaves_the_old_or_the_new_whole(
     stored_config: bytes,
 ) -> None:

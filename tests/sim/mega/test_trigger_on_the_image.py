@@ -28,7 +28,6 @@ def stepped() -> Session:
     return record(room("all three", 1.0), 5, halves, step=1.5 * THRESHOLD, threshold=THRESHOLD)
 
 
-@pytest.mark.timeout(100)
 @pytest.mark.parametrize("setting", [default_setting(), Setting(2, 12, 500)])
 def test_the_image_reports_the_contacts_of_the_virtual_board_at_its_times(
     stepped: Session, setting: Setting

@@ -25,7 +25,6 @@ def errors(result: FlexResult, lab: Lab) -> np.ndarray:
     )  # fmt: skip
 
 
-@pytest.mark.timeout(300)
 def test_stated_errors_cover_the_true_ones_over_many_labs():
     """Scales and zeros of 18 labs, ten sensors each: their z-scores spread as they say.
 

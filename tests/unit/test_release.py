@@ -1,0 +1,45 @@
+"""One version in every place that tells it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import thigmo
+from thigmo.errors import ConfigError, PortError
+from thigmo.link import image
+
+ROOT = Path(__file__).resolve().parents[2]
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern"),
+    [
+        ("CITATION.cff", r"^version: (.*)$"),
+        ("firmware/library.properties", r"^version=(.*)$"),
+        ("firmware/core/link/session.h", r"kFirmwareVersion\[3\] = {(.*)}"),
+    ],
+)
+def test_every_file_tells_the_same_version(file: str, pattern: str) -> None:
+    found = re.search(pattern, (ROOT / file).read_text(), re.M)
+    assert found is not None
+    assert found[1].replace(", ", ".") == VERSION == thigmo.__version__
+
+
+def test_an_installation_without_sources_flashes_the_image_that_came_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(image, "ROOT", tmp_path)
+    monkeypatch.setattr(image, "PACKAGED", tmp_path / "thigmo.hex")
+    with pytest.raises(PortError, match="no firmware image"):
+        image.build_image()
+    (tmp_path / "thigmo.hex").write_text(":00000001FF\n")
+    assert image.build_image() == tmp_path / "thigmo.hex"
+    with pytest.raises(PortError, match="500000 baud"):
+        image.build_image(500_000)
+    with pytest.raises(ConfigError, match="not a thigmo image"):
+        image.read_image(image.build_image())

