@@ -10,17 +10,18 @@ WORKERS ?= 2
 PYTEST  := $(BIN)/pytest -q
 FAST    := not (bench or browser or ros or ci or nightly)
 
-.PHONY: help install explore test ci nightly lint bench soak figures firmware clean
+.PHONY: help install explore test ci nightly lint bench soak figures docs firmware clean
 help:
 	@echo "make explore  set up everything, then explore the default room on the emulator"
 	@echo "make test     set up everything, then lint, and test units, protocol, simulation and image"
-	@echo "make ci       the same, and what takes longer: studies, browser, ROS, fault campaign"
+	@echo "make ci       the same, and what takes longer: studies, browser, ROS, fault campaign, docs"
 	@echo "make nightly  the same, and the full oracles (hours)"
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
 	@echo "make soak     an hour of random commands and faults on the simulated Mega (a quarter of one)"
-	@echo "make figures  run everything behind README's numbers, and write them there"
+	@echo "make figures  run everything behind the figures in docs/ and README, and write them there"
+	@echo "make docs     build the site into build/site; every command and cell on it runs"
 	@echo "make firmware the Mega's image, with its size (needs avr-gcc)"
 
 install: .stamps/install
@@ -40,8 +41,8 @@ lint: install
 	$(BIN)/python protocol/generate.py --check
 	$(BIN)/python tools/figures.py --check
 	$(BIN)/python tools/schematics.py --check
-	$(BIN)/ruff check host tests tools protocol
-	$(BIN)/ruff format --check host tests tools protocol
+	$(BIN)/ruff check host tests tools protocol docs
+	$(BIN)/ruff format --check host tests tools protocol docs
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	git ls-files '*.h' '*.cpp' '*.c' '*.ino' | xargs $(BIN)/clang-format --dry-run --Werror
@@ -53,6 +54,7 @@ test: lint
 ci: lint
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
 	$(PYTEST) -m "realtime and not nightly"
+	$(MAKE) docs
 
 nightly: ci
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m nightly
@@ -65,6 +67,12 @@ soak: install
 
 figures: install
 	$(BIN)/python tools/figures.py
+
+docs: install .stamps/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 docs build/site
+.stamps/docs: .stamps/install
+	$(BIN)/pip install --quiet --no-build-isolation --editable '.[docs]'
+	@touch $@
 
 firmware:
 	$(MAKE) -C firmware/mega

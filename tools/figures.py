@@ -1,19 +1,21 @@
-"""Runs the commands behind README's numbers, keeps what they print, and writes README's table.
+"""Runs the commands behind the project's figures, keeps what they print, and writes their tables.
 
     python tools/figures.py                 run every command (an hour or two), then render
     python tools/figures.py explore budgets
                                             run some of them, then render
     python tools/figures.py --render        render from the kept results only
-    python tools/figures.py --check         fail if README's table is not what the results say
+    python tools/figures.py --check         fail if a table is not what the results say
 
-Results are kept as JSON in docs/results/, pictures in docs/. No number in README's table is typed
-by hand. Called by developers before a release; `make lint` calls it with --check.
+Results are kept as JSON in docs/results/, pictures in docs/. The tables stand in docs/figures.md,
+each between `<!-- figures: NAME -->` and `<!-- end -->`; README.md has the headlines. No number in
+them is typed by hand. Called by developers before a release; `make lint` calls it with --check.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -25,13 +27,14 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
-BEGIN, END = "<!-- figures: made by tools/figures.py -->", "<!-- end of figures -->"
+PAGES = (ROOT / "README.md", ROOT / "docs" / "figures.md")
+PLACE = re.compile(r"(<!-- figures: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 Row = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
 class Source:
-    """A command, the pictures that it leaves and README shows, and the rows made of its JSON."""
+    """A command, the pictures of it that are kept, and the rows made of its JSON."""
 
     command: tuple[str, ...]
     rows: Callable[[Any], list[Row]]
@@ -43,10 +46,13 @@ class Source:
         return " ".join(self.command)
 
 
+EXPLORED = "default exploration: \\|x error\\| (thesis: 6.82 cm)"
+
+
 def _explore(found: dict[str, Any]) -> list[Row]:
     return [
         (
-            "default exploration: \\|x error\\| (thesis: 6.82 cm)",
+            EXPLORED,
             f"{found['error_x_cm']:.2f} cm",
             "one run; many seeds in the rows below",
         ),
@@ -183,18 +189,62 @@ def run(name: str) -> None:
             shutil.copy(next(Path(folder).rglob(made)), ROOT / "docs" / kept)
 
 
-def table() -> str:
-    """README's table from the kept results."""
-    lines = [BEGIN]
-    for name, source in SOURCES.items():
-        path = RESULTS / f"{name}.json"
-        if not path.is_file():
-            continue
-        rows = source.rows(json.loads(path.read_text()))
-        if rows:
-            lines += ["", f"`{source.shown}`", "", "| what | value | |", "| --- | --- | --- |"]
-            lines += [f"| {a} | {b} | {c} |" for a, b, c in rows]
-    return "\n".join([*lines, "", END])
+# The five rows of README, by source and name, with the words that README has for them.
+HEADLINES = (
+    ("explore", EXPLORED, "x error of the contact that the default exploration finds"),
+    (
+        "experiments",
+        "two-contacts, closer than 23.5 cm: x error in the room",
+        "x error of two contacts less than 23.5 cm apart (thesis: 16.94 cm)",
+    ),
+    (
+        "bench-calibration",
+        "95 % intervals cover, at least",
+        "share of 95 % intervals that hold the true contact, at least",
+    ),
+    (
+        "bench-scaling",
+        "one contact, 10 readings, all that localize answers",
+        "time of one answer of `thigmo.localize`, ten readings",
+    ),
+    ("budgets", "trigger: step to event on the wire", "touch to event on the wire, on the Mega"),
+)
+
+
+def _rows(name: str) -> list[Row]:
+    """A source's rows; none if it was never run."""
+    path = RESULTS / f"{name}.json"
+    return SOURCES[name].rows(json.loads(path.read_text())) if path.is_file() else []
+
+
+def table(name: str) -> str:
+    """The table of one source, with the command that makes it."""
+    rows = _rows(name)
+    lines = [f"`{SOURCES[name].shown}`", ""]
+    if not rows:
+        return "\n".join([*lines, "Not run yet.", "", ""])
+    lines += ["| what | value | |", "| --- | --- | --- |"]
+    return "\n".join([*lines, *(f"| {a} | {b} | {c} |" for a, b, c in rows), "", ""])
+
+
+def headlines() -> str:
+    """README's table: one row of each of five sources, with its command."""
+    lines = ["| what | value | command |", "| --- | --- | --- |"]
+    for name, wanted, words in HEADLINES:
+        values = {what: value for what, value, _ in _rows(name)}
+        if wanted not in values:
+            sys.exit(f"docs/results/{name}.json has no row {wanted!r}; correct HEADLINES")
+        command = SOURCES[name].shown.replace(".venv/bin/", "").replace(" --json", "")
+        lines.append(f"| {words} | {values[wanted]} | `{command}` |")
+    return "\n".join([*lines, "", ""])
+
+
+def rendered(page: Path) -> str:
+    """The page with every table made anew."""
+    text = page.read_text()
+    return PLACE.sub(
+        lambda m: m[1] + (headlines() if m[2] == "headlines" else table(m[2])) + m[3], text
+    )
 
 
 def main() -> None:
@@ -204,22 +254,22 @@ def main() -> None:
     parser.add_argument("--render", action="store_true", help="run nothing")
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     options = parser.parse_args()
+    placed = {name for page in PAGES for _, name, _ in PLACE.findall(page.read_text())}
+    if placed != {*SOURCES, "headlines"}:
+        wrong = ", ".join(sorted(placed ^ {*SOURCES, "headlines"}))
+        sys.exit(f"docs/figures.md and SOURCES differ in: {wrong}; give each table its place")
     if not (options.render or options.check):
         for name in options.sources or SOURCES:
             run(name)
-    readme = ROOT / "README.md"
-    text = readme.read_text()
-    if BEGIN not in text or END not in text:
-        sys.exit(f"README.md lacks the lines {BEGIN!r} and {END!r}; put them back")
-    head, _, rest = text.partition(BEGIN)
-    made = head + table() + rest.partition(END)[2]
-    if options.check:
-        if made != text:
+    for page in PAGES:
+        made = rendered(page)
+        if options.check and made != page.read_text():
             sys.exit(
-                "README.md's figures are not what docs/results say; run tools/figures.py --render"
+                f"{page.name}'s figures are not what docs/results say; run "
+                "tools/figures.py --render"
             )
-    else:
-        readme.write_text(made)
+        if not options.check:
+            page.write_text(made)
 
 
 if __name__ == "__main__":

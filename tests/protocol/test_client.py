@@ -58,7 +58,7 @@ def test_a_board_that_did_not_reset_is_greeted_after_the_silence(device: Referen
 
 
 class SleepyBoard(ReferenceDevice):
-    """In its boot loader, which waits 0.84 s, or 9.3 s once it heard a byte (HARDWARE.md)."""
+    """In its boot loader, which waits 0.84 s, or 9.3 s once it heard a byte (hardware/facts.md)."""
 
     heard = False
 

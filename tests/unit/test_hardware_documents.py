@@ -58,7 +58,7 @@ def test_what_is_drawn_is_in_the_parts_list(drawing: Path, parts: dict[str, list
 
 def test_pins_are_the_firmwares() -> None:
     header = (ROOT / "firmware/mega/pins.h").read_text()
-    page = (ROOT / "firmware/mega/WIRING.md").read_text()
+    page = (HARDWARE / "wiring.md").read_text()
 
     def pins(rows: list[str]) -> set[str]:
         found: set[str] = set()

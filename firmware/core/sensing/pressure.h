@@ -12,7 +12,7 @@ namespace thigmo {
 
 class PressureReading {
  public:
-  // A reading outside 5..95 % of the supply means a broken wire (Honeywell SSC, HARDWARE facts).
+  // A reading outside 5..95 % of the supply means a broken wire (docs/hardware/facts.md).
   static constexpr uint16_t kWireLow = 51;
   static constexpr uint16_t kWireHigh = 973;
   static constexpr uint8_t kWireRun = 3;

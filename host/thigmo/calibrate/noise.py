@@ -1,4 +1,4 @@
-"""Noise in its three parts: white, within a sweep (hysteresis), and per eversion (METHODS 8)."""
+"""Noise in its three parts: white, within a sweep, and per eversion (docs/methods.md, Noise)."""
 
 from __future__ import annotations
 

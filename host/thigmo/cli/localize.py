@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from thigmo.localization import LocalizeResult
     from thigmo.record import ReadingsTable
 
+# Readings to try the command on.
+EXAMPLE = Path(__file__).parents[1] / "record" / "example.csv"
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -20,7 +23,9 @@ def register(app: typer.Typer) -> None:
 
 
 def localize(
-    file: Annotated[Path, typer.Argument(help="CSV with columns position, curvature[, span].")],
+    file: Annotated[
+        Path, typer.Argument(help="CSV with columns position, curvature[, span]; or `example`.")
+    ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
     span: Annotated[float, typer.Option(help="Active length of the sensors, if no column.")] = 0.0,
     free_curvature: Annotated[
@@ -67,6 +72,8 @@ def localize(
         raise DataError(f"--length is {length:g}", "give the body's length, above 0")
     if contacts != "auto" and not contacts.isdecimal():
         raise DataError(f"--contacts is {contacts!r}", "give `auto` or a number")
+    if file == Path("example") and not file.exists():
+        file = EXAMPLE
     table = read_readings(file)
     told = {} if config is None else _calibrated(config, side, table, length)
     flags = {

@@ -447,9 +447,10 @@ class Plant:
 
     @property
     def pull_n(self) -> float:
-        """Tension of the tail: half of body pressure times section while it is taut (HARDWARE.md).
+        """Tension of the tail: half of body pressure times section while it is taut.
 
-        A tip that stands still while line is paid out leaves the tail slack.
+        See docs/hardware/facts.md, Spool. A tip that stands still while line is paid out leaves
+        the tail slack.
         """
         if self.slip_cm_s != 0.0:
             return self._spool.sliding_n + self._spool.damping * self.slip_cm_s

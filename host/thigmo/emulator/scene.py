@@ -43,7 +43,7 @@ class PegTable(Model):
 
 
 class Noise(Model):
-    """The three parts of the sensors' noise (METHODS 8), and the pressure sensors'."""
+    """The three parts of the sensors' noise (docs/methods.md), and the pressure sensors'."""
 
     white_counts: NonNegative = 1.0  # one sigma of one conversion, in ADC counts
     pressure_counts: NonNegative = 0.5

@@ -32,8 +32,9 @@ R = TypeVar("R", bound=wire.Message)
 Direction = Literal["tx", "rx"]
 Tap = Callable[[Direction, bytes, float], None]
 
-# The boot loader listens for 0.84 s after a reset and must hear nothing (HARDWARE.md); the first
-# announce comes at the start of the firmware, so 1.6 s without one is a board that did not reset.
+# The boot loader listens for 0.84 s after a reset and must hear nothing
+# (docs/hardware/facts.md, The Mega). The first announce comes at the start of the firmware, so
+# 1.6 s without one is a board that did not reset.
 SILENCE_S = 1.6
 # A stray byte keeps the boot loader for 9.3 s: a second, silent, wait before giving up.
 BOOT_LOADER_S = 10.0

@@ -37,7 +37,7 @@ class Heart:
         next_s: when the next one is due, by the clock that `beat` is given.
         hold_after: beats without a byte from the board after which the heart holds until `heard`:
             a board that restarted is in its boot loader, which a stray byte keeps for 9.3 s
-            (HARDWARE.md). None: never.
+            (docs/hardware/facts.md). None: never.
         unheard: beats since the board was last heard.
     """
 

@@ -13,7 +13,7 @@
 // When that branch ends (snap-through, slip over the tip), `relax` walks downhill in energy from
 // the last shape, and Newton polishes what it finds.
 //
-// Python's view of it is elastica.py. See METHODS.md sections 5 and 6 in the project's notes.
+// Python's view of it is elastica.py. See docs/methods.md, bent bodies and buckling.
 #pragma once
 
 #include <array>

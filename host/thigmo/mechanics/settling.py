@@ -1,7 +1,7 @@
 """Creep of a flex sensor after its eversion: fitted, subtracted, and carried as noise.
 
 A tight bend leaves a sensor reading `rest + amplitude * exp(-t / tau)` (thesis: steady after 30 s,
-so tau is 6 to 10 s; METHODS section 7). Calibration measures tau and amplitude; in use, the part
+so tau is 6 to 10 s; docs/methods.md). Calibration measures tau and amplitude; in use, the part
 seen while the robot stands still after growing tells this eversion's own amplitude, and readings
 count long before the 30 s are over.
 """

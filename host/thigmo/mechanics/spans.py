@@ -1,7 +1,7 @@
 """What a sensor sees: the mean curvature over its span.
 
 For small deflections a unit force at arc a adds phi(a; x, l) to a sensor centred at x with span l
-(METHODS section 1). The bent body's own mean is the extension's (`Solution.averages`).
+(docs/methods.md). The bent body's own mean is the extension's (`Solution.averages`).
 """
 
 from __future__ import annotations

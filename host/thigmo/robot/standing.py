@@ -24,7 +24,7 @@ _STILL_S = 1.5  # after a motion or a bend the body swings for so long
 _FIRST_S = 0.5  # after eversion: the fold is still near
 _FEWEST = 8  # bins, two seconds
 # What calibration leaves open of the decay: its time (relative), and the amplitude of an eversion
-# (1/cm; METHODS: most sensors start within some 0.02 of their rest).
+# (1/cm; docs/methods.md: most sensors start within some 0.02 of their rest).
 _TAU_SE = 0.15
 _AMPLITUDE_SD = 0.03
 

@@ -1,6 +1,6 @@
 """Trigger latency against false alarms over the board's averaging and debounce.
 
-Empty rooms are swept under each of the three parts of the sensors' noise (METHODS: white,
+Empty rooms are swept under each of the three parts of the sensors' noise (docs/methods.md: white,
 hysteresis, offset at each eversion), alone and together, at multiples of the default scene's; each
 report there is a false alarm. Latency is measured three ways, under all three parts at their
 default: from a step of base curvature of 1.5 and of 2 times the threshold, and from the moment at

@@ -252,7 +252,7 @@ def test_a_pressure_sensor_that_lies_is_found_by_the_transducers_current(
 def test_a_bring_up_without_calibration_is_no_fault(
     offset_psi: float, gain: float, asked_psi: float
 ) -> None:
-    """The sensor's error band before zeroing, and the transducer's gain (HARDWARE.md)."""
+    """Before zeroing the sensor is off by its error band, and the transducer by its gain."""
     bench = Bench()
     bench.air.gain = gain
     bench.sensor = lambda true: true + offset_psi

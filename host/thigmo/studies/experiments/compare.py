@@ -208,7 +208,7 @@ def bound_cm(trial: Trial) -> Floats:
 
 
 Row = dict[str, Any]
-"""One line of the three-column table (cm), for CSV, JSON and README's table.
+"""One line of the three-column table (cm), for CSV, JSON and the table of docs/figures.md.
 
     here_*, ours_*, alone_*: errors (`errors`) of the thesis's method here, of ours, and of ours
         without the readings on the way (NaN where there are none).

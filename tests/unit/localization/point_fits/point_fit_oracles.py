@@ -20,7 +20,7 @@ LIMIT = 20.0  # |force| of two contacts over the largest reading
 
 
 def influence(arc: Floats | float, low: Floats, high: Floats) -> Floats:
-    """Response of METHODS 1, written down once more: (..., N) for arcs (...)."""
+    """Response of docs/methods.md, written down once more: (..., N) for arcs (...)."""
     reach = np.asarray(arc)[..., None] - low
     span = high - low
     inside = reach**2 / (2.0 * np.where(span > 0.0, span, 1.0))

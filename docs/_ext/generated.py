@@ -1,0 +1,186 @@
+"""Pages made from the code's own texts: every command, every fault, refusal and error.
+
+Written to docs/_made before the pages are read, and included by commands.md and troubleshooting.md.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+import yaml
+
+from thigmo import errors
+from thigmo.cli.main import app as thigmo
+
+ROOT = Path(__file__).resolve().parents[2]
+_ERRORS = {
+    name: kind
+    for name, kind in vars(errors).items()
+    if isinstance(kind, type) and issubclass(kind, errors.ThigmoError)
+}
+# Where an operator meets the errors of each folder of host/thigmo.
+_WHERE = {
+    "link": "The connection to the board",
+    "robot": "The robot",
+    "exploration": "Explorations and replays",
+    "localization": "Readings and the localizer",
+    "reading_errors": "Readings and the localizer",
+    "record": "Files: run folders, maps, tables of readings",
+    "config": "robot.toml",
+    "calibrate": "Calibration",
+    "camera": "The camera",
+    "bringup": "Bring-up",
+    "emulator": "The emulator and its scenes",
+    "mechanics": "Mechanics",
+    "studies": "Studies and experiments",
+}
+
+
+def commands(command: Any = None, name: str = "thigmo") -> Iterator[tuple[str, Any]]:
+    """Every command with its full name, groups opened."""
+    command = command or typer.main.get_command(thigmo)
+    inner = getattr(command, "commands", None)
+    if inner:
+        for part, one in inner.items():
+            yield from commands(one, f"{name} {part}")
+    else:
+        yield name, command
+
+
+def _paragraphs(text: str | None) -> str:
+    """Help text as Markdown: rich's markup is not used in it."""
+    return inspect.cleandoc(text or "")
+
+
+def _option(parameter: Any) -> tuple[str, str]:
+    names = ", ".join(f"`{name}`" for name in parameter.opts + parameter.secondary_opts)
+    if parameter.param_type_name == "argument":
+        names = f"`{parameter.name}`"
+    default = parameter.default
+    said = parameter.help or ""
+    if parameter.param_type_name == "option" and default not in (None, False, (), ...):
+        said += f" [{default}]"
+    return names, said.replace("\n", " ").replace("|", "\\|")
+
+
+def _commands_page() -> str:
+    lines: list[str] = []
+    for name, command in commands():
+        lines += [f"## `{name}`", "", _paragraphs(command.help), ""]
+        rows = [_option(p) for p in command.params if p.name != "help"]
+        if rows:
+            lines += ["| option | what [default] |", "| --- | --- |"]
+            lines += [f"| {names} | {said} |" for names, said in rows]
+            lines.append("")
+    return "\n".join(lines)
+
+
+def _from_schema(enumeration: str) -> str:
+    schema = yaml.safe_load((ROOT / "protocol/schema.yaml").read_text())
+    lines = ["| name | what it means, and what to do |", "| --- | --- |"]
+    for name, entry in sorted(schema["enums"][enumeration].items()):
+        if name not in ("doc", "none"):
+            lines.append(f"| `{name}` | {entry['doc']} |")
+    return "\n".join(lines) + "\n"
+
+
+def _text(node: ast.expr) -> str | None:
+    """A message's text; what is known only when it happens stands in angle brackets."""
+    match node:
+        case ast.Constant(value=str(text)):
+            return text
+        case ast.JoinedStr(values=values):
+            return "".join(
+                part.value
+                if isinstance(part, ast.Constant) and isinstance(part.value, str)
+                else f"<{_name(part.value)}>"
+                for part in values
+                if isinstance(part, ast.Constant | ast.FormattedValue)
+            )
+        case ast.BinOp(left=left, right=right):
+            first, second = _text(left), _text(right)
+            return None if first is None or second is None else first + second
+    return None
+
+
+def _name(node: ast.expr) -> str:
+    """A short word for what is filled in."""
+    words = re.findall(r"[A-Za-z_]\w*", ast.unparse(node))
+    kept = [word for word in words if word not in ("self", "join", "len", "str", "repr", "sorted")]
+    return (kept[-1] if kept else "...").strip("_").replace("_", " ")
+
+
+def messages() -> Iterator[tuple[str, str, str, str]]:
+    """Folder, class, message and next step of every error with a literal text."""
+    package = ROOT / "host/thigmo"
+    for path in sorted(package.rglob("*.py")):
+        folder = path.relative_to(package).parts[0].removesuffix(".py")
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
+                continue
+            if node.func.id not in _ERRORS or not node.args:
+                continue
+            what = _text(node.args[0])
+            step = _text(node.args[1]) if len(node.args) > 1 else ""
+            if what is not None and re.search("[a-z]{2}", re.sub("<.*?>", "", what)):
+                yield folder, node.func.id, what, step or ""
+
+
+def _errors_page() -> str:
+    by_place: dict[str, set[tuple[str, str, str]]] = {}
+    for folder, kind, what, step in messages():
+        place = _WHERE.get(folder, "Other commands")
+        by_place.setdefault(place, set()).add((what, step, kind))
+    lines = []
+    for place in [*dict.fromkeys(_WHERE.values()), "Other commands"]:
+        rows = sorted(by_place.get(place, ()), key=lambda row: row[0].lower())
+        if rows:
+            lines += [f"### {place}", "", "| message | what to do | type |", "| --- | --- | --- |"]
+            lines += [f"| {_cell(what)} | {_cell(step)} | `{kind}` |" for what, step, kind in rows]
+            lines.append("")
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    """Text in a Markdown table: nothing in it is markup but the code's own backquotes."""
+    parts = re.split(r"(`[^`]*`)", " ".join(text.split()))
+    return "".join(
+        part.replace("|", "\\|")
+        if part.startswith("`")
+        else re.sub(r"([\\*_\[\]<>|$~])", r"\\\1", part)
+        for part in parts
+    )
+
+
+def _kinds_page() -> str:
+    return "\n".join(
+        f"- `{name}`: {inspect.cleandoc(kind.__doc__ or '').splitlines()[0]}"
+        for name, kind in _ERRORS.items()
+    )
+
+
+def write(folder: Path) -> None:
+    """Write every made page; one that has not changed is left alone."""
+    folder.mkdir(exist_ok=True)
+    for name, text in {
+        "commands.md": _commands_page(),
+        "faults.md": _from_schema("Fault"),
+        "refusals.md": _from_schema("Reason"),
+        "errors.md": _errors_page(),
+        "kinds.md": _kinds_page(),
+    }.items():
+        path = folder / name
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Write the pages before any is read."""
+    app.connect("builder-inited", lambda sphinx: write(Path(sphinx.srcdir) / "_made"))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

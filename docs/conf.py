@@ -1,0 +1,55 @@
+"""The documentation site: `make docs` builds it, with every warning an error.
+
+Nothing on a page comes from another host: furo uses the system's fonts, formulas are MathML, and
+no script is loaded from outside. Commands and code on the pages run while the site is built.
+"""
+
+import os
+import sys
+import tomllib
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_ext"))
+
+project = "thigmo"
+author = "the thigmo developers"
+version = release = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"][
+    "version"
+]
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "closed",
+    "console",
+    "generated",
+    "mathml",
+]
+exclude_patterns = ["_build", "_made", "_ext", "results"]
+html_theme = "furo"
+html_title = "thigmo"
+html_math_renderer = "mathml"
+html_show_sourcelink = False
+html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["thigmo.css"]
+html_theme_options = {"navigation_with_keys": True}
+
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
+myst_heading_anchors = 4
+myst_update_mathjax = False
+
+nb_execution_mode = "force"  # a page is executed whenever it is read
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_merge_streams = True
+nb_ipywidgets_js = {}  # otherwise loaded from other hosts
+# Kernels inherit it: pages show what a terminal of this width shows, wherever they are built.
+os.environ["COLUMNS"] = "88"
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True

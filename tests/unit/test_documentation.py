@@ -1,0 +1,84 @@
+"""The documentation: every command stands in it, and what it names is in the repository."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+
+from thigmo.cli.main import app
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+# Pages that people write; docs/_made is made from the code when the site is built.
+PAGES = sorted(page for page in DOCS.rglob("*.md") if "_made" not in page.parts)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def commands(command: object, name: str = "thigmo") -> Iterator[str]:
+    """Full names of all commands."""
+    inner = getattr(command, "commands", None)
+    if inner:
+        for part, one in inner.items():
+            yield from commands(one, f"{name} {part}")
+    else:
+        yield name
+
+
+def anchor(heading: str) -> str:
+    """A heading's anchor, as GitHub and MyST make it."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+def headings(page: Path) -> set[str]:
+    """Anchors of a page's headings, with those of what it includes."""
+    found = {anchor(line) for line in re.findall(r"^#+ (.*)$", outside_code(page), re.MULTILINE)}
+    for name in re.findall(r"^```\{include\} (\S+)", page.read_text(), re.MULTILINE):
+        if (page.parent / name).exists():
+            found |= headings(page.parent / name)
+    return found
+
+
+def outside_code(page: Path) -> str:
+    """A page's text without its code blocks."""
+    return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", sorted(commands(typer.main.get_command(app))))
+def test_command_is_on_a_page(name: str) -> None:
+    assert any(re.search(rf"\b{name}\b", page.read_text()) for page in PAGES)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in LINK.findall(outside_code(page)):
+        if re.match(r"https?:", link):
+            continue
+        name, _, part = link.partition("#")
+        aim = (page.parent / name).resolve() if name else page
+        assert aim.exists(), link
+        if part:
+            assert part in headings(aim), link
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    listed = set(re.findall(r"^([\w/-]+)$", (DOCS / "index.md").read_text(), re.MULTILINE))
+    pages = {str(page.relative_to(DOCS).with_suffix("")) for page in PAGES} - {"index"}
+    assert pages == listed & pages
+
+
+def test_documents_that_the_code_cites_exist() -> None:
+    cited = set()
+    for folder in ("host", "firmware", "protocol", "tests", "tools"):
+        for source in (ROOT / folder).rglob("*"):
+            if source.suffix in (".py", ".h", ".cpp", ".c", ".ino", ".yaml", ".toml"):
+                cited |= set(re.findall(r"\bdocs/[\w/-]+\.md\b", source.read_text()))
+    assert "docs/methods.md" in cited
+    assert not [name for name in cited if not (ROOT / name).exists()]
