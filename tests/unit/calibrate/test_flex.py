@@ -25,6 +25,7 @@ def errors(result: FlexResult, lab: Lab) -> np.ndarray:
     )  # fmt: skip
 
 
+@pytest.mark.ci
 def test_stated_errors_cover_the_true_ones_over_many_labs():
     """Scales and zeros of 18 labs, ten sensors each: their z-scores spread as they say.
 
@@ -277,6 +278,7 @@ def scores(one: FlexResult, two: FlexResult) -> list[float]:
     ]
 
 
+@pytest.mark.ci
 def test_stated_errors_hold_from_sweep_to_sweep_and_half_to_half():
     """On sensors whose residuals last, whose gain changes, that curve, and that drop out."""
     halves, single, true = [], [], []

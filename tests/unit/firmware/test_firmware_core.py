@@ -3,6 +3,8 @@ test. The golden vectors of the protocol are handed to them as a generated heade
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import json
 import re
 import subprocess
@@ -12,6 +14,7 @@ import pytest
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
+CORE = ROOT / "firmware" / "core"
 FLAGS = [
     *("-std=c++14", "-O1", "-g1", "-Wall", "-Wextra", "-Werror"),
     *("-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
@@ -55,20 +58,36 @@ def _golden_header() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _digest(golden: str) -> str:
+    """Of all that the program is made of."""
+    digest = hashlib.sha256(" ".join((golden, *FLAGS)).encode())
+    for path in sorted([*HERE.glob("*.h"), *HERE.glob("*.cpp"), *CORE.rglob("*.h")]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 @pytest.fixture(scope="session")
-def runner(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("core")
-    (folder / "golden_vectors.h").write_text(_golden_header())
-    program = folder / "runner"
-    include = [f"-I{folder}", f"-I{HERE}", f"-I{ROOT / 'firmware/core'}"]
-    done = subprocess.run(
-        ["c++", *FLAGS, *include, str(HERE / "runner.cpp"), "-o", str(program)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return program
+def runner() -> Path:
+    """The program; it takes half a minute to build, and is built once for the same sources."""
+    golden = _golden_header()
+    folder = ROOT / "build" / "core-tests"
+    program = folder / _digest(golden)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # both workers may come here
+        if program.exists():
+            return program
+        (folder / "golden_vectors.h").write_text(golden)
+        include = [f"-I{folder}", f"-I{HERE}", f"-I{CORE}"]
+        built = folder / "built"
+        done = subprocess.run(
+            ["c++", *FLAGS, *include, str(HERE / "runner.cpp"), "-o", str(built)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return built.rename(program)
 
 
 def test_every_case_is_found(runner: Path) -> None:

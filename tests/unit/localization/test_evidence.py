@@ -56,7 +56,7 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
         return  # the levers of a contact are then those of a bent body
     for which, errors in ((-1, dense), (3, bad)):
         each = []
-        for arc in (np.arange(2000) + 0.5) / 2000:
+        for arc in (np.arange(500) + 0.5) / 500:
             column = phi(arc, POSITION / LENGTH, SPAN / LENGTH)
             for scale in priors.MOMENTS:
                 deviation = scale / max(arc, priors.LEAST_LEVER)

@@ -65,6 +65,7 @@ def test_shooting_agrees_with_collocation() -> None:
     assert solved.y[1:3, -1] == pytest.approx(-turn @ [x, y], abs=1e-5)
 
 
+@pytest.mark.ci
 def test_pegs_touch_the_end_as_often_as_the_prior_says(rooms) -> None:
     ends = np.mean([frames[-1].u > frames[-1].length for frames, *_ in rooms])
     assert 0.5 * np.exp(priors.END) < ends < 2.0 * np.exp(priors.END)
@@ -95,6 +96,7 @@ def _check(rooms, answer, *, mean_error: float, found: float) -> None:
     assert np.mean(errors) < mean_error
 
 
+@pytest.mark.ci
 def test_one_frame(rooms) -> None:
     def last(readings, position, frees, options):
         return thigmo.localize(readings[-1], position, free_curvature=frees[-1], **options)
@@ -102,6 +104,7 @@ def test_one_frame(rooms) -> None:
     _check(rooms, last, mean_error=3.0, found=0.95)
 
 
+@pytest.mark.ci
 def test_one_obstacle_at_rest(rooms) -> None:
     def obstacle(readings, position, frees, options):
         return localize_obstacle(
