@@ -24,6 +24,7 @@ from thigmo.cli import (
     flash,
     localize,
     runs,
+    watch,
 )
 from thigmo.errors import ThigmoError
 
@@ -37,6 +38,7 @@ app = typer.Typer(
 )
 for module in (
     explore,
+    watch,
     localize,
     runs,
     board,

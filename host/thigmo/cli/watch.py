@@ -1,0 +1,85 @@
+"""`thigmo watch`: the page on which a run is seen, and can be stopped."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from thigmo.live.server import WatchOptions
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(watch)
+
+
+def watch(
+    target: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[URL]",
+            help="Where the robot is, on which Start then explores. Left out: whatever run is "
+            "under way, or comes.",
+        ),
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to serve at. Other machines reach the page at 0.0.0.0, with the "
+                     "token that is printed."),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(help="Port to serve at; 0 takes any that is free.", min=0)
+    ] = None,
+    browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
+    config: Annotated[
+        Path | None, typer.Option(help="robot.toml for explorations that Start begins.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
+    leave: Annotated[
+        bool, typer.Option("--leave", help="End once the run is over and no page is open any more.")
+    ] = False,
+) -> None:  # fmt: skip
+    """Show a run in the browser: the robot in its room, its signals, its contacts; and stop it."""
+    from thigmo.live.server import WatchOptions
+
+    explore = ["--out", str(out), *(["--config", str(config)] if config else [])]
+    options = WatchOptions(
+        url=target,
+        explore=tuple(explore),
+        host=host,
+        port=port,
+        leaves=leave,
+    )
+    _serve(options, browser=browser)
+
+
+def _serve(options: WatchOptions, *, browser: bool) -> None:
+    import asyncio
+
+    from thigmo.live.server import serve
+
+    def announce(address: str) -> None:
+        typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)
+        if browser:
+            open_browser(address)
+
+    try:
+        asyncio.run(serve(options, announce))
+    except KeyboardInterrupt:
+        raise typer.Exit from None
+
+
+def open_browser(address: str) -> None:
+    """Open the page, where there is a browser; in a process of its own, for some never return."""
+    import subprocess
+
+    subprocess.Popen(
+        [sys.executable, "-m", "webbrowser", address],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )

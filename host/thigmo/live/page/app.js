@@ -1,0 +1,85 @@
+// The page: takes the stream into the store and draws it, once a frame at most and never more often
+// than this machine can.
+
+import { drawBodyChart, forget as forgetBody } from "./body.js";
+import { drawCharts, redrawCharts } from "./charts.js";
+import { connectControl, drawControl } from "./control.js";
+import { listen } from "./feed.js";
+import { connectPlayer, loadRecord } from "./player.js";
+import { drawRoom, forget as forgetRoom } from "./room.js";
+import { runsAgain, stopReaches } from "./stop.js";
+import { $, add, addRows, reset, store } from "./store.js";
+import { drawWords, forget as forgetWords } from "./words.js";
+
+let lost = false, asked = false, spent = 0;
+// For tests and the benchmark: what the page knows, and how old the newest reading was each time
+// that one was drawn.
+const drawnAges = (window.thigmo = { store, ages_s: [], keep: false });
+
+function draw() {
+  asked = false;
+  const began = performance.now();
+  const shownEpoch = store.epoch;
+  drawWords(lost);
+  drawControl(lost);
+  drawCharts();
+  drawRoom();
+  drawBodyChart();
+  spent = performance.now() - began;
+  if (drawnAges.keep && shownEpoch && shownEpoch !== store.drawnEpoch) {
+    store.drawnEpoch = shownEpoch;
+    drawnAges.ages_s.push(Date.now() / 1000 - shownEpoch);
+  }
+}
+
+function ask() {
+  if (asked) return;
+  asked = true;
+  // Half of the time is left for the messages that come meanwhile.
+  const wait = Math.min(spent, 250);
+  if (wait > 12) setTimeout(() => requestAnimationFrame(draw), wait);
+  else requestAnimationFrame(draw);
+}
+
+function forget() { forgetBody(); forgetRoom(); forgetWords(); }
+
+function takePage(message) {
+  const before = store.page;
+  store.page = message;
+  document.body.dataset.mode = message.mode;
+  $("player").hidden = message.mode !== "record";
+  $("truth-legend").hidden = !message.truth?.length;
+  if (before && before.run?.id !== message.run?.id || message.mode !== before?.mode) {
+    if (message.mode === "live" || message.mode === "record") {
+      reset();
+      store.page = message;
+      store.origin = message.run?.t_s ?? null;
+      forget();
+    }
+    if (message.mode === "live") runsAgain();
+    if (message.mode === "record") loadRecord().then(ask);
+  }
+  stopReaches(message.stop);
+}
+
+function batch(messages) {
+  lost = false;
+  for (const message of messages) {
+    if (message.channel === "page") takePage(message);
+    else if (message.channel === "telemetry") addRows(message);
+    else if (message.channel === "dropped") {
+      store.dropped = message.count;
+      store.droppedAt = performance.now();
+    } else add(message);
+  }
+  ask();
+}
+
+const { send } = listen({
+  batch,
+  lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("lost"); ask(); },
+});
+connectControl(send);
+connectPlayer(ask);
+redrawCharts();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { forgetRoom(); redrawCharts(); ask(); });

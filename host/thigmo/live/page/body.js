@@ -1,0 +1,105 @@
+// Along the body: what the localizer believes of a contact's place, over what every sensor reads
+// against what the free body would read there. Both share the axis, from the base to the tip.
+
+import { $, COLUMN, index, store } from "./store.js";
+import { line, make, sized, text, ticks } from "./svg.js";
+
+const svg = $("body");
+const layer = make("g", {}, svg);
+const PAD = { left: 56, right: 14, top: 22, bottom: 34, between: 30 };
+let least = .02;
+let drawn = "";
+
+export function forget() { drawn = ""; least = .02; }
+
+export function drawBodyChart() {
+  const width = svg.clientWidth, height = svg.clientHeight;
+  const row = index(), { last, page } = store;
+  const values = row < 0 ? [] : Array.from({ length: 20 }, (_, n) => store.columns[COLUMN.curvature + n][row]);
+  const key = JSON.stringify([width, height, row, last.posterior?.t_s, last.contacts?.t_s, page?.body?.length_cm]);
+  if (key === drawn || width < 10) return;
+  drawn = key;
+  layer.replaceChildren();
+  const longest = page?.body?.length_cm ?? 60;
+  const X = (arc) => PAD.left + arc / longest * (width - PAD.left - PAD.right);
+  const upper = { y0: PAD.top, y1: PAD.top + (height - PAD.top - PAD.bottom - PAD.between) * .42 };
+  const lower = { y0: upper.y1 + PAD.between, y1: height - PAD.bottom };
+  for (const arc of ticks(0, longest, Math.max(4, width / 90))) {
+    make("line", { x1: X(arc), x2: X(arc), y1: upper.y0, y2: lower.y1, stroke: "var(--grid)" }, layer);
+    text(layer, X(arc), lower.y1 + 15, arc, { "text-anchor": "middle", fill: "var(--faint)" });
+  }
+  text(layer, width - PAD.right, height - 4, "arc length from the base, cm", { "text-anchor": "end" });
+  const length = store.columns[COLUMN.length][row];
+  if (length > 0 && length < longest) {
+    make("rect", { x: X(length), y: upper.y0, width: X(longest) - X(length), height: lower.y1 - upper.y0, fill: "var(--paper)", opacity: .75 }, layer);
+    make("line", { x1: X(length), x2: X(length), y1: upper.y0, y2: lower.y1, stroke: "var(--tube-edge)", "stroke-dasharray": "2 3" }, layer);
+    const near = X(length) > width - 60;
+    text(layer, X(length) + (near ? -5 : 5), upper.y0 + 9, "tip", { "text-anchor": near ? "end" : "start", fill: "var(--soft)" });
+  }
+  drawDensity(upper, X);
+  drawCurvature(values, lower, X);
+}
+
+function drawDensity({ y0, y1 }, X) {
+  const { posterior, contacts } = store.last;
+  make("line", { x1: PAD.left, x2: X(store.page?.body?.length_cm ?? 60), y1: y1, y2: y1, stroke: "var(--line)" }, layer);
+  text(layer, 14, (y0 + y1) / 2, "1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
+  let words = "no contact is believed to be anywhere";
+  if (posterior?.places_cm.length > 1) {
+    const { places_cm: places, probability, side } = posterior;
+    const density = probability.map((mass, n) => {
+      const near = places[Math.max(n - 1, 0)], far = places[Math.min(n + 1, places.length - 1)];
+      return mass / ((far - near) / (n && n < places.length - 1 ? 2 : 1));
+    });
+    const most = Math.max(...density), Y = (value) => y1 - value / most * (y1 - y0 - 12);
+    const curve = places.map((arc, n) => [X(arc), Y(density[n])]);
+    make("path", { d: `${line([[X(places[0]), y1], ...curve, [X(places.at(-1)), y1]])}Z`, fill: "var(--contact)", "fill-opacity": .22 }, layer);
+    make("path", { d: line(curve), fill: "none", stroke: "var(--contact)", "stroke-width": 1.6 }, layer);
+    for (const value of ticks(0, most, 2).slice(1)) {
+      text(layer, PAD.left - 8, Y(value) + 4, +value.toPrecision(3), { "text-anchor": "end", fill: "var(--faint)" });
+    }
+    words = `probability density of a contact, ${side} muscle: ${posterior.status}`;
+  } else if (posterior) {
+    words = posterior.status;
+  }
+  text(layer, PAD.left, y0 - 8, words, { fill: "var(--soft)" });
+  for (const contact of contacts?.contacts ?? []) {
+    const [low, high] = contact.interval_cm;
+    make("line", { x1: X(low), x2: X(high), y1: y1 + 8, y2: y1 + 8, stroke: "var(--contact)", "stroke-width": 5, "stroke-opacity": .4, "stroke-linecap": "round" }, layer);
+    make("circle", { cx: X(contact.arc_cm), cy: y1 + 8, r: 4, fill: "var(--contact)" }, layer);
+  }
+}
+
+function drawCurvature(values, { y0, y1 }, X) {
+  const known = values.filter((value, n) => n >= 10 || values[n + 10] !== null).filter((value) => value !== null && value !== undefined && !Number.isNaN(value));
+  least = Math.max(least, ...known.map(Math.abs));
+  const most = Math.ceil(least * 100) / 100, Y = (value) => (y0 + y1) / 2 - value / most * (y1 - y0) / 2;
+  for (const value of [-most, 0, most]) {
+    make("line", { x1: PAD.left, x2: X(store.page?.body?.length_cm ?? 60), y1: Y(value), y2: Y(value), stroke: value ? "var(--grid)" : "var(--line)" }, layer);
+    text(layer, PAD.left - 8, Y(value) + 4, value.toFixed(2).replace("-", "−"), { "text-anchor": "end", fill: "var(--faint)" });
+  }
+  text(layer, 14, (y0 + y1) / 2, "curvature, 1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
+  const sensors = store.page?.body?.sensors;
+  if (!sensors || !values.length) return;
+  for (const [side, first] of [["left", 0], ["right", 5]]) {
+    sensors[side].forEach((arc, n) => {
+      const read = values[first + n], free = values[10 + first + n], colour = `var(--${side})`;
+      const x = X(arc) + (side === "left" ? -5 : 5);
+      const has = (value) => value !== null && value !== undefined && !Number.isNaN(value);
+      if (has(read) && has(free)) make("line", { x1: x, x2: x, y1: Y(read), y2: Y(free), stroke: colour, "stroke-width": 1.5, "stroke-opacity": .45 }, layer);
+      if (has(free)) make("line", { x1: x - 7, x2: x + 7, y1: Y(free), y2: Y(free), stroke: colour, "stroke-width": 2, "stroke-opacity": .75 }, layer);
+      if (has(read)) {
+        const opacity = has(free) ? 1 : .25; // the inflated side wrinkles
+        if (side === "left") make("circle", { cx: x, cy: Y(read), r: 4.2, fill: colour, opacity, stroke: "var(--card)", "stroke-width": 1.2 }, layer);
+        else make("rect", { x: x - 3.7, y: Y(read) - 3.7, width: 7.4, height: 7.4, fill: colour, opacity, stroke: "var(--card)", "stroke-width": 1.2, transform: `rotate(45 ${x} ${Y(read)})` }, layer);
+      }
+    });
+  }
+}
+
+$("body-legend").innerHTML = `
+  <span><i class="dot" style="background:var(--left)"></i>left sensor</span>
+  <span><i class="dot" style="background:var(--right);border-radius:1px;transform:rotate(45deg)"></i>right sensor</span>
+  <span><i></i>what the free body would read</span>`;
+
+sized(svg, () => { drawn = ""; drawBodyChart(); });

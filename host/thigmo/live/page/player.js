@@ -1,0 +1,151 @@
+// A finished run: all of it is loaded, and the player moves the moment that is shown. The space bar
+// stays the stop's, also here; P plays, the arrow keys go a second back and forth.
+
+import { $, COLUMN, COLUMNS, add, hold, mostBent, reset, store, time } from "./store.js";
+import { make } from "./svg.js";
+
+const CHANNELS = ["state", "shape", "posterior", "contacts", "grid"];
+let messages = [], slow = {}, boards = [], end = 0, playing = null;
+
+export async function loadRecord() {
+  const [facts, rows] = await Promise.all([
+    fetch("record.json").then((answer) => answer.json()),
+    fetch("record.f32").then((answer) => answer.arrayBuffer()),
+  ]);
+  const page = store.page;
+  reset();
+  store.page = page;
+  store.origin = facts.origin_s;
+  const values = new Float32Array(rows), count = values.length / COLUMNS;
+  for (let n = 0; n < COLUMNS; n++) {
+    const column = Array.from(values.subarray(n * count, (n + 1) * count), (value) => Number.isNaN(value) ? null : value);
+    store.columns[n] = column;
+  }
+  for (let n = 0; n < 10; n++) {
+    const expected = store.columns[COLUMN.expected + n];
+    store.columns[COLUMN.telling + n] = store.columns[COLUMN.curvature + n].map((value, row) => expected[row] === null ? null : value);
+  }
+  boards = facts.boards;
+  messages = facts.messages;
+  slow = Object.fromEntries(CHANNELS.map((channel) => [channel, messages.filter((each) => each.channel === channel)]));
+  for (const message of messages) if (!CHANNELS.includes(message.channel)) add(message);
+  end = Math.max(store.columns[0].at(-1) ?? 0, ...messages.map((each) => time(each.t_s)));
+  $("scrub").max = end;
+  drawMarks();
+  seek(end);
+}
+
+export const loaded = () => end > 0;
+
+function before(list, t, at) {
+  let low = 0, high = list.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (at(list[middle]) <= t + 1e-9) low = middle + 1; else high = middle;
+  }
+  return low;
+}
+
+export function seek(t) {
+  store.now = Math.min(Math.max(t, 0), end);
+  store.last = {};
+  store.trail = [];
+  store.touched = null;
+  for (const channel of CHANNELS) {
+    const list = slow[channel], n = before(list, store.now, (each) => time(each.t_s));
+    if (channel === "shape") {
+      // The trail of the stage, thinned.
+      const since = stageBegan(), first = before(list, since, (each) => time(each.t_s));
+      const step = Math.ceil((n - first) / 120) || 1;
+      for (let k = first; k < n; k += step) store.trail.push(list[k].poses);
+      if (n) store.last.shape = list[n - 1];
+    } else if (channel === "posterior") {
+      const found = n ? list[n - 1] : null;
+      if (found && time(found.t_s) >= stageBegan()) {
+        const at = before(slow.shape, time(found.t_s), (each) => time(each.t_s));
+        const first = before(slow.shape, stageBegan(), (each) => time(each.t_s));
+        const shapes = slow.shape.slice(first, at).map((each) => each.poses);
+        store.touched = found.places_cm.length ? mostBent(shapes, found.side) : null;
+        store.last.posterior = found;
+      }
+    } else if (n) {
+      hold(list[n - 1]);
+    }
+  }
+  const n = before(boards, store.now, (each) => each.t);
+  store.board = n ? boards[n - 1] : { state: "", activity: "", faults: [] };
+  $("scrub").value = store.now;
+  $("scrub").setAttribute("aria-valuetext", `${store.now.toFixed(1)} s`);
+  $("position").textContent = `${store.now.toFixed(1)} of ${end.toFixed(1)} s`;
+}
+
+function stageBegan() {
+  const n = before(slow.state, store.now, (each) => time(each.t_s));
+  const stage = slow.state[n - 1]?.stage_cm;
+  let first = n - 1;
+  while (first > 0 && slow.state[first - 1].stage_cm === stage) first--;
+  return first >= 0 ? time(slow.state[first].t_s) : 0;
+}
+
+// Stages as bands, events and contacts as marks.
+function drawMarks() {
+  const svg = $("marks");
+  svg.setAttribute("viewBox", `0 0 ${end || 1} 36`);
+  svg.replaceChildren();
+  make("rect", { x: 0, y: 14, width: end, height: 8, fill: "var(--line)", rx: 0 }, svg);
+  let stage = null, shade = 0;
+  slow.state.forEach((each) => {
+    if (each.stage_cm === stage) return;
+    stage = each.stage_cm;
+    const next = slow.state.find((other) => other.t_s > each.t_s && other.stage_cm !== stage);
+    const from = time(each.t_s), to = next ? time(next.t_s) : end;
+    if (stage) make("rect", { x: from, y: 14, width: to - from, height: 8, fill: "var(--accent)", opacity: [.3, .55][shade++ % 2] }, svg);
+  });
+  const tick = end / 500;
+  for (const event of store.events) {
+    if (event.severity === "info") continue;
+    make("rect", { x: time(event.t_s) - tick / 2, y: 8, width: tick, height: 20, fill: `var(--${event.severity === "fault" ? "fault" : "warn"})` }, svg);
+  }
+  let known = 0;
+  for (const each of slow.contacts) {
+    if (each.contacts.length > known) make("rect", { x: time(each.t_s) - tick, y: 6, width: 2 * tick, height: 24, fill: "var(--contact)" }, svg);
+    known = each.contacts.length;
+  }
+}
+
+export function connectPlayer(changed) {
+  const show = (t) => { seek(t); changed(); };
+  let before_ms = 0;
+  function run(at_ms) {
+    if (playing === null) return;
+    const on = store.now + (at_ms - before_ms) / 1000 * Number($("speed").value);
+    before_ms = at_ms;
+    show(on);
+    if (on >= end) return halt();
+    playing = requestAnimationFrame(run);
+  }
+  function halt() {
+    if (playing !== null) cancelAnimationFrame(playing);
+    playing = null;
+    $("play").textContent = "Play";
+  }
+  function toggle() {
+    if (playing !== null) return halt();
+    if (store.now >= end - .01) seek(0);
+    before_ms = performance.now();
+    playing = requestAnimationFrame(run);
+    $("play").textContent = "Hold";
+  }
+  $("play").addEventListener("click", toggle);
+  $("scrub").addEventListener("input", () => { show(Number($("scrub").value)); });
+  window.addEventListener("keydown", (event) => {
+    if (document.body.dataset.mode !== "record" || event.ctrlKey || event.metaKey || event.altKey) return;
+    const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[event.key];
+    if (event.key === "p" || event.key === "P") toggle();
+    else if (event.key === "Home") show(0);
+    else if (event.key === "End") show(end);
+    else if (step && event.target.tagName !== "SELECT") show(store.now + step * (event.shiftKey ? 10 : 1));
+    else return;
+    event.preventDefault();
+  });
+}

@@ -1,0 +1,242 @@
+// The room from above: what was swept, what is occupied, the robot, and its contacts with what is
+// known of their place. x runs along the straight robot, y to its left, in cm.
+
+import { $, css, latest, store, COLUMN } from "./store.js";
+import { line, make, set, sized, text, ticks } from "./svg.js";
+
+const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
+const RIBBON_CM = 3.5; // height of the posterior at its peak
+const LEAST = .01; // share of the peak below which it is not drawn
+const svg = $("room");
+const layers = {};
+for (const name of ["grid", "map", "swept", "truth", "body", "posterior", "contacts", "words"]) {
+  layers[name] = make("g", {}, svg);
+}
+const bounds = { x0: -8, x1: 60, y0: -28, y1: 28 };
+let frame = "", scale = 1, left = 0, top = 0, drawn = {};
+
+const X = (x) => left + (x - bounds.x0) * scale;
+const Y = (y) => top + (bounds.y1 - y) * scale;
+
+export function forget() {
+  drawn = {};
+  Object.assign(bounds, { x0: -8, x1: 60, y0: -28, y1: 28 });
+}
+
+function include(x, y, margin = 3) {
+  bounds.x0 = Math.min(bounds.x0, Math.floor((x - margin) / 4) * 4);
+  bounds.x1 = Math.max(bounds.x1, Math.ceil((x + margin) / 4) * 4);
+  bounds.y0 = Math.min(bounds.y0, Math.floor((y - margin) / 4) * 4);
+  bounds.y1 = Math.max(bounds.y1, Math.ceil((y + margin) / 4) * 4);
+}
+
+function fit() {
+  const width = svg.clientWidth, height = svg.clientHeight;
+  const pad = { left: 40, right: 10, top: 8, bottom: 34 };
+  const room = { w: width - pad.left - pad.right, h: height - pad.top - pad.bottom };
+  scale = Math.min(room.w / (bounds.x1 - bounds.x0), room.h / (bounds.y1 - bounds.y0));
+  left = pad.left + (room.w - scale * (bounds.x1 - bounds.x0)) / 2;
+  top = pad.top + (room.h - scale * (bounds.y1 - bounds.y0)) / 2;
+  const key = [width, height, ...Object.values(bounds)].join();
+  if (key === frame) return;
+  frame = key;
+  drawn = {};
+  // The grid fills the card; its numbers stand at the edges.
+  const layer = layers.grid;
+  layer.replaceChildren();
+  const x0 = bounds.x0 - (left - pad.left) / scale, x1 = bounds.x1 + (width - pad.right - X(bounds.x1)) / scale;
+  const y1 = bounds.y1 + (top - pad.top) / scale, y0 = bounds.y0 - (height - pad.bottom - Y(bounds.y0)) / scale;
+  const count = Math.max(4, Math.round(width / 90));
+  const step = (n) => { const [a, b] = ticks(x0, x1, n); return b - a; };
+  const every = step(count);
+  for (let x = Math.ceil(x0 / every) * every; x <= x1; x += every) {
+    make("line", { x1: X(x), x2: X(x), y1: pad.top, y2: height - pad.bottom, stroke: "var(--grid)" }, layer);
+    text(layer, X(x), height - pad.bottom + 15, x, { "text-anchor": "middle", fill: "var(--faint)" });
+  }
+  for (let y = Math.ceil(y0 / every) * every; y <= y1; y += every) {
+    make("line", { y1: Y(y), y2: Y(y), x1: pad.left, x2: width - pad.right, stroke: "var(--grid)" }, layer);
+    text(layer, pad.left - 7, Y(y) + 4, String(y).replace("-", "−"), { "text-anchor": "end", fill: "var(--faint)" });
+  }
+  text(layer, width - pad.right, height - 5, "x, along the straight robot, cm", { "text-anchor": "end" });
+  text(layer, 12, pad.top, "y, to its left, cm", { transform: `rotate(-90 12 ${pad.top})`, "text-anchor": "end" });
+}
+
+export function drawRoom() {
+  const { last, page } = store;
+  if (page?.body) include(page.body.length_cm, 0, 5);
+  for (const contact of last.contacts?.contacts ?? []) include(contact.x_cm, contact.y_cm, 6);
+  for (const peg of page?.truth ?? []) include(peg.x_cm, peg.y_cm, peg.radius_cm + 2);
+  for (const [x, y] of last.shape?.poses ?? []) include(x, y);
+  fit();
+  changed("map", last.grid, drawMap);
+  changed("truth", page?.truth, drawTruth);
+  changed("contacts", last.contacts, drawContacts);
+  const length = latest(COLUMN.length) ?? 0;
+  const shape = last.shape ?? (length > 0.5 ? straight(length) : null);
+  changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape));
+  changed("swept", store.trail.length ? store.trail.at(-1) : null, drawTrail);
+  changed("posterior", last.posterior && store.touched, drawPosterior);
+}
+
+function changed(name, value, draw) {
+  if (drawn[name] === value) return;
+  drawn[name] = value;
+  layers[name].replaceChildren();
+  if (value) draw(value);
+}
+
+const straight = (length) => ({
+  radius_cm: store.page?.body?.radius_cm ?? 2.4,
+  poses: [[0, 0, 0], [length, 0, 0]],
+});
+
+function drawMap(grid) {
+  const canvas = document.createElement("canvas");
+  canvas.width = grid.width;
+  canvas.height = grid.height;
+  const context = canvas.getContext("2d");
+  const pixels = context.createImageData(grid.width, grid.height);
+  const colours = { 0: rgb("--free", 255), 100: rgb("--occupied", 150) };
+  for (let row = 0; row < grid.height; row++) {
+    for (let column = 0; column < grid.width; column++) {
+      const colour = colours[grid.cells[row * grid.width + column]];
+      if (colour) pixels.data.set(colour, 4 * ((grid.height - 1 - row) * grid.width + column));
+    }
+  }
+  context.putImageData(pixels, 0, 0);
+  const [x, y] = grid.origin, size = grid.resolution_cm;
+  make("image", {
+    href: canvas.toDataURL(), x: X(x), y: Y(y + grid.height * size),
+    width: grid.width * size * scale, height: grid.height * size * scale, preserveAspectRatio: "none",
+  }, layers.map);
+}
+
+function rgb(name, alpha) {
+  const hex = css(name).replace("#", "");
+  return [0, 2, 4].map((n) => parseInt(hex.slice(n, n + 2), 16)).concat(alpha);
+}
+
+function drawTruth(pegs) {
+  for (const peg of pegs) {
+    make("circle", {
+      cx: X(peg.x_cm), cy: Y(peg.y_cm), r: peg.radius_cm * scale,
+      fill: "var(--truth)", "fill-opacity": .2, stroke: "var(--truth)", "stroke-width": 2,
+    }, layers.truth);
+  }
+}
+
+// Points at a distance from the centreline, positive to its left.
+const beside = (poses, distance) => poses.map(([x, y, heading]) => [
+  X(x - distance * Math.sin(heading)), Y(y + distance * Math.cos(heading)),
+]);
+
+function tube(poses, radius) {
+  const out = beside(poses, radius), back = beside(poses, -radius).reverse(), r = (radius * scale).toFixed(1);
+  const [tipX, tipY] = back[0];
+  return `${line(out)}A${r} ${r} 0 0 1 ${tipX.toFixed(1)} ${tipY.toFixed(1)}${line(back).replace("M", "L")}Z`;
+}
+
+function drawTrail() {
+  const radius = store.last.shape?.radius_cm ?? 2.4;
+  const group = make("g", { opacity: .55 }, layers.swept);
+  make("path", { d: store.trail.map((poses) => tube(poses, radius)).join(""), fill: "var(--trail)", "fill-rule": "nonzero" }, group);
+}
+
+function drawBody(shape) {
+  const { poses, radius_cm: radius } = shape, layer = layers.body;
+  make("path", { d: tube(poses, radius), fill: "var(--tube)", stroke: "var(--tube-edge)", "stroke-width": 1.6, "stroke-linejoin": "round" }, layer);
+  make("path", { d: line(beside(poses, 0)), fill: "none", stroke: "var(--tube-edge)", "stroke-width": 1, "stroke-dasharray": "1 4", "stroke-linecap": "round", opacity: .6 }, layer);
+  for (const [side, sign] of [["left", 1], ["right", -1]]) {
+    (store.page?.body?.sensors?.[side] ?? []).forEach((arc, n) => {
+      const [from, to] = [arc - 3, arc + 3].map((at) => along(poses, at));
+      const middle = along(poses, arc);
+      if (!middle) return;
+      const points = [from ?? middle, middle, to ?? middle];
+      make("path", { d: line(beside(points, sign * radius * .72)), fill: "none", stroke: `var(--${side}-${n + 1})`, "stroke-width": 3.2, "stroke-linecap": "round" }, layer);
+    });
+  }
+  const r = Math.max(radius * 1.25, 3);
+  make("rect", { x: X(-2.4), y: Y(r), width: 2.4 * scale, height: 2 * r * scale, rx: 3, fill: "var(--base)" }, layer);
+}
+
+// The pose at an arc length, or null beyond the tip.
+function along(poses, arc) {
+  let walked = 0;
+  for (let n = 1; n < poses.length; n++) {
+    const [x0, y0, h0] = poses[n - 1], [x1, y1, h1] = poses[n];
+    const length = Math.hypot(x1 - x0, y1 - y0);
+    if (arc <= walked + length + 1e-6) {
+      const share = length ? Math.max(0, (arc - walked) / length) : 0;
+      return [x0 + share * (x1 - x0), y0 + share * (y1 - y0), h0 + share * (h1 - h0)];
+    }
+    walked += length;
+  }
+  return null;
+}
+
+// The density along the body, as a ribbon on the skin that leads the bend.
+function drawPosterior(poses) {
+  const { places_cm: places, probability, side } = store.last.posterior;
+  const most = Math.max(...probability);
+  const radius = store.last.shape?.radius_cm ?? 2.4;
+  const turned = poses.at(-1)[2] - poses[0][2];
+  const sign = Math.abs(turned) > .02 ? Math.sign(turned) : side === "left" ? 1 : -1;
+  const skin = [], top = [];
+  places.forEach((arc, n) => {
+    const pose = along(poses, arc);
+    if (!pose || probability[n] < LEAST * most) return;
+    skin.push(...beside([pose], sign * (radius + .25)));
+    top.push(...beside([pose], sign * (radius + .25 + RIBBON_CM * probability[n] / most)));
+  });
+  if (skin.length < 2) return;
+  const layer = layers.posterior;
+  make("path", { d: tube(poses, radius), fill: "none", stroke: "var(--contact)", "stroke-opacity": .35, "stroke-dasharray": "3 3" }, layer);
+  make("path", { d: `${line(top)}${line(skin.reverse()).replace("M", "L")}Z`, fill: "var(--contact)", "fill-opacity": .38 }, layer);
+  make("path", { d: line(top), fill: "none", stroke: "var(--contact)", "stroke-width": 1.5 }, layer);
+}
+
+function drawContacts({ contacts }) {
+  const layer = layers.contacts;
+  const placed = [];
+  for (const contact of contacts) {
+    const x = X(contact.x_cm), y = Y(contact.y_cm), sure = contact.status === "localized";
+    if (contact.track.length > 1) {
+      make("path", { d: line(contact.track.map(([u, v]) => [X(u), Y(v)])), fill: "none", stroke: "var(--contact)", "stroke-width": 6, "stroke-opacity": .38, "stroke-linecap": "round" }, layer);
+    }
+    const [[a, b], [, d]] = contact.covariance_cm2;
+    const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
+    make("ellipse", {
+      cx: x, cy: y, fill: "var(--contact-wash)", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
+      rx: SIGMA_95 * Math.sqrt(Math.max(middle + spread, 0)) * scale,
+      ry: SIGMA_95 * Math.sqrt(Math.max(middle - spread, 0)) * scale,
+      transform: `rotate(${(-Math.atan2(2 * b, a - d) / 2 * 180 / Math.PI).toFixed(2)} ${x} ${y})`,
+    }, layer);
+    make("circle", { cx: x, cy: y, r: 5.5, fill: sure ? "var(--contact)" : "var(--card)", stroke: sure ? "var(--card)" : "var(--contact)", "stroke-width": 2 }, layer);
+    label(layer, contact, x, y, placed);
+  }
+}
+
+// Where it is along the body, beside the contact, away from the robot and from other labels.
+function label(layer, contact, x, y, placed) {
+  const [low, high] = contact.interval_cm.map((value) => value.toFixed(1));
+  const up = contact.y_cm >= 0 ? -1 : 1;
+  const width = 116, anchor = x + 14 + width > svg.clientWidth - 12 ? "end" : "start";
+  const tx = anchor === "start" ? x + 14 : x - 14;
+  let ty = y + up * 30;
+  while (placed.some((at) => Math.abs(at.y - ty) < 32 && Math.abs(at.x - tx) < width)) ty += up * 8;
+  placed.push({ x: tx, y: ty });
+  const group = make("g", { "text-anchor": anchor }, layer);
+  make("path", { d: `M${x} ${y + up * 7}L${tx} ${ty + (up > 0 ? -12 : 6)}`, stroke: "var(--contact)", "stroke-width": 1 }, group);
+  const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
+  text(group, tx, ty, `${contact.arc_cm.toFixed(1)} cm along`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
+  text(group, tx, ty + 14, `95 %: ${low} to ${high} cm`, { fill: "var(--contact)", ...halo });
+}
+
+$("room-legend").innerHTML = `
+  <span><i class="area" style="background:var(--free)"></i>free</span>
+  <span><i class="area" style="background:var(--contact);opacity:.45"></i>where a contact may be</span>
+  <span><i class="dot" style="background:var(--contact)"></i>contact</span>
+  <span style="color:var(--contact)"><i class="ring"></i><span class="muted">95 % in the plane</span></span>
+  <span id="truth-legend" style="color:var(--truth)" hidden><i class="ring" style="border-style:solid"></i><span class="muted">peg (the emulator’s truth)</span></span>`;
+
+sized(svg, () => { frame = ""; drawRoom(); });

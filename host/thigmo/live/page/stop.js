@@ -1,0 +1,75 @@
+// Stop: without confirmation, by a press on the button, the space bar or Escape, wherever the focus
+// is. Each stop is a request of its own, beside the stream, so that a page that is behind with its
+// drawing stops as fast as any. What the button says is what is known: that the board has confirmed
+// it, that it has not, or that no stop would arrive.
+
+import { $ } from "./store.js";
+
+const REPEAT_MS = 400; // of a stop that found no server
+const PATIENCE_MS = 5000;
+const button = $("stop");
+const [word, says] = button.children;
+let state = "idle", pending = false;
+
+const WORDS = {
+  idle: ["Stop", "Space or Esc"],
+  ready: ["Stop", "Space or Esc"],
+  stopping: ["Stopping", "waiting for the board"],
+  stopped: ["Stopped", "the board has confirmed"],
+  unconfirmed: ["Not confirmed", "use the e-stop"],
+  lost: ["Stop not connected:", "use the e-stop"],
+};
+
+function show(next) {
+  state = next;
+  button.dataset.state = { unconfirmed: "lost" }[next] ?? next;
+  [word.textContent, says.textContent] = WORDS[next];
+  document.body.dataset.stop = next;
+}
+
+// What is known of the way to the robot: none while nothing runs.
+export function stopReaches(way) {
+  if (pending) return;
+  const next = way === "none" ? "idle" : way === "lost" ? "lost" : "ready";
+  // What became of a stop is told until something runs again.
+  if ((state === "stopped" || state === "unconfirmed") && next !== "lost") return;
+  if (state !== next) show(next);
+}
+
+export function runsAgain() {
+  if (!pending) show("ready");
+}
+
+export async function stop() {
+  if (document.body.dataset.mode === "record" || pending) return;
+  pending = true;
+  show("stopping");
+  const end = performance.now() + PATIENCE_MS;
+  let next = "lost";
+  while (performance.now() < end) {
+    try {
+      const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
+      const told = await answer.json();
+      next = told.stopped.length ? "stopped" : told.failed ? "unconfirmed" : "idle";
+      break;
+    } catch {
+      show("lost");
+      await new Promise((go) => setTimeout(go, REPEAT_MS));
+    }
+  }
+  pending = false;
+  show(next);
+}
+
+button.addEventListener("pointerdown", (event) => { if (event.button === 0) stop(); });
+button.addEventListener("click", stop); // assistive technology, and Enter
+
+// Both the press and the release are taken: a browser clicks a focused button on either.
+for (const kind of ["keydown", "keyup"]) {
+  window.addEventListener(kind, (event) => {
+    if (event.code !== "Space" && event.key !== " " && event.key !== "Escape") return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    if (kind === "keydown" && !event.repeat) stop();
+  }, { capture: true });
+}

@@ -1,0 +1,131 @@
+// What the page knows: the run's messages as they came, and what of them holds at the moment shown.
+// Live, that moment is the last reading; in a finished run the player moves it. All times are the
+// robot's, in seconds; `now` and what is drawn count from the start of the run.
+
+// Columns of a telemetry row, as live/rows.py makes them.
+export const COLUMN = {
+  t: 0, pressure: 1, demand: 3, drive: 5, curvature: 7, expected: 17, length: 27, motor: 28,
+};
+export const COLUMNS = 29;
+// Beside them: curvature where it tells something, which is where the free body's is known. The
+// sensors of an inflated side wrinkle.
+COLUMN.telling = COLUMNS;
+export const SIDES = ["left", "right"];
+const KEPT = 40_000; // rows: more than three minutes of full telemetry
+const TRAIL = 400; // shapes of a stage
+
+export const store = {
+  page: null, // what the server says of itself and of the run
+  columns: Array.from({ length: COLUMNS + 10 }, () => []),
+  last: {}, // message of each slow channel that holds now
+  events: [],
+  trail: [],
+  touched: null, // the shape on which the posterior lies
+  board: { state: "", activity: "", faults: [] },
+  origin: null, // robot time at the start of the run
+  now: 0,
+  dropped: 0,
+  drawnEpoch: 0,
+};
+
+export function reset() {
+  for (const column of store.columns) column.length = 0;
+  Object.assign(store, {
+    last: {}, events: [], trail: [], touched: null, origin: null, now: 0, dropped: 0,
+    board: { state: "", activity: "", faults: [] },
+  });
+}
+
+export function addRows(message) {
+  const { columns } = store;
+  for (const row of message.rows) {
+    const t = row[0];
+    store.origin ??= t;
+    // The board or its emulator began anew: what was before lies on another clock.
+    if (columns[0].length && t - store.origin < columns[0].at(-1)) {
+      if (columns[0].at(-1) - (t - store.origin) < 0.5) continue;
+      for (const column of columns) column.length = 0;
+      store.origin = t;
+    }
+    columns[0].push(t - store.origin);
+    for (let n = 1; n < COLUMNS; n++) columns[n].push(row[n]);
+    for (let n = 0; n < 10; n++) {
+      columns[COLUMN.telling + n].push(row[COLUMN.expected + n] === null ? null : row[COLUMN.curvature + n]);
+    }
+  }
+  if (columns[0].length > KEPT * 1.25) {
+    const excess = columns[0].length - KEPT;
+    for (const column of columns) column.splice(0, excess);
+  }
+  store.board = message.board;
+  store.now = columns[0].at(-1) ?? store.now;
+  store.epoch = message.epoch_s;
+}
+
+export function add(message) {
+  switch (message.channel) {
+    case "event":
+      store.events.push(message);
+      break;
+    case "log":
+      store.events.push({
+        ...message, severity: message.level, message: message.text, next: "", name: "log",
+      });
+      break;
+    default:
+      hold(message);
+  }
+}
+
+// A message of a slow channel holds until the next one.
+export function hold(message) {
+  const { last } = store;
+  if (message.channel === "state" && message.stage_cm !== last.state?.stage_cm) {
+    store.trail = [];
+    store.touched = null;
+    delete last.posterior;
+  }
+  if (message.channel === "shape") {
+    store.trail.push(message.poses);
+    if (store.trail.length > TRAIL) store.trail = store.trail.filter((_, n) => n % 2);
+  }
+  if (message.channel === "posterior") {
+    store.touched = message.places_cm.length ? mostBent(store.trail, message.side) : null;
+  }
+  last[message.channel] = message;
+}
+
+// The last shape of a stage in which the body was bent the most to a side: there it was measured.
+export function mostBent(shapes, side) {
+  const sign = side === "right" ? -1 : 1;
+  let found = null, most = .05;
+  for (let n = shapes.length - 1; n >= 0; n--) {
+    const bent = sign * shapes[n].at(-1)[2];
+    if (bent > most) [found, most] = [shapes[n], bent];
+    else if (found && bent < most / 2) break; // that was another sweep
+  }
+  return found;
+}
+
+export const time = (t_s) => t_s - (store.origin ?? 0);
+export const latest = (column) => store.columns[column][index()];
+
+// Row that is shown: the last one up to now.
+export function index() {
+  const t = store.columns[0];
+  let low = 0, high = t.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (t[middle] <= store.now + 1e-9) low = middle + 1; else high = middle;
+  }
+  return low - 1;
+}
+
+export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+export const $ = (id) => document.getElementById(id);
+export function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}

@@ -1,0 +1,43 @@
+// Small pieces of SVG drawing, shared by the room and the chart along the body.
+
+const SPACE = "http://www.w3.org/2000/svg";
+
+export function make(tag, attributes = {}, parent = null) {
+  const made = document.createElementNS(SPACE, tag);
+  set(made, attributes);
+  parent?.append(made);
+  return made;
+}
+
+export function set(element, attributes) {
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  return element;
+}
+
+export function text(parent, x, y, words, attributes = {}) {
+  const made = make("text", { x, y, "font-size": 11, fill: "var(--soft)", ...attributes }, parent);
+  made.textContent = words;
+  return made;
+}
+
+// Redraw when the element's size changes; the last size is on the element.
+export function sized(svg, draw) {
+  new ResizeObserver(() => {
+    const { width, height } = svg.getBoundingClientRect();
+    if (width < 10 || height < 10) return;
+    svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    draw();
+  }).observe(svg);
+}
+
+export const line = (points) => points.map(([x, y], n) => `${n ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+
+// Round steps for about `count` ticks between two values.
+export function ticks(low, high, count) {
+  const raw = (high - low) / count;
+  const unit = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((n) => n * unit).find((n) => n >= raw);
+  const found = [];
+  for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9; n++) found.push(+(n * step).toPrecision(10));
+  return found;
+}

@@ -1,0 +1,142 @@
+// What is told in words: the header, banners, contacts and events.
+
+import { $, COLUMN, element, latest, store, time } from "./store.js";
+
+const ICONS = {
+  info: '<svg class="icon" viewBox="0 0 12 12" aria-label="info"><circle cx="6" cy="6" r="3" fill="var(--faint)"/></svg>',
+  warning: '<svg class="icon" viewBox="0 0 12 12" aria-label="warning"><path d="M6 1.2 11.4 11H.6Z" fill="var(--warn)"/></svg>',
+  fault: '<svg class="icon" viewBox="0 0 12 12" aria-label="fault"><path d="M3.6.8h4.8l2.8 2.8v4.8l-2.8 2.8H3.6L.8 8.4V3.6Z" fill="var(--fault)"/></svg>',
+};
+const SHOWN = 300;
+let listed = { events: null, count: 0, contacts: undefined, banners: "" };
+
+export function forget() { listed = { events: null, count: 0, contacts: undefined, banners: "" }; }
+
+const fixed = (value, digits) => Number.isFinite(value) ? value.toFixed(digits).replace("-", "−") : "–";
+
+export function drawWords(lost) {
+  const { page, last, board } = store;
+  const state = last.state;
+  const run = page?.run;
+  const title = run?.name ?? (page?.start ? "Ready" : "thigmo");
+  $("run-name").textContent = title;
+  $("run-url").textContent = run?.url ?? page?.start?.url ?? "";
+  $("run-url").title = [run?.url, run?.folder].filter(Boolean).join("\n");
+  document.title = run ? `${title} · thigmo` : "thigmo";
+  $("doing").textContent = doing(lost);
+  $("stage").textContent = state?.stage_cm ? `stage ${fixed(state.stage_cm, 0)} cm` : "";
+  const done = Math.round(100 * (state?.done ?? 0));
+  $("done").style.width = `${done}%`;
+  $("done").parentElement.setAttribute("aria-valuenow", done);
+  const any = store.columns[0].length > 0;
+  $("clock").textContent = any ? fixed(store.now, 1) : "–";
+  $("length").textContent = any ? fixed(latest(COLUMN.length), 1) : "–";
+  $("phase").textContent = board.state ? board.state.replaceAll("_", " ") : "–";
+  drawContactRows();
+  drawEvents();
+  drawBanners(lost);
+}
+
+function doing(lost) {
+  const { page, last } = store;
+  if (lost) return "No connection to the page’s server";
+  if (!page) return "Connecting";
+  if (page.mode === "idle") {
+    if (page.starting) return "Starting";
+    return page.start ? "Nothing runs yet" : "Waiting for a run: start one with thigmo explore";
+  }
+  const { state } = last;
+  if (!state) return page.mode === "record" ? "Recorded run" : "Connected";
+  if (state.outcome !== "running") return `Ended: ${state.outcome}`;
+  if (page.ended && page.mode !== "record") return "Ended";
+  return state.paused ? "Paused, vented" : state.doing;
+}
+
+function drawContactRows() {
+  const { contacts } = store.last;
+  if (listed.contacts === contacts) return;
+  listed.contacts = contacts;
+  const found = contacts?.contacts ?? [];
+  $("contacts-count").textContent = found.length || "";
+  $("contacts-empty").hidden = found.length > 0;
+  document.querySelector(".contacts table").hidden = !found.length;
+  $("contact-rows").replaceChildren(...found.map((contact) => {
+    const row = element("tr");
+    const [low, high] = contact.interval_cm.map((value) => fixed(value, 1));
+    const certain = Number.isFinite(contact.probability) ? `, ${percent(contact.probability)}` : "";
+    row.innerHTML = `
+      <td><b>${fixed(contact.x_cm, 1)}, ${fixed(contact.y_cm, 1)}</b></td>
+      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${low} to ${high} of ${fixed(contact.everted_length_cm, 0)}</span></td>
+      <td>${Number.isFinite(contact.force_per_cm2) ? contact.force_per_cm2.toExponential(1).replaceAll("-", "−") : "–"}</td>`;
+    const chip = element("span", { class: "chip" }, `${contact.status}${certain}`);
+    if (contact.status !== "localized") chip.classList.add("ambiguous");
+    row.append(element("td", {}, chip));
+    return row;
+  }));
+}
+
+const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;
+
+function drawEvents() {
+  const { events, page } = store;
+  const list = $("events");
+  if (listed.events !== events || listed.count > events.length) {
+    list.replaceChildren();
+    listed.events = events;
+    listed.count = 0;
+  }
+  for (; listed.count < events.length; listed.count++) {
+    list.prepend(entry(events[listed.count]));
+    if (list.children.length > SHOWN) list.lastElementChild.remove();
+  }
+  $("events-empty").hidden = events.length > 0;
+  $("events-count").textContent = events.length || "";
+  if (page?.mode === "record") {
+    for (const item of list.children) item.classList.toggle("ahead", Number(item.dataset.t) > store.now);
+  }
+}
+
+function entry(event) {
+  const what = element("div");
+  what.append(element("span", { class: "what" }, event.message));
+  if (event.next) what.append(element("div", { class: "next" }, event.next));
+  const item = element("li", { class: event.severity, title: event.name });
+  item.dataset.t = time(event.t_s);
+  item.innerHTML = `<time>${fixed(time(event.t_s), 1)} s</time>${ICONS[event.severity] ?? ICONS.info}`;
+  item.append(what);
+  return item;
+}
+
+function drawBanners(lost) {
+  const { page, board, events } = store;
+  const told = [];
+  if (lost) {
+    told.push(["fault", "Stop not connected: use the e-stop.", "The page has lost its server. In a terminal, `thigmo stop` stops the robot as well."]);
+  } else if (page?.mode === "live" && page.stop === "lost") {
+    told.push(["fault", "Stop not connected: use the e-stop.", "The process that owns the robot’s port does not answer."]);
+  }
+  if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
+    told.push(["warning", `No reading for ${page.silent_s.toFixed(0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
+  }
+  if (document.body.dataset.stop === "stopped" && !lost) {
+    const robot = page?.run?.virtual === false ? ` --robot ${page.run.url}` : "";
+    told.push(["note", "Stopped: the robot is vented and braked, and keeps its length.", `Look at it, then \`thigmo clear${robot}\` lets it move again.`]);
+  }
+  for (const fault of board.faults) {
+    const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
+    told.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
+  }
+  if (page?.failure) told.push(["fault", "The run did not start, or ended early.", page.failure]);
+  if (store.dropped && performance.now() - store.droppedAt < 5000) {
+    told.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
+  }
+  if (page?.missing) told.push(["warning", page.missing, ""]);
+  const key = JSON.stringify(told);
+  if (key === listed.banners) return;
+  listed.banners = key;
+  $("banners").replaceChildren(...told.map(([kind, what, next]) => {
+    const banner = element("div", { class: `banner ${kind}` }, element("b", {}, what));
+    if (next) banner.append(element("span", { class: "next" }, next));
+    return banner;
+  }));
+}

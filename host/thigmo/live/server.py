@@ -1,0 +1,385 @@
+"""The page's server: what `thigmo watch` runs, in a process of its own.
+
+It reads the run's stream (`watched`), passes it on to every page that looks (`viewer`), and takes
+their stops, starts and pauses. It drives no robot: if it is killed, the run goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import json
+import secrets
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from thigmo.errors import ThigmoError
+from thigmo.live import facts
+from thigmo.live.guard import Guard, add_headers
+from thigmo.live.rows import row_text, thinned
+from thigmo.live.starting import StartedRun, StartPlan
+from thigmo.live.stopping import Stopped, Way, stop_port, way_to
+from thigmo.live.viewer import Viewer
+from thigmo.live.watched import Taken, Watched
+from thigmo.stream import RETAINED, Event, Hello, Message, RunState, Telemetry, to_json
+
+PAGE = Path(__file__).parent / "page"
+PORT = 8421
+_TICK_S = 0.03
+_PULSE_S = 0.25  # the page calls its connection lost after six of them
+_MOST_ROWS_A_TICK = 40  # an emulator at full speed makes more than a chart has pixels for
+_HISTORY_S = 0.02  # between the rows that a page gets which comes later
+_HISTORY_ROWS = 6000
+_STOP_S = 5.0  # for an emulated run to end
+
+
+@dataclass(frozen=True, slots=True)
+class WatchOptions:
+    """What to watch, and for whom.
+
+    Attributes:
+        url: of a robot, if its runs only are to be watched; Start runs an exploration there.
+        explore: further arguments of the exploration that Start runs.
+        host: address to listen at; anything but loopback needs the token.
+        port: None takes the usual one, or any that is free.
+        leaves: end when the run is over and nobody looks any more.
+    """
+
+    url: str | None = None
+    explore: tuple[str, ...] = ()
+    host: str = "127.0.0.1"
+    port: int | None = None
+    leaves: bool = False
+
+    @property
+    def token(self) -> bool:
+        """Whether requests need one."""
+        return self.host not in ("127.0.0.1", "::1", "localhost")
+
+
+class PageServer:
+    """Serves the page.
+
+    Args:
+        options: what to watch.
+    """
+
+    def __init__(self, options: WatchOptions) -> None:
+        self.options = options
+        self.token = secrets.token_urlsafe(16) if options.token else None
+        self._watched = Watched(options.url)
+        self._viewers: dict[web.WebSocketResponse, Viewer] = {}
+        self._operator: web.WebSocketResponse | None = None
+        self._run: Hello | None = None
+        self._ended = False
+        self._started: StartedRun | None = None
+        self._pausing = False
+        self._truth = facts.Truth("")
+        self._body = facts.body("")
+        self._pegs: list[dict[str, float]] = []
+        self._way: Way = "none"
+        self._held: dict[str, str] = {}
+        self._events: deque[str] = deque(maxlen=500)
+        self._history: deque[str] = deque(maxlen=_HISTORY_ROWS)
+        self._history_s = float("-inf")
+        self._board = ""
+        self._seen = asyncio.Event()  # the run has ended
+        self._left_s = time.monotonic()  # when somebody last looked
+
+    # The application.
+
+    def application(self) -> web.Application:
+        """The aiohttp application."""
+        app = web.Application(middlewares=[Guard(self.token).middleware()])
+        app.on_response_prepare.append(add_headers)
+        app.router.add_get("/", self._index)
+        app.router.add_get("/stream", self._stream)
+        app.router.add_post("/stop", self._stop)
+        app.router.add_static("/", PAGE)
+        app.cleanup_ctx.append(self._work)
+        return app
+
+    async def _index(self, request: web.Request) -> web.FileResponse:
+        return web.FileResponse(PAGE / "index.html")
+
+    async def _work(self, app: web.Application) -> AsyncIterator[None]:
+        tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._pulse())]
+        yield
+        for task in tasks:
+            task.cancel()
+        for socket in list(self._viewers):
+            await socket.close(code=1001)
+        await asyncio.to_thread(self._watched.close)
+        if self._started is not None and self._started.runs:
+            await asyncio.to_thread(self._started.end)
+
+    # From the run to the pages.
+
+    async def _pump(self) -> None:
+        while True:
+            taken = self._watched.take()
+            if taken.run is not None:
+                self._take(taken)
+            await asyncio.sleep(_TICK_S)
+
+    def _take(self, taken: Taken) -> None:
+        if taken.run is not self._run:
+            self._begin(taken.run)
+        self._pass_on(taken.messages)
+        if taken.ended and not self._ended:
+            self._ended = True
+            self._seen.set()
+            self._tell()
+
+    def _begin(self, run: Hello | None) -> None:
+        """Another run is under way: whatever was of the last one is forgotten."""
+        self._run, self._ended, self._pausing = run, False, False
+        folder = run.folder if run else ""
+        self._truth, self._body, self._pegs = facts.Truth(folder), facts.body(folder), []
+        self._held.clear()
+        self._events.clear()
+        self._history.clear()
+        self._history_s = float("-inf")
+        self._seen.clear()
+        for viewer in self._viewers.values():
+            viewer.forget()
+        self._tell()
+
+    def _pass_on(self, messages: list[Message]) -> None:
+        readings = [each for each in messages if isinstance(each, Telemetry)]
+        if readings:
+            self._pass_readings(readings)
+        for message in messages:
+            if isinstance(message, Telemetry):
+                continue
+            if isinstance(message, RunState) and message.paused:
+                self._pausing = False
+            channel, text = message.CHANNEL, to_json(message).decode()
+            holds = channel in RETAINED
+            if holds:
+                self._held[channel] = text
+            elif isinstance(message, Event):
+                self._events.append(text)
+            for viewer in self._viewers.values():
+                viewer.add(channel, text, holds=holds)
+
+    def _pass_readings(self, readings: list[Telemetry]) -> None:
+        kept = readings[thinned(len(readings), _MOST_ROWS_A_TICK)]
+        rows = [row_text(each) for each in kept]
+        for reading, row in zip(kept, rows, strict=True):
+            if not 0 <= reading.t_s - self._history_s < _HISTORY_S:
+                self._history.append(row)
+                self._history_s = reading.t_s
+        self._board = _board(kept[-1])
+        for viewer in self._viewers.values():
+            viewer.add_rows(rows, self._board)
+
+    async def _pulse(self) -> None:
+        """Tell every page four times a second how things are; also that the server is there."""
+        while True:
+            if self._viewers:
+                self._left_s = time.monotonic()
+            self._way = await asyncio.to_thread(way_to, self._moving)
+            if self._run is not None and not self._ended:
+                self._pegs = await asyncio.to_thread(self._truth.pegs)
+            self._tell()
+            await asyncio.sleep(_PULSE_S)
+
+    @property
+    def _moving(self) -> Hello | None:
+        """The run that is under way."""
+        return None if self._ended else self._run
+
+    def _tell(self) -> None:
+        for socket, viewer in self._viewers.items():
+            viewer.add("page", json.dumps(self._page(socket)), holds=True)
+
+    def _page(self, socket: web.WebSocketResponse) -> dict[str, Any]:
+        """What a page is told of the server, the run and its own part."""
+        run, plan = self._run, self._plan
+        return {
+            "channel": "page",
+            "mode": "idle" if run is None else "live",
+            "run": _run_facts(run),
+            "ended": self._ended,
+            "body": self._body,
+            "truth": self._pegs,
+            "start": {"url": plan.url, "virtual": plan.virtual} if plan else None,
+            "starting": self._starting,
+            "failure": self._started.failure() if self._started else "",
+            "pausing": self._pausing,
+            "operator": self._operator is socket,
+            "operated": self._operator is not None and self._operator is not socket,
+            "viewers": len(self._viewers),
+            "stop": self._way,
+            "silent_s": round(time.monotonic() - self._watched.heard_s, 1),
+        }
+
+    @property
+    def _plan(self) -> StartPlan | None:
+        url = self.options.url
+        return StartPlan(url, self.options.explore) if url else None
+
+    @property
+    def _starting(self) -> bool:
+        """A run was started and has not spoken yet."""
+        started = self._started
+        return started is not None and started.runs and self._moving is None
+
+    # Requests of the pages.
+
+    async def _stream(self, request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse(heartbeat=10.0, compress=False, max_msg_size=4096)
+        await socket.prepare(request)
+        viewer = Viewer(socket)
+        self._viewers[socket] = viewer
+        if self._operator is None:
+            self._operator = socket
+        viewer.add("page", json.dumps(self._page(socket)), holds=True)
+        self._give_past(viewer)
+        sender = asyncio.create_task(viewer.send_on())
+        try:
+            async for message in socket:
+                if message.type is WSMsgType.TEXT:
+                    await self._obey(socket, viewer, message.data)
+        finally:
+            sender.cancel()
+            del self._viewers[socket]
+            if self._operator is socket:
+                self._operator = None
+            self._tell()
+        return socket
+
+    def _give_past(self, viewer: Viewer) -> None:
+        """What a page that comes later has missed."""
+        for channel, text in self._held.items():
+            viewer.add(channel, text, holds=True)
+        for text in self._events:
+            viewer.add(Event.CHANNEL, text, holds=False)
+        if self._history:
+            viewer.add_rows(self._history, self._board, most=_HISTORY_ROWS)
+
+    async def _obey(self, socket: web.WebSocketResponse, viewer: Viewer, text: str) -> None:
+        try:
+            told = json.loads(text)
+            command = told.get("command")
+        except (ValueError, AttributeError):
+            return
+        if "ack" in told:
+            viewer.acknowledged()
+        elif command == "take" and self._operator is None:
+            self._operator = socket
+        elif socket is self._operator:
+            await self._operate(command, told)
+        if command:
+            self._tell()
+
+    async def _operate(self, command: object, told: dict[str, Any]) -> None:
+        if command == "start":
+            await self._start(realtime=told.get("realtime") is not False)
+        elif command in ("pause", "resume"):
+            with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
+                self._watched.send("pause" if command == "pause" else "resume")
+                self._pausing = command == "pause"
+
+    async def _start(self, *, realtime: bool) -> None:
+        plan = self._plan
+        if plan is None or self._moving is not None or self._starting:
+            return
+        self._started = await asyncio.to_thread(StartedRun, plan, realtime=realtime)
+
+    async def _stop(self, request: web.Request) -> web.Response:
+        run = self._moving
+        if run is not None and run.virtual:
+            told = await self._stop_virtual(run)
+        else:
+            told = await asyncio.to_thread(stop_port, run)
+        return web.json_response({"stopped": told.stopped, "failed": told.failed})
+
+    async def _stop_virtual(self, run: Hello) -> Stopped:
+        try:
+            self._watched.send("stop")
+            await asyncio.wait_for(self._seen.wait(), _STOP_S)
+        except ThigmoError:
+            return Stopped()  # it has just ended
+        except TimeoutError:
+            return Stopped(failed=f"the run {run.name} does not answer")
+        return Stopped([run.url])
+
+    def left(self) -> bool:
+        """Whether the run is over and nobody has looked for a while."""
+        return self._ended and time.monotonic() - self._left_s > 20.0
+
+
+def _run_facts(run: Hello | None) -> dict[str, Any] | None:
+    if run is None:
+        return None
+    return {
+        "id": f"{run.pid} {run.epoch_s}",
+        "name": run.name,
+        "url": run.url,
+        "folder": run.folder,
+        "t_s": run.t_s,
+        "virtual": run.virtual,
+    }
+
+
+def _board(reading: Telemetry) -> str:
+    """What the last of some readings says besides numbers, as fields of a JSON object."""
+    board = {
+        "state": reading.state,
+        "activity": reading.activity,
+        "faults": list(reading.faults),
+    }
+    return f'"epoch_s":{reading.epoch_s!r},"board":{json.dumps(board)}'
+
+
+async def serve(
+    options: WatchOptions, announce: Callable[[str], None] = lambda address: None
+) -> None:
+    """Serve the page until cancelled.
+
+    Args:
+        options: what to watch, and where.
+        announce: told the page's address, once it can be opened.
+
+    Raises:
+        ThigmoError: the address cannot be listened at.
+    """
+    server = PageServer(options)
+    runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    try:
+        port = await _listen(runner, options)
+        name = f"[{options.host}]" if ":" in options.host else options.host
+        announce(f"http://{name}:{port}/" + (f"?token={server.token}" if server.token else ""))
+        while not (options.leaves and server.left()):
+            await asyncio.sleep(1.0)
+    finally:
+        await runner.cleanup()
+
+
+async def _listen(runner: web.AppRunner, options: WatchOptions) -> int:
+    """Listen; the port that it is."""
+    port = PORT if options.port is None else options.port
+    try:
+        try:
+            await web.TCPSite(runner, options.host, port).start()
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE or options.port is not None:
+                raise
+            await web.TCPSite(runner, options.host, 0).start()
+    except OSError as error:
+        raise ThigmoError(
+            f"cannot serve the page at {options.host}: {error.strerror}",
+            "choose another place with --host or --port",
+        ) from error
+    bound: int = runner.addresses[0][1]
+    return bound

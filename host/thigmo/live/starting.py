@@ -1,0 +1,96 @@
+"""Runs that the page starts: `thigmo explore` as a process of its own.
+
+It is not this process's business what becomes of the page: a run goes on when its page's server is
+killed. One that is ended in good order terminates the run first, which vents the robot.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_PATIENCE_S = 10.0  # for a run to vent its robot
+_LINES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class StartPlan:
+    """What a press on Start runs.
+
+    Attributes:
+        url: of the robot.
+        options: further arguments of `thigmo explore`.
+    """
+
+    url: str
+    options: tuple[str, ...] = ()
+
+    @property
+    def virtual(self) -> bool:
+        """Whether the robot is emulated inside the run, so that its pace can be chosen."""
+        return self.url.partition("://")[0] in ("emulator", "mega-sim")
+
+    def command(self, *, realtime: bool) -> Sequence[str]:
+        """The command line."""
+        pace = ["--realtime"] if realtime and self.virtual else []
+        explore = [sys.executable, "-m", "thigmo", "explore", "--robot", self.url]
+        return [*explore, *self.options, *pace]
+
+
+class StartedRun:
+    """A run that the page started.
+
+    Args:
+        plan: what to run.
+        realtime: at the clock's pace, if it is emulated.
+    """
+
+    def __init__(self, plan: StartPlan, *, realtime: bool) -> None:
+        self._said: deque[str] = deque(maxlen=_LINES)
+        # A session of its own: Ctrl-C at the server's terminal is not meant for the run.
+        self._process = subprocess.Popen(
+            plan.command(realtime=realtime),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return self._process.pid
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is still under way."""
+        return self._process.poll() is None
+
+    def failure(self) -> str:
+        """Why it ended early, in its own last words; empty if it did not, or is under way."""
+        if not self._process.poll():
+            return ""
+        self._reader.join()
+        last = next((line for line in reversed(self._said) if line.startswith("thigmo: ")), "")
+        return last.removeprefix("thigmo: ") or f"it ended with status {self._process.returncode}"
+
+    def end(self) -> None:
+        """Terminate it, which vents the robot, and wait for that."""
+        self._process.terminate()
+        try:
+            self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _read(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self._said.append(line.strip())

@@ -1,0 +1,88 @@
+"""What the tests of the page use: a server of it, and pages that are listened to."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page
+
+from thigmo.live.server import WatchOptions, serve
+
+PATIENCE_MS = 60_000  # on a machine that does other things as well
+
+
+class Served:
+    """The page's server, in a thread of its own."""
+
+    def __init__(self, options: WatchOptions) -> None:
+        self.address = ""
+        self._up = threading.Event()
+        self._loop = asyncio.new_event_loop()
+        self._failure: BaseException | None = None
+        self._task = self._loop.create_task(serve(options, self._announce))
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        self._up.wait()
+        if self._failure is not None:
+            raise self._failure
+
+    def _announce(self, address: str) -> None:
+        self.address = address
+        self._up.set()
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_until_complete(self._task)
+        except asyncio.CancelledError:
+            pass
+        except BaseException as failure:  # noqa: BLE001 - handed to the test's thread
+            self._failure = failure
+        finally:
+            self._up.set()
+            self._loop.close()
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._task.cancel)
+            self._thread.join()
+
+
+class Looking:
+    """Opens pages, and keeps what their consoles and their network say."""
+
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
+        self._contexts: list[BrowserContext] = []
+        self.errors: list[str] = []
+        self.outside: list[str] = []
+
+    def open(self, address: str, **options: Any) -> Page:
+        context = self._browser.new_context(
+            **{"viewport": {"width": 1440, "height": 900}, **options}
+        )
+        context.set_default_timeout(PATIENCE_MS)
+        self._contexts.append(context)
+        origin = address.partition("?")[0].rstrip("/")
+        page = context.new_page()
+        page.on("console", self._hear)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+
+        def note(url: str) -> None:
+            if not url.startswith((origin, origin.replace("http", "ws"), "data:", "blob:")):
+                self.outside.append(url)
+
+        page.on("request", lambda request: note(request.url))
+        page.on("websocket", lambda socket: note(socket.url))
+        page.goto(address)
+        return page
+
+    def _hear(self, message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            self.errors.append(message.text)
+
+    def close(self) -> None:
+        for context in self._contexts:
+            context.close()

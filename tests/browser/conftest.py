@@ -1,0 +1,62 @@
+"""The page in a real browser: Debian's Chromium, driven by playwright.
+
+Every page that a test opens is listened to: an error on its console or a request that leaves this
+machine fails the test, whatever it tests.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+from browsing import PATIENCE_MS, Looking, Served
+from playwright.sync_api import Browser, expect, sync_playwright
+
+from thigmo.live.server import WatchOptions
+
+CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
+expect.set_options(timeout=PATIENCE_MS)
+
+
+@pytest.fixture(autouse=True)
+def own_sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Runs of this test are seen by this test only; a socket's path has to be short."""
+    folder = tempfile.mkdtemp(prefix="tg")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+    yield
+    shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def serve_page() -> Iterator[Callable[..., Served]]:
+    """Serves the page with the given options, on any free port."""
+    with ExitStack() as stack:
+
+        def served(**options: Any) -> Served:
+            server = Served(WatchOptions(**{"port": 0, **options}))
+            stack.callback(server.close)
+            return server
+
+        yield served
+
+
+@pytest.fixture
+def looking(chromium: Browser) -> Iterator[Looking]:
+    eyes = Looking(chromium)
+    yield eyes
+    eyes.close()
+    assert eyes.outside == []
+    assert eyes.errors == []

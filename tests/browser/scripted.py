@@ -1,0 +1,131 @@
+"""A run that says what a test has it say, on a real stream."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
+
+from thigmo.record import MapContact
+from thigmo.stream import (
+    BodyShape,
+    Command,
+    Contacts,
+    Event,
+    Hello,
+    Hub,
+    Posterior,
+    RunState,
+    Server,
+    Telemetry,
+)
+
+CONTACT = MapContact(
+    arc_cm=31.2,
+    x_cm=27.5,
+    y_cm=11.6,
+    force_per_cm2=2.1e-4,
+    interval_cm=(29.8, 32.7),
+    status="localized",
+    everted_length_cm=40.0,
+    side="left",
+    normal_rad=2.0,
+    covariance_cm2=((0.7, 0.3), (0.3, 0.4)),
+    track=[(26.4, 10.6), (27.5, 11.6), (28.6, 12.7)],
+    model="side",
+    readings=7,
+)
+
+
+class ScriptedRun:
+    """A run with a hub and a socket, and nothing behind them. A context manager.
+
+    Attributes:
+        asked: commands that viewers have sent.
+    """
+
+    def __init__(self, *, name: str = "scripted", folder: str = "", virtual: bool = True) -> None:
+        self.hub = Hub()
+        self.asked: list[Command] = []
+        self.heard = threading.Event()
+        self.t_s = 0.0
+        self._began_s = time.time()
+        hello = Hello(*self._now(), "emulator://scripted", name, folder, os.getpid(), "0", virtual)
+        self._server = Server(self.hub, hello, self._command)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """End it; may be called twice."""
+        self._server.close()
+        self.hub.close()
+
+    def _command(self, command: Command) -> None:
+        self.asked.append(command)
+        self.heard.set()
+
+    def _now(self) -> tuple[float, float]:
+        return self.t_s, self._began_s + self.t_s
+
+    def state(self, **changes: object) -> None:
+        """Say what it does: by default a sweep at 40 cm."""
+        state = RunState(*self._now(), "SWEEP", "sweeping left and right", 40.0, 0.5)
+        self.hub.publish(replace(state, **changes))  # type: ignore[arg-type]
+
+    def event(self, name: str, severity: str, message: str, what_next: str = "") -> None:
+        """Tell an event."""
+        self.hub.publish(Event(*self._now(), name, severity, message, what_next))  # type: ignore[arg-type]
+
+    def feel(self) -> None:
+        """Tell a contact, where it is believed to be, and the bent body."""
+        poses = tuple((float(x), 0.007 * x * x, 0.014 * x) for x in range(0, 41, 2))
+        self.hub.publish(BodyShape(*self._now(), poses, 1.75))
+        places = tuple(0.5 * n for n in range(81))
+        weights = [math.exp(-0.5 * ((place - 31.2) / 1.1) ** 2) for place in places]
+        self.hub.publish(
+            Posterior(
+                *self._now(), "left", 40.0, places, tuple(w / sum(weights) for w in weights),
+                "localized", "one contact", "",
+            )
+        )  # fmt: skip
+        self.hub.publish(Contacts(*self._now(), (CONTACT,)))
+
+    def read(self, count: int, *, faults: tuple[str, ...] = ()) -> None:
+        """Publish so many readings, 5 ms of robot time apart."""
+        for _ in range(count):
+            self.t_s += 0.005
+            pressure = 9.0 * math.sin(self.t_s) ** 2
+            bend = 0.03 * math.tanh(pressure / 9.0)
+            self.hub.publish(
+                Telemetry(
+                    *self._now(),
+                    device_s=self.t_s,
+                    pressure_psi=(pressure, 0.0),
+                    demand_psi=(pressure, 0.0),
+                    drive_ma=(4.0 + pressure, 0.0),
+                    curvature_per_cm=(bend,) * 4 + (math.nan,) + (bend,) * 4 + (math.nan,),
+                    expected_per_cm=(math.nan,) * 5 + (bend,) * 4 + (math.nan,),
+                    base_per_cm=bend,
+                    free_per_cm=bend,
+                    length_cm=40.0,
+                    motor=0.0,
+                    supply_v=5.0,
+                    state="fault" if faults else "moving",
+                    activity="sweep",
+                    faults=faults,
+                    flex_sum=(0,) * 10,
+                )
+            )

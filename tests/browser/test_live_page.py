@@ -1,0 +1,195 @@
+"""A run on the page: what is seen of it, by how many, and what a page that stalls costs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable
+
+import aiohttp
+import pytest
+from browsing import Looking, Served
+from playwright.sync_api import Page, expect
+from scripted import ScriptedRun
+
+ServePage = Callable[..., Served]
+
+
+def _rows(page: Page) -> int:
+    """Readings that the page's charts hold."""
+    return page.evaluate("thigmo.store.columns[0].length")
+
+
+def _until_rows(page: Page, count: int) -> None:
+    page.wait_for_function("count => thigmo.store.columns[0].length >= count", arg=count)
+
+
+def _read(run: ScriptedRun, pages: list[Page], count: int) -> None:
+    """Readings as they come from a robot: few enough at a time for all of them to be drawn."""
+    for page in pages:
+        _expect_connected(page)
+    for _ in range(count // 40):
+        held = [_rows(page) for page in pages]
+        run.read(40)
+        for page, rows in zip(pages, held, strict=True):
+            _until_rows(page, rows + 40)
+
+
+def test_page_shows_state_readings_contact_and_events(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        run.event("armed", "info", "The board is armed.")
+        run.feel()
+        run.read(400)
+        expect(page.locator("#run-name")).to_have_text("scripted")
+        expect(page.locator("#doing")).to_have_text("sweeping left and right")
+        expect(page.locator("#clock")).to_have_text("2.0")
+        expect(page.locator("#contact-rows")).to_contain_text("31.2 29.8 to 32.7 of 40")
+        expect(page.locator("#contact-rows")).to_contain_text("27.5, 11.6")
+        expect(page.locator("#events")).to_contain_text("The board is armed.")
+        expect(page.locator("#room")).to_contain_text("95 %: 29.8 to 32.7 cm")
+        expect(page.locator("#body")).to_contain_text("probability density of a contact")
+        # Each chart has an axis in the unit that its title names.
+        units = page.locator("#charts .unit").all_inner_texts()
+        assert units == ["psi", "1/cm", "1/cm", "mA", "cm", "share of full duty"]
+        shown = page.evaluate(
+            "import('./store.js').then(({ store, latest, COLUMN }) => "
+            "[latest(COLUMN.length), latest(COLUMN.curvature + 4)])"
+        )
+        assert shown == [40.0, None]
+
+
+def test_fault_stands_at_the_top_with_what_to_do_next(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        run.event("flex_open", "fault", "Left sensor 2 is open.", "Look at its plug.")
+        run.read(10, faults=("flex_open",))
+        banner = page.locator(".banner.fault")
+        expect(banner).to_contain_text("Left sensor 2 is open.")
+        expect(banner).to_contain_text("Look at its plug.")
+
+
+def test_reloaded_page_has_the_run_again_and_still_operates(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        run.feel()
+        _read(run, [page], 400)
+        page.reload()
+        expect(page.locator("#contact-rows")).to_contain_text("31.2")
+        _until_rows(page, 75)  # of what was before, some fifty rows a second
+        expect(page.locator("#pause")).to_be_enabled()
+
+
+def test_second_page_looks_while_the_first_operates_and_takes_over_when_it_has_gone(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        served = serve_page()
+        first = looking.open(served.address)
+        run.state()
+        expect(first.locator("#pause")).to_be_enabled()
+        second = looking.open(served.address)
+        expect(second.locator("#pause")).to_be_disabled()
+        expect(second.locator("#take")).to_have_text("Another page operates")
+        expect(second.locator("#viewers")).to_have_text("2 pages look at this robot.")
+        _read(run, [first, second], 40)
+        first.close()
+        second.locator("#take").click()
+        expect(second.locator("#pause")).to_be_enabled()
+        second.locator("#pause").click()
+        assert run.heard.wait(60)
+        assert run.asked == ["pause"]
+
+
+def test_second_page_can_stop(looking: Looking, serve_page: ServePage) -> None:
+    with ScriptedRun() as run:
+        served = serve_page()
+        looking.open(served.address)
+        run.state()
+        second = looking.open(served.address)
+        expect(second.locator("#stop")).to_have_attribute("data-state", "ready")
+        second.keyboard.press("Space")
+        assert run.heard.wait(60)
+        assert run.asked == ["stop"]
+
+
+def test_page_that_stalls_is_told_what_it_missed_and_slows_no_other(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        served = serve_page()
+        page = looking.open(served.address)
+        run.state()
+        _expect_connected(page)
+        missed: list[int] = []
+        may_go_on = threading.Event()
+        stalls = threading.Event()
+        viewer = threading.Thread(
+            target=lambda: asyncio.run(_stall(served.address, stalls, may_go_on, missed))
+        )
+        viewer.start()
+        stalls.wait()
+        # More than waits for one viewer, in pieces that the first page takes as they come.
+        _read(run, [page], 2400)
+        may_go_on.set()
+        viewer.join()
+        assert missed
+        assert missed[-1] >= 1000
+        assert page.evaluate("thigmo.store.dropped") == 0
+        assert _rows(page) == 2400
+
+
+def _expect_connected(page: Page) -> None:
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
+
+
+async def _stall(
+    address: str, stalls: threading.Event, may_go_on: threading.Event, missed: list[int]
+) -> None:
+    """A viewer that answers nothing until it may, and then reads on until it is told what it
+    missed."""
+    origin = address.rstrip("/")
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(f"{origin}/stream", headers={"Origin": origin}) as socket,
+    ):
+        await socket.receive()
+        stalls.set()
+        await asyncio.to_thread(may_go_on.wait)
+        async for message in socket:
+            for each in json.loads(message.data):
+                if each["channel"] == "dropped":
+                    missed.append(each["count"])
+                    return
+            await socket.send_str('{"ack":1}')
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_fits_a_phone(looking: Looking, serve_page: ServePage, scheme: str) -> None:
+    with ScriptedRun() as run:
+        page = looking.open(
+            serve_page().address,
+            viewport={"width": 390, "height": 844},
+            is_mobile=True,
+            has_touch=True,
+            color_scheme=scheme,
+        )
+        run.state()
+        run.feel()
+        run.read(200)
+        expect(page.locator("#contact-rows")).to_contain_text("31.2")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        box = page.locator("#stop").bounding_box()
+        assert box is not None
+        assert box["width"] > 340
+        assert 844 - 100 < box["y"] < 844 - 60  # under the thumb, wherever the page is scrolled to

@@ -1,0 +1,83 @@
+"""Stop on the page: what presses it, and what it says, also when nobody would hear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from browsing import Looking, Served
+from playwright.sync_api import Page, expect
+from scripted import ScriptedRun
+
+ServePage = Callable[..., Served]
+
+
+def _ready(looking: Looking, served: Served, run: ScriptedRun) -> Page:
+    page = looking.open(served.address)
+    run.state()
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
+    return page
+
+
+@pytest.mark.parametrize("key", ["Space", "Escape"])
+def test_key_stops_wherever_the_focus_is(looking: Looking, serve_page: ServePage, key: str) -> None:
+    with ScriptedRun() as run:
+        page = _ready(looking, serve_page(), run)
+        page.locator("#pause").focus()
+        page.keyboard.press(key)
+        assert run.heard.wait(60)
+        run.end()
+        expect(page.locator("#stop")).to_have_text("Stoppedthe board has confirmed")
+        assert run.asked == ["stop"]
+
+
+def test_press_of_the_button_stops_before_it_is_let_go(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = _ready(looking, serve_page(), run)
+        page.locator("#stop").hover()
+        page.mouse.down()
+        assert run.heard.wait(60)
+        page.mouse.up()
+        run.end()
+        expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
+        assert run.asked == ["stop"]
+
+
+def test_focused_start_does_not_take_the_space_bar(looking: Looking, serve_page: ServePage) -> None:
+    page = looking.open(serve_page(url="emulator://nowhere").address)
+    start = page.locator("#start")
+    expect(start).to_be_enabled()
+    start.focus()
+    with page.expect_request("**/stop"):
+        page.keyboard.press("Space")
+    expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
+    expect(page.locator("#doing")).to_have_text("Nothing runs yet")
+    assert page.evaluate("thigmo.store.page.starting") is False
+
+
+def test_lost_server_says_use_the_e_stop(looking: Looking, serve_page: ServePage) -> None:
+    with ScriptedRun() as run:
+        served = serve_page()
+        page = _ready(looking, served, run)
+        served.close()
+        expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
+        expect(page.locator(".banner.fault")).to_contain_text("Stop not connected: use the e-stop.")
+        looking.errors.clear()  # Chromium tells the lost connection on the console itself
+
+
+def test_port_that_nobody_owns_says_use_the_e_stop(looking: Looking, serve_page: ServePage) -> None:
+    with ScriptedRun(virtual=False) as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
+
+
+def test_run_that_does_not_answer_is_not_said_to_be_stopped(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = _ready(looking, serve_page(), run)
+        page.keyboard.press("Escape")
+        expect(page.locator("#stop")).to_have_text("Not confirmeduse the e-stop")

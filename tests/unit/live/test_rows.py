@@ -1,0 +1,79 @@
+"""Readings as rows of numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from thigmo.live.rows import COLUMNS, block, row_text, thinned
+from thigmo.stream import Telemetry
+
+
+def _reading(t_s: float) -> Telemetry:
+    return Telemetry(
+        t_s=t_s,
+        epoch_s=0.0,
+        device_s=t_s,
+        pressure_psi=(1.0, 2.0),
+        demand_psi=(3.0, 4.0),
+        drive_ma=(5.0, 6.0),
+        curvature_per_cm=(*(0.01 * n for n in range(9)), math.nan),
+        expected_per_cm=tuple(0.02 * n for n in range(10)),
+        base_per_cm=0.0,
+        free_per_cm=0.0,
+        length_cm=40.0,
+        motor=-0.5,
+        supply_v=5.0,
+        state="ready",
+        activity="none",
+        faults=(),
+        flex_sum=(0,) * 10,
+    )
+
+
+def test_row_has_every_column_in_its_place() -> None:
+    told = dict(zip(COLUMNS, json.loads(row_text(_reading(1.5))), strict=True))
+    assert told["t_s"] == 1.5
+    assert (told["pressure_left"], told["demand_right"], told["drive_right"]) == (1.0, 4.0, 6.0)
+    assert told["curvature_3"] == 0.03
+    assert told["curvature_9"] is None
+    assert told["expected_9"] == 0.18
+    assert (told["length_cm"], told["motor"]) == (40.0, -0.5)
+
+
+def test_the_pages_script_has_the_same_columns() -> None:
+    from thigmo.live.server import PAGE
+
+    script = (PAGE / "store.js").read_text()
+    for name, column in (
+        ("pressure", "pressure_left"), ("demand", "demand_left"), ("drive", "drive_left"),
+        ("curvature", "curvature_0"), ("expected", "expected_0"), ("length", "length_cm"),
+        ("motor", "motor"),
+    ):  # fmt: skip
+        assert f"{name}: {COLUMNS.index(column)}," in script
+    assert f"COLUMNS = {len(COLUMNS)};" in script
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 5), (5, 5), (6, 5), (1000, 7)])
+def test_thinned_keeps_the_last_one_and_no_more_than_asked(count: int, most: int) -> None:
+    kept = list(range(count))[thinned(count, most)]
+    assert kept[-1] == count - 1
+    assert len(kept) <= most
+    assert len(set(np.diff(kept))) <= 1
+
+
+def test_block_counts_from_the_run_s_start_and_holds_hours_to_a_millisecond() -> None:
+    month_s = 2.6e6
+    readings = [_reading(month_s + t) for t in (0.0, 3600.005, 3600.010)]
+    table = block(readings, month_s, most=10)
+    assert table.shape == (len(COLUMNS), 3)
+    assert table.dtype == np.float32
+    assert np.diff(table[0])[1] == pytest.approx(0.005, abs=1e-3)
+    assert np.isnan(table[COLUMNS.index("curvature_9")]).all()
+
+
+def test_block_of_nothing() -> None:
+    assert block([], 0.0, most=10).shape == (len(COLUMNS), 0)
