@@ -37,6 +37,7 @@ _WHERE = {
     "camera": "The camera",
     "bringup": "Bring-up",
     "emulator": "The emulator and its scenes",
+    "live": "The page",
     "mechanics": "Mechanics",
     "studies": "Studies and experiments",
 }
