@@ -78,4 +78,4 @@ firmware:
 	$(MAKE) -C firmware/mega
 
 clean:
-	rm -rf $(VENV) build .stamps "$${XDG_CACHE_HOME:-$$HOME/.cache}/thigmo"
+	rm -rf $(VENV) build .stamps

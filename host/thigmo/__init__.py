@@ -1,7 +1,7 @@
 """thigmo makes a soft growing robot feel: where along its body, how hard, and where in the room.
 
 The public surface is what this file exports; names load on first use, so that `thigmo --help`
-and the heartbeat process do not pay for numba, matplotlib or OpenCV.
+and the heartbeat process do not pay for matplotlib or OpenCV.
 """
 
 from __future__ import annotations

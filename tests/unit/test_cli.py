@@ -57,7 +57,7 @@ def test_help_answers_in_half_a_second() -> None:
 def test_help_imports_nothing_heavy() -> None:
     script = (
         "import sys; import thigmo.cli.main; "
-        "print([m for m in ('numpy', 'numba', 'matplotlib', 'pydantic', 'serial', 'rich.table') "
+        "print([m for m in ('numpy', 'matplotlib', 'pydantic', 'serial', 'rich.table') "
         "if m in sys.modules])"
     )
     done = subprocess.run(

@@ -18,6 +18,7 @@ class Settings:
         contacts: int,
         within: tuple[float, float],
         width_limit: float,
+        norm: int,
     ) -> None: ...
 
 class Answer:
@@ -28,6 +29,8 @@ class Answer:
     discarded: int
     noise: float
     log_odds: float
+    objective: float
+    gap: float
     contacts: list[tuple[float, float, float, float, float, float, bool, list[tuple[float, float]]]]
     hypotheses: list[tuple[int, int, float, float, float]]
     best: int

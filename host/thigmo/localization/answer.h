@@ -33,6 +33,7 @@ struct Answer {
   int discarded = -1;
   double noise = 0.0;
   double log_odds = 0.0;
+  double objective = NAN, gap = NAN;  // of a point fit, in the caller's units
 };
 
 class Mixture {

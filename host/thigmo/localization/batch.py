@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
-from thigmo.localization.estimate import METHODS, STATUSES, Options, localize, options_of
+from thigmo.localization.estimate import STATUSES, Options, options_of
 from thigmo.localization.readings import refusal, vector
 from thigmo.localization.result import Array, Status
 
@@ -91,12 +91,8 @@ def localize_batch(
         raise DataError(
             f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
         )
-    if method not in METHODS:
-        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
-    if method != "posterior":
-        return _point_fits(table, position, length, free, method, options)
-    given = options_of(position, sensors, length, Options(**options))
-    parts = [part for part in np.array_split(np.arange(count), max(jobs, 1)) if part.size]
+    given = options_of(position, sensors, length, Options(method=method, **options))
+    parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
     def run(rows: npt.NDArray[np.int64]) -> dict[str, Array]:
         own = free if free.shape[0] == 1 else free[rows]
@@ -106,13 +102,8 @@ def localize_batch(
             given.radius, given.settings, priors.compiled(),
         )  # fmt: skip
 
-    if len(parts) > 1:
-        with ThreadPoolExecutor(len(parts)) as pool:
-            tables = list(pool.map(run, parts))
-    else:
-        tables = [run(part) for part in parts]
-    if not tables:
-        tables = [run(np.arange(0))]
+    with ThreadPoolExecutor(len(parts)) as pool:
+        tables = list((pool.map if len(parts) > 1 else map)(run, parts))
     found = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
     wrong = np.flatnonzero(found["problem"])
     if wrong.size:
@@ -130,39 +121,5 @@ def localize_batch(
         found["probability"],
         found["log_odds"],
         found["discarded"].astype(np.int64),
-        np.full(count, np.nan),
-    )
-
-
-def _point_fits(
-    table: Array, position: npt.ArrayLike, length: float, free: Array, method: str,
-    options: dict[str, Any],
-) -> BatchResult:  # fmt: skip
-    """Rows of the exact fits."""
-    count = len(table)
-    rows = [
-        localize(
-            table[m], position, length=length, free_curvature=free[min(m, len(free) - 1)],
-            method=method, **options,
-        )
-        for m in range(count)
-    ]  # fmt: skip
-    arc, force, low, high = np.full((4, count, _MOST), np.nan)
-    for m, result in enumerate(rows):
-        for j, contact in enumerate(result.contacts):
-            arc[m, j], force[m, j] = contact.arc, contact.force
-            low[m, j], high[m, j] = contact.interval
-    nothing = np.full(count, np.nan)
-    return BatchResult(
-        [result.status for result in rows],
-        np.array([len(result.contacts) for result in rows], dtype=np.int64),
-        arc,
-        force,
-        low,
-        high,
-        np.zeros((count, _MOST), dtype=np.bool_),
-        nothing,
-        nothing,
-        np.full(count, -1),
-        np.array([result.objective for result in rows], dtype=np.float64),
+        found["objective"],
     )

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
-from thigmo.localization.point_fit import point_fit
+from thigmo.localization.point_fit import point_fit_result
 from thigmo.localization.readings import (
     Range,
     columns,
@@ -29,7 +29,7 @@ from thigmo.localization.readings import (
 from thigmo.localization.result import Array, Contact, LocalizeResult, Status
 
 MOST_CONTACTS = 3
-METHODS = ("posterior", "l1", "l2")
+METHODS = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
 # In the order of `Load` in hypotheses.h.
 _LOADS = (
@@ -126,14 +126,10 @@ def localize(
         Options(
             span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
             contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
-            width_limit, within,
+            width_limit, within, method,
         ),
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
-    if method in ("l1", "l2"):
-        return point_fit(k, given.position, given.length, given.span, free, method, contacts)
-    if method != "posterior":
-        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
     found = _posterior.localize(
         k, given.position, given.span, free, body, given.noise, given.gain, given.bad_odds,
@@ -142,6 +138,8 @@ def localize(
     )  # fmt: skip
     if found.problem:
         raise refusal(found.problem, found.shows, given.length)
+    if method != "posterior":
+        return point_fit_result(found, given.length, method)
     return _result(found, given.length)
 
 
@@ -162,6 +160,7 @@ class Options(NamedTuple):
     held_end: bool | None = None
     width_limit: float | None = None
     within: Range | None = None
+    method: str = "posterior"
 
 
 class Given(NamedTuple):
@@ -219,6 +218,7 @@ def options_of(position: npt.ArrayLike, count: int, length: float, options: Opti
             options.tube_radius is None if options.held_end is None else 2 * options.held_end,
             options.width_limit,
             options.within,
+            options.method,
         ),
     )  # fmt: skip
 
@@ -233,6 +233,7 @@ def _settings(
     held_end: int,
     width_limit: float | None,
     within: Range | None,
+    method: str,
 ) -> _posterior.Settings:
     if contacts != "auto" and (
         isinstance(contacts, bool)
@@ -240,6 +241,10 @@ def _settings(
         or not 0 <= contacts <= MOST_CONTACTS
     ):
         raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
+    if method != "posterior" and contacts not in ("auto", 1, 2):
+        raise DataError(f"{method} fits no {contacts} contacts", "give 1 or 2, or no method")
     moment = math.inf
     if critical is not None:
         moment = max(positive(critical, "critical_curvature") * total, 1e-6)
@@ -254,6 +259,7 @@ def _settings(
         -1 if contacts == "auto" else int(contacts),
         share_of_length(within, total),
         limit,
+        METHODS.index(method),
     )
 
 

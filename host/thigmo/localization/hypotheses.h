@@ -20,6 +20,7 @@ struct Settings {
   int contacts;  // how many there are known to be, or -1
   Window within;
   double width_limit;
+  int norm;  // 1 or 2 for a point fit, 0 for the posterior
 };
 
 // Posterior of one contact's place: even cells, their mass, the force at each.

@@ -6,7 +6,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
 
-#include "answer.h"
+#include "point_fits/point_fit.h"
 
 namespace nb = nanobind;
 using namespace thigmo;
@@ -51,7 +51,7 @@ void check_sizes(const Input& in) {
 struct Rows {
   static constexpr std::size_t kContacts = 3;
   std::size_t count;
-  Row status, contacts, problem, shows, probability, log_odds, discarded;
+  Row status, contacts, problem, shows, probability, log_odds, discarded, objective;
   Row arc, force, low, high, localized;
   explicit Rows(std::size_t m)
       : count(m),
@@ -62,6 +62,7 @@ struct Rows {
         probability(m),
         log_odds(m),
         discarded(m),
+        objective(m),
         arc(m * kContacts, NAN),
         force(arc),
         low(arc),
@@ -77,6 +78,7 @@ struct Rows {
     probability[at] = 1.0 - from.number[0];
     log_odds[at] = from.log_odds;
     discarded[at] = from.discarded;
+    objective[at] = from.objective;
     for (std::size_t j = 0; j < from.contacts.size(); ++j) {
       const FeltContact& felt = from.contacts[j];
       const std::size_t to = at * kContacts + j;
@@ -86,6 +88,10 @@ struct Rows {
     }
   }
 };
+
+Answer answer_by_method(const Input& input, const Priors& priors, const Settings& settings) {
+  return settings.norm == 0 ? answer(input, priors, settings) : point_fit(input, settings);
+}
 
 }  // namespace
 
@@ -107,11 +113,11 @@ NB_MODULE(_posterior, m) {
   nb::class_<Settings>(m, "Settings")
       .def("__init__",
            [](Settings* self, double critical, double critical_error, double radius, int held_end,
-              int contacts, std::pair<double, double> within, double width_limit) {
-             new (self) Settings{critical,   critical_error,
-                                 radius,     Settings::Held(held_end),
-                                 contacts,   {within.first, within.second},
-                                 width_limit};
+              int contacts, std::pair<double, double> within, double width_limit, int norm) {
+             new (self) Settings{critical,    critical_error,
+                                 radius,      Settings::Held(held_end),
+                                 contacts,    {within.first, within.second},
+                                 width_limit, norm};
            });
 
   nb::class_<Answer>(m, "Answer")
@@ -122,6 +128,8 @@ NB_MODULE(_posterior, m) {
       .def_ro("discarded", &Answer::discarded)
       .def_ro("noise", &Answer::noise)
       .def_ro("log_odds", &Answer::log_odds)
+      .def_ro("objective", &Answer::objective)
+      .def_ro("gap", &Answer::gap)
       // arc, force, low, high, deviation, end offset, localized; and the pieces of the interval
       .def_prop_ro("contacts",
                    [](const Answer& a) {
@@ -174,7 +182,7 @@ NB_MODULE(_posterior, m) {
                             radius};
           check_sizes(input);
           nb::gil_scoped_release released;
-          return answer(input, priors, settings);
+          return answer_by_method(input, priors, settings);
         });
 
   // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
@@ -198,7 +206,7 @@ NB_MODULE(_posterior, m) {
         const std::size_t from = free.shape(0) == 1 ? 0 : m;
         std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
         input.body = input.free;
-        out.set(m, answer(input, priors, settings), length);
+        out.set(m, answer_by_method(input, priors, settings), length);
       }
     }
     nb::dict table;
@@ -206,7 +214,7 @@ NB_MODULE(_posterior, m) {
     one("status", out.status), one("contacts", out.contacts), one("problem", out.problem);
     one("shows", out.shows);
     one("probability", out.probability), one("log_odds", out.log_odds);
-    one("discarded", out.discarded);
+    one("discarded", out.discarded), one("objective", out.objective);
     const auto three = [&](const char* name, const Row& values) {
       table[name] = array<2>(values, {count, Rows::kContacts});
     };

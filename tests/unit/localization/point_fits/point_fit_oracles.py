@@ -1,5 +1,6 @@
 """Independent, slower ways to the optimum of one or two contacts, for the tests of the point fits.
 
+`fit` is the compiled fit of a body of length one, with the gap to its proven bound.
 `programme_minimum` solves a linear programme (HiGHS) for each choice of intervals between point
 sensors and each choice of signs. `grid_minimum` tries arcs on a grid that holds every end of a
 span, with all vertices (1-norm) or all active sets (2-norm) of the forces, and zooms in on the best
@@ -9,14 +10,49 @@ few. `random_frame` draws layouts that are spread, co-located, overlapping or mi
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from thigmo.localization import _posterior, priors
+from thigmo.localization.estimate import Options, options_of
+
 Floats = NDArray[np.float64]
 
 LIMIT = 20.0  # |force| of two contacts over the largest reading
+
+
+@dataclass(frozen=True)
+class PointFit:
+    objective: float
+    gap: float
+    arcs: Floats
+    forces: Floats
+    optimum_set: tuple[tuple[tuple[float, float], ...], ...]
+
+
+def fit(y: Floats, low: Floats, high: Floats, contacts: int, norm: str) -> PointFit:
+    """The compiled fit of readings above a free curvature of 0."""
+    options = Options(high - low, tube_radius=1e-6, contacts=contacts, method=norm)
+    given = options_of(0.5 * (low + high), len(y), 1.0, options)
+    # Readings that are all the same are refused of a body that nothing bends.
+    free = np.full(1, 0.5 if np.ptp(y) == 0.0 else 0.0)
+    found = _posterior.localize(
+        y + free, given.position, given.span, free, free, given.noise, given.gain, given.bad_odds,
+        given.shared, given.offset, given.map, given.length, given.radius, given.settings,
+        priors.compiled(),
+    )  # fmt: skip
+    assert found.problem == 0
+    arcs, forces, *_, sets = zip(*found.contacts, strict=True)
+    return PointFit(
+        found.objective,
+        found.gap,
+        np.array(arcs),
+        np.array(forces),
+        tuple(tuple(pieces) for pieces in sets),
+    )
 
 
 def influence(arc: Floats | float, low: Floats, high: Floats) -> Floats:
@@ -56,7 +92,7 @@ def random_frame(
         rng.uniform(0.0, 0.4, n),
         rng.choice([0.0, 0.1, 0.2], n),
     ][0 if points else rng.integers(4)]
-    low, high = position - span / 2, position + span / 2
+    low, high = np.maximum(position - span / 2, 0.0), np.minimum(position + span / 2, 1.0)
     y = rng.choice([0.0, 0.03, 0.15]) * rng.standard_normal(n)
     for _ in range(contacts):
         force = rng.choice([-1, 1]) * 10 ** rng.uniform(-1.5, 0.5)

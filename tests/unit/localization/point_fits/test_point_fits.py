@@ -9,6 +9,8 @@ import pytest
 from point_fit_oracles import (
     LIMIT,
     Floats,
+    PointFit,
+    fit,
     grid_minimum,
     influence,
     misfit,
@@ -18,8 +20,8 @@ from point_fit_oracles import (
     random_frame,
 )
 
+import thigmo
 from thigmo.errors import DataError
-from thigmo.localization.point_fits import PointFit, fit, fit_rows
 
 Norm = Literal["l1", "l2"]
 BOTH: tuple[Norm, ...] = ("l1", "l2")
@@ -119,14 +121,21 @@ def test_rows_are_fitted_as_if_alone(contacts: int, norm: Norm) -> None:
     rng = np.random.default_rng(3)
     rows = 0.1 * rng.standard_normal((8, 10)) + influence(0.7, ROBOT_LOW, ROBOT_HIGH)
     rows[5] = 0.0
-    together = fit_rows(rows, ROBOT_LOW, ROBOT_HIGH, contacts, norm)
+    rows[6, [0, 7]] = np.nan
+    given = {"position": ROBOT * 53.0, "length": 53.0, "span": 5.5, "method": norm}
+    together = thigmo.localize_batch(rows / 53.0, contacts=contacts, jobs=3, **given)
     assert len(together) == len(rows)
-    for row, found in zip(rows, together, strict=True):
-        alone = fit(row, ROBOT_LOW, ROBOT_HIGH, contacts, norm)
-        assert found.objective == alone.objective
-        np.testing.assert_array_equal(found.arcs, alone.arcs)
-        np.testing.assert_array_equal(found.forces, alone.forces)
-        assert found.optimum_set == alone.optimum_set
+    for m, row in enumerate(rows / 53.0):
+        alone = thigmo.localize(row, contacts=contacts, **given)
+        assert together.status[m] == alone.status == "ambiguous"
+        assert together.contacts[m] == len(alone.contacts) == contacts
+        assert together.objective[m] == alone.objective
+        assert np.isnan(together.probability[m])
+        for c, contact in enumerate(alone.contacts):
+            assert together.arc[m, c] == contact.arc
+            assert together.force[m, c] == contact.force
+            assert (together.low[m, c], together.high[m, c]) == contact.interval
+            assert contact.intervals == alone.optimum_set[c]
 
 
 @pytest.mark.parametrize("norm", BOTH)
@@ -150,7 +159,7 @@ def test_sign_scale_and_order_do_not_matter(contacts: int, norm: Norm) -> None:
 @pytest.mark.parametrize("norm", BOTH)
 def test_contacts_are_recovered_from_clean_readings(norm: Norm) -> None:
     rng = np.random.default_rng(5)
-    position = np.linspace(0.04, 0.96, 20)
+    position = np.linspace(0.06, 0.94, 20)
     for span in (0.0, 0.1):
         low, high = position - span / 2, position + span / 2
         arcs = np.sort(rng.uniform(0.35, 0.95, 2))
@@ -189,17 +198,40 @@ def test_hundreds_of_gratings_are_fitted_and_proven_too(norm: Norm) -> None:
 @pytest.mark.parametrize("norm", BOTH)
 @pytest.mark.parametrize("contacts", [1, 2])
 def test_where_no_contact_fits_better_every_arc_is_as_good(contacts: int, norm: Norm) -> None:
-    for y in (np.zeros(10), np.zeros(0)):
-        ends = ROBOT_LOW[: len(y)], ROBOT_HIGH[: len(y)]
-        found = fit(y, *ends, contacts, norm)
-        assert found.objective == 0.0
-        assert np.all(found.forces == 0.0)
+    found = fit(np.zeros(10), ROBOT_LOW, ROBOT_HIGH, contacts, norm)
+    assert found.objective == found.gap == 0.0
+    assert np.all(found.forces == 0.0)
+    if norm == "l1" or contacts == 2:
+        assert found.optimum_set == (((0.0, 1.0),),) * contacts
 
 
-def test_what_cannot_be_fitted_is_said() -> None:
+@pytest.mark.parametrize("norm", BOTH)
+def test_the_end_of_the_body_cuts_a_span(norm: Norm) -> None:
+    position = np.array([0.0, 0.5, 1.0])
+    low, high = np.array([0.0, 0.4, 0.9]), np.array([0.1, 0.6, 1.0])
+    y = 0.5 * influence(0.95, low, high)
+    found = thigmo.localize(y, position, length=1.0, span=0.2, contacts=1, method=norm)
+    assert found.contacts[0].arc == pytest.approx(0.95, abs=1e-6)
+    assert found.objective == pytest.approx(0.0, abs=1e-9)
+
+
+def test_where_any_arc_explains_one_reading_the_force_is_not_endless() -> None:
+    for place in (0.0, 0.3):
+        found = fit(np.array([0.4]), np.array([place]), np.array([place + 0.2]), 1, "l2")
+        assert found.objective == pytest.approx(0.0, abs=1e-15)
+        assert found.arcs[0] > place + 0.1
+        assert found.forces[0] < 10.0
+
+
+@pytest.mark.parametrize("norm", BOTH)
+def test_what_cannot_be_fitted_is_said(norm: Norm) -> None:
+    given = {"position": ROBOT, "length": 1.0, "method": norm}
+    y = 0.1 * ROBOT
     with pytest.raises(DataError, match="3 contacts"):
-        fit(np.zeros(10), ROBOT_LOW, ROBOT_HIGH, 3, "l1")
-    with pytest.raises(DataError, match="do not match"):
-        fit(np.zeros(9), ROBOT_LOW, ROBOT_HIGH, 1, "l1")
-    with pytest.raises(DataError, match="not finite"):
-        fit(np.full(10, np.nan), ROBOT_LOW, ROBOT_HIGH, 2, "l2")
+        thigmo.localize(y, contacts=3, **given)
+    with pytest.raises(DataError, match="row 1: a reading is infinite"):
+        thigmo.localize_batch([y, np.full(10, np.inf)], **given)
+    with pytest.raises(DataError, match="tighter than the tube"):
+        thigmo.localize(1e3 * y, **given)
+    with pytest.raises(DataError, match="no reading is finite"):
+        thigmo.localize(np.full(10, np.nan), **given)

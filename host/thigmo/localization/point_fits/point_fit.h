@@ -1,0 +1,57 @@
+// Exact point fits: the global least misfit of one or two contacts, in the 1- or the 2-norm.
+//
+// A contact at arc a with force f over EI adds f times a sensor's lever to what it reads, on a body
+// that is taken as straight. The objective is the sum of |residual| (1-norm, the thesis's equation
+// 2.10) or of residual^2; a force may have either sign. Nothing starts from a guess.
+//
+// What is proven. One contact: every piece of the profile of the objective over the arc is
+// enumerated and minimised in closed form (2-norm: its stationary points are all found); the
+// minimum is global up to rounding, and the 1-norm's optimum set is that of the closed forms. Two
+// contacts: branch and bound, with bounds that any multipliers of the dual give; the minimum is
+// global to 1e-9 of the objective without contact, unless the search is cut short, which `gap`
+// states, over forces of at most 20 times the largest reading. That limit is part of the problem:
+// two opposed contacts that merge into a couple of endless force can fit better than any true pair.
+// The optimum set of two contacts is, by contact, the connected range around the one found: its
+// ends and the ends of spans in it attain the minimum. The 2-norm has points only.
+#pragma once
+
+#include "../answer.h"
+#include "one_contact_l1.h"
+#include "one_contact_l2.h"
+#include "two_contacts.h"
+
+namespace thigmo {
+
+inline Answer point_fit(const Input& input, const Settings& settings) {
+  Answer out;
+  std::tie(out.problem, out.shows) = problem_of(input);
+  if (out.problem != Problem::none) return out;
+  Excess frame;
+  double size = 0.0;
+  for (std::size_t i = 0; i < input.curvature.size(); ++i) {
+    if (std::isnan(input.curvature[i])) continue;
+    const auto [low, high] = ends_of_sensor(input, i);
+    frame.value.push_back(input.curvature[i] - pick(input.free, i));
+    frame.low.push_back(low);
+    frame.high.push_back(high);
+    size = std::max(size, std::abs(frame.value.back()));
+  }
+  for (double& value : frame.value) value /= std::max(size, 1e-300);
+  const PointFit fit = settings.contacts == 2 ? PairSearch(frame, settings.norm).fit()
+                       : settings.norm == 1   ? fit_one_l1(frame)
+                                              : fit_one_l2(frame);
+  const double unit = settings.norm == 1 ? size : size * size;
+  out.objective = fit.objective * unit;
+  out.gap = fit.gap * unit;
+  for (std::size_t c = 0; c < fit.arc.size(); ++c) {
+    const Ranges& set = fit.optimum_set[c];
+    out.contacts.push_back({fit.arc[c], fit.force[c] * size * input.length, set.front().first,
+                            set.back().second, 0.0, NAN, false, set});
+  }
+  out.status = Status::ambiguous;
+  out.number.fill(NAN);
+  out.log_odds = NAN;
+  return out;
+}
+
+}  // namespace thigmo
