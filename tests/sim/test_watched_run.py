@@ -20,6 +20,8 @@ from thigmo.emulator.scene import Scene
 from thigmo.errors import CommandRefusedError, StoppedByViewerError
 from thigmo.exploration import explore
 from thigmo.exploration.live import RunControl
+from thigmo.link import protocol as wire
+from thigmo.link.framing import decode
 from thigmo.record import RunFolder, read_ros_map
 from thigmo.robot import Robot, connect
 from thigmo.stream import (
@@ -33,7 +35,9 @@ from thigmo.stream import (
     RunState,
     Telemetry,
     attach,
+    read_messages,
     running,
+    to_json,
 )
 
 MODULE = import_module("thigmo.exploration.explore")
@@ -156,6 +160,36 @@ def test_what_a_run_publishes_tells_it_from_its_states_to_its_map(run: Watched) 
     for posterior in felt:
         assert sum(posterior.probability) == pytest.approx(1.0)
     assert "contact" in [event.name for event in seen.of(Event)]
+
+
+def test_the_record_gives_back_what_was_published(run: Watched) -> None:
+    recorded = [to_json(message) for message in read_messages(run.watched.folder)]
+    published = [to_json(message) for message in run.seen.messages]
+    assert len(recorded) > 5_000
+    first = published.index(recorded[0])  # the robot speaks before the run and after it
+    assert recorded == published[first : first + len(recorded)]
+
+
+def test_every_typed_value_equals_the_raw_frames(run: Watched) -> None:
+    log = RunFolder(run.watched.folder).read_log()
+    frames = [(e.t_s, decode(e.frame)) for e in log.entries if e.direction == "rx"]
+    raw = [(t_s, f.message()) for t_s, f in frames if f.id == wire.Telemetry.ID]
+    typed = list(read_messages(run.watched.folder, {"telemetry"}))
+    assert len(typed) == len(raw)
+    for told, (t_s, frame) in zip(typed, raw, strict=True):
+        assert isinstance(told, Telemetry)
+        assert isinstance(frame, wire.Telemetry)
+        assert told.t_s == pytest.approx(t_s, abs=2e-9)
+        assert told.device_s == pytest.approx(frame.t_us / 1e6, abs=1e-9)
+        assert told.flex_sum == frame.flex_sum
+        assert told.pressure_psi == (frame.left_cpsi / 100, frame.right_cpsi / 100)
+        assert told.demand_psi == (frame.left_set_cpsi / 100, frame.right_set_cpsi / 100)
+        assert told.drive_ma == (frame.left_drive * 20 / 1599, frame.right_drive * 20 / 1599)
+        assert told.length_cm == frame.length_um / 1e4
+        assert told.motor == frame.motor / 800
+        assert (told.base_per_cm, told.free_per_cm) == (frame.base_e5 / 1e5, frame.free_e5 / 1e5)
+        assert len(told.faults) == frame.faults.bit_count()
+        assert told.activity == wire.Activity(frame.state_activity & 0xF).key
 
 
 def test_epoch_and_robot_time_go_together(run: Watched) -> None:

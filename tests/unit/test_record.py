@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import subprocess
 import sys
 from datetime import datetime
@@ -10,9 +11,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 
 from thigmo.errors import RunFolderError
 from thigmo.record import (
+    Entry,
     LogWriter,
     MapContact,
     RunDocument,
@@ -89,6 +92,49 @@ def test_a_flipped_byte_never_invents_a_frame(
         return
     known = set(_frames(1000))
     assert all(e.frame in known for e in log.entries)
+
+
+@settings(max_examples=60, deadline=None)
+@given(share=st.floats(0.02, 0.98), count=st.integers(1, 40), seed=st.integers(0, 2**32 - 1))
+def test_a_record_damaged_in_its_middle_gives_up_only_what_is_damaged(
+    tmp_path_factory: pytest.TempPathFactory, whole: bytes, share: float, count: int, seed: int
+) -> None:
+    place = int(share * len(whole))
+    data = bytearray(whole)
+    data[place : place + count] = random.Random(seed).randbytes(count)
+    path = tmp_path_factory.mktemp("damaged") / "run.mcap"
+    path.write_bytes(data)
+    log = read_log(path)
+    found = [e.frame for e in log.entries]
+    assert set(found) <= set(_frames(1000))
+    # Two chunks of about 180 frames each, if the damage lies across their border.
+    assert len(found) >= 1000 - 2 * 200
+    if len(found) < 1000:
+        assert log.gaps
+        assert "damaged in" in log.missing
+
+
+def test_the_first_chunk_holds_what_the_others_need_and_may_be_lost_all_the_same(
+    tmp_path: Path, whole: bytes
+) -> None:
+    data = bytearray(whole)
+    data[400:600] = bytes(200)
+    (tmp_path / "run.mcap").write_bytes(data)
+    log = read_log(tmp_path / "run.mcap")
+    assert (log.gaps, log.truncated) == (1, False)
+    assert 700 < len(log.entries) < 1000
+    assert log.entries[-1] == Entry(999 * 0.005, "rx", _frames(1000)[-1])
+
+
+def test_log_times_are_utc_and_times_read_back_are_the_robots(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with LogWriter(path, {"thigmo": "1"}, epoch_s=1.7e9) as log:
+        log.frame("rx", b"1", 12.345)
+    assert read_log(path).entries == [Entry(12.345, "rx", b"1")]
+    assert read_log(path).metadata == {"thigmo": "1"}
+    with path.open("rb") as stream:
+        ((_, _, message),) = make_reader(stream).iter_messages()
+    assert message.log_time == 1_700_000_012_345_000_000
 
 
 def test_a_killed_writer_leaves_all_but_its_last_chunk(tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ def replay(
     from rich.console import Console
 
     console = Console()
-    if result.truncated:
-        console.print(f"{run}: the record is cut short; what is whole was used", highlight=False)
+    if result.missing:
+        console.print(f"{run}: {result.missing}", highlight=False)
     for contact in result.document.contacts:
         low, high = contact.interval_cm
         console.print(
@@ -41,7 +41,7 @@ def replay(
             highlight=False,
         )
     if not result.document.contacts:
-        console.print("no contact")
+        console.print("no contact in what is left" if result.missing else "no contact")
     console.print(f"{result.sweeps} sweeps; {run / 'replay.json'}", highlight=False)
 
 
@@ -95,12 +95,15 @@ def _run_info(path: Path) -> dict[str, Any]:
             "wall_time_s": document.wall_time_s,
         }
     log = folder.read_log()
+    if log.missing:
+        facts["record"] = log.missing
     times = [entry.t_s for entry in log.entries]
     return facts | {
         "frames": len(log.entries),
         "frames_sent": sum(entry.direction == "tx" for entry in log.entries),
         "recorded_s": round(max(times) - min(times), 3) if times else 0.0,
         "truncated": log.truncated,
+        "gaps": log.gaps,
         "board": dict(log.metadata),
     }
 

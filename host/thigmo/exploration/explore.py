@@ -23,7 +23,7 @@ from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
-from thigmo.stream import Hello, Server
+from thigmo.stream import Hello, Server, recording
 
 
 class _TerminatedError(BaseException):
@@ -124,7 +124,8 @@ def _recorded_run(
     robot.while_waiting(control.obey_stop)
     with (
         Server(robot.hub, _hello(robot, folder, document), control.command),
-        folder.open_log(_metadata(robot, document)) as log,
+        folder.open_log(_metadata(robot, document), robot.epoch_s) as log,
+        recording(robot.hub, log),
     ):
         robot.record_frames(log.frame)
         run = Exploration(robot, config, folder, log, document, tell, protocol, prior, control)

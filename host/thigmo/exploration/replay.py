@@ -56,12 +56,16 @@ class ReplayResult:
         sweeps: sweeps in the record.
         bad_frames: frames that could not be decoded.
         truncated: the record is cut short.
+        gaps: places at which the record is damaged.
+        missing: the same in words, for the operator; empty if the record is whole.
     """
 
     document: RunDocument
     sweeps: int
     bad_frames: int
     truncated: bool
+    gaps: int = 0
+    missing: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The object that `thigmo replay --json` prints."""
@@ -73,6 +77,7 @@ class ReplayResult:
             "sweeps": self.sweeps,
             "bad_frames": self.bad_frames,
             "truncated": self.truncated,
+            "gaps": self.gaps,
         }
 
 
@@ -230,7 +235,7 @@ class _Reader:
         if message.index != len(self._snapshots):
             return  # the reply to a repeated request
         self._snapshots.append(snapshot_reading(message, self._device_s(message.t_us)))
-        if len(self._snapshots) == message.count:
+        if len(self._snapshots) == message.count and self.sweeps:
             self.sweeps[-1].watcher.peaks.append(self._snapshots)
 
 
@@ -277,7 +282,9 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
     shown = prior.obstacles if prior else ()
     draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=shown)
-    return ReplayResult(document, len(reader.sweeps), reader.bad, log.truncated)
+    return ReplayResult(
+        document, len(reader.sweeps), reader.bad, log.truncated, log.gaps, log.missing
+    )
 
 
 def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:

@@ -63,13 +63,18 @@ class RunFolder:
         """The picture of the map."""
         return self.path / "map.png"
 
-    def open_log(self, metadata: dict[str, str]) -> LogWriter:
-        """Start `run.mcap`.
+    @property
+    def log_path(self) -> Path:
+        """The record."""
+        return self.path / "run.mcap"
+
+    def open_log(self, metadata: dict[str, str], epoch_s: float = 0.0) -> LogWriter:
+        """Start `run.mcap`; arguments as for `LogWriter`.
 
         Raises:
             RunFolderError: it exists already or cannot be written.
         """
-        return LogWriter(self.path / "run.mcap", metadata)
+        return LogWriter(self.log_path, metadata, epoch_s)
 
     def read_log(self) -> Log:
         """Read `run.mcap`.
@@ -77,7 +82,7 @@ class RunFolder:
         Raises:
             RunFolderError: missing, or not an MCAP file.
         """
-        return read_log(self.path / "run.mcap")
+        return read_log(self.log_path)
 
     def write_document(self, document: RunDocument, name: str = "contacts.json") -> Path:
         """Write contacts.json whole or not at all.

@@ -2,25 +2,30 @@
 
 Written by the exploration through the link's tap, read by `thigmo replay` and `thigmo info`, and
 by any MCAP tool. Frames are kept as they were on the wire and decoded on reading, so that a later
-localizer or decoder can go over an old run. Chunks are small and flushed as they close: a killed
-process loses less than a second, and the reader takes what is whole and says so.
+localizer or decoder can go over an old run; others may add channels of their own. Log times are
+UTC, so that tools show when it was. Chunks are small and flushed as they close: a killed process
+loses less than a second, and the reader takes what is whole and says so.
 """
 
 from __future__ import annotations
 
 import json
-import struct
 from dataclasses import dataclass
+from io import BufferedWriter
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
 from thigmo.errors import RunFolderError
+from thigmo.record.mcap_file import McapContents, read_mcap
 
 Direction = Literal["tx", "rx"]
 
 # About a third of a second of full-rate telemetry.
 _CHUNK_BYTES = 16_384
+EPOCH = "epoch_ns"  # metadata: UTC nanoseconds at which the robot's time base was 0
+_TOPICS: dict[str, Direction] = {"/link/tx": "tx", "/link/rx": "rx"}
+_NOTES = "/run/notes"
 _FRAME_SCHEMA = (
     "One frame as it was on the wire, without its closing zero byte: COBS(id u8, seq u16, "
     "session u16, payload, crc u16). protocol/schema.yaml of the schema hash in this file's "
@@ -51,12 +56,46 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A record that was read: frames and notes in time order, and whether its end is missing."""
+    """A record that was read.
+
+    Attributes:
+        entries, notes: in time order.
+        metadata: facts of the run, as they were given to the writer.
+        truncated: the end is missing: the writer was killed.
+        gaps: places before the end at which something is missing: the file is damaged.
+    """
 
     entries: list[Entry]
     notes: list[tuple[float, dict[str, Any]]]
     metadata: dict[str, str]
     truncated: bool = False
+    gaps: int = 0
+
+    @property
+    def missing(self) -> str:
+        """What the operator is told of what is missing; empty if nothing is."""
+        told = [f"damaged in {self.gaps} place{'s' if self.gaps > 1 else ''}"] if self.gaps else []
+        told += ["cut short"] if self.truncated else []
+        return f"the record is {' and '.join(told)}; what is whole was used" if told else ""
+
+
+class _Output:
+    """A file that knows whether something was written to it since it was last flushed."""
+
+    def __init__(self, stream: BufferedWriter) -> None:
+        self._stream = stream
+        self._written = False
+        self.tell, self.close = stream.tell, stream.close
+
+    def write(self, data: bytes) -> int:
+        self._written = True
+        return self._stream.write(data)
+
+    def flush(self) -> None:
+        """Hand what was written to the system, out of this process's reach."""
+        if self._written:
+            self._written = False
+            self._stream.flush()
 
 
 class LogWriter:
@@ -65,57 +104,66 @@ class LogWriter:
     Args:
         path: the file; it must not exist.
         metadata: facts of the run, as strings (versions, schema hash, URL, seed).
+        epoch_s: UTC seconds since 1970 at which the robot's time base was 0.
 
     Raises:
         RunFolderError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, metadata: dict[str, str]) -> None:
+    def __init__(self, path: Path, metadata: dict[str, str], epoch_s: float = 0.0) -> None:
         from mcap.writer import IndexType, Writer
 
         try:
-            self._stream = path.open("xb")
+            output: Any = _Output(path.open("xb"))
         except OSError as error:
             raise RunFolderError(
                 f"cannot write {path}: {error.strerror}", "choose another folder with --out"
             ) from error
+        self._stream = output
         self._writer: Any = Writer(
-            self._stream, chunk_size=_CHUNK_BYTES, index_types=IndexType.CHUNK
+            output,
+            chunk_size=_CHUNK_BYTES,
+            index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
         )
+        self._epoch_ns = round(epoch_s * 1e9)
         self._writer.start("", f"thigmo {metadata.get('thigmo', '')}".strip())
         frame = self._writer.register_schema("thigmo.Frame", "text", _FRAME_SCHEMA.encode())
-        note = self._writer.register_schema(
-            "thigmo.Note", "jsonschema", json.dumps(_NOTE_SCHEMA).encode()
-        )
-        self._channels: dict[str, int] = {
-            direction: self._writer.register_channel(f"/link/{direction}", "cobs", frame)
-            for direction in ("tx", "rx")
+        note = json.dumps(_NOTE_SCHEMA).encode()
+        self._frames = {
+            direction: self._writer.register_channel(topic, "cobs", frame)
+            for topic, direction in _TOPICS.items()
         }
-        self._channels["note"] = self._writer.register_channel("/run/notes", "json", note)
-        self._writer.add_metadata("run", metadata)
+        self._note = self.add_channel(_NOTES, "json", "thigmo.Note", "jsonschema", note)
+        self._writer.add_metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
         self._sequence = 0
-        self._end = self._stream.tell()
         self._stream.flush()
         self._closed = False
 
     def frame(self, direction: Direction, frame: bytes, t_s: float) -> None:
         """Keep one frame. Signature of the link's tap."""
-        self._add(self._channels[direction], frame, t_s)
+        self.message(self._frames[direction], frame, t_s)
 
     def note(self, topic: str, t_s: float, **facts: Any) -> None:
         """Keep a fact of the run (a state entered, a sweep's measurement) as JSON."""
-        self._add(self._channels["note"], json.dumps({"topic": topic, **facts}).encode(), t_s)
+        self.message(self._note, json.dumps({"topic": topic, **facts}).encode(), t_s)
 
-    def _add(self, channel: int, data: bytes, t_s: float) -> None:
+    def add_channel(
+        self, topic: str, encoding: str, schema: str, schema_encoding: str, data: bytes
+    ) -> int:
+        """A further channel: its topic, its messages' encoding, and their schema (name, encoding,
+        data), as mcap.dev/spec/registry has them. Returns its number.
+        """
+        number = self._writer.register_schema(schema, schema_encoding, data)
+        return int(self._writer.register_channel(topic, encoding, number))
+
+    def message(self, channel: int, data: bytes, t_s: float) -> None:
+        """Keep a message of a channel; `t_s` is by the robot's time base."""
         if self._closed:
             return
-        t_ns = max(int(t_s * 1e9), 0)
+        t_ns = self._epoch_ns + max(int(t_s * 1e9), 0)
         self._writer.add_message(channel, t_ns, data, t_ns, self._sequence)
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        end = self._stream.tell()
-        if end != self._end:  # a chunk closed: hand it to the system, out of this process's reach
-            self._stream.flush()
-            self._end = end
+        self._stream.flush()  # of a chunk that closed with it
 
     def close(self) -> None:
         """Write the index and close the file."""
@@ -137,53 +185,31 @@ class LogWriter:
         self.close()
 
 
+def epoch_of(found: McapContents) -> int:
+    """UTC nanoseconds at which a record's time base was 0; 0 for records that hold none."""
+    told = found.metadata.pop(EPOCH, "0")
+    return int(told) if told.isdecimal() else 0
+
+
 def read_log(path: Path) -> Log:
-    """Read a `run.mcap`, also one whose writer was killed.
+    """Read a `run.mcap`, also a damaged one, or one whose writer was killed.
 
     Returns:
-        What is whole; `truncated` is set if the file has no proper end.
+        What is whole; `truncated` and `gaps` tell whether something is missing.
 
     Raises:
         RunFolderError: there is no such file, or it is no MCAP file.
     """
-    from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-    from mcap.records import Channel, Message, Metadata
-    from mcap.stream_reader import CRCValidationError, StreamReader
-    from zstandard import ZstdError
-
+    topics = {*_TOPICS, _NOTES}
+    found = read_mcap(path, topics.__contains__)
+    epoch_ns = epoch_of(found)
     entries: list[Entry] = []
     notes: list[tuple[float, dict[str, Any]]] = []
-    metadata: dict[str, str] = {}
-    topics: dict[int, str] = {}
-    truncated = False
-    try:
-        with path.open("rb") as stream:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, Metadata):
-                    metadata |= record.metadata
-                elif isinstance(record, Message):
-                    topic, t_s = topics[record.channel_id], record.log_time / 1e9
-                    if topic == "/run/notes":
-                        notes.append((t_s, json.loads(record.data)))
-                    elif topic == "/link/tx":
-                        entries.append(Entry(t_s, "tx", bytes(record.data)))
-                    elif topic == "/link/rx":
-                        entries.append(Entry(t_s, "rx", bytes(record.data)))
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot read {path}: {error.strerror}", "give a run folder that holds run.mcap"
-        ) from error
-    except InvalidMagic as error:
-        if not topics:
-            raise RunFolderError(f"{path} is not an MCAP file", "give a run folder") from error
-        truncated = True
-    except (
-        EndOfFile, McapError, CRCValidationError, ZstdError, struct.error, ValueError,
-        OverflowError, MemoryError,
-    ):  # fmt: skip
-        # A writer that was killed leaves a last record that is cut anywhere; a flipped bit can make
-        # a record's length absurd.
-        truncated = True
-    return Log(entries, notes, metadata, truncated)
+    for number, log_ns, data in found.messages:
+        channel = found.channels.get(number)
+        t_s = (log_ns - epoch_ns) / 1e9
+        if channel is not None and channel.topic == _NOTES:
+            notes.append((t_s, json.loads(data)))
+        elif channel is not None and channel.topic in _TOPICS:
+            entries.append(Entry(t_s, _TOPICS[channel.topic], data))
+    return Log(entries, notes, found.metadata, found.truncated, found.gaps)

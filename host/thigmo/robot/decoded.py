@@ -5,6 +5,7 @@ Called for every frame that anybody listens to, so it is plain arithmetic on ten
 
 from __future__ import annotations
 
+from functools import cache
 from math import nan
 
 import numpy as np
@@ -49,6 +50,7 @@ class Decoder:
         raw = frame.message
         length_cm = raw.length_um / 1e4
         free = raw.free_e5 / 1e5
+        state, activity = _phase(raw.state_activity)
         inflated = None
         if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
             inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
@@ -71,11 +73,9 @@ class Decoder:
             length_cm=length_cm,
             motor=raw.motor / _FULL_MOTOR,
             supply_v=supply_v,
-            state=wire.State(raw.state_activity >> 4).key,
-            activity=wire.Activity(raw.state_activity & 0xF).key,
-            faults=tuple(fault.key for fault in wire.Fault.from_mask(raw.faults))
-            if raw.faults
-            else (),
+            state=state,
+            activity=activity,
+            faults=_faults(raw.faults),
             flex_sum=raw.flex_sum,
         )
 
@@ -90,6 +90,17 @@ class Decoder:
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words."""
         return described(received.message, received.t_s, self._epoch_s + received.t_s)
+
+
+@cache
+def _phase(both: int) -> tuple[str, str]:
+    """Names of state and activity."""
+    return wire.State(both >> 4).key, wire.Activity(both & 0xF).key
+
+
+@cache
+def _faults(mask: int) -> tuple[str, ...]:
+    return tuple(fault.key for fault in wire.Fault.from_mask(mask))
 
 
 def _drive_ma(level: int) -> float:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _SHAPE_S = 0.1  # of the board's time, between two shapes
-_STEP_CM = 1.0
+_STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
 class Publisher:

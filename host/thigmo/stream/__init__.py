@@ -25,6 +25,7 @@ from thigmo.stream.messages import (
     from_json,
     to_json,
 )
+from thigmo.stream.recorded import read_messages, recording
 from thigmo.stream.server import Command, Server
 
 __all__ = [
@@ -49,6 +50,8 @@ __all__ = [
     "Watchable",
     "attach",
     "from_json",
+    "read_messages",
+    "recording",
     "running",
     "to_json",
 ]

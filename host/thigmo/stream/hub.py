@@ -32,6 +32,7 @@ class Bounded(Generic[T]):
         self._size = size
         self._closed = False
         self._changed = threading.Condition()
+        self._ended = threading.Event()
         self.dropped = 0
 
     def put(self, entry: T) -> None:
@@ -51,17 +52,24 @@ class Bounded(Generic[T]):
             self._changed.wait_for(lambda: self._entries or self._closed, timeout_s)
             return self._entries.popleft() if self._entries else None
 
+    def take(self) -> list[T]:
+        """All entries, oldest first; waits for one, and gives none when none will come any more."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._entries or self._closed)
+            taken = list(self._entries)
+            self._entries.clear()
+        return taken
+
+    def linger(self, seconds: float) -> None:
+        """Let entries gather for so long, or until it is closed."""
+        self._ended.wait(seconds)
+
     def close(self) -> None:
         """End it: what is in it can still be taken."""
+        self._ended.set()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-
-    @property
-    def ended(self) -> bool:
-        """Whether it is closed and empty."""
-        with self._changed:
-            return self._closed and not self._entries
 
 
 class Subscription:

@@ -268,10 +268,26 @@ def from_json(data: bytes) -> Message:
     """
     try:
         fields = json.loads(data)
-        message: Message = _ADAPTERS[fields.pop("channel")].validate_python(fields)
-    except (ValueError, KeyError, AttributeError, TypeError, ValidationError) as error:
-        raise DataError(
-            f"no message of the stream: {data[:80]!r}",
-            "use the same version of thigmo on both ends",
-        ) from error
+        channel = fields.pop("channel")
+    except (ValueError, KeyError, AttributeError, TypeError) as error:
+        raise _foreign(data) from error
+    return validated(channel, fields)
+
+
+def validated(channel: str, fields: dict[str, Any]) -> Message:
+    """The message of a channel with these fields.
+
+    Raises:
+        DataError: it has others.
+    """
+    try:
+        message: Message = _ADAPTERS[channel].validate_python(fields)
+    except (KeyError, ValidationError) as error:
+        raise _foreign(fields) from error
     return message
+
+
+def _foreign(what: object) -> DataError:
+    return DataError(
+        f"no message of the stream: {str(what)[:80]}", "use the same version of thigmo on both ends"
+    )

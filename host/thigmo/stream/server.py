@@ -29,6 +29,7 @@ Command = Literal["pause", "resume", "stop"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
 _MOST_BYTES = 4096
 _POLL_S = 0.1
+_LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
 _LAST_S = 1.0  # for a client to take what is left when the run ends
 _PIPES = r"\\.\pipe"
 
@@ -191,18 +192,19 @@ class _Client:
         """Thread: messages."""
         told = 0
         with contextlib.suppress(OSError):
-            while (entry := self._queue.get()) is not None:
-                message, data = entry
+            while entries := self._queue.take():
                 lost = self._queue.dropped - told
                 if lost:
                     told += lost
-                    self._connection.send_bytes(
-                        to_json(Dropped(message.t_s, message.epoch_s, lost))
-                    )
+                    first = entries[0][0]
+                    self._connection.send_bytes(to_json(Dropped(first.t_s, first.epoch_s, lost)))
+                for _, data in entries:
+                    self._connection.send_bytes(data)
+                if lost:
                     # Among the lost may have been the last of a channel that seldom speaks.
                     for old in self._hub.retained():
                         self._connection.send_bytes(to_json(old))
-                self._connection.send_bytes(data)
+                self._queue.linger(_LINGER_S)
         self.end()
 
     def _read(self) -> None:

@@ -1,0 +1,180 @@
+"""Reads MCAP files that may be damaged: what is whole is given, and the gaps are counted.
+
+MCAP's own reader stops at the first record that is not as it should be. A file is a sequence of
+records (opcode u8, length u64, content), most of them chunks with a checksum of their own
+(mcap.dev/spec), so that a flipped bit costs one chunk, a fraction of a second of a run.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from thigmo.errors import RunFolderError
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEADER = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_CHUNK = struct.Struct("<QQQI")  # start time, end time, uncompressed size, checksum
+_MOST_BYTES = 1 << 28  # in a chunk: more is a damaged length
+_COMPRESSION = b"\x04\x00\x00\x00zstd"
+_OPCODES = frozenset(int(opcode) for opcode in Opcode)
+_DAMAGE = (
+    struct.error, ValueError, OverflowError, MemoryError, McapError, zstandard.ZstdError,
+)  # fmt: skip
+
+
+class _DamagedError(ValueError):
+    """A chunk that is not whole."""
+
+
+@dataclass(slots=True)
+class McapContents:
+    """What a file holds.
+
+    Attributes:
+        channels: by their number.
+        schemas: by their number.
+        metadata: of all metadata records.
+        messages: channel number, log time in ns, and data of each, in the file's order.
+        gaps: places at which something is missing.
+        truncated: the end is missing: the writer was killed.
+    """
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
+    messages: list[tuple[int, int, bytes]] = field(default_factory=list)
+    gaps: int = 0
+    truncated: bool = False
+
+
+def read_mcap(path: Path, wanted: Callable[[str], bool]) -> McapContents:
+    """Read a file's messages on the topics that are wanted.
+
+    Raises:
+        RunFolderError: there is no such file, or it is no MCAP file.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot read {path}: {error.strerror}", "give a run folder that holds run.mcap"
+        ) from error
+    found = McapContents(truncated=not data.endswith(_MAGIC) or len(data) < 2 * len(_MAGIC))
+    place = len(_MAGIC)
+    if not data.startswith(_MAGIC):
+        start = _next_chunk(data, 0)
+        if start is None and not _MAGIC.startswith(data[: len(_MAGIC)]):
+            raise RunFolderError(f"{path} is not an MCAP file", "give a run folder")
+        found.gaps += start is not None
+        place = start if start is not None else len(data)
+    while place + _HEADER.size <= len(data):
+        opcode, length = _HEADER.unpack_from(data, place)
+        end = place + _HEADER.size + length
+        if opcode in _OPCODES and end <= len(data) and _take(data, place, end, wanted, found):
+            place = end
+            if opcode == Opcode.FOOTER:
+                break
+            continue
+        start = _next_chunk(data, place + 1)
+        if start is None:
+            found.gaps += not found.truncated  # or it is the end that was cut off
+            break
+        found.gaps += 1
+        place = start
+    return found
+
+
+def _take(
+    data: bytes, place: int, end: int, wanted: Callable[[str], bool], found: McapContents
+) -> bool:
+    """Take the record of `data[place:end]`; whether the next one follows it."""
+    opcode, content = data[place], place + _HEADER.size
+    try:
+        if opcode == Opcode.CHUNK:
+            _take_chunk(data, content, end, wanted, found)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+            _take_definition(opcode, data[content:end], found)
+    except _DamagedError:
+        found.gaps += 1  # its length is right
+    except _DAMAGE:
+        return False
+    return True
+
+
+def _take_definition(opcode: int, content: bytes, found: McapContents) -> None:
+    stream = ReadDataStream(BytesIO(content))
+    if opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        found.schemas[schema.id] = schema
+    elif opcode == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        found.channels[channel.id] = channel
+    else:
+        found.metadata |= Metadata.read(stream).metadata
+
+
+def _take_chunk(
+    data: bytes, place: int, end: int, wanted: Callable[[str], bool], found: McapContents
+) -> None:
+    """Take a chunk's records, or none of them.
+
+    Raises:
+        _DamagedError: its content is not what its checksum says.
+        ValueError, struct.error: its lengths do not add up.
+    """
+    _, _, size, checksum = _CHUNK.unpack_from(data, place)
+    place += _CHUNK.size
+    (name_length,) = struct.unpack_from("<I", data, place)
+    name = data[place + 4 : place + 4 + name_length]
+    place += 4 + name_length
+    (packed_length,) = struct.unpack_from("<Q", data, place)
+    place += 8
+    if place + packed_length != end:
+        raise ValueError("a chunk's lengths do not add up")
+    packed = data[place:end]
+    try:
+        if size > _MOST_BYTES:
+            raise _DamagedError
+        records = zstandard.decompress(packed, size) if name == b"zstd" else packed
+        if len(records) != size or (checksum and zlib.crc32(records) != checksum):
+            raise _DamagedError
+    except (*_DAMAGE, UnicodeError) as error:
+        raise _DamagedError from error
+    place = 0
+    while place < len(records):
+        opcode, length = _HEADER.unpack_from(records, place)
+        place += _HEADER.size
+        if opcode == Opcode.MESSAGE:
+            number, _, log_ns, _ = _MESSAGE.unpack_from(records, place)
+            channel = found.channels.get(number)
+            if channel is None or wanted(channel.topic):
+                body = records[place + _MESSAGE.size : place + length]
+                found.messages.append((number, log_ns, body))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            _take_definition(opcode, records[place : place + length], found)
+        place += length
+
+
+def _next_chunk(data: bytes, place: int) -> int | None:
+    """Where the next chunk's record seems to begin; None if there is none."""
+    before = _HEADER.size + _CHUNK.size
+    at = data.find(_COMPRESSION, place + before)
+    while at >= 0:
+        start = at - before
+        opcode, length = _HEADER.unpack_from(data, start)
+        if opcode == Opcode.CHUNK and start + _HEADER.size + length <= len(data):
+            return start
+        at = data.find(_COMPRESSION, at + 1)
+    return None
