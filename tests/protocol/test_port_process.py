@@ -283,7 +283,7 @@ def test_thigmo_stop_works_beside_a_host_that_hangs(
     process.send_signal(signal.SIGSTOP)
     by_id = tmp_path / "by-id"
     by_id.symlink_to(board.port)
-    command = ["stop", str(by_id)] if named else ["stop"]
+    command = ["stop", "--robot", str(by_id)] if named else ["stop"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     assert result.output.startswith(f"Stopped: {by_id if named else board.port}. `thigmo clear")
@@ -293,7 +293,7 @@ def test_thigmo_stop_works_beside_a_host_that_hangs(
 
 
 def test_thigmo_stop_opens_a_port_that_nobody_owns(board: PtyDevice) -> None:
-    result = CliRunner().invoke(app, ["stop", board.port, "--json"])
+    result = CliRunner().invoke(app, ["stop", "--robot", board.port, "--json"])
     assert result.exit_code == 0, result.output
     assert board.device.stops
     assert not board.beats

@@ -22,6 +22,7 @@ import pytest
 from served import ServedRobot, comes
 
 from thigmo.cli.main import main
+from thigmo.config import RobotConfig
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
@@ -142,11 +143,24 @@ def test_a_port_that_is_no_robot_of_ours(
     monkeypatch.setattr(wire.Hello, "DEADLINE_S", 0.3)
     speaker = Speaker(says)
     try:
-        for command in (["info", speaker.port], ["explore", "--robot", speaker.port]):
+        for command in (["info", "--robot", speaker.port], ["explore", "--robot", speaker.port]):
             one_line(thigmo(*command), named)
     finally:
         speaker.close()
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_robot_whose_constants_nobody_gave_is_not_explored(
+    thigmo: Thigmo, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve: Callable[[Scene], str]
+) -> None:
+    """With the defaults it would report contacts that are none."""
+    monkeypatch.chdir(tmp_path)
+    port = serve(Scene.load("empty"))
+    one_line(thigmo("explore", "--robot", port), f"calibrate all --robot {port}")
+    Path("calibration").mkdir()
+    Path("calibration/actuator.json").touch()
+    one_line(thigmo("explore", "--robot", port), r"--config calibration/robot\.toml")
+    assert not Path("runs").exists()
 
 
 # Files.
@@ -248,7 +262,7 @@ def test_a_run_folder_whose_record_is_garbage(thigmo: Thigmo, tmp_path: Path) ->
 
 
 def test_a_parameter_that_is_set_and_not_stored_is_said_to_be_lost(thigmo: Thigmo) -> None:
-    command = ("params", "emulator://default", "settle_ms", 2000)
+    command = ("params", "--robot", "emulator://default", "settle_ms", 2000)
     for stored, said in (((), LINE), (("--save",), "")):
         ran = thigmo(*command, "--json", *stored)
         assert (ran.code, json.loads(ran.out)["settle_ms"]["value"]) == (0, 2000)
@@ -382,9 +396,13 @@ def test_an_emulated_robot_is_served_until_it_is_told_to_end(
 ) -> None:
     link = tmp_path / "robot"
     command = [*THIGMO, "emulate", "empty", "--link", str(link)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as server:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
+    ) as server:
         assert server.stdout is not None
         assert str(link).encode() in server.stdout.readline()
+        constants = server.stdout.readline().decode().rpartition(" --config ")[2].strip()
+        assert RobotConfig.load(tmp_path / constants) == Scene.load("empty").believed()
         assert link.is_symlink()
         server.send_signal(number)
         out, err = server.communicate()

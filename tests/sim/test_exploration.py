@@ -230,8 +230,8 @@ def test_the_command_prints_one_object(
     for command, keys in (
         (["info", result["run"], "--json"], {"frames", "truncated", "outcome"}),
         (["replay", result["run"], "--json"], {"contacts", "sweeps"}),
-        (["info", "emulator://default", "--json"], {"state", "faults", "firmware"}),
-        (["params", "emulator://default", "settle_ms", "--json"], {"settle_ms"}),
+        (["info", "--robot", "emulator://default", "--json"], {"state", "faults", "firmware"}),
+        (["params", "--robot", "emulator://default", "settle_ms", "--json"], {"settle_ms"}),
         (["scene", "check", str(file), "--json"], {"pegs", "robot"}),
         (["retract", "--robot", f"emulator://{file}", "--json"], {"length_cm"}),
     ):

@@ -49,7 +49,7 @@ def test_the_person_is_asked_until_the_answer_is_one() -> None:
 def test_json_says_what_was_found(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(monkeypatch, "bringup", "emulator://empty", "--json") == 0
+    assert run(monkeypatch, "bringup", "--robot", "emulator://empty", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["good"] is True
     assert {finding["stage"] for finding in found["findings"]} >= {"estop", "valves", "home"}
@@ -61,20 +61,23 @@ def test_what_is_wrong_ends_with_1_and_the_way_on(
     scene = tmp_path / "cut.toml"
     scene.write_text('extends = "empty"\n[[faults]]\nkind = "flex_wire_cut"\nat_s = 0.0\n')
     url = f"emulator://{scene}"
-    assert run(monkeypatch, "bringup", url) == 1
+    assert run(monkeypatch, "bringup", "--robot", url) == 1
     out = capsys.readouterr().out
     assert "WRONG flex: flex left 0: open; plug it in, check J6.2" in out
-    assert f"thigmo bringup {url} --from flex" in out
+    assert f"thigmo bringup --robot {url} --from flex" in out
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("bringup", "emulator://empty", "--from", "x"), "no stage 'x'; name one of board"),
-        (("jog", "emulator://empty"), "needs one direction; give --out CM or --in CM"),
-        (("jog", "emulator://empty", "--out", "6"), "give more than 0 and at most 5 cm"),
-        (("press", "emulator://empty", "up", "3"), "no side 'up'; give left or right"),
-        (("press", "emulator://empty", "left", "6"), "give at most 5 psi and 60 s"),
+        (
+            ("bringup", "--robot", "emulator://empty", "--from", "x"),
+            "no stage 'x'; name one of board",
+        ),
+        (("jog", "--robot", "emulator://empty"), "needs one direction; give --out CM or --in CM"),
+        (("jog", "--robot", "emulator://empty", "--out", "6"), "give more than 0 and at most 5 cm"),
+        (("press", "--robot", "emulator://empty", "up", "3"), "no side 'up'; give left or right"),
+        (("press", "--robot", "emulator://empty", "left", "6"), "give at most 5 psi and 60 s"),
     ],
 )
 def test_a_bad_request_is_one_line(

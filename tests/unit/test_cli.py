@@ -213,13 +213,30 @@ def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
         (["explore", "--scene", "none.toml"], "none.toml"),
         (["explore", "--scene", "bad.toml"], "bad.toml"),
         (["scene", "check", "bad.toml"], "pegs.0.radius"),
-        (["info", "/dev/no-such-port"], "/dev/no-such-port"),
+        (["info", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["info", "empty"], "run.mcap"),
         (["replay", "empty"], "robot.toml"),
         (["replay", "no-such-folder"], "no-such-folder"),
-        (["params", "emulator://default", "no_such_parameter"], "no_such_parameter"),
+        (["params", "--robot", "emulator://default", "no_such_parameter"], "no_such_parameter"),
         (["retract", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["emulate", "no-such-scene"], "no-such-scene"),
+        (["info"], "give a run folder, or --robot URL"),
+        (["info", "no-such-folder"], "no-such-folder"),
+        (["stop"], "no program of yours drives a robot"),
+        (["stop", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
+        (["clear", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
+        (["flash", "--robot", "/dev/no-such-port", "--image", "r.csv"], "r.csv"),
+        (["flash", "--robot", "emulator://default"], "cannot be flashed"),
+        (["calibrate", "magic"], "no step 'magic'"),
+        (["calibrate", "magic", "--csv", "r.csv"], "no step 'magic'"),
+        (["calibrate", "status"], "calibration is no calibration folder"),
+        (["calibrate", "status", "--folder", "empty"], "empty is no calibration folder"),
+        (["calibrate", "flex"], "no robot is named"),
+        (["calibrate", "flex", "--csv", "none.csv"], "none.csv"),
+        (["bench", "magic"], "no study 'magic'"),
+        (["bench", "faults", "--scale", "huge"], "--scale is 'huge'"),
+        (["camera", "locate", "none.png"], "none.png"),
+        (["camera", "check", "none.png"], "none"),
         (["experiment", "magic"], "no experiment 'magic'"),
         (["experiment", "single-contact", "--trials", "0"], "--trials"),
         (["experiment", "actuated", "--rehearse"], "need a robot"),
@@ -243,7 +260,8 @@ def test_every_bad_argument_is_one_clear_line(  # type: ignore[no-untyped-def]
     line = ran.err.strip()
     assert named in line
     assert re.fullmatch(r"thigmo: [^\n]+; [^\n]+", line)  # what happened; what to do
-    assert not (tmp_path / "runs").exists()
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"r.csv", "bad.toml", "empty"}  # and nothing is begun
 
 
 def test_the_version_is_said(thigmo) -> None:  # type: ignore[no-untyped-def]

@@ -107,7 +107,8 @@ enum class Reason : uint8_t {
   kBadValue = 3,     // A value is outside its range; see the range in PROTOCOL.md.
   kBadSession = 4,   // The frame belongs to another conversation; say hello again.
   kBadSequence = 5,  // The frame is stale or out of order; say hello again.
-  kWrongSchema = 6,  // Host and board were built from different schemas; run `thigmo flash PORT`.
+  kWrongSchema =
+      6,  // Host and board were built from different schemas; run `thigmo flash --robot PORT`.
   kWrongState =
       7,  // The supervisor's state does not allow it; arm the robot, or clear its faults, first.
   kBusy = 8,            // Another activity runs; stop it or wait for its end.
@@ -157,8 +158,8 @@ enum class Fault : uint8_t {
                     // then clear and confirm the length.
   kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // No valid configuration is stored; configure and save (`thigmo params PORT
-                    // --load-defaults`), then clear.
+  kBadConfig = 10,  // No valid configuration is stored; configure and save (`thigmo params --robot
+                    // PORT --load-defaults`), then clear.
   kEstop = 11,      // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,  // The length became unknown or a sensor half everted during a bend; vented.
                     // Clear, confirm the length if unknown, and grow or retract to a whole pitch.

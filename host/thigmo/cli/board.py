@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, RobotOption, print_json
 
 
 def register(app: typer.Typer) -> None:
@@ -19,19 +19,20 @@ def register(app: typer.Typer) -> None:
 
 
 def stop(
-    url: Annotated[
-        str | None, typer.Argument(help="Where the robot is; left out: every robot in use.")
+    robot: Annotated[
+        str | None,
+        typer.Option(help="Where it is, as /dev/ttyACM0; left out: every robot in use."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Stop a robot at once, beside the program that drives it; `thigmo clear` lets it go."""
     from thigmo.robot.stopping import stop_all, stop_robot
 
-    if url is None:
+    if robot is None:
         stopped = stop_all()
     else:
-        stop_robot(url)
-        stopped = [url]
+        stop_robot(robot)
+        stopped = [robot]
     if as_json:
         print_json({"stopped": stopped})
     else:
@@ -40,7 +41,7 @@ def stop(
 
 
 def params(
-    url: Annotated[str, typer.Argument(help="Where the robot is.")],
+    robot: RobotOption,
     name: Annotated[str | None, typer.Argument(help="One parameter.")] = None,
     value: Annotated[
         list[int] | None, typer.Argument(help="New value in the parameter's wire unit, or values.")
@@ -58,19 +59,22 @@ def params(
     from thigmo.robot import connect
 
     if name is not None and name not in wire.PARAMETERS:
-        raise ConfigError(f"no parameter {name!r}", "see `thigmo params URL` for their names")
-    with connect(url) as robot:
+        raise ConfigError(
+            f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"
+        )
+    with connect(robot) as machine:
         if load_defaults:
-            robot.load_defaults()
+            machine.load_defaults()
         if name is not None and value:
-            robot.set_parameter(name, value)
+            machine.set_parameter(name, value)
         if save:
-            robot.save()
+            machine.save()
         names = [name] if name is not None else list(wire.PARAMETERS)
-        values = {each: robot.parameter(each) for each in names}
-        stored = robot.stored_configuration()
+        values = {each: machine.parameter(each) for each in names}
+        stored = machine.stored_configuration()
     if stored.generation and stored.remark:
-        typer.echo(f"thigmo: {stored.remark}; `thigmo params {url} --save` stores all", err=True)
+        cure = f"`thigmo params --robot {robot} --save` stores all"
+        typer.echo(f"thigmo: {stored.remark}; {cure}", err=True)
     if name is not None and value and not save:
         note = f"thigmo: {name} is not stored and ends with this connection; keep it with --save"
         typer.echo(note, err=True)
@@ -103,7 +107,7 @@ def _described(name: str, held: list[int]) -> dict[str, Any]:
 
 
 def clear(
-    robot: Annotated[str, typer.Option(help="Where the robot is.")],
+    robot: RobotOption,
     as_json: JsonOption = False,
 ) -> None:
     """Let a stopped robot go, and clear faults whose cause is gone; others are told."""
@@ -123,7 +127,7 @@ def clear(
 
 
 def retract(
-    robot: Annotated[str, typer.Option(help="Where the robot is.")],
+    robot: RobotOption,
     to: Annotated[float, typer.Option(help="Everted length to keep, cm.", min=0.0)] = 0.0,
     length: Annotated[
         float | None,

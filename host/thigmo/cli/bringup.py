@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, RobotOption, print_json
 
 if TYPE_CHECKING:
     from thigmo.bringup import Attendant, Finding, Turned
     from thigmo.cli.console import Console
     from thigmo.robot import Robot
-
-UrlArgument = Annotated[str, typer.Argument(help="Where the robot is.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -62,7 +60,7 @@ def _attendant(robot: Robot, console: Console) -> Attendant:
 
 
 def bringup(
-    url: UrlArgument,
+    robot: RobotOption,
     first: Annotated[
         str,
         typer.Option("--from", help="Stage to begin with; those before it were good."),
@@ -101,19 +99,19 @@ def bringup(
         )
 
     operator = TerminalOperator(console)
-    with console.interruptible(), connect(url, seed=seed, operator=operator) as robot:
+    with console.interruptible(), connect(robot, seed=seed, operator=operator) as machine:
         if config is not None:
-            robot.configure(RobotConfig.load(config))
-        findings = BringUp(robot, _attendant(robot, console), tell).run(first)
+            machine.configure(RobotConfig.load(config))
+        findings = BringUp(machine, _attendant(machine, console), tell).run(first)
     good = all(finding.good for finding in findings)
     if as_json:
         print_json({"good": good, "findings": [finding.as_data() for finding in findings]})
     else:
         stage = findings[-1].stage
         console.out.print(
-            f"All is as it should be. Next: thigmo calibrate all --robot {url}"
+            f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
             if good
-            else f"Put it right, then: thigmo bringup {url} --from {stage}",
+            else f"Put it right, then: thigmo bringup --robot {robot} --from {stage}",
             highlight=False,
             soft_wrap=True,
         )
@@ -122,7 +120,7 @@ def bringup(
 
 
 def jog(
-    url: UrlArgument,
+    robot: RobotOption,
     out: Annotated[float, typer.Option("--out", help="Pay out so many cm of tip, at most 5.")] = 0,
     wind: Annotated[float, typer.Option("--in", help="Wind in so many cm of tip, at most 5.")] = 0,
     as_json: JsonOption = False,
@@ -139,11 +137,11 @@ def jog(
     if (out > 0) == (wind > 0) or min(out, wind) < 0:
         raise ConfigError("a jog needs one direction", "give --out CM or --in CM")
     console = Console(quiet=as_json)
-    with console.interruptible(), connect(url) as robot:
-        _cured(robot)
-        robot.arm(body_air=False)
-        robot.vent()
-        moved = move(robot, out or -wind)
+    with console.interruptible(), connect(robot) as machine:
+        _cured(machine)
+        machine.arm(body_air=False)
+        machine.vent()
+        moved = move(machine, out or -wind)
     if as_json:
         print_json({"moved_cm": moved})
     else:
@@ -151,7 +149,7 @@ def jog(
 
 
 def press(
-    url: UrlArgument,
+    robot: RobotOption,
     side: Annotated[str, typer.Argument(help="left or right.")],
     psi: Annotated[float, typer.Argument(help="Pressure, at most 5 psi.")],
     seconds: Annotated[float, typer.Option(help="For so long, at most 60 s.")] = 5.0,
@@ -172,14 +170,14 @@ def press(
         raise ConfigError(f"there is no side {side!r}", "give left or right")
     which: Literal["left", "right"] = "left" if side == "left" else "right"
     console = Console(quiet=as_json)
-    with console.interruptible(), connect(url) as robot:
-        _cured(robot)
-        robot.arm(body_air=False)
+    with console.interruptible(), connect(robot) as machine:
+        _cured(machine)
+        machine.arm(body_air=False)
         with console.progress() as show:
-            began = robot.now()
+            began = machine.now()
             reached = hold(
-                robot, which, psi, seconds,
-                lambda now: show(f"{side} {now:.2f} psi", (robot.now() - began) / seconds),
+                machine, which, psi, seconds,
+                lambda now: show(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
             )  # fmt: skip
     if as_json:
         print_json({"side": side, "pressure_psi": reached})

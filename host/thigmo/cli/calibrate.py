@@ -90,15 +90,25 @@ def calibrate(
     `--csv FILE` fits readings that a lab already has; a file that lacks a column
     is told all of them. Try it without a robot: `--robot emulator://empty`.
     """
+    from thigmo.calibrate.guided import STEPS
     from thigmo.calibrate.session import Session, blank
     from thigmo.config import RobotConfig
     from thigmo.errors import DataError
 
+    if step not in (*STEPS, "all", "status"):
+        raise DataError(f"there is no step {step!r}", f"use all, status, {', '.join(STEPS)}")
     start = RobotConfig.load(config) if config else None
     if csv is not None:
+        if not csv.is_file():
+            raise DataError(f"there is no file {csv}", "give the CSV of a lab's readings")
         _fit_file(step, csv, Session(folder, start), as_json)
         return
     if step == "status":
+        if not (folder / "robot.toml").exists():
+            raise DataError(
+                f"{folder} is no calibration folder",
+                "name one with --folder, or begin: `thigmo calibrate all --robot URL`",
+            )
         _status(Session(folder, start), as_json)
         return
     if robot is None:
@@ -109,8 +119,6 @@ def calibrate(
     from thigmo.robot import connect
 
     steps = list(guided.STEPS) if step == "all" else [step]
-    if steps[0] not in guided.STEPS:
-        raise DataError(f"there is no step '{step}'", f"use all, status, {', '.join(guided.STEPS)}")
     console = Console(quiet=as_json)
     person = TerminalOperator(console)
     with console.interruptible(), connect(robot, seed=seed, operator=person) as machine:
@@ -178,7 +186,7 @@ def _status(session: Session, as_json: bool) -> None:
         return
     for name, entry in told.items():
         state = "done" if entry["done"] else f"{entry['readings']} readings"
-        typer.echo(f"{name:12s} {state:14s} {entry['reason']}")
+        typer.echo(f"{name:12s} {state:14s} {entry['reason']}".rstrip())
 
 
 def _hand(machine: Robot) -> Hand:

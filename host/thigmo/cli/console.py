@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from thigmo.cli import ending
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ class Console:
             yield
         except (KeyboardInterrupt, SystemExit) as stopped:
             told = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
-            status = 130 if isinstance(stopped, KeyboardInterrupt) else stopped.code
+            status = stopped.code if isinstance(stopped, SystemExit) else ending.status()
             self.err.print(
                 "thigmo: interrupted; the robot is vented and braked and keeps its length; "
                 f"`thigmo clear` lets it move again, then `thigmo retract` winds it in{told}",

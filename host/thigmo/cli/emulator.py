@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import signal
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,17 +30,18 @@ def emulate(
     link: Annotated[
         Path | None, typer.Option(help="Make this symbolic link to the port, for a stable name.")
     ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write this robot's constants, as its lab knows them, here; else SCENE-robot.toml."
+        ),
+    ] = None,
 ) -> None:
     """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C or SIGTERM."""
     serve: Any = import_module(_SERVE)
-    # A service is ended by SIGTERM: that closes the port and removes the link as Ctrl-C does.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        serve.serve(scene, seed=seed, link=link, announce=typer.echo)
-    except KeyboardInterrupt:
-        raise typer.Exit from None
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with suppress(KeyboardInterrupt):  # a service: that is how it ends
+        written = config or Path(f"{Path(scene).stem}-robot.toml")
+        serve.serve(scene, seed=seed, link=link, config=written, announce=typer.echo)
 
 
 def check(

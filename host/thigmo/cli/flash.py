@@ -1,4 +1,4 @@
-"""`thigmo flash PORT`: the firmware onto an Arduino Mega 2560."""
+"""`thigmo flash --robot PORT`: the firmware onto an Arduino Mega 2560."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def register(app: typer.Typer) -> None:
 
 
 def flash(
-    port: Annotated[str, typer.Argument(help="Serial port of the board, as /dev/ttyACM0.")],
+    robot: Annotated[str, typer.Option(help="Serial port of its board, as /dev/ttyACM0.")],
     image: Annotated[
         Path | None,
-        typer.Option(help="Image (.hex); left out: this source tree's, built if need be."),
+        typer.Option(help="Image (.hex); left out: the one that came with this host."),
     ] = None,
     avrdude: Annotated[str, typer.Option(help="The avrdude program.")] = "avrdude",
     as_json: JsonOption = False,
@@ -32,12 +32,12 @@ def flash(
         if not as_json:
             typer.echo(doing, err=True)
 
-    done = flasher.flash(port, image, avrdude=avrdude, tell=tell)
+    done = flasher.flash(robot, image, avrdude=avrdude, tell=tell)
     version = ".".join(map(str, done.hello.firmware_version))
     if as_json:
         print_json(
             {
-                "port": port,
+                "port": robot,
                 "image": str(done.image.path),
                 "bytes": done.image.size,
                 "firmware": version,
@@ -47,7 +47,7 @@ def flash(
             }
         )
     else:
-        typer.echo(f"firmware {version} ({done.image.size} bytes) runs on {port}")
+        typer.echo(f"firmware {version} ({done.image.size} bytes) runs on {robot}")
         if done.stored.generation:
             typer.echo(f"{done.stored.kept} stored parameters are kept")
         if done.stored.remark:

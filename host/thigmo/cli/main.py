@@ -7,9 +7,10 @@ imported when it runs, so that `thigmo --help` stays fast.
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from thigmo.cli import (
     bench,
@@ -19,6 +20,7 @@ from thigmo.cli import (
     camera,
     design,
     emulator,
+    ending,
     experiment,
     explore,
     flash,
@@ -28,8 +30,22 @@ from thigmo.cli import (
 )
 from thigmo.errors import ThigmoError
 
+
+class _Thigmo(TyperGroup):
+    """The command; what nobody below it said of an interrupt, it says."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the subcommand."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.echo("thigmo: interrupted; what was finished is kept", err=True)
+            raise typer.Exit(ending.status()) from None
+
+
 app = typer.Typer(
     name="thigmo",
+    cls=_Thigmo,
     help="Make a soft growing robot feel: where along its body, how hard, and where in the room.",
     no_args_is_help=True,
     add_completion=False,

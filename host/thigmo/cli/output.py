@@ -7,6 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
+RobotOption = Annotated[
+    str,
+    typer.Option(
+        "--robot", help="Where it is: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE."
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 

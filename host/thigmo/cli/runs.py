@@ -46,11 +46,18 @@ def replay(
 
 
 def info(
-    target: Annotated[str, typer.Argument(help="Run folder, or where a robot is.")],
+    run: Annotated[Path | None, typer.Argument(help="Run folder.")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Where a robot is, instead: /dev/ttyACM0, emulator://SCENE.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Describe a run folder, or the robot at a URL."""
-    facts = _run_info(Path(target)) if Path(target).is_dir() else _robot_info(target)
+    """Describe a run folder, or a robot."""
+    from thigmo.errors import DataError
+
+    if (run is None) == (robot is None):
+        raise DataError("info describes one thing", "give a run folder, or --robot URL")
+    facts = _robot_info(robot) if robot is not None else _run_info(Path(run or "."))
     if as_json:
         print_json(facts)
         return

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from thigmo.cli import ending
 from thigmo.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: 
                 outcome = study(replace(context, progress=tell, save=save))
             except KeyboardInterrupt:
                 typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
-                raise typer.Exit(130) from None
+                raise typer.Exit(ending.status()) from None
         found.append(report(name, outcome, out, as_json))
     if as_json:
         print_json(found)

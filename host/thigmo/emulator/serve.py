@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from thigmo.config import RobotConfig
 from thigmo.emulator.board import Board
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
@@ -159,6 +160,7 @@ def serve(
     *,
     seed: int | None = None,
     link: Path | None = None,
+    config: Path | None = None,
     announce: Callable[[str], None] = print,
     keep_on: Callable[[], bool] = lambda: True,
     board: Board | None = None,
@@ -169,12 +171,14 @@ def serve(
         scene: a scene's name or the path of its file.
         seed: of all noise; None takes the scene's.
         link: a symbolic link to make to the port.
+        config: where to write this robot's constants, as its lab knows them; a file that holds
+            others is kept as a backup.
         announce: told where the port is, once it can be opened.
         keep_on: asked every 10 ms.
         board: another board than the virtual one.
 
     Raises:
-        ConfigError: no such scene, or a malformed one.
+        ConfigError: no such scene, a malformed one, or `config` cannot be written.
         PortError: no pseudo-terminals here, or the link cannot be made.
     """
     room = Scene.load(scene)
@@ -184,8 +188,15 @@ def serve(
         board = VirtualBoard(room.seed if seed is None else seed)
     lockstep = Lockstep(room, board, seed=seed)
     server = PtyServer(lockstep, link=link)
+    port = server.path if link is None else link
     try:
-        announce(f"{room.name}: open {server.path if link is None else link}; Ctrl-C ends it")
+        told = f"{room.name}: open {port}; Ctrl-C ends it"
+        if config is not None:
+            known = room.believed(seed)
+            if not (config.exists() and RobotConfig.load(config) == known):
+                known.save(config)
+            told += f"\nIts constants: thigmo explore --robot {port} --config {config}"
+        announce(told)
         server.run(keep_on)
     finally:
         server.close()

@@ -15,7 +15,7 @@ from types import FrameType
 
 from thigmo import __version__
 from thigmo.config import RobotConfig
-from thigmo.errors import StoppedByViewerError, ThigmoError
+from thigmo.errors import ConfigError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import PriorMap, keep_prior, read_prior
 from thigmo.exploration.result import ExplorationResult
@@ -47,7 +47,7 @@ def explore(
 
     Args:
         url: where the robot is (`thigmo.connect`).
-        config: robot.toml; None uses what the emulated robot's lab would know, or the defaults.
+        config: robot.toml; an emulated robot's may be left out: it is what its lab would know.
         seed: of the emulator's noise.
         out: folder in which the run folder is made.
         name: of the run.
@@ -83,7 +83,9 @@ def explore(
         _sigterm_raises(),
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
-        used = config or robot.known_config or RobotConfig()
+        used = config or robot.known_config
+        if used is None:
+            raise _unknown_robot(url)
         folder = RunFolder.create(out, label, started.astimezone())
         used.save(folder.path / "robot.toml")
         if given is not None:
@@ -167,6 +169,17 @@ def _hello(robot: Robot, folder: RunFolder, document: RunDocument) -> Hello:
         os.getpid(),
         __version__,
         robot.virtual,
+    )
+
+
+def _unknown_robot(url: str) -> ConfigError:
+    """What to do about a robot whose constants nobody gave."""
+    made = Path("calibration") / "robot.toml"
+    return ConfigError(
+        f"the constants of the robot at {url} are not known",
+        f"give them: --config {made}"
+        if made.with_name("actuator.json").exists()
+        else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` makes one",
     )
 
 

@@ -57,7 +57,11 @@ def other_schema(ours: int, theirs: int, transport: Transport) -> SchemaMismatch
 
 
 def _new_firmware(transport: Transport) -> str:
-    return "run `make install`" if transport.virtual else f"run `thigmo flash {transport.name}`"
+    return (
+        "run `make install`"
+        if transport.virtual
+        else f"run `thigmo flash --robot {transport.name}`"
+    )
 
 
 def nobody(

@@ -131,7 +131,8 @@ def flash(
     """
     if "://" in port:
         raise ConfigError(f"{port} cannot be flashed", "give the serial port of a board")
-    tell("reading the image")
+    if image is None:
+        tell("looking for the image")
     content = read_image(build_image() if image is None else image)
     check(content)
     program = shutil.which(avrdude)

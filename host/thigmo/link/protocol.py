@@ -134,7 +134,10 @@ class Reason(Documented):
     BAD_VALUE = 3, "A value is outside its range; see the range in PROTOCOL.md."
     BAD_SESSION = 4, "The frame belongs to another conversation; say hello again."
     BAD_SEQUENCE = 5, "The frame is stale or out of order; say hello again."
-    WRONG_SCHEMA = 6, "Host and board were built from different schemas; run `thigmo flash PORT`."
+    WRONG_SCHEMA = (
+        6,
+        ("Host and board were built from different schemas; run `thigmo flash --robot PORT`."),
+    )
     WRONG_STATE = (
         7,
         ("The supervisor's state does not allow it; arm the robot, or clear its faults, first."),
@@ -252,8 +255,8 @@ class Fault(Documented):
     BAD_CONFIG = (
         10,
         (
-            "No valid configuration is stored; configure and save (`thigmo params PORT "
-            "--load-defaults`), then clear."
+            "No valid configuration is stored; configure and save (`thigmo params --robot "
+            "PORT --load-defaults`), then clear."
         ),
     )
     ESTOP = 11, "The emergency stop was pressed; release it, then clear."

@@ -104,7 +104,9 @@ def _stage(client: Client, name: str, values: list[int]) -> None:
 
 def _named(name: str) -> wire.Parameter:
     if name not in wire.PARAMETERS:
-        raise ConfigError(f"no parameter {name!r}", "see `thigmo params URL` for their names")
+        raise ConfigError(
+            f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"
+        )
     return wire.PARAMETERS[name]
 
 

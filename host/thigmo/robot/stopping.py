@@ -55,6 +55,7 @@ def stop_all() -> list[str]:
         raise failure
     if not stopped:
         raise LinkError(
-            "no program of yours drives a robot", "name its port, as in `thigmo stop /dev/ttyACM0`"
+            "no program of yours drives a robot",
+            "name its port, as in `thigmo stop --robot /dev/ttyACM0`",
         )
     return stopped

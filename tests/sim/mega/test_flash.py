@@ -63,7 +63,9 @@ def test_the_image_says_what_it_is(image: Path) -> None:
 @needs_avrdude
 def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> None:
     with PtyMega() as mega:
-        result = CliRunner().invoke(app, ["flash", mega.path, "--image", str(image), "--json"])
+        result = CliRunner().invoke(
+            app, ["flash", "--robot", mega.path, "--image", str(image), "--json"]
+        )
         assert result.exit_code == 0, result.output
         told = json.loads(result.stdout)
         assert told["bytes"] == read_image(image).size

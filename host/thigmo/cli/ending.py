@@ -1,0 +1,39 @@
+"""How a command ends that is interrupted: one line, and the status that shells expect.
+
+SIGTERM is taken like Ctrl-C, so that a robot is vented on the way out; the status tells them apart.
+Only the standard library is imported here: the first thing that `thigmo` does is to be ready.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+
+_caught = signal.SIGINT
+
+
+def be_ready() -> None:
+    """From now on SIGINT and SIGTERM are `KeyboardInterrupt`."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` and `&` have it
+            signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    global _caught
+    _caught = signal.Signals(number)
+    raise KeyboardInterrupt
+
+
+def status() -> int:
+    """The exit status of a command that was interrupted: 130, or 143 after SIGTERM."""
+    return 128 + _caught
+
+
+def leave() -> None:
+    """Say that nothing more is done, and end at once: while Python itself is being set up."""
+    sys.stderr.write("thigmo: interrupted; run it again\n")
+    sys.stderr.flush()
+    os._exit(status())

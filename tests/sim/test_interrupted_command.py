@@ -1,0 +1,85 @@
+"""Ctrl-C and SIGTERM, whatever a command is doing: one line, and the status that shells expect."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from served import comes
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs FIFOs and signals")
+BOTH = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+
+LOADING = """
+import sys, threading
+class Slow:
+    def find_spec(self, name, path, target=None):
+        if name == "thigmo.cli.main":
+            print("loading", flush=True)
+            threading.Event().wait()
+sys.meta_path.insert(0, Slow())
+from thigmo.__main__ import run
+run()
+"""
+
+
+def ended(program: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
+    program.send_signal(number)
+    _, said = program.communicate()
+    return program.returncode, said
+
+
+@pytest.mark.parametrize(("number", "code"), BOTH)
+def test_while_it_loads(number: signal.Signals, code: int) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", LOADING], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "loading\n"
+        assert ended(program, number) == (code, "thigmo: interrupted; run it again\n")
+
+
+@pytest.mark.parametrize(("number", "code"), BOTH)
+def test_while_it_reads(tmp_path: Path, number: signal.Signals, code: int) -> None:
+    fifo = tmp_path / "r.csv"
+    os.mkfifo(fifo)
+    command = [sys.executable, "-m", "thigmo", "localize", str(fifo), "--length", "53"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+        writers: list[int] = []
+        assert comes(lambda: has_a_reader(fifo, writers))
+        assert ended(program, number) == (
+            code,
+            "thigmo: interrupted; what was finished is kept\n",
+        )
+        os.close(writers[0])
+
+
+def has_a_reader(fifo: Path, writers: list[int]) -> bool:
+    """Whether the command waits for what it reads; the writer stays open."""
+    try:
+        writers.append(os.open(fifo, os.O_WRONLY | os.O_NONBLOCK))
+    except OSError:
+        return False
+    return True
+
+
+def test_a_signal_that_its_starter_ignores_is_ignored(tmp_path: Path) -> None:
+    """As under `nohup`: the command goes on."""
+    fifo = tmp_path / "r.csv"
+    os.mkfifo(fifo)
+    command = [sys.executable, "-m", "thigmo", "localize", str(fifo), "--length", "53", "--json"]
+    with subprocess.Popen(
+        ["/bin/sh", "-c", 'trap "" INT; exec "$@"', "sh", *command],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as program:
+        with fifo.open("w") as readings:  # waits for the reader
+            program.send_signal(signal.SIGINT)
+            readings.write("position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n")
+        out, _ = program.communicate()
+    assert program.returncode == 0
+    assert '"status"' in out
