@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -102,6 +103,30 @@ def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> No
     assert max(last.left_cpsi, last.right_cpsi) < 50
     stops = [f for f in frames if f.id == wire.Disarm.ID]
     assert stops
+
+
+@pytest.mark.parametrize("share", [0.003, 0.2, 0.5, 0.93])
+def test_a_replay_of_a_damaged_record_uses_what_is_whole_and_says_so(
+    default: ExplorationResult, tmp_path: Path, share: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "damaged"
+    shutil.copytree(default.folder, folder)
+    record = folder / "run.mcap"
+    data = bytearray(record.read_bytes())
+    place = int(share * len(data))
+    data[place : place + 20_000] = bytes(20_000)
+    record.write_bytes(data)
+    again = replay(folder)
+    assert again.gaps == 1
+    assert not again.truncated
+    assert again.sweeps >= 10
+    if share < 0.9:  # in the last stage, where the peg is felt
+        (contact,), (whole,) = again.document.contacts, default.document.contacts
+        assert contact.x_cm == pytest.approx(whole.x_cm, abs=0.5)
+    sys.argv = ["thigmo", "info", str(folder)]
+    with pytest.raises(SystemExit):
+        main()
+    assert "damaged in 1 place; what is whole was used" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -> None:

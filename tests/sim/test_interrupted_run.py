@@ -108,6 +108,7 @@ def test_a_run_cut_short_in_mid_sweep_leaves_a_vented_robot_and_a_readable_folde
     if number != signal.SIGKILL:
         assert read_obstacles(folder.path / OBSTACLES_FILE).outcome == outcome
         assert read_ros_map(folder.path / "map.yaml").cells.size
+        assert folder.map_path.read_bytes().startswith(b"\x89PNG")
     assert folder.read_log().truncated == (number == signal.SIGKILL)
     again = replay(folder.path)
     assert again.sweeps <= 1

@@ -1,4 +1,4 @@
-"""`thigmo replay` and `thigmo info`: what runs left behind, and what a board says of itself."""
+"""`thigmo replay`, `info` and `export`: what runs left behind, and what a board says of itself."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command()(replay)
     app.command()(info)
+    app.command()(export)
 
 
 def replay(
@@ -70,6 +71,31 @@ def info(
         for part, single in rows:
             table.add_row(f"{name} {part}".strip().replace("_", " "), _shown(single))
     Console().print(table)
+
+
+def export(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    csv: Annotated[Path | None, typer.Option(help="Folder for CSV files, one a channel.")] = None,
+    parquet: Annotated[
+        Path | None, typer.Option(help="Folder for Parquet files; needs pyarrow.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a run's telemetry, events, states, posteriors, contacts and shapes as tables."""
+    from thigmo.errors import DataError
+    from thigmo.stream.export import export_csv, export_parquet
+
+    if csv is None and parquet is None:
+        raise DataError("nothing to write", "give --csv FOLDER or --parquet FOLDER")
+    files = [
+        *(export_csv(run, csv) if csv else []),
+        *(export_parquet(run, parquet) if parquet else []),
+    ]
+    if as_json:
+        print_json({"files": [str(file) for file in files]})
+        return
+    for file in files:
+        typer.echo(file)
 
 
 def _shown(value: Any) -> str:

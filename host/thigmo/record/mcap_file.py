@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -72,34 +73,34 @@ def read_mcap(path: Path, wanted: Callable[[str], bool]) -> McapContents:
             f"cannot read {path}: {error.strerror}", "give a run folder that holds run.mcap"
         ) from error
     found = McapContents(truncated=not data.endswith(_MAGIC) or len(data) < 2 * len(_MAGIC))
-    place = len(_MAGIC)
+    place: int | None = len(_MAGIC)
+    broken = False  # nothing whole has come since the last gap
     if not data.startswith(_MAGIC):
-        start = _next_chunk(data, 0)
-        if start is None and not _MAGIC.startswith(data[: len(_MAGIC)]):
+        place = _next_chunk(data, 0)
+        if place is None and not _MAGIC.startswith(data[: len(_MAGIC)]):
             raise RunFolderError(f"{path} is not an MCAP file", "give a run folder")
-        found.gaps += start is not None
-        place = start if start is not None else len(data)
-    while place + _HEADER.size <= len(data):
+        found.gaps, broken = int(place is not None), True
+    while place is not None and place + _HEADER.size <= len(data):
         opcode, length = _HEADER.unpack_from(data, place)
         end = place + _HEADER.size + length
-        if opcode in _OPCODES and end <= len(data) and _take(data, place, end, wanted, found):
-            place = end
-            if opcode == Opcode.FOOTER:
-                break
-            continue
-        start = _next_chunk(data, place + 1)
-        if start is None:
-            found.gaps += not found.truncated  # or it is the end that was cut off
+        if opcode == Opcode.FOOTER:
             break
-        found.gaps += 1
-        place = start
+        known = opcode in _OPCODES and end <= len(data)
+        state = _take(data, place, end, wanted, found) if known else "lost"
+        following = end if state != "lost" else _next_chunk(data, place + 1)
+        if state == "whole":
+            broken = broken and opcode != Opcode.CHUNK
+        elif not broken and (following is not None or not found.truncated):
+            found.gaps += 1
+            broken = True
+        place = following
     return found
 
 
 def _take(
     data: bytes, place: int, end: int, wanted: Callable[[str], bool], found: McapContents
-) -> bool:
-    """Take the record of `data[place:end]`; whether the next one follows it."""
+) -> Literal["whole", "damaged", "lost"]:
+    """Take the record of `data[place:end]`; where the next one begins may be lost with it."""
     opcode, content = data[place], place + _HEADER.size
     try:
         if opcode == Opcode.CHUNK:
@@ -107,10 +108,10 @@ def _take(
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
             _take_definition(opcode, data[content:end], found)
     except _DamagedError:
-        found.gaps += 1  # its length is right
+        return "damaged"  # its length is right
     except _DAMAGE:
-        return False
-    return True
+        return "lost"
+    return "whole"
 
 
 def _take_definition(opcode: int, content: bytes, found: McapContents) -> None:

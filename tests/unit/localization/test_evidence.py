@@ -19,9 +19,13 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 def weighed(curvature, free, **options):
     """{(load, bad reading): log weight} of one frame."""
-    sensors, settings = options_of(POSITION, len(POSITION), LENGTH, Options(SPAN, NOISE, **options))
+    given = options_of(POSITION, len(POSITION), LENGTH, Options(SPAN, NOISE, **options))
     own = np.full(1, free)
-    found = _posterior.localize(curvature, own, own, sensors, settings, priors.compiled())
+    found = _posterior.localize(
+        curvature, given.position, given.span, own, own, given.noise, given.gain, given.bad_odds,
+        given.shared, given.offset, given.map, given.length, given.radius, given.settings,
+        priors.compiled(),
+    )  # fmt: skip
     assert found.problem == 0
     return {(load, bad): weight for load, bad, weight, _, _ in found.hypotheses}
 

@@ -1,0 +1,169 @@
+"""A run's messages as tables, one a channel: CSV, or Parquet where pyarrow is installed.
+
+Units are in the columns' names. A message with a list in it (a body's poses, the cells of a
+posterior, the contacts of a map) becomes a row for each entry. The grid stays a picture (map.pgm).
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from thigmo.config import SIDES
+from thigmo.errors import DataError, RunFolderError
+from thigmo.stream.messages import (
+    BodyShape,
+    Contacts,
+    Event,
+    Log,
+    Message,
+    Posterior,
+    RunState,
+    Telemetry,
+)
+from thigmo.stream.recorded import read_messages
+
+Row = dict[str, Any]
+
+
+def _plain(message: Message) -> Iterator[Row]:
+    yield {each.name: getattr(message, each.name) for each in fields(message)}
+
+
+def _telemetry(message: Telemetry) -> Iterator[Row]:
+    row: Row = {}
+    for each in fields(message):
+        value = getattr(message, each.name)
+        if each.name == "faults":
+            row[each.name] = " ".join(value)
+        elif isinstance(value, tuple):
+            a_side = len(value) // len(SIDES)
+            for number, one in enumerate(value):
+                side, place = SIDES[number // a_side], number % a_side
+                row[f"{each.name}_{side}" + (f"_{place}" if a_side > 1 else "")] = one
+        else:
+            row[each.name] = value
+    yield row
+
+
+def _shape(message: BodyShape) -> Iterator[Row]:
+    for index, (x_cm, y_cm, heading) in enumerate(message.poses):
+        yield {
+            **_times(message), "pose": index, "x_cm": x_cm, "y_cm": y_cm, "heading_rad": heading,
+        }  # fmt: skip
+
+
+def _posterior(message: Posterior) -> Iterator[Row]:
+    told = {
+        name: getattr(message, name)
+        for name in ("side", "length_cm", "status", "hypothesis", "message")
+    }
+    cells: list[tuple[float | None, float | None]]
+    cells = list(zip(message.places_cm, message.probability, strict=True)) or [(None, None)]
+    for place_cm, probability in cells:
+        yield {**_times(message), **told, "place_cm": place_cm, "probability": probability}
+
+
+def _contacts(message: Contacts) -> Iterator[Row]:
+    for index, contact in enumerate(message.contacts):
+        row = {**_times(message), "contact": index}
+        row |= {each.name: getattr(contact, each.name) for each in fields(contact)}
+        row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
+        (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = row.pop(
+            "covariance_cm2"
+        )
+        row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
+        del row["track"]
+        yield row
+
+
+def _times(message: Message) -> Row:
+    return {"t_s": message.t_s, "epoch_s": message.epoch_s}
+
+
+_TABLES: dict[str, Callable[[Any], Iterator[Row]]] = {
+    Telemetry.CHANNEL: _telemetry,
+    Event.CHANNEL: _plain,
+    RunState.CHANNEL: _plain,
+    BodyShape.CHANNEL: _shape,
+    Posterior.CHANNEL: _posterior,
+    Contacts.CHANNEL: _contacts,
+    Log.CHANNEL: _plain,
+}
+
+
+def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Row]]:
+    """Rows of all tables, in the order of their messages."""
+    for message in read_messages(run, _TABLES):
+        for row in _TABLES[message.CHANNEL](message):
+            yield message.CHANNEL, row
+
+
+@contextmanager
+def _writing(folder: str | os.PathLike[str]) -> Iterator[tuple[Path, ExitStack]]:
+    """A folder, made if need be, and a stack for its open files."""
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            yield target, stack
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot write {error.filename or target}: {error.strerror}", "choose another folder"
+        ) from error
+
+
+def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
+    """Write a table for each channel that the run has messages of; empty cells are not known.
+
+    Args:
+        run: the run folder.
+        folder: made if need be; `telemetry.csv` and so on in it are replaced.
+
+    Returns:
+        The files.
+
+    Raises:
+        RunFolderError: no record, one of raw frames alone, or a folder that cannot be written.
+    """
+    with _writing(folder) as (target, stack):
+        writers: dict[str, csv.DictWriter[str]] = {}
+        for channel, row in _rows(run):
+            if channel not in writers:
+                file = stack.enter_context((target / f"{channel}.csv").open("w", newline=""))
+                writers[channel] = csv.DictWriter(file, row)
+                writers[channel].writeheader()
+            writers[channel].writerow(
+                {name: "" if value != value else value for name, value in row.items()}
+            )
+    return [target / f"{channel}.csv" for channel in writers]
+
+
+def export_parquet(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
+    """As `export_csv`, in Parquet.
+
+    Raises:
+        DataError: pyarrow is not installed.
+        RunFolderError: as `export_csv`.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise DataError(
+            "Parquet needs pyarrow, which is not installed", "`pip install pyarrow`, or give --csv"
+        ) from error
+    tables: dict[str, dict[str, list[Any]]] = {}
+    for channel, row in _rows(run):
+        columns = tables.setdefault(channel, {name: [] for name in row})
+        for name, value in row.items():
+            columns[name].append(value)
+    with _writing(folder) as (target, _):
+        for channel, columns in tables.items():
+            parquet.write_table(pyarrow.table(columns), target / f"{channel}.parquet")
+    return [target / f"{channel}.parquet" for channel in tables]

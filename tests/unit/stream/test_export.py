@@ -1,0 +1,88 @@
+"""Tables of a run's messages, as pandas and spreadsheets read them."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from math import nan
+from pathlib import Path
+
+import pytest
+from test_hub import ONE_OF_EACH, a_telemetry
+from typer.testing import CliRunner
+
+from thigmo.cli.main import app
+from thigmo.errors import DataError, RunFolderError
+from thigmo.record import LogWriter
+from thigmo.stream import Hub, recording
+from thigmo.stream.export import export_csv, export_parquet
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    hub = Hub()
+    with LogWriter(folder / "run.mcap", {}, epoch_s=1.7e9) as log, recording(hub, log):
+        hub.publish(a_telemetry(0.5, supply_v=nan))
+        for message in ONE_OF_EACH:
+            hub.publish(message)
+    return folder
+
+
+def _table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_channel_but_the_grid_has_its_table(run: Path, tmp_path: Path) -> None:
+    files = export_csv(run, tmp_path / "deep" / "tables")
+    assert sorted(path.stem for path in files) == [
+        "contacts", "event", "log", "posterior", "shape", "state", "telemetry",
+    ]  # fmt: skip
+    assert all(path.exists() for path in files)
+
+
+def test_telemetry_has_a_column_for_each_number(run: Path, tmp_path: Path) -> None:
+    export_csv(run, tmp_path)
+    unknown, known = _table(tmp_path / "telemetry.csv")
+    assert (unknown["supply_v"], known["supply_v"]) == ("", "5.0")
+    assert float(known["epoch_s"]) == 1.7e9 + 1.0
+    assert (known["pressure_psi_left"], known["pressure_psi_right"]) == ("1.5", "0.0")
+    assert [known[f"flex_sum_right_{n}"] for n in range(5)] == ["5", "6", "7", "8", "9"]
+    assert known["curvature_per_cm_left_0"] == "0.01"
+    assert (known["state"], known["faults"]) == ("ready", "stopped")
+
+
+def test_a_list_becomes_rows(run: Path, tmp_path: Path) -> None:
+    export_csv(run, tmp_path)
+    assert [row["x_cm"] for row in _table(tmp_path / "shape.csv")] == ["0.0", "1.0"]
+    cells = _table(tmp_path / "posterior.csv")
+    assert [(row["place_cm"], row["probability"]) for row in cells] == [
+        ("1.0", "0.25"),
+        ("2.0", "0.75"),
+    ]
+    (contact,) = _table(tmp_path / "contacts.csv")
+    assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("19.0", "21.0")
+    assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("1.0", "2.0")
+    assert contact["known"] == ""
+
+
+def test_without_pyarrow_parquet_is_refused_in_one_line(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(DataError, match="pip install pyarrow"):
+        export_parquet(run, tmp_path)
+
+
+def test_the_command_names_its_files_and_asks_for_a_folder(run: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["export", str(run), "--csv", str(tmp_path)])
+    assert str(tmp_path / "telemetry.csv") in done.output.split()
+    with pytest.raises(DataError, match="give --csv"):
+        CliRunner().invoke(app, ["export", str(run)], catch_exceptions=False)
+
+
+def test_a_folder_that_cannot_be_written_is_named(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunFolderError, match="choose another folder"):
+        export_csv(run, tmp_path / "file")
