@@ -118,77 +118,25 @@ def localize_obstacle(
     place = place_error / scale
     low, high = (tuple((ends / scale).tolist()) for ends in (x - half, x + half))
     shown = seen(inflation, low, high, place)
+    offsets = _OFFSETS if offset > 0.0 else np.zeros(1)
     readings = _Readings(
         turn * frames * scale,
         np.maximum(sigma * scale, _LEAST_NOISE) ** 2,
         gain,
-        *_normal(SHIFTS if place > 0.0 else np.zeros(1)),
-        *_normal(_OFFSETS if offset > 0.0 else np.zeros(1)),
-        offset * scale,
+        _normal(SHIFTS if place > 0.0 else np.zeros(1)),
+        offsets * offset * scale,
+        _normal(offsets),
     )
     limit = priors.WIDTH_SHARE if width_limit is None else width_limit / total
     found = _weigh(bodies(inflation), shown, readings)
     odds = found.evidence - readings.untouched(np.array(inflation.free))
-    return _answer(
-        found,
-        odds,
-        inflation,
-        scale,
-        turn,
-        limit,
-        float(np.mean(np.asarray(noise, dtype=np.float64))),
-    )
+    return _answer(found, odds, inflation, scale, turn, limit, float(np.mean(sigma)))
 
 
-def _normal(nodes: Array) -> tuple[Array, Array]:
-    """Nodes in deviations, and log weights, of sum one, of a normal density on them."""
+def _normal(nodes: Array) -> Array:
+    """Log weights, of sum one, of a normal density on nodes in deviations."""
     log = -0.5 * nodes**2
-    return nodes, np.asarray(log - np.logaddexp.reduce(log))
-
-
-def _likelihood(
-    mean: Array,
-    blur: Array,
-    curvature: Array,
-    variance: Array,
-    gain: float,
-    shift_weight: Array,
-    offsets: Array,
-    offset_weight: Array,
-    odds: float,
-    widening: float,
-) -> Array:
-    """(K,) log likelihood of K bodies: bad sensors, errors of gains, places, offset integrated out.
-
-    Args:
-        mean: (K, T, N, D) what the sensors would read, displaced by each of D shifts.
-        blur: (K, N, D) its variance between a shift and the next.
-        curvature: (T, N) readings; NaN marks a missing one.
-        variance: (N,) of a reading.
-        gain: relative deviation of each sensor's gain.
-        shift_weight: (D,) log weights of the shifts.
-        offsets, offset_weight: (Q,) values of a shared error, and log weights.
-        odds, widening: prior odds of a sensor being bad in all frames; its variance over a good
-            one's.
-    """
-    there = np.isfinite(curvature)[:, :, None]
-    model = np.where(there, mean, 0.0)
-    power = (model**2).sum(axis=1)
-    count = there.sum(axis=0)
-    totals = []
-    for offset, weight in zip(offsets, offset_weight, strict=True):
-        residual = np.where(there, np.nan_to_num(curvature)[:, :, None] - mean - offset, 0.0)
-        square, cross = (residual**2).sum(axis=1), (residual * model).sum(axis=1)
-        parts = []
-        for factor, log_odds in ((1.0, 0.0), (widening, np.log(odds))):
-            s = variance[:, None] * factor + blur
-            # A gain's error is common to the frames: a term of rank one.
-            common = gain**2 / (s + gain**2 * power)
-            log = -0.5 * (square - common * cross**2) / s - 0.5 * np.log1p(gain**2 * power / s)
-            parts.append(log - 0.5 * count * np.log(s) + log_odds)
-        each = np.logaddexp.reduce(np.logaddexp(*parts) + shift_weight, axis=-1)
-        totals.append(each.sum(axis=-1) + weight)
-    return np.asarray(np.logaddexp.reduce(totals, axis=0))
+    return np.asarray(log - np.logaddexp.reduce(log))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,19 +147,16 @@ class _Readings:
         curvature: (T, N).
         variance: (N,) of a reading.
         gain: relative deviation of a gain.
-        shift, shift_weight: (D,) nodes of a sensor's place and their log weights.
-        offset, offset_weight: (Q,) of the error that all readings share.
-        offset_sigma: its deviation.
+        shift_weight: (D,) log weights of the nodes of a sensor's place.
+        offset, offset_weight: (Q,) nodes of the error that all readings share, and log weights.
     """
 
     curvature: Array
     variance: Array
     gain: float
-    shift: Array
     shift_weight: Array
     offset: Array
     offset_weight: Array
-    offset_sigma: float
 
     def likelihood(self, shown: Seen, at: Indices, share: Array) -> Array:
         """(K,) of places between the nodes of the table."""
@@ -222,22 +167,35 @@ class _Readings:
         ])  # fmt: skip
 
     def _of(self, mean: Array, blur: Array) -> Array:
-        return _likelihood(
-            mean,
-            blur,
-            self.curvature,
-            self.variance,
-            self.gain,
-            self.shift_weight,
-            self.offset * self.offset_sigma,
-            self.offset_weight,
-            _BAD_ODDS,
-            _BAD_VARIANCE,
-        )
+        """(K,) of K bodies: bad sensors, errors of gains, places, offset integrated out.
+
+        Args:
+            mean: (K, T, N, D) what the sensors would read, displaced by each of D shifts.
+            blur: (K, N, D) its variance between a shift and the next.
+        """
+        there = np.isfinite(self.curvature)[:, :, None]
+        readings = np.nan_to_num(self.curvature)[:, :, None]
+        model = np.where(there, mean, 0.0)
+        power = self.gain**2 * (model**2).sum(axis=1)
+        count = there.sum(axis=0)
+        totals = []
+        for offset, weight in zip(self.offset, self.offset_weight, strict=True):
+            residual = np.where(there, readings - mean - offset, 0.0)
+            square, cross = (residual**2).sum(axis=1), (residual * model).sum(axis=1)
+            parts = []
+            for factor, log_odds in ((1.0, 0.0), (_BAD_VARIANCE, np.log(_BAD_ODDS))):
+                s = self.variance[:, None] * factor + blur
+                # A gain's error is common to the frames: a term of rank one.
+                common = self.gain**2 / (s + power)
+                log = -0.5 * (square - common * cross**2) / s - 0.5 * np.log1p(power / s)
+                parts.append(log - 0.5 * count * np.log(s) + log_odds)
+            each = np.logaddexp.reduce(np.logaddexp(*parts) + self.shift_weight, axis=-1)
+            totals.append(each.sum(axis=-1) + weight)
+        return np.asarray(np.logaddexp.reduce(totals, axis=0))
 
     def untouched(self, free: Array) -> float:
         """Log likelihood of a body that bends freely."""
-        shape = (1, *self.curvature.shape, len(self.shift))
+        shape = (1, *self.curvature.shape, len(self.shift_weight))
         mean = np.broadcast_to(free[:, None, None], shape)
         return float(self._of(mean, np.zeros((1, *shape[2:])))[0])
 
@@ -267,7 +225,7 @@ def _weigh(table: Bodies, shown: Seen, readings: _Readings) -> _Places:
     nodes = np.argwhere(np.ones(shape, dtype=np.bool_))
     coarse = readings.likelihood(shown, nodes, np.zeros((len(nodes), 2))).reshape(shape)
     # What a node can lie below the best of its cell: readings change all but linearly across it.
-    middle = shown.mean[..., len(readings.shift) // 2] / np.sqrt(readings.variance)
+    middle = shown.mean[..., len(readings.shift_weight) // 2] / np.sqrt(readings.variance)
     best = np.full((shape[0] - 1, shape[1] - 1), -np.inf)
     for a in (0, 1):
         for g in (0, 1):
