@@ -31,10 +31,11 @@ class Answer:
     log_odds: float
     objective: float
     gap: float
-    contacts: list[tuple[float, float, float, float, float, float, bool, list[tuple[float, float]]]]
-    hypotheses: list[tuple[int, int, float, float, float]]
-    best: int
-    parameters: tuple[float, ...]
+    weighed: list[tuple[int, int, float]]
+    hypothesis: str
+    hypotheses: dict[str, float]
+    def contacts(self, length: float) -> list[tuple[Any, ...]]: ...
+    def parameters(self, length: float) -> dict[str, float]: ...
     edges: _Array
     mass: _Array
     bend: _Array

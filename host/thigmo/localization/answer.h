@@ -42,9 +42,12 @@ class Mixture {
 
   Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
     edges = {within.near, within.far};
+    const Marginal* before = nullptr;
     for (const auto& [weight, part] : parts) {
+      if (before && part->place == before->place) continue;
       for (const double place : part->place) add_edge(place - 0.5 * part->width, within);
       add_edge(part->place.back() + 0.5 * part->width, within);
+      before = part;
     }
     std::sort(edges.begin(), edges.end());
     edges.erase(
@@ -102,8 +105,9 @@ class Mixture {
   std::vector<std::pair<double, double>> densest(double share) const {
     std::vector<int> order(mass.size());
     std::iota(order.begin(), order.end(), 0);
-    const auto density = [&](int c) { return mass[c] / (edges[c + 1] - edges[c]); };
-    std::sort(order.begin(), order.end(), [&](int a, int b) { return density(a) > density(b); });
+    Row density = mass;
+    for (const int c : order) density[c] /= edges[c + 1] - edges[c];
+    std::sort(order.begin(), order.end(), [&](int a, int b) { return density[a] > density[b]; });
     double held = 0.0;
     std::size_t count = 0;
     while (count < order.size() && held < share * (1.0 - 1e-12)) held += mass[order[count++]];

@@ -47,7 +47,8 @@ class Whitener {
     const int n = frame.size();
     double product = 1.0;
     for (int i = 0; i < n; ++i) {
-      inverse_[i] = 1.0 / std::hypot(level * frame.noise[i], frame.gain[i]);
+      const double noise = level * frame.noise[i], gain = frame.gain[i];
+      inverse_[i] = 1.0 / std::sqrt(noise * noise + gain * gain);
       product *= inverse_[i];
       if (!(product < 1e200 && product > 1e-200) || i == n - 1) {
         log_det += std::log(product);

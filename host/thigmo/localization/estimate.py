@@ -31,28 +31,6 @@ from thigmo.localization.result import Array, Contact, LocalizeResult, Status
 MOST_CONTACTS = 3
 METHODS = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
-# In the order of `Load` in hypotheses.h.
-_LOADS = (
-    "free body",
-    "hinge",
-    "one contact",
-    "end wrench",
-    "one contact, folded base",
-    "contact spread out",
-    "one contact, hinge",
-    "two contacts",
-    "three contacts",
-    "end wrench, folded base",
-)
-# Parameters of a hypothesis, and the power of the length's unit in each.
-_PARAMETERS = (
-    ("fold_angle", 0),
-    ("hinge_arc", 1),
-    ("half_width", 1),
-    ("push_back", -2),
-    ("tip_moment", -1),
-    ("end_offset", 1),
-)
 _NONE = np.zeros(0)
 
 
@@ -266,52 +244,20 @@ def _settings(
 def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
     """The answer in the caller's units."""
     status = STATUSES[found.status]
-    probability = 1.0 - found.number[0]
-    listed = tuple(
-        Contact(
-            arc * total,
-            force / total**2,
-            (low * total, high * total),
-            _own_status(status, localized),
-            tuple((near * total, far * total) for near, far in pieces),
-            deviation / total**2,
-            probability,
-            None if math.isnan(offset) else offset * total,
-        )
-        for arc, force, low, high, deviation, offset, localized, pieces in found.contacts
-    )
-    weighed = found.hypotheses
-    hypotheses: dict[str, float] = {}
-    for load, bad, _, share, _ in weighed:
-        name = _name(load, bad)
-        hypotheses[name] = hypotheses.get(name, 0.0) + share
+    contacts = tuple(Contact(*fields) for fields in found.contacts(total))
     return LocalizeResult(
         status,
-        listed,
-        _name(*weighed[found.best][:2]),
-        _message(status, found, len(listed)),
+        contacts,
+        found.hypothesis,
+        _message(status, found, len(contacts)),
         found.noise,
         found.log_odds,
-        hypotheses,
+        found.hypotheses,
         () if found.discarded < 0 else (found.discarded,),
-        {
-            name: value * total**power
-            for (name, power), value in zip(_PARAMETERS, found.parameters, strict=True)
-            if value == value  # not NaN: of this hypothesis
-        },
+        found.parameters(total),
         length=total,
         _answer=found,
     )
-
-
-def _own_status(status: Status, localized: bool) -> Status:
-    if status == "below detection":
-        return status
-    return "localized" if localized else "ambiguous"
-
-
-def _name(load: int, bad: int) -> str:
-    return _LOADS[load] if bad < 0 else f"{_LOADS[load]}, one bad reading"
 
 
 def _message(status: Status, found: _posterior.Answer, count: int) -> str:
@@ -320,7 +266,8 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
         return "the readings are those of the free body" + bad
     if status == "below detection":
         return "a contact is not certain; average more readings or bend further" + bad
-    others = sum(found.number[count + 1 :])
+    number = found.number
+    others = sum(number[count + 1 :])
     more = ""
     if others > priors.EXCLUDED:
         more = f"; another contact is not excluded (probability {others:.2f})"
@@ -329,6 +276,6 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
     if status == "localized":
         places = ("one place explains", "two places explain", "three places explain")[count - 1]
         return f"{places} the readings{more}{bad}"
-    if found.number[0] > priors.EXCLUDED:
-        return f"a contact has probability {1.0 - found.number[0]:.2f}{more}{bad}"
+    if number[0] > priors.EXCLUDED:
+        return f"a contact has probability {1.0 - number[0]:.2f}{more}{bad}"
     return f"the readings do not fix the place; see `intervals`{more}{bad}"

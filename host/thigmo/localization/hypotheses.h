@@ -7,6 +7,9 @@
 // compare directly; prior odds are those of priors.py.
 #pragma once
 
+#include <iterator>
+#include <utility>
+
 #include "loads.h"
 #include "readings.h"
 
@@ -47,8 +50,9 @@ struct Hypothesis {
 
 class Weighing {
  public:
-  static constexpr int kCells = 107;  // of a contact's first grid: 0.5 cm of the 53 cm body
-  static constexpr int kPairCells = 36, kTripleCells = 16, kCoarseCells = 12;
+  static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
+  static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
+  static constexpr int kPairCells = 30, kTripleCells = 16, kSecondCells = 24;
 
   std::vector<Hypothesis> found;
 
@@ -59,8 +63,8 @@ class Weighing {
         settings_(settings),
         prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
                priors.shape_rests},
-        bad_(frame_.size(), frame_.size()),
-        none_(0, frame_.size()) {
+        bad_(frame_.size(), frame_.size()) {
+    found.reserve(2 * frame_.size() + 8);
     for (int i = 0; i < frame_.size(); ++i) bad_[i][i] = readings.bad[i];
     double share = 0.0;
     for (const double moment : priors.moments) {
@@ -88,7 +92,7 @@ class Weighing {
     const bool several = settings_.contacts != 0 && settings_.contacts != 1;
     bool poor = misfit;
     if (!readings_.known && several && frame_.size() >= 5) {
-      poor = several_contacts_of(2, kCoarseCells, -1).log_weight > best() - 2.0;
+      poor = gain_of_second(one) > priors_.second_gain;
     }
     // A moment that few contacts have may be a kink.
     const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
@@ -128,9 +132,32 @@ class Weighing {
     return stacked(frame_.shared, more);
   }
 
-  OneContact fit_one(const Matrix& shared, const Nodes& start, double half,
-                     const Matrix& rivals) const {
-    return one_contact(frame_, shared, prior_, {0.0, 1.0}, kCells, half, start, rivals);
+  OneContact fit_one(const Matrix& shared, const Nodes& start, double half = 0.0) const {
+    return one_contact(frame_, shared, prior_, {0.0, 1.0}, kCells, half, start);
+  }
+
+  // One contact, then one beside each rival that is worth weighing: on the same grid, and by
+  // itself where that may change the answer. `bad` is the rival's index.
+  std::vector<Hypothesis> contact_and(const Matrix& column, const Row& log_odds,
+                                      const Nodes& start) const {
+    const double weight = priors_.contact + std::log(unfolded_);
+    const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless};
+    std::vector<RivalContact> beside;
+    std::vector<Hypothesis> out;
+    out.push_back(contact(Load::contact,
+                          one_contact(frame_, frame_.shared, prior_, {0.0, 1.0}, kCells, 0.0, start,
+                                      &rivals, &beside),
+                          weight));
+    const double matters = std::max(best(), out[0].log_weight) + kMatters;
+    for (RivalContact& other : beside) {
+      const double odds = weight + log_odds[other.index];
+      if (other.contact.log_evidence + odds > matters) {
+        other.contact = fit_one(with(column, other.index), out[0].curvature);
+      }
+      out.push_back(contact(Load::contact, std::move(other.contact), odds));
+      out.back().bad = other.index;
+    }
+    return out;
   }
 
   Hypothesis contact(Load load, OneContact&& fit, double weight) const {
@@ -144,19 +171,9 @@ class Weighing {
   }
 
   Hypothesis weigh_one() {
-    OneContact fit = fit_one(frame_.shared, frame_.rest, 0.0, bad_);
-    const double weight = priors_.contact + std::log(unfolded_);
-    const Row rival = fit.rival;
-    const Hypothesis plain = contact(Load::contact, std::move(fit), weight);
-    found.push_back(plain);
-    const double limit = best() + priors_.hopeless;
-    for (int i = 0; i < frame_.size(); ++i) {
-      if (plain.log_weight + rival[i] + readings_.log_bad[i] < limit) continue;
-      OneContact other = fit_one(with(bad_, i), plain.curvature, 0.0, none_);
-      found.push_back(contact(Load::contact, std::move(other), weight + readings_.log_bad[i]));
-      found.back().bad = i;
-    }
-    return plain;
+    std::vector<Hypothesis> contacts = contact_and(bad_, readings_.log_bad, frame_.rest);
+    std::move(contacts.begin(), contacts.end(), std::back_inserter(found));
+    return found[found.size() - contacts.size()];
   }
 
   void add_end(const Matrix& shared, const Nodes& start, bool held, double weight, int bad) {
@@ -237,7 +254,7 @@ class Weighing {
     const double weight = priors_.contact + priors_.spread -
                           std::log(static_cast<double>(priors_.half_widths.size()));
     for (const double half : priors_.half_widths) {
-      found.push_back(contact(Load::spread, fit_one(frame_.shared, start, half, none_), weight));
+      found.push_back(contact(Load::spread, fit_one(frame_.shared, start, half), weight));
       found.back().numbers = 3;
       found.back().half_width = half;
     }
@@ -269,22 +286,62 @@ class Weighing {
     Matrix columns(static_cast<int>(place.size()), n);
     columns.value = values;
     const Row alone = log_densities(frame_, columns);
-    OneContact fit = fit_one(frame_.shared, start, 0.0, columns);
-    const double weight = priors_.contact + std::log(unfolded_);
     for (int h = 0; h < columns.rows; ++h) {
       Hypothesis free{Load::hinge, alone[h] + log_odds[h]};
       free.at = place[h];
       free.curvature = frame_.rest;
       free.numbers = 1;
       found.push_back(free);
-      const bool at_base = folds && place[h] < 4.0 * settings_.radius;
-      const double odds = at_base ? priors_.base_fold : log_odds[h];
-      if (fit.log_evidence + weight + fit.rival[h] + odds < best() + priors_.hopeless) continue;
-      OneContact other = fit_one(with(columns, h), fit.curvature, 0.0, none_);
-      found.push_back(contact(Load::contact_hinge, std::move(other), weight + odds));
-      found.back().numbers = 3;
-      found.back().at = place[h];
+      if (folds && place[h] < 4.0 * settings_.radius) log_odds[h] = priors_.base_fold;
     }
+    std::vector<Hypothesis> contacts = contact_and(columns, log_odds, start);
+    for (std::size_t k = 1; k < contacts.size(); ++k) {
+      Hypothesis& kinked = found.emplace_back(std::move(contacts[k]));
+      kinked.load = Load::contact_hinge;
+      kinked.numbers = 3;
+      kinked.at = place[std::exchange(kinked.bad, -1)];
+    }
+  }
+
+  // Log likelihood that a second contact adds, the first staying where it is, at the level of noise
+  // that suits each best.
+  double gain_of_second(const Hypothesis& one) const {
+    const int n = frame_.size();
+    const Marginal& first = one.contacts[0];
+    const auto top = std::max_element(first.mass.begin(), first.mass.end()) - first.mass.begin();
+    Row place = middles({0.0, 1.0}, kSecondCells);
+    place.push_back(first.place[top]);
+    std::optional<Shape> shape;
+    if (turn_of(one.curvature) >= priors_.straight) shape.emplace(one.curvature);
+    const Levers levers = levers_at(frame_, shape, place, 0.0);
+    Row left = frame_.excess;
+    for (int i = 0; i < n; ++i) left[i] -= first.force[top] * levers.sensor[i][kSecondCells];
+    const auto likelihood = [&](double level) {
+      const Whitener by(frame_, level, frame_.shared);
+      const Row rest = by(left.data());
+      return by.log_det - 0.5 * Whitener::dot(rest.data(), rest.data(), n);
+    };
+    const auto less = [&](double a, double b) { return likelihood(a) < likelihood(b); };
+    const Row& levels = frame_.levels;
+    const Whitener by(frame_, *std::max_element(levels.begin(), levels.end(), less), frame_.shared);
+    const Row rest = by(left.data());
+    Matrix white(n, kSecondCells + 1);
+    by(levers.sensor, white);
+    // Products of the first contact's column, last, and of what each other has beside it.
+    Row own(n), beside(n);
+    for (int i = 0; i < n; ++i) own[i] = white[i][kSecondCells];
+    const double power = Whitener::dot(own.data(), own.data(), n);
+    double most = 0.0;
+    for (int m = 0; m < kSecondCells; ++m) {
+      double both = 0.0;
+      for (int i = 0; i < n; ++i) both += white[i][m] * own[i];
+      for (int i = 0; i < n; ++i) beside[i] = white[i][m] - both / power * own[i];
+      const double apart = Whitener::dot(beside.data(), beside.data(), n);
+      const double told = Whitener::dot(beside.data(), rest.data(), n);
+      if (apart > 1e-6 * power) most = std::max(most, told * told / apart);
+    }
+    const double square = Whitener::dot(rest.data(), rest.data(), n);
+    return 0.5 * n * std::log(square / std::max(square - most, 1e-9 * square));
   }
 
   Hypothesis several_contacts_of(int count, int cells, int bad) const {
@@ -335,7 +392,7 @@ class Weighing {
   const Priors& priors_;
   const Settings& settings_;
   ForcePrior prior_;
-  Matrix bad_, none_;
+  Matrix bad_;
   double unfolded_;  // prior share of contacts that leave the base as it is
   double limit_;     // misfit beyond which an explanation is poor
 };

@@ -8,6 +8,8 @@
 // refined together, until the shape rests and no cell of the grid holds most of the mass.
 #pragma once
 
+#include <optional>
+
 #include "errors.h"
 
 namespace thigmo {
@@ -81,17 +83,18 @@ struct Solution {
   }
 };
 
-// Levers of normal forces on a shape; of loads spread evenly over `half` to either side.
-inline Levers levers_at(const Frame& frame, bool straight, const Shape& shape, const Row& place,
+// Levers of normal forces on a shape, or on a straight body; of loads spread evenly over `half` to
+// either side.
+inline Levers levers_at(const Frame& frame, const std::optional<Shape>& shape, const Row& place,
                         double half) {
   constexpr int kPoints = 5;  // of a spread load
   const int count = static_cast<int>(place.size());
   Levers out(frame.size(), count);
   const auto fill = [&](const Row& at, Levers& into) {
-    if (straight) {
-      straight_levers(at, frame.low, frame.high, into);
+    if (shape) {
+      bent_levers(*shape, at, frame.low, frame.high, into);
     } else {
-      bent_levers(shape, at, frame.low, frame.high, 0.0, into);
+      straight_levers(at, frame.low, frame.high, into);
     }
   };
   if (half == 0.0) {
@@ -158,7 +161,20 @@ struct OneContact {
   Nodes curvature;     // of the body bent by the force at the likeliest place
   double log_evidence = -INFINITY, misfit = INFINITY;
   int top = 0;  // index of the likeliest place
-  Row rival;    // (E,) log likelihood that each further column adds at most
+};
+
+// Explanations that a contact shares the readings with, one at a time: columns (E, N) in units of
+// their deviation, and log prior odds of each.
+struct Rivals {
+  Matrix column;
+  Row log_odds;
+  double best, hopeless;  // log evidence of the best explanation so far; what counts against it
+};
+
+// A contact beside one of them, weighed on the same grid of the same shape.
+struct RivalContact {
+  int index;
+  OneContact contact;
 };
 
 // Weighs one contact at all places of a grid, over levels of noise and scales of the force.
@@ -172,8 +188,9 @@ class OneContactGrid {
     }
   }
 
-  // Fills mass (not normalised), force, spread, misfit; returns the log scale of the mass.
-  double weigh(const Levers& levers, OneContact& out) {
+  // Fills mass, force, spread, evidence and misfit, for a window of the body; beside a further
+  // column (N,) in units of its deviation, if there is one. Returns whether any place is possible.
+  bool weigh(const Levers& levers, double window, const double* extra, OneContact& out) {
     const int n = frame_.size(), count = levers.sensor.columns;
     const int levels = static_cast<int>(white_.size());
     const int scales = static_cast<int>(prior_.scales.size());
@@ -183,19 +200,24 @@ class OneContactGrid {
       const Row deviation = prior_deviations(prior_, levers.largest, prior_.scales[p]);
       for (int m = 0; m < count; ++m) variance[p][m] = deviation[m] * deviation[m];
     }
-    Row constant(levels);
+    Row constant(levels), free(levels);
     double top = -INFINITY;
     for (int s = 0; s < levels; ++s) {
       white_[s](levers.sensor, white);
-      for (int i = 0; i < n; ++i) {
-        const double* row = white[i];
+      products(white, read_[s], told[s], square[s]);
+      free[s] = Whitener::dot(read_[s].data(), read_[s].data(), n);
+      constant[s] = white_[s].log_det - 0.5 * free[s];
+      if (extra) {
+        const Beside beside(white_[s](extra), read_[s]);
+        Row along(count);
+        beside.along(white, along.data());
         for (int m = 0; m < count; ++m) {
-          told[s][m] += row[m] * read_[s][i];
-          square[s][m] += row[m] * row[m];
+          told[s][m] -= along[m] * beside.told;
+          square[s][m] -= along[m] * along[m];
         }
+        constant[s] += beside.gain;
+        free[s] -= beside.told * beside.told;
       }
-      const double free = Whitener::dot(read_[s].data(), read_[s].data(), n);
-      constant[s] = white_[s].log_det - 0.5 * free;
       for (int p = 0; p < scales; ++p) {
         double best = 0.0;
         for (int m = 0; m < count; ++m) {
@@ -206,10 +228,9 @@ class OneContactGrid {
         top = std::max(top, constant[s] + 0.5 * best);
       }
     }
-    out.misfit = INFINITY;
     out.mass.assign(count, 0.0);
     out.force.assign(count, 0.0);
-    Row second(count);
+    out.spread.assign(count, 0.0);
     double best = 0.0;
     for (int s = 0; s < levels; ++s) {
       for (int p = 0; p < scales; ++p) {
@@ -217,76 +238,108 @@ class OneContactGrid {
           const double q = 1.0 / (1.0 + square[s][m] * variance[p][m]);
           const double v = variance[p][m] * q, f = told[s][m] * v;
           const double exponent = constant[s] - top + 0.5 * told[s][m] * f;
-          if (exponent < -40.0) continue;
+          if (exponent < -kNothing) continue;
           double w = std::exp(exponent) * std::sqrt(q);
           if (prior_.critical < INFINITY) {
             w *= below_fold(f, v, variance[p][m], levers.base[m]);
           }
           out.mass[m] += w;
           out.force[m] += w * f;
-          second[m] += w * (f * f + v);
+          out.spread[m] += w * (f * f + v);
           if (w > best) {
             best = w;
             level_ = s;
-            const double free = Whitener::dot(read_[s].data(), read_[s].data(), n);
-            out.misfit = free - f * (2.0 * told[s][m] - square[s][m] * f);
+            out.misfit = free[s] - f * (2.0 * told[s][m] - square[s][m] * f);
           }
         }
       }
     }
-    out.spread.assign(count, 0.0);
+    double total = 0.0;
     for (int m = 0; m < count; ++m) {
       if (out.mass[m] <= 0.0) continue;
+      total += out.mass[m];
       out.force[m] /= out.mass[m];
-      const double variance_of = second[m] / out.mass[m] - out.force[m] * out.force[m];
-      out.spread[m] = std::sqrt(std::max(variance_of, 0.0));
+      out.spread[m] = out.spread[m] / out.mass[m] - out.force[m] * out.force[m];
+      out.spread[m] = std::sqrt(std::max(out.spread[m], 0.0));
     }
-    return top - std::log(static_cast<double>(levels * scales));
+    if (!(total > 0.0)) return false;
+    out.top =
+        static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
+    out.log_evidence = top + std::log(total * out.width / (window * levels * scales));
+    for (double& mass : out.mass) mass /= total;
+    return true;
   }
 
-  // What each column of `extra` (in units of its deviation) adds at most to the log likelihood of
-  // the likeliest place, whichever place that then is.
-  Row rivals(const Levers& levers, const Matrix& extra) const {
+  // Log likelihood that each column adds at most to that of the likeliest place, whichever place
+  // that then is.
+  Row gains(const Levers& levers, const Matrix& columns) const {
     const int n = frame_.size(), count = levers.sensor.columns;
     const Row& read = read_[level_];
     Matrix white(n, count);
     white_[level_](levers.sensor, white);
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-    const Row deviation = prior_deviations(prior_, levers.largest, widest);
-    Row told(count), square(count), out(extra.rows);
-    for (int i = 0; i < n; ++i) {
-      for (int m = 0; m < count; ++m) {
-        told[m] += white[i][m] * read[i];
-        square[m] += white[i][m] * white[i][m];
-      }
-    }
+    Row precision = prior_deviations(prior_, levers.largest, widest);
+    for (double& value : precision) value = 1.0 / (value * value);
+    Row told(count), square(count), along(count), out(columns.rows);
+    products(white, read, told.data(), square.data());
     double plain = 0.0;
     for (int m = 0; m < count; ++m) {
-      const double precision = 1.0 / (deviation[m] * deviation[m]);
-      plain = std::max(plain, 0.5 * told[m] * told[m] / (square[m] + precision));
+      square[m] += precision[m];
+      plain = std::max(plain, told[m] * told[m] / square[m]);
     }
-    for (int e = 0; e < extra.rows; ++e) {
-      const Row column = white_[level_](extra[e]);
-      const double c = 1.0 + Whitener::dot(column.data(), column.data(), n);
-      const double own = Whitener::dot(column.data(), read.data(), n);
-      Row along(count);
-      for (int i = 0; i < n; ++i) {
-        if (column[i] == 0.0) continue;
-        for (int m = 0; m < count; ++m) along[m] += white[i][m] * column[i];
-      }
+    for (int e = 0; e < columns.rows; ++e) {
+      const Beside beside(white_[level_](columns[e]), read);
+      beside.along(white, along.data());
       double best = 0.0;
       for (int m = 0; m < count; ++m) {
-        const double b = told[m] - along[m] * own / c;
-        const double g = square[m] - along[m] * along[m] / c;
-        const double gain = b * b / (g + 1.0 / (deviation[m] * deviation[m]));
+        const double b = told[m] - along[m] * beside.told, g = square[m] - along[m] * along[m];
+        const double gain = b * b / g;
         best = gain > best ? gain : best;
       }
-      out[e] = 0.5 * best + 0.5 * own * own / c - 0.5 * std::log(c) - plain;
+      out[e] = beside.gain + 0.5 * (best - plain);
     }
     return out;
   }
 
  private:
+  static constexpr double kNothing = 25.0;  // nats below the likeliest place that weigh nothing
+
+  // Products of each whitened lever with the readings and with itself.
+  static void products(const Matrix& white, const Row& read, double* told, double* square) {
+    std::fill(told, told + white.columns, 0.0);
+    std::fill(square, square + white.columns, 0.0);
+    for (int i = 0; i < white.rows; ++i) {
+      const double* row = white[i];
+      for (int m = 0; m < white.columns; ++m) {
+        told[m] += row[m] * read[i];
+        square[m] += row[m] * row[m];
+      }
+    }
+  }
+
+  // One more column of the covariance: a rank-one change of every product. `told` and `along` are
+  // products with the column, scaled so that their own products are what is taken away.
+  struct Beside {
+    Row column;
+    double scale, told, gain;
+    Beside(Row&& whitened, const Row& read) : column(std::move(whitened)) {
+      const int n = static_cast<int>(column.size());
+      const double c = 1.0 + Whitener::dot(column.data(), column.data(), n);
+      scale = 1.0 / std::sqrt(c);
+      told = scale * Whitener::dot(column.data(), read.data(), n);
+      gain = 0.5 * (told * told - std::log(c));
+    }
+    void along(const Matrix& white, double* out) const {
+      std::fill(out, out + white.columns, 0.0);
+      for (int i = 0; i < white.rows; ++i) {
+        const double share = scale * column[i];
+        if (share == 0.0) continue;
+        const double* row = white[i];
+        for (int m = 0; m < white.columns; ++m) out[m] += row[m] * share;
+      }
+    }
+  };
+
   // Share of the force's posterior, over that of its prior, that does not fold the base.
   double below_fold(double mean, double variance, double prior, double lever) const {
     const double reach = std::abs(lever), limit = prior_.critical;
@@ -315,28 +368,23 @@ inline Row middles(Window window, int cells) {
   return place;
 }
 
-// One contact in a window of the body. `extra` (E, N) are columns of rival explanations.
+// One contact in a window of the body; and beside rivals, those that are worth weighing.
 inline OneContact one_contact(const Frame& frame, const Matrix& shared, const ForcePrior& prior,
                               Window window, int cells, double half, const Nodes& start,
-                              const Matrix& extra) {
+                              const Rivals* rivals = nullptr,
+                              std::vector<RivalContact>* beside = nullptr) {
   OneContactGrid grid(frame, shared, prior);
   OneContact out;
-  Window grid_window = window;
+  Window part = window;
   out.curvature = start;
   bool straight = turn_of(start) < prior.straight;
+  std::optional<Shape> shape;
   for (int turn = 0; turn < kMostTurns; ++turn) {
-    out.place = middles(grid_window, cells);
-    out.width = (grid_window.far - grid_window.near) / cells;
-    const Shape shape(out.curvature);
-    const Levers levers = levers_at(frame, straight, shape, out.place, half);
-    const double scale = grid.weigh(levers, out);
-    double total = 0.0;
-    for (int m = 0; m < cells; ++m) total += out.mass[m];
-    out.top =
-        static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
-    if (!(total > 0.0)) break;
-    out.log_evidence = scale + std::log(total * out.width / (window.far - window.near));
-    for (double& mass : out.mass) mass /= total;
+    out.place = middles(part, cells);
+    out.width = (part.far - part.near) / cells;
+    if (!straight) shape.emplace(out.curvature);
+    const Levers levers = levers_at(frame, shape, out.place, half);
+    if (!grid.weigh(levers, window.far - window.near, nullptr, out)) break;
     Nodes bent = frame.rest;
     const double arc = out.place[out.top], force = out.force[out.top];
     if (straight) {
@@ -344,26 +392,33 @@ inline OneContact one_contact(const Frame& frame, const Matrix& shared, const Fo
         bent[k] += force * std::max(arc - k / (kNodes - 1.0), 0.0);
       }
     } else {
-      shape.add_moment(arc, force, 0.0, bent);
+      shape->add_moment(shape->at(arc), force, bent);
     }
     bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
     if (straight) {
       straight = turn_of(bent) < prior.straight;
       rests = straight;
     }
-    if (rests) {
-      const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
-      const Window finer = support(out.mass.data(), cells, grid_window, kOutside);
-      if (resolved || finer.far - finer.near > 0.7 * (grid_window.far - grid_window.near)) {
-        out.curvature = bent;
-        out.rival = grid.rivals(levers, extra);
-        return out;
-      }
-      grid_window = finer;
-    }
     out.curvature = bent;
+    if (!rests) continue;
+    const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
+    const Window finer = support(out.mass.data(), cells, part, kOutside);
+    if (!resolved && finer.far - finer.near < 0.7 * (part.far - part.near)) {
+      part = finer;
+      continue;
+    }
+    if (!rivals) return out;
+    const Row gain = grid.gains(levers, rivals->column);
+    const double least = std::max(rivals->best, out.log_evidence) + rivals->hopeless;
+    for (int e = 0; e < rivals->column.rows; ++e) {
+      if (out.log_evidence + gain[e] + rivals->log_odds[e] < least) continue;
+      OneContact other = out;
+      if (grid.weigh(levers, window.far - window.near, rivals->column[e], other)) {
+        beside->push_back({e, std::move(other)});
+      }
+    }
+    return out;
   }
-  out.rival.assign(extra.rows, -INFINITY);
   return out;
 }
 
@@ -467,6 +522,7 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
   std::vector<Window> window(count, Window{0.0, 1.0});
   out.curvature = start;
   bool straight = turn_of(start) < prior.straight;
+  std::optional<Shape> shape;
   SetsGrid sets(count, cells);
   Matrix white(n, wide);
   for (int turn = 0; turn < kMostTurns; ++turn) {
@@ -480,8 +536,8 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
       log_volume += std::log((j + 1.0) * out.width[j]);
       gap = std::min(gap, 0.5 * out.width[j]);
     }
-    const Shape shape(out.curvature);
-    const Levers levers = levers_at(frame, straight, shape, sets.place, 0.0);
+    if (!straight) shape.emplace(out.curvature);
+    const Levers levers = levers_at(frame, shape, sets.place, 0.0);
     sets.base = levers.base;
     sets.clear();
     for (const double level : frame.levels) {
@@ -520,9 +576,9 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
     }
     out.mass = sets.mass;
     Nodes bent = frame.rest;
-    const Shape levered = straight ? Shape(Nodes{}) : shape;
+    const Shape levered = shape.value_or(Shape(Nodes{}));
     for (int j = 0; j < count; ++j) {
-      levered.add_moment(out.best[j], out.force[j], 0.0, bent);
+      levered.add_moment(levered.at(out.best[j]), out.force[j], bent);
     }
     bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
     if (straight) {
@@ -563,8 +619,8 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
   for (int turn = 0; turn < kMostPasses; ++turn) {
     const Shape shape(out.curvature);
     Levers normal(n, 1), along(n, 1);
-    bent_levers(shape, {1.0}, frame.low, frame.high, 0.0, normal);
-    bent_levers(shape, {1.0}, frame.low, frame.high, 0.5 * std::numbers::pi, along);
+    bent_levers(shape, {1.0}, frame.low, frame.high, normal);
+    bent_levers(shape, {1.0}, frame.low, frame.high, along, true);
     const double arm = std::max({normal.largest[0], along.largest[0], 1e-6});
     Row each;
     double best = -INFINITY;
@@ -611,8 +667,8 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
     }
     out.log_evidence = log_mean_exp(each);
     Nodes bent = frame.rest;
-    shape.add_moment(1.0, out.load[0], 0.0, bent);
-    shape.add_moment(1.0, out.load[1], 0.5 * std::numbers::pi, bent);
+    shape.add_moment(shape.at(1.0), out.load[0], bent);
+    shape.add_moment(shape.at(1.0).turned(), out.load[1], bent);
     for (double& value : bent) value += out.load[2];
     const bool rests = largest_change(bent, out.curvature) < prior.rests;
     out.curvature = bent;
@@ -642,8 +698,8 @@ inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
   std::vector<Whitener> white;
   for (const double level : frame.levels) white.emplace_back(frame, level, shared);
   for (int turn = 0; turn < kMostPasses; ++turn) {
-    const Shape shape(out.curvature);
-    const Levers levers = levers_at(frame, false, shape, out.place, 0.0);
+    const std::optional<Shape> shape(out.curvature);
+    const Levers levers = levers_at(frame, shape, out.place, 0.0);
     Row log_mass(cells, -INFINITY);
     out.force.assign(cells, 0.0);
     out.angle.assign(cells, 0.0);
@@ -694,7 +750,7 @@ inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
     }
     for (double& mass : out.mass) mass /= total;
     Nodes bent = frame.rest;
-    shape.add_moment(out.place[out.top], out.force[out.top], 0.0, bent);
+    shape->add_moment(shape->at(out.place[out.top]), out.force[out.top], bent);
     const bool rests = largest_change(bent, out.curvature) < prior.rests;
     out.curvature = bent;
     if (rests) break;

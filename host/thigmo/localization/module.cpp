@@ -47,6 +47,24 @@ void check_sizes(const Input& in) {
   }
 }
 
+constexpr const char* kStatuses[] = {"no contact", "below detection", "ambiguous", "localized"};
+// In the order of `Load`.
+constexpr const char* kLoads[] = {"free body",
+                                  "hinge",
+                                  "one contact",
+                                  "end wrench",
+                                  "one contact, folded base",
+                                  "contact spread out",
+                                  "one contact, hinge",
+                                  "two contacts",
+                                  "three contacts",
+                                  "end wrench, folded base"};
+
+nb::str name_of(const Hypothesis& of) {
+  const std::string name = kLoads[static_cast<int>(of.load)];
+  return nb::str((of.bad < 0 ? name : name + ", one bad reading").c_str());
+}
+
 // Plain numbers of many answers, one row each.
 struct Rows {
   static constexpr std::size_t kContacts = 3;
@@ -99,15 +117,15 @@ NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
     const auto numbers = [&](const char* name) { return row(nb::cast<Numbers>(values[name])); };
-    new (self) Priors{numbers("moments"),      numbers("half_widths"),  numbers("noise_levels"),
-                      number("least_lever"),   number("contact"),       number("end"),
-                      number("end_straight"),  number("held"),          number("another"),
-                      number("spread"),        number("hinge"),         number("base_fold"),
-                      number("bad_deviation"), number("angle"),         number("near_fold"),
-                      number("strong"),        number("straight"),      number("end_turn"),
-                      number("shape_rests"),   number("level"),         number("excluded"),
-                      number("five_sigma"),    number("hopeless"),      number("trust"),
-                      number("end_cell"),      number("misfit_deviate")};
+    new (self) Priors{numbers("moments"),      numbers("half_widths"), numbers("noise_levels"),
+                      number("least_lever"),   number("contact"),      number("end"),
+                      number("end_straight"),  number("held"),         number("another"),
+                      number("spread"),        number("hinge"),        number("base_fold"),
+                      number("bad_deviation"), number("angle"),        number("near_fold"),
+                      number("strong"),        number("straight"),     number("end_turn"),
+                      number("shape_rests"),   number("level"),        number("excluded"),
+                      number("five_sigma"),    number("second_gain"),  number("hopeless"),
+                      number("trust"),         number("end_cell"),     number("misfit_deviate")};
   });
 
   nb::class_<Settings>(m, "Settings")
@@ -130,33 +148,59 @@ NB_MODULE(_posterior, m) {
       .def_ro("log_odds", &Answer::log_odds)
       .def_ro("objective", &Answer::objective)
       .def_ro("gap", &Answer::gap)
-      // arc, force, low, high, deviation, end offset, localized; and the pieces of the interval
-      .def_prop_ro("contacts",
+      // The fields of `Contact`, in the caller's unit.
+      .def("contacts",
+           [](const Answer& a, double length) {
+             nb::list out;
+             for (const FeltContact& c : a.contacts) {
+               nb::list pieces;
+               for (const auto& [low, high] : c.pieces) {
+                 pieces.append(nb::make_tuple(low * length, high * length));
+               }
+               const Status lowest = c.localized ? Status::localized : Status::ambiguous;
+               const bool hint = a.status == Status::below_detection;
+               out.append(nb::make_tuple(
+                   c.arc * length, c.force / (length * length),
+                   nb::make_tuple(c.low * length, c.high * length),
+                   kStatuses[static_cast<int>(hint ? a.status : lowest)], nb::tuple(pieces),
+                   c.deviation / (length * length), 1.0 - a.number[0],
+                   std::isnan(c.offset) ? nb::none() : nb::cast(c.offset * length)));
+             }
+             return out;
+           })
+      // Of each hypothesis: load, index of the bad reading among the finite ones or -1, log weight.
+      .def_prop_ro("weighed",
                    [](const Answer& a) {
                      nb::list out;
-                     for (const FeltContact& c : a.contacts) {
-                       out.append(nb::make_tuple(c.arc, c.force, c.low, c.high, c.deviation,
-                                                 c.offset, c.localized, c.pieces));
+                     for (const Hypothesis& h : a.hypotheses) {
+                       out.append(nb::make_tuple(static_cast<int>(h.load), h.bad, h.log_weight));
                      }
                      return out;
                    })
-      // load, bad reading or -1, log weight, probability, misfit; the likeliest is `best`
+      .def_prop_ro("hypothesis", [](const Answer& a) { return name_of(a.hypotheses[a.best]); })
       .def_prop_ro("hypotheses",
                    [](const Answer& a) {
-                     nb::list out;
+                     nb::dict out;
                      for (std::size_t k = 0; k < a.hypotheses.size(); ++k) {
-                       const Hypothesis& h = a.hypotheses[k];
-                       out.append(nb::make_tuple(static_cast<int>(h.load), h.bad, h.log_weight,
-                                                 a.probability[k], h.misfit));
+                       const nb::str name = name_of(a.hypotheses[k]);
+                       const double before = out.contains(name) ? nb::cast<double>(out[name]) : 0.0;
+                       out[name] = before + a.probability[k];
                      }
                      return out;
                    })
-      .def_ro("best", &Answer::best)
-      .def_prop_ro("parameters",
-                   [](const Answer& a) {
-                     const Hypothesis& h = a.hypotheses[a.best];
-                     return nb::make_tuple(h.angle, h.at, h.half_width, h.push, h.couple, h.offset);
-                   })
+      // Further numbers of the likeliest one, in the caller's unit.
+      .def("parameters",
+           [](const Answer& a, double length) {
+             const Hypothesis& h = a.hypotheses[a.best];
+             nb::dict out;
+             const auto add = [&](const char* name, double value) {
+               if (!std::isnan(value)) out[name] = value;
+             };
+             add("fold_angle", h.angle), add("hinge_arc", h.at * length);
+             add("half_width", h.half_width * length), add("push_back", h.push / (length * length));
+             add("tip_moment", h.couple / length), add("end_offset", h.offset * length);
+             return out;
+           })
       .def_prop_ro(
           "edges", [](const Answer& a) { return array(a.edges); }, nb::rv_policy::reference)
       .def_prop_ro(

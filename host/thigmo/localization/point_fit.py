@@ -16,12 +16,9 @@ def point_fit_result(found: _posterior.Answer, total: float, method: str) -> Loc
         total: that length, in the caller's unit.
         method: "l1" (thesis, equation 2.10) or "l2".
     """
-    sets = tuple(
-        tuple((near * total, far * total) for near, far in pieces) for *_, pieces in found.contacts
-    )
     listed = tuple(
-        Contact(arc * total, force / total**2, (low * total, high * total), "ambiguous", pieces)
-        for (arc, force, low, high, *_), pieces in zip(found.contacts, sets, strict=True)
+        Contact(arc, force, interval, "ambiguous", pieces)
+        for arc, force, interval, _, pieces, *_ in found.contacts(total)
     )
     return LocalizeResult(
         "ambiguous",
@@ -32,6 +29,6 @@ def point_fit_result(found: _posterior.Answer, total: float, method: str) -> Loc
         math.nan,
         {},
         objective=found.objective,
-        optimum_set=sets,
+        optimum_set=tuple(contact.intervals for contact in listed),
         length=total,
     )

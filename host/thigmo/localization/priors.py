@@ -8,6 +8,7 @@ an edit here counts at once.
 from __future__ import annotations
 
 import math
+from operator import is_, itemgetter
 
 import numpy as np
 
@@ -73,8 +74,11 @@ WIDTH_SHARE = 10.0 / 53.0
 FIVE_SIGMA = 25.0
 # Log odds against the likeliest explanation below which one is not weighed further.
 HOPELESS = -7.0
-# Standard normal deviate of the misfit that calls for further explanations: 5 % of right ones.
-MISFIT_DEVIATE = 1.645
+# Standard normal deviate of the misfit that calls for further explanations: 2 % of right ones.
+MISFIT_DEVIATE = 2.0
+
+# Where the noise is unknown: log likelihood that a second contact must add to be weighed.
+SECOND_GAIN = 1.75
 
 # Readings are never trusted to more than this share of the largest of them or of the free
 # curvature: no beam model and no sensor constant is better.
@@ -86,17 +90,17 @@ NOISE_LEVELS = 1.3 * 0.6 ** np.arange(9)
 def compiled() -> _posterior.Priors:
     """All of them, as the compiled code takes them; made anew when one was changed."""
     global _kept
-    now = globals()
-    values = {name: now[name.upper()] for name in _NAMES}
-    if _kept is None or any(_kept[0][name] is not value for name, value in values.items()):
-        _kept = (values, _posterior.Priors(values))
+    now = _of(globals())
+    if _kept is None or not all(map(is_, _kept[0], now)):
+        _kept = (now, _posterior.Priors(dict(zip(_NAMES, now, strict=True))))
     return _kept[1]
 
 
-_kept: tuple[dict[str, object], _posterior.Priors] | None = None
+_kept: tuple[tuple[object, ...], _posterior.Priors] | None = None
 _NAMES = (
     "moments", "least_lever", "contact", "end", "end_straight", "held", "another", "spread",
     "hinge", "base_fold", "bad_deviation", "angle", "half_widths", "near_fold", "strong",
-    "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "hopeless",
-    "trust", "end_cell", "misfit_deviate", "noise_levels",
+    "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "second_gain",
+    "hopeless", "trust", "end_cell", "misfit_deviate", "noise_levels",
 )  # fmt: skip
+_of = itemgetter(*(name.upper() for name in _NAMES))

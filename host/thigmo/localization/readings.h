@@ -12,7 +12,8 @@ struct Priors {
   Row moments, half_widths, noise_levels;
   double least_lever, contact, end, end_straight, held, another, spread, hinge, base_fold,
       bad_deviation, angle;
-  double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma;
+  double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma,
+      second_gain;
   double hopeless, trust, end_cell, misfit_deviate;
 };
 
@@ -139,6 +140,10 @@ inline Readings normalised(const Input& in, const Priors& priors) {
   double most = 1e-6, square = 0.0;
   out.turn = out.noise = 0.0;
   Row free;
+  for (Row* each : {&frame.excess, &frame.low, &frame.high, &frame.noise, &frame.gain, &free,
+                    &out.bad, &out.log_bad}) {
+    each->reserve(in.curvature.size());
+  }
   for (std::size_t i = 0; i < in.curvature.size(); ++i) {
     if (std::isnan(in.curvature[i])) continue;
     const double g = pick(in.free, i);

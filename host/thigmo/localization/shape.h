@@ -33,8 +33,11 @@ struct Matrix {
   }
 };
 
+// A point of the body: the integrals up to there, and the cosine and sine of its heading.
 struct Point {
-  double heading, x, y;
+  double arc, x, y, sum_x, sum_y, c, s;
+  // Of a force along the body there instead of across it.
+  Point turned() const { return {arc, x, y, sum_x, sum_y, -s, c}; }
 };
 
 class Shape {
@@ -42,63 +45,58 @@ class Shape {
   // From the curvature at even nodes of a body of length one.
   explicit Shape(const Nodes& curvature) {
     const double half = 0.5 / (kNodes - 1);
-    heading_[0] = x_[0] = y_[0] = sum_x_[0] = sum_y_[0] = 0.0;
-    double c = 1.0, s = 0.0;
+    double heading = 0.0;
+    c_[0] = 1.0, s_[0] = x_[0] = y_[0] = sum_x_[0] = sum_y_[0] = 0.0;
     for (int i = 1; i < kNodes; ++i) {
-      heading_[i] = heading_[i - 1] + half * (curvature[i] + curvature[i - 1]);
-      const double c_next = std::cos(heading_[i]), s_next = std::sin(heading_[i]);
-      x_[i] = x_[i - 1] + half * (c + c_next);
-      y_[i] = y_[i - 1] + half * (s + s_next);
+      heading += half * (curvature[i] + curvature[i - 1]);
+      c_[i] = std::cos(heading), s_[i] = std::sin(heading);
+      x_[i] = x_[i - 1] + half * (c_[i - 1] + c_[i]);
+      y_[i] = y_[i - 1] + half * (s_[i - 1] + s_[i]);
       sum_x_[i] = sum_x_[i - 1] + half * (x_[i] + x_[i - 1]);
       sum_y_[i] = sum_y_[i - 1] + half * (y_[i] + y_[i - 1]);
-      c = c_next, s = s_next;
     }
   }
 
   Point at(double arc) const {
-    return {between(heading_, arc), between(x_, arc), between(y_, arc)};
+    const double u = arc * (kNodes - 1);
+    const int i = std::min(static_cast<int>(u), kNodes - 2);
+    const double share = u - i;
+    const auto between = [&](const Nodes& of) { return of[i] + (of[i + 1] - of[i]) * share; };
+    return {arc,         between(x_), between(y_), between(sum_x_), between(sum_y_),
+            between(c_), between(s_)};
   }
 
-  // Mean over a span of the lever of a unit force at `arc`, turned by `turn` from the normal.
-  double lever(const Point& point, double c, double s, double arc, double low, double high) const {
-    if (arc <= low) return 0.0;
-    const double own = point.x * c + point.y * s;
-    if (high - low < kPoint) return own - between(x_, low) * c - between(y_, low) * s;
-    const double end = std::min(high, arc);
-    const double sum_x = between(sum_x_, end) - between(sum_x_, low);
-    const double sum_y = between(sum_y_, end) - between(sum_y_, low);
-    return (own * (end - low) - sum_x * c - sum_y * s) / (high - low);
-  }
-
-  // Largest lever between the base and `arc`.
-  double largest(const Point& point, double c, double s, double arc) const {
-    const double own = point.x * c + point.y * s;
+  // Largest lever of a force at `point`.
+  double largest(const Point& point) const {
+    const double own = point.x * point.c + point.y * point.s;
     double most = std::abs(own);
-    for (int k = 8; k < arc * (kNodes - 1); k += 8) {
-      most = std::max(most, std::abs(own - x_[k] * c - y_[k] * s));
+    for (int k = 8; k < point.arc * (kNodes - 1); k += 8) {
+      most = std::max(most, std::abs(own - x_[k] * point.c - y_[k] * point.s));
     }
     return most;
   }
 
-  // Add the curvature that a force causes along the body.
-  void add_moment(double arc, double force, double turn, Nodes& curvature) const {
-    const Point point = at(arc);
-    const double c = std::cos(point.heading + turn), s = std::sin(point.heading + turn);
-    const double own = point.x * c + point.y * s;
-    for (int k = 0; k < kNodes && k < arc * (kNodes - 1); ++k) {
-      curvature[k] += force * (own - x_[k] * c - y_[k] * s);
+  // Add the curvature that a force at `point` causes along the body.
+  void add_moment(const Point& point, double force, Nodes& curvature) const {
+    const double own = point.x * point.c + point.y * point.s;
+    for (int k = 0; k < kNodes && k < point.arc * (kNodes - 1); ++k) {
+      curvature[k] += force * (own - x_[k] * point.c - y_[k] * point.s);
     }
   }
 
  private:
-  static double between(const Nodes& values, double arc) {
-    const double u = arc * (kNodes - 1);
-    const int i = std::min(static_cast<int>(u), kNodes - 2);
-    return values[i] + (values[i + 1] - values[i]) * (u - i);
-  }
-
-  Nodes heading_, x_, y_, sum_x_, sum_y_;
+  Nodes c_, s_, x_, y_, sum_x_, sum_y_;
 };
+
+// Mean over a sensor, from `low` to `high`, of the lever of a unit force at `point`.
+inline double mean_lever(const Point& low, const Point& high, const Point& point) {
+  if (point.arc <= low.arc) return 0.0;
+  const double own = point.x * point.c + point.y * point.s, span = high.arc - low.arc;
+  if (span < kPoint) return own - low.x * point.c - low.y * point.s;
+  const Point& end = point.arc < high.arc ? point : high;
+  const double sum_x = end.sum_x - low.sum_x, sum_y = end.sum_y - low.sum_y;
+  return (own * (end.arc - low.arc) - sum_x * point.c - sum_y * point.s) / span;
+}
 
 // What unit forces at M places do: mean lever over each sensor, largest lever and that at the base.
 struct Levers {
@@ -126,17 +124,19 @@ inline void straight_levers(const Row& place, const Row& low, const Row& high, L
   }
 }
 
-// Forces turned by `turn` from the normal of a bent body.
+// Forces across a bent body, or along it.
 inline void bent_levers(const Shape& shape, const Row& place, const Row& low, const Row& high,
-                        double turn, Levers& out) {
-  for (int m = 0; m < static_cast<int>(place.size()); ++m) {
-    const Point point = shape.at(place[m]);
-    const double c = std::cos(point.heading + turn), s = std::sin(point.heading + turn);
-    out.base[m] = point.x * c + point.y * s;
-    out.largest[m] = shape.largest(point, c, s, place[m]);
-    for (int i = 0; i < out.sensor.rows; ++i) {
-      out.sensor[i][m] = shape.lever(point, c, s, place[m], low[i], high[i]);
-    }
+                        Levers& out, bool along = false) {
+  std::vector<Point> point;
+  for (const double arc : place) {
+    point.push_back(along ? shape.at(arc).turned() : shape.at(arc));
+    out.base[point.size() - 1] = point.back().x * point.back().c + point.back().y * point.back().s;
+    out.largest[point.size() - 1] = shape.largest(point.back());
+  }
+  for (int i = 0; i < out.sensor.rows; ++i) {
+    const Point near = shape.at(low[i]), far = shape.at(high[i]);
+    double* row = out.sensor[i];
+    for (std::size_t m = 0; m < place.size(); ++m) row[m] = mean_lever(near, far, point[m]);
   }
 }
 

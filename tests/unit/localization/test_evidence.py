@@ -27,7 +27,7 @@ def weighed(curvature, free, **options):
         priors.compiled(),
     )  # fmt: skip
     assert found.problem == 0
-    return {(load, bad): weight for load, bad, weight, _, _ in found.hypotheses}
+    return {(load, bad): weight for load, bad, weight in found.weighed}
 
 
 def covariance(curvature, free):
