@@ -45,7 +45,7 @@ def fit(y: Floats, low: Floats, high: Floats, contacts: int, norm: str) -> Point
         priors.compiled(),
     )  # fmt: skip
     assert found.problem == 0
-    arcs, forces, *_, sets = zip(*found.contacts, strict=True)
+    arcs, forces, _, _, sets, *_ = zip(*found.contacts(1.0), strict=True)
     return PointFit(
         found.objective,
         found.gap,
