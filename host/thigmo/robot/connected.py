@@ -1,0 +1,342 @@
+"""A robot's link, and what is known and told of it without commanding: the ground of `Robot`.
+
+All waiting is done by reading the link: with the emulator that is what advances time, on hardware
+the heartbeat runs beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+import numpy as np
+
+from thigmo.config import RobotConfig
+from thigmo.errors import CommandRefusedError, LinkError
+from thigmo.link import protocol as wire
+from thigmo.record import Truth
+from thigmo.robot.growing import GrowthWatcher
+from thigmo.robot.operator import NobodyThere, Operator
+from thigmo.robot.publishing import Publisher
+from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.standing import StandingWatch
+from thigmo.robot.state import Status
+from thigmo.robot.sweeping import SweepWatcher
+from thigmo.robot.truth import truth_now
+from thigmo.robot.watch import Watch
+from thigmo.stream import Hub, Message, Telemetry
+from thigmo.stream.hub import QUEUE
+
+if TYPE_CHECKING:
+    from thigmo.link.client import Client, Tap
+    from thigmo.link.protocol import Ack, Command
+    from thigmo.link.received import TelemetryFrame
+
+R = TypeVar("R", bound=wire.Message)
+
+SENSORS = 10
+_STREAM_S = 0.1
+_UNKNOWN_ZONE = 255
+
+
+class Connected:
+    """A connected robot. A context manager: leaving it vents, brakes and closes the link.
+
+    Attributes:
+        url: how it was opened.
+        operator: who answers what the board cannot know.
+        config: robot.toml as last sent with `configure`.
+    """
+
+    def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
+        self._client = client
+        # A board that lives in this process starts anew with the next connection.
+        self._watch = Watch(client, "" if client.transport.virtual else url)
+        self.url = url
+        self.operator: Operator = (
+            operator if operator and not client.transport.operator
+            else client.transport.operator or NobodyThere()
+        )  # fmt: skip
+        self.config = RobotConfig()
+        self._table = SensorTable.of(self.config)
+        self._zero_sum: Floats = np.full(SENSORS, np.nan)
+        self._zero_before = self._zero_sum
+        self._oversample = 16
+        self._started = client.now()
+        self._aside = 0
+        self._standing: StandingWatch | None = None
+        self._closed = False
+        self._publisher = Publisher(client, self.config, self._zero_sum, self._oversample)
+
+    # Life.
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            self.make_safe(interrupted=True)
+        self.close()
+
+    def make_safe(self, *, interrupted: bool = False) -> bool:
+        """Valves to 0 mA and motor braked, if the board can still be reached; never raises.
+
+        Args:
+            interrupted: by an operator: `stop`, which waits behind no command and latches,
+                instead of `disarm`.
+
+        Returns:
+            Whether the board acknowledged. If not, its own heartbeat limit does the same.
+        """
+        try:
+            if interrupted:
+                self.stop()
+            else:
+                self.disarm()
+        except LinkError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Make the robot safe and close the link. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.make_safe()
+        finally:
+            self._client.close()
+            self.hub.close()
+
+    def record_frames(self, tap: Tap) -> None:
+        """Call `tap(direction, frame, host time)` with every frame of the link from now on."""
+        self._client.taps.append(tap)
+
+    def disarm(self) -> None:
+        """Valves 0 mA, motor braked, activity aborted, state safe; `arm` leads back."""
+        self._client.request(wire.Disarm())
+
+    def stop(self) -> None:
+        """At once, whatever is under way: valves 0 mA, motor braked, and so it stays.
+
+        The board refuses to arm or to move until an operator clears the stop: `clear_stop`, or
+        `thigmo clear`.
+
+        Raises:
+            CommandTimeoutError: the board did not confirm it.
+        """
+        self._client.stop()
+
+    def clear_stop(self) -> bool:
+        """Let a stopped robot go, on behalf of the operator who has looked at it.
+
+        No program should call it on its own account. `clear_faults` leaves a stop latched.
+
+        Returns:
+            Whether one was latched.
+
+        Raises:
+            CommandRefusedError: the robot was stopped once more meanwhile.
+        """
+        report = self._client.request(wire.GetStatus())
+        if not report.faults & wire.Fault.STOPPED.mask:
+            return False
+        self._client.request(wire.ClearStop(report.stop_nonce))
+        return True
+
+    # The stream.
+
+    @property
+    def hub(self) -> Hub:
+        """Where the robot publishes its telemetry, events and shape.
+
+        Others may publish there as well: an exploration does.
+        """
+        return self._publisher.hub
+
+    @property
+    def epoch_s(self) -> float:
+        """UTC seconds since 1970 at which the link's clock (`now`) was 0."""
+        return self._publisher.epoch_s
+
+    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> Callable[[], None]:
+        """Call `callback` with each telemetry frame, decoded, while the link is read.
+
+        It must be quick, and must command nothing; commands go on meanwhile.
+
+        Returns:
+            A function that ends it.
+        """
+
+        def take(message: Message) -> None:
+            if isinstance(message, Telemetry):
+                callback(message)
+
+        self.hub.attach(take, {Telemetry.CHANNEL})
+        return lambda: self.hub.detach(take)
+
+    def stream(
+        self, seconds: float = np.inf, channels: Iterable[str] | None = None, size: int = QUEUE
+    ) -> Iterator[Message]:
+        """Messages as they come, read from the link meanwhile; commands may be sent between them.
+
+        Another thread than the one that drives the robot takes `hub.subscribe()` instead.
+
+        Args:
+            seconds: for so long.
+            channels: names of `thigmo.stream.CHANNELS`; None gives all.
+            size: messages that are kept while nobody takes them; then the oldest are lost.
+
+        Raises:
+            LinkError: the connection is gone.
+        """
+        end = self.now() + seconds
+        with self.hub.subscribe(channels, size) as heard:
+            while self.now() < end:
+                self._client.poll(min(end - self.now(), _STREAM_S))
+                self._watch.forget()  # nobody waits for the board's events meanwhile
+                # What is done between two messages takes time, and brings new ones.
+                while self.now() < end and (message := heard.get(0.0)) is not None:
+                    yield message
+
+    def while_waiting(self, callback: Callable[[], None]) -> None:
+        """Call `callback` whenever something of the board is waited for; it may raise, which ends
+        the waiting, and must command nothing.
+        """
+        self._watch.interruptions.append(callback)
+
+    def _decode(self) -> None:
+        self._publisher.use(self.config, self._zero_sum, self._oversample)
+
+    def _follow(
+        self, watcher: SweepWatcher | GrowthWatcher | StandingWatch
+    ) -> Callable[[TelemetryFrame], None]:
+        def take(frame: TelemetryFrame) -> None:
+            watcher.telemetry(frame.device_us * 1e-6, lambda: frame.message)
+
+        self._client.on_telemetry.append(take)
+        return take
+
+    @contextmanager
+    def _telemetry_to(self, watcher: SweepWatcher | GrowthWatcher) -> Iterator[None]:
+        take = self._follow(watcher)
+        try:
+            yield
+        finally:
+            self._client.on_telemetry.remove(take)
+
+    # Asking and waiting.
+
+    def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
+        """Let time pass, with the link alive.
+
+        Args:
+            seconds: so long.
+            despite_faults: a fault is what is looked for; do not raise it.
+
+        Raises:
+            RobotFaultError: a fault was latched meanwhile.
+        """
+        if despite_faults:
+            self._client.wait_for(lambda: False, seconds)
+            self._watch.forget()
+        else:
+            self._watch.wait(seconds)
+
+    def _request(self, command: Command[R]) -> R:
+        """Ask the board; a refusal because of a latched fault becomes that fault's error."""
+        try:
+            return self._client.request(command)
+        except CommandRefusedError as error:
+            if error.reason != wire.Reason.FAULT_LATCHED.key:
+                raise
+            faults = self.status().faults
+            if not faults:
+                raise
+            raise self._watch.fault_error(faults) from error
+
+    def _start(self, command: Command[Ack]) -> None:
+        """Start something whose events are waited for."""
+        self._watch.forget()
+        self._request(command)
+
+    def status(self) -> Status:
+        """Ask the board for its whole state."""
+        report = self._client.request(wire.GetStatus())
+        conditions = frozenset(c.key for c in wire.Condition.from_mask(report.conditions))
+        self._publisher.supply_v = report.supply_mv / 1e3
+        return Status(
+            state=wire.State(report.state).key,
+            activity=wire.Activity(report.activity).key,
+            zone=None if report.zone == _UNKNOWN_ZONE else report.zone,
+            faults=tuple(f.key for f in wire.Fault.from_mask(report.faults)),
+            conditions=conditions,
+            t_s=self._client.device_s(report.t_us),
+            length_cm=report.length_um / 1e4 if "length_known" in conditions else None,
+            left_psi=report.left_cpsi / 100,
+            right_psi=report.right_cpsi / 100,
+            everted=report.everted_mask,
+            settled=report.settled_mask,
+            zeroed=report.zeroed_mask,
+            config_generation=report.config_generation,
+            supply_v=report.supply_mv / 1e3,
+            encoder_errors=report.encoder_errors,
+        )
+
+    # What is known without asking.
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """Who the board is, as strings for a record: firmware, board, schema, boot."""
+        hello = self._client.hello
+        return {
+            "board": wire.Board(hello.board).key,
+            "firmware": ".".join(str(part) for part in hello.firmware_version),
+            "schema_hash": f"{hello.schema_hash:08x}",
+            "boot_nonce": f"{hello.boot_nonce:08x}",
+            "reset_cause": wire.ResetCause(hello.reset_cause).key,
+        }
+
+    @property
+    def virtual(self) -> bool:
+        """Whether waiting advances an emulator's time instead of the clock's."""
+        return self._client.transport.virtual
+
+    @property
+    def known_config(self) -> RobotConfig | None:
+        """The robot.toml that an emulated robot's lab would have; None on hardware."""
+        known: RobotConfig | None = getattr(self._client.transport, "config", None)
+        return known
+
+    def now(self) -> float:
+        """The link's clock, s: monotonic on hardware, virtual in the emulator."""
+        return self._client.now()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the connection, on the link's clock."""
+        return self.now() - self._started
+
+    def link_stats(self) -> dict[str, int]:
+        """Counters of the link as the board sees it, by the schema's names."""
+        return {
+            name: value
+            for name, value in asdict(self._client.request(wire.GetLinkStats())).items()
+            if name != "status"
+        }
+
+    def scenery(self) -> Any:
+        """The emulator's own truth (shapes included), for painting pictures; None on hardware."""
+        return self._client.transport.truth()
+
+    def truth(self) -> Truth | None:
+        """What the emulated room knows now; None on hardware."""
+        return truth_now(self._client.transport.truth())
