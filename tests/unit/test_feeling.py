@@ -121,6 +121,30 @@ def test_frames_before_the_touch_teach_a_map_that_is_a_tenth_off() -> None:
     assert after.max() < 0.6 * before.min()
 
 
+def test_a_body_that_swings_as_a_sweep_begins_does_not_bend_the_map() -> None:
+    """Less bend at first, and nothing else: what is learnt below a touch holds at the peak."""
+    sweep = _free_sweep(1.0, 0.0, np.random.default_rng(4))
+    start = np.array([frame.t_s < 0.6 for frame in sweep.frames])
+    sweep.curvature[start] -= 1.5e-3
+    response = FreeResponse(CONFIG)
+    response.learn(sweep, "left", 2, below=0.012)
+    every = np.ones(10, dtype=np.bool_)
+    mean = response.expected("left", 2, 0.025, np.full(10, 0.025), every).mean
+    assert mean == pytest.approx(np.full(10, 0.025), abs=5e-4)
+
+
+def test_what_one_zone_teaches_of_the_map_is_expected_of_the_next() -> None:
+    config = RobotConfig()
+    for zone in config.actuators.left.maps:
+        zone.scale_se = 0.01
+    response = FreeResponse(config)
+    for seed in range(3):
+        response.learn(_free_sweep(0.9, 0.0, np.random.default_rng(seed)), "left", 0)
+    feeling = np.arange(10) >= 5
+    mean = response.expected("left", 1, 0.025, np.full(10, 0.0225), feeling).mean
+    assert mean == pytest.approx(np.full(5, 0.0225), abs=8e-4)
+
+
 def test_a_contact_lies_on_what_has_grown_since_the_last_free_sweep() -> None:
     swept = SweptSpace()
     swept.remember("left", 40.0, 0.029)
