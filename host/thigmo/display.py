@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLORS = {"localized": "#c8323c", "ambiguous": "#d98a1f"}
+# Of Okabe and Ito's palette, which people with any common colour blindness tell apart.
+COLORS = {"localized": "#d55e00", "ambiguous": "#e69f00"}
 OTHER_COLOR = "#5b6b7a"
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from thigmo.calibrate.actuator import _map_values
 from thigmo.config import SIDES
 from thigmo.errors import DataError
+from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
 
 if TYPE_CHECKING:
     from thigmo.calibrate.actuator import ActuatorResult
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
     from thigmo.calibrate.stiffness import StiffnessResult
     from thigmo.calibrate.verdict import Verdict
 
-_MARK = {"straight": ("s", "tab:gray"), "tip": ("o", "tab:blue"), "bend": ("^", "tab:green")}
+_MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
 
 
 def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
     figure.suptitle(
         f"{'good' if verdict.good else 'BAD'}: {verdict.reason}",
         fontsize=10,
-        color="black" if verdict.good else "tab:red",
+        color="black" if verdict.good else RED,
         wrap=True,
     )
     try:
@@ -57,7 +58,7 @@ def flex_figure(result: FlexResult, path: Path) -> None:
             pick = (kinds == kind) & (active != fit.side) & result.row_good
             axes.plot(k[pick], ohm[pick], mark, color=color, ms=4, label=kind)
         out = ~result.row_good
-        axes.plot(k[out], ohm[out], "x", color="tab:red", ms=5, label="left out")
+        axes.plot(k[out], ohm[out], "x", color=RED, ms=5, label="left out")
         if fit.healthy:
             low, high = float(np.nanmin(k)), float(np.nanmax(k))
             if fit.valid_direction > 0:
@@ -88,15 +89,15 @@ def actuator_figure(result: ActuatorResult, path: Path) -> None:
     branch = np.array(r.branch)
     sign = 1.0 if r.side == "left" else -1.0
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
-    curves = (("inflate", "^", "tab:blue", result.zone.inflate),
-              ("deflate", "v", "tab:orange", result.zone.deflate))  # fmt: skip
+    curves = (("inflate", "^", BLUE, result.zone.inflate),
+              ("deflate", "v", ORANGE, result.zone.deflate))  # fmt: skip
     for name, mark, color, curve in curves:
         pick = (branch == name) & result.used
         axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
         x = np.array([np.log(curve.amplitude), np.log(curve.scale_psi), curve.offset_psi])
         axes.plot(grid, sign * _map_values(grid, x), "-", color=color, lw=1)
     out = ~result.used
-    axes.plot(r.pressure_psi[out], r.curvature[out], "x", color="tab:red", label="left out")
+    axes.plot(r.pressure_psi[out], r.curvature[out], "x", color=RED, label="left out")
     axes.set_xlabel("muscle pressure (psi)")
     axes.set_ylabel("free curvature (1/cm)")
     axes.set_title(f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9)
@@ -113,7 +114,7 @@ def buckling_figure(result: BucklingResult, path: Path) -> None:
         mean, se = result.critical_curvature, result.critical_se
         axes.axhline(mean, color="k", lw=1, label="mean")
         axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)
-    axes.axhline(0.01108, color="tab:red", ls=":", label="thesis")
+    axes.axhline(0.01108, color=RED, ls=":", label="thesis")
     axes.set_xlabel("trial")
     axes.set_ylabel("critical curvature (1/cm)")
     axes.legend()
@@ -125,7 +126,7 @@ def hysteresis_figure(result: HysteresisResult, path: Path) -> None:
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.subplots()
     for number, record in enumerate(result.records):
-        color = f"C{number % 10}"
+        color = CYCLE[number % len(CYCLE)]
         rest = float(np.nanmedian(record.curvature[-max(3, len(record.curvature) // 8) :]))
         axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
     t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
@@ -145,7 +146,7 @@ def stiffness_figure(result: StiffnessResult, path: Path) -> None:
     axes.axhline(result.ratio, color="k", lw=1)
     low, high = (result.ratio + s * 1.96 * result.ratio_se for s in (-1, 1))
     axes.axhspan(low, high, color="k", alpha=0.1)
-    axes.axhline(1.0, color="tab:gray", ls=":")
+    axes.axhline(1.0, color="0.5", ls=":")
     axes.set_xlabel("picture")
     axes.set_ylabel("stiffness under sensors / in gaps")
     _finish(figure, path, result.verdict)
@@ -174,7 +175,7 @@ def encoder_figure(result: EncoderResult, path: Path) -> None:
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
     axes.plot(result.length_cm[result.used], result.counts[result.used], "o", label="used")
-    axes.plot(result.length_cm[~result.used], result.counts[~result.used], "x", color="tab:red",
+    axes.plot(result.length_cm[~result.used], result.counts[~result.used], "x", color=RED,
               label="left out")  # fmt: skip
     axes.set_xlabel("length by camera (cm)")
     axes.set_ylabel("encoder counts")
@@ -198,7 +199,7 @@ def check_figure(result: CheckResult, path: Path) -> None:
     figure = Figure(figsize=(9, 0.3 * len(result.findings) + 1.2), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
-    colors = {"ok": "tab:green", "warning": "tab:orange", "bad": "tab:red"}
+    colors = {"ok": GREEN, "warning": ORANGE, "bad": RED}
     for row, finding in enumerate(result.findings):
         axes.text(0.0, -row, finding.mark, color=colors[finding.mark], fontsize=8)
         axes.text(0.1, -row, f"{finding.what}: {finding.text}", fontsize=8)

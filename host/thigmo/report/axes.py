@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-INK = "#22313f"
+# Okabe and Ito's palette: people with any common colour blindness tell its colours apart.
+BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
+PURPLE, SKY, INK = "#cc79a7", "#56b4e9", "#22313f"
+CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
 MUTED = "#5b6b7a"
 
 

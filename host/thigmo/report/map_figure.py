@@ -12,11 +12,12 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.display import COLORS, OTHER_COLOR
 from thigmo.errors import RunFolderError
 from thigmo.record import outline, passed
-from thigmo.report.axes import INK, new_axes, plain, titled
+from thigmo.report.axes import INK, MUTED, new_axes, plain, titled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,10 +25,11 @@ if TYPE_CHECKING:
     from thigmo.record import MapContact, Obstacle, RunDocument, Stage
 
 _SWEPT = "#e9eff5"
-_TRUTH = "#2c7a58"
-_PRIOR = "#6b5b95"
-_SIZE_IN = (8.2, 7.6)
+_TRUTH = "#009e73"
+_PRIOR = "#cc79a7"
+_SIZE_IN = (7.2, 6.9)  # the width of a page: nothing is scaled down in print
 _SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
+_ZOOM_CM = 5.0  # half the side of what an enlarged view shows
 
 
 def draw_map(
@@ -80,30 +82,86 @@ def plot_map(
         prior: obstacles of the map that the run was given.
     """
     axes = axes or new_axes(*_SIZE_IN)
-    _robot(axes, document.stages, radius_cm)
-    for obstacle in prior:
-        _prior(axes, obstacle)
-    for contact in document.contacts:
-        _contact(axes, contact)
-    if document.truth is not None:
-        _truth(axes, document)
-    _frame(axes, document)
-    return axes
-
-
-def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
-    """Swept space as one pale area; over it the widest bends of each stage, darker with length."""
-    from matplotlib import colormaps
-    from matplotlib.collections import PolyCollection
-
     swept = [
         polygon
-        for stage in stages
+        for stage in document.stages
         for side in ("left", "right")
         for polygon in outline(
             passed(shape for shape in stage.shapes if shape.side == side), radius_cm
         )
     ]
+    _room(axes, document, swept, radius_cm, prior)
+    _frame(axes, document)
+    _zooms(axes, document, swept, radius_cm, prior)
+    _legend(axes)
+    return axes
+
+
+def _room(
+    axes: Axes,
+    document: RunDocument,
+    swept: list[NDArray[np.float64]],
+    radius_cm: float,
+    prior: Sequence[Obstacle],
+) -> None:
+    """All that is in the room."""
+    _robot(axes, document.stages, swept, radius_cm)
+    for obstacle in prior:
+        _prior(axes, obstacle)
+    for number, contact in enumerate(document.contacts, 1):
+        _contact(axes, contact, number if len(document.contacts) > 1 else None)
+    if document.truth is not None:
+        _truth(axes, document)
+
+
+def _zooms(
+    axes: Axes,
+    document: RunDocument,
+    swept: list[NDArray[np.float64]],
+    radius_cm: float,
+    prior: Sequence[Obstacle],
+) -> None:
+    """Enlarged views of the surest contact on each side, in the corners beside the base.
+
+    A robot sweeps a fan in front of its base, so the corners are empty unless it curls back; a view
+    that would cover something is left out.
+    """
+    from matplotlib.patches import Rectangle
+    from matplotlib.transforms import Bbox
+
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    side_cm = min(0.36 * (right - left), 0.34 * (top - bottom))
+    points = np.concatenate([np.zeros((1, 2)), *swept])
+    for y_cm, corner_cm in ((1.0, top - side_cm), (-1.0, bottom)):
+        corner = Bbox.from_bounds(left, corner_cm, side_cm, side_cm)
+        mine = [c for c in document.contacts if (c.y_cm >= 0) == (y_cm > 0)]
+        if not mine or corner.count_contains(points):
+            continue
+        contact = min(mine, key=lambda c: c.interval_cm[1] - c.interval_cm[0])
+        x, y = contact.x_cm - _ZOOM_CM, contact.y_cm - _ZOOM_CM
+        if corner.overlaps(Bbox.from_bounds(x, y, 2 * _ZOOM_CM, 2 * _ZOOM_CM)):
+            continue
+        zoom = axes.inset_axes((left, corner_cm, side_cm, side_cm), transform=axes.transData)
+        _room(zoom, document, swept, radius_cm, prior)
+        zoom.set(
+            xlim=(x, x + 2 * _ZOOM_CM), ylim=(y, y + 2 * _ZOOM_CM), xticks=[], yticks=[],
+            aspect="equal",
+        )  # fmt: skip
+        zoom.add_patch(Rectangle((x, y), 4.4, 1.1, color="white", alpha=0.85, zorder=8))
+        zoom.plot([x + 0.4, x + 2.4], [y + 0.5] * 2, color=INK, lw=2.5, zorder=9)
+        zoom.text(x + 2.7, y + 0.5, "2 cm", fontsize=8, color=INK, va="center", zorder=9)
+        for spine in zoom.spines.values():
+            spine.set(color=MUTED, linewidth=0.8)
+        axes.indicate_inset((x, y, 2 * _ZOOM_CM, 2 * _ZOOM_CM), edgecolor=MUTED, lw=0.8, alpha=1.0)
+
+
+def _robot(
+    axes: Axes, stages: list[Stage], swept: list[NDArray[np.float64]], radius_cm: float
+) -> None:
+    """Swept space as one pale area; over it the widest bends of each stage, darker with length."""
+    from matplotlib import colormaps
+    from matplotlib.collections import PolyCollection
+
     # One collection: a thousand single patches would take seconds. No edges: positions overlap.
     axes.add_collection(PolyCollection(swept, facecolor=_SWEPT, edgecolor="none", zorder=1))
     axes.autoscale_view()
@@ -115,7 +173,7 @@ def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
             shapes = [shape for shape in stage.shapes if shape.side == side]
             if shapes:
                 poses = max(shapes, key=lambda shape: shape.pressure_psi).poses
-                axes.plot(*np.asarray(poses).T[:2], color=shade, lw=1.6, zorder=3)
+                axes.plot(*np.asarray(poses).T[:2], color=shade, lw=1.4, zorder=3)
                 axes.plot(*poses[-1][:2], "o", color=shade, ms=3.5, zorder=3)
         straight = [(0.0, 0.0, 0.0), (stage.everted_length_cm, 0.0, 0.0)]
         axes.plot(*np.asarray(straight).T[:2], color=shade, lw=1.2, zorder=2)
@@ -126,15 +184,15 @@ def _robot(axes: Axes, stages: list[Stage], radius_cm: float) -> None:
         for shape in sorted(touched, key=lambda s: s.pressure_psi)[-1:]:
             around = outline(shape.poses, radius_cm)
             axes.fill(*around.T, facecolor="#bcd0e2", alpha=0.55, edgecolor=INK, lw=0.8, zorder=2)
-        axes.plot([], [], color=colormaps["Blues"](0.85), lw=1.6, label="robot at its widest bends")
+        axes.plot([], [], color=colormaps["Blues"](0.85), lw=1.4, label="robot at its widest bends")
         axes.fill([], [], color=_SWEPT, label="space swept")
-    axes.fill([-2.4, 0, 0, -2.4], [-2.6, -2.6, 2.6, 2.6], color=INK, zorder=4)
-    axes.text(-1.2, -3.4, "base", ha="center", va="top", fontsize=8, color=INK)
+    axes.fill([-2.4, 0, 0, -2.4], [-2.6, -2.6, 2.6, 2.6], color=INK, zorder=4, label="base")
 
 
-def _contact(axes: Axes, contact: MapContact) -> None:
-    """A contact: point on the skin, interval along the skin, 95 % ellipse, and its words."""
+def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
+    """A contact: point on the skin, interval along the skin, 95 % ellipse; its words are a key."""
     from matplotlib.patches import Ellipse
+    from matplotlib.patheffects import withStroke
 
     color = COLORS.get(contact.status, OTHER_COLOR)
     if len(contact.track) > 1:
@@ -152,20 +210,23 @@ def _contact(axes: Axes, contact: MapContact) -> None:
             label=_once(axes, "95 % ellipse in the plane"),
         )
     )  # fmt: skip
-    axes.plot(
-        contact.x_cm, contact.y_cm, "o", color=color, ms=7, mec="white", mew=1.2, zorder=7,
-        label=_once(axes, f"contact, {contact.status}"),
-    )  # fmt: skip
-    away = 1.0 if np.sin(contact.normal_rad) >= 0 else -1.0
     low, high = contact.interval_cm
-    axes.annotate(
-        f"{contact.arc_cm:.1f} cm along a body of {contact.everted_length_cm:.1f} cm\n"
-        f"95 %: {low:.1f} to {high:.1f} cm, {contact.readings} sensors",
-        (contact.x_cm, contact.y_cm), xytext=(14, 26 * away), textcoords="offset points",
-        fontsize=8, color=color, va="center", zorder=8,
-        bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.8},
-        arrowprops={"arrowstyle": "-", "color": color, "lw": 0.8},
+    named = "contact" if number is None else f"{number}"
+    axes.plot(
+        contact.x_cm, contact.y_cm, "o", color=color, ms=7, zorder=7, linestyle="none",
+        # Hollow while it is not sure: the two differ in grey as well.
+        mfc=color if contact.status == "localized" else "white",
+        mec="white" if contact.status == "localized" else color, mew=1.2,
+        label=f"{named}: {contact.status}, {contact.arc_cm:.1f} of "
+        f"{contact.everted_length_cm:.1f} cm (95 %: {low:.1f} to {high:.1f})",
     )  # fmt: skip
+    if number is not None:
+        away_x, away_y = -11 * np.cos(contact.normal_rad), -11 * np.sin(contact.normal_rad)
+        axes.annotate(
+            str(number), (contact.x_cm, contact.y_cm), xytext=(away_x, away_y),
+            textcoords="offset points", fontsize=9, color=INK, ha="center", va="center", zorder=8,
+            path_effects=[withStroke(linewidth=2.5, foreground="white")], clip_on=True,
+        )  # fmt: skip
 
 
 def _prior(axes: Axes, obstacle: Obstacle) -> None:
@@ -217,9 +278,13 @@ def _frame(axes: Axes, document: RunDocument) -> None:
         )
     facts.append(f"{document.robot_time_s:.0f} s of robot time")
     titled(axes, f"{document.name}: {found}", "; ".join(facts))
+
+
+def _legend(axes: Axes) -> None:
+    """The key, below the map, where it covers nothing."""
     if axes.get_legend_handles_labels()[0]:
         axes.figure.legend(
-            *axes.get_legend_handles_labels(), loc="outside lower center", ncols=4,
+            *axes.get_legend_handles_labels(), loc="outside lower center", ncols=2,
             fontsize=8, frameon=False,
         )  # fmt: skip
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
+from thigmo.report.axes import BLUE, RED
 from thigmo.studies.charts import curves, panels
 from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
 from thigmo.studies.reading_errors import BAD, ERRORS, OTHER_NOISE, Frame, ask
@@ -199,7 +200,7 @@ def _told_figure(scores: dict[tuple[str, str, bool], Score]) -> Figure:
     pairs = [(g, error) for g, error, told in scores if told and not g.startswith("free")]
     figure, (left, right) = panels(1, 2, size=(5.5, 0.28 * len(pairs) + 1.2), share=True)
     rows = np.arange(len(pairs))
-    for told, color in ((False, "tab:red"), (True, "tab:blue")):
+    for told, color in ((False, RED), (True, BLUE)):
         some = [scores[group, error, told] for group, error in pairs]
         place = rows + (0.2 if told else -0.2)
         left.barh(place, [100 * s.covered for s in some], 0.4, color=color)

@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from thigmo.report.axes import CYCLE
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+# A figure is drawn in the size in which it is printed, so that points are points.
+_PAGE_IN = 7.5
+_FLATTEST = 0.6  # of a panel's asked height, where a row of panels must shrink to fit the page
 
 
 def panels(
@@ -25,19 +31,26 @@ def panels(
 
     Args:
         rows, columns: how many.
-        size: of a panel, inches.
+        size: of a panel, inches; all are narrowed to fit a page.
         title: over all of them.
         share: whether panels share their y axis; "all": both axes.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+    width = min(size[0] * columns, _PAGE_IN)
+    height = size[1] * rows * max(width / (size[0] * columns), _FLATTEST)
+    figure = Figure(figsize=(width, height), layout="constrained")
     found = figure.subplots(rows, columns, sharex=share == "all", sharey=bool(share), squeeze=False)
     axes: list[Axes] = list(found.ravel())
     for axis in axes:
         axis.grid(which="both", alpha=0.2)
+        axis.set_prop_cycle(color=CYCLE)
+        axis.tick_params(labelsize=7)
+        axis.title.set_fontsize(9)
+        axis.xaxis.label.set_fontsize(8)
+        axis.yaxis.label.set_fontsize(8)
     if title:
-        figure.suptitle(title)
+        figure.suptitle(title, fontsize=9, wrap=True)
     return figure, axes
 
 
@@ -63,7 +76,7 @@ def curves(
         axis.plot(x, y, "o-", markersize=4, linewidth=2.4 if name in strong else 1.1, label=name)
     axis.set(**settings)
     if legend:
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=7)
 
 
 def cells(
@@ -87,18 +100,59 @@ def cells(
     array = np.asarray(values, dtype=np.float64)
     axis.grid(visible=False, which="both")
     drawn = axis.imshow(array, aspect="auto", **image)
-    low, high = drawn.get_clim()
+    fills = np.asarray(drawn.cmap(drawn.norm(array)))
     for (r, c), value in np.ndenumerate(array):
         text = texts[r][c] if texts else "-" if np.isnan(value) else f"{value:.3g}"
-        middle = abs(value - (low + high) / 2) < 0.3 * (high - low)
-        ink = "black" if middle or value > high - 0.2 * (high - low) else "white"
-        axis.text(c, r, text, ha="center", va="center", fontsize=7, color=ink)
-    axis.set_xticks(range(len(columns)), [str(label) for label in columns], fontsize=8)
-    axis.set_yticks(range(len(rows)), [str(label) for label in rows], fontsize=8)
+        light = float(np.dot(fills[r, c, :3], (0.299, 0.587, 0.114)))
+        ink = "black" if np.isnan(value) or light > 0.5 else "white"
+        axis.text(c, r, text, ha="center", va="center", fontsize=6, color=ink)
+    axis.set_xticks(range(len(columns)), [str(label) for label in columns], fontsize=6)
+    axis.set_yticks(range(len(rows)), [str(label) for label in rows], fontsize=6)
     return drawn
 
 
-def legend_below(figure: Figure) -> None:
-    """One legend for all panels, under them, where it covers nothing."""
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=7)
+def named(axis: Axes, points: Sequence[tuple[float, float]], names: Sequence[str]) -> None:
+    """Write each point's name beside it, where it covers no point and no other name.
+
+    The panel's limits and scales must be set. A name that finds no room stands at the right.
+    """
+    from matplotlib.transforms import Bbox
+
+    figure = axis.get_figure(root=True)
+    if figure is None:
+        return
+    figure.draw_without_rendering()
+    pixels_per_point = figure.dpi / 72.0
+    spots = axis.transData.transform(np.asarray(points, dtype=np.float64))
+    frame = axis.get_window_extent()
+    taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in spots]
+    for name, (x, y), point in zip(names, spots, points, strict=True):
+        width, height = 3.7 * len(name) * pixels_per_point, 7.5 * pixels_per_point
+        places = [
+            (side, rise)
+            for rise in sorted(range(-44, 45, 4), key=abs)
+            for side in ("left", "right")
+        ]
+        for side, rise in places:
+            left = x + 7 if side == "left" else x - 7 - width
+            box = Bbox.from_bounds(left, y + rise * pixels_per_point - height / 2, width, height)
+            free = frame.x0 < box.x0 and box.x1 < frame.x1 and frame.y0 < box.y0 < frame.y1 - height
+            if free and box.count_overlaps(taken) == 0:
+                break
+        else:
+            side, rise = "left" if x < (frame.x0 + frame.x1) / 2 else "right", 0
+        taken.append(box)
+        axis.annotate(
+            name, point, textcoords="offset points", fontsize=7, ha=side, va="center",
+            xytext=(5 if side == "left" else -5, rise),
+            arrowprops={"arrowstyle": "-", "color": "0.6", "lw": 0.5} if rise else None,
+        )  # fmt: skip
+
+
+def legend_below(figure: Figure, *, panel: int = 0, title: str | None = None) -> None:
+    """One legend for all panels, that of one of them, where it covers nothing."""
+    handles, labels = figure.axes[panel].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=6 if title else 4, fontsize=7,
+        title=title, title_fontsize=7, frameon=False,
+    )  # fmt: skip

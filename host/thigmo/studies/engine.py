@@ -223,7 +223,9 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
             paths += [path, as_json]
         for label, figure in outcome.figures.items():
             path = folder / f"{name}-{label}.png"
-            figure.savefig(path, dpi=150)
+            for axis in figure.axes:
+                axis.title.set_fontsize(9)  # `set_title` goes back to matplotlib's
+            figure.savefig(path, dpi=200)
             paths.append(path)
         claims = [claim.record() for claim in outcome.claims]
         path = folder / f"{name}-claims.json"

@@ -24,6 +24,7 @@ from thigmo.errors import ThigmoError
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
 from thigmo.record import RunDocument
+from thigmo.report.axes import GREEN, ORANGE, RED
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Table
 
@@ -223,9 +224,9 @@ def _figure(found: list[Explored]) -> Figure:
     figure, (left, right) = charts.panels(1, 2, size=(6.5, 4.5), title="Explorations")
     pegs = [one for one in found if KINDS[one.kind].peg]
     for label, marker, color, those in (
-        ("found", "o", "tab:green", [e for e in pegs if not e.missed and not e.wrong]),
-        ("localized, and wrong", "^", "tab:orange", [e for e in pegs if e.wrong]),
-        ("missed", "X", "tab:red", [e for e in pegs if e.missed]),
+        ("found", "o", GREEN, [e for e in pegs if not e.missed and not e.wrong]),
+        ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.wrong]),
+        ("missed", "X", RED, [e for e in pegs if e.missed]),
     ):
         x, y = [e.x_cm for e in those], [e.y_cm for e in those]
         left.scatter(x, y, marker=marker, color=color, label=f"{label} ({len(those)})")
@@ -235,8 +236,8 @@ def _figure(found: list[Explored]) -> Figure:
     kinds = list(dict.fromkeys(one.kind for one in found))
     at = np.arange(len(kinds))
     for shift, (label, color, what) in enumerate((
-        ("missed", "tab:red", "missed"),
-        ("localized, and wrong", "tab:orange", "wrong"),
+        ("missed", RED, "missed"),
+        ("localized, and wrong", ORANGE, "wrong"),
         ("with false contacts", "0.5", "false"),
     )):  # fmt: skip
         shares = [

@@ -22,6 +22,7 @@ from thigmo.exploration.missed import felt_pegs
 from thigmo.exploration.obstacles import SIGMAS, occupancy
 from thigmo.record import RunDocument
 from thigmo.record.occupancy import FREE
+from thigmo.report.axes import GREEN, RED
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Table
 
@@ -137,8 +138,8 @@ def _figure(levels: Table) -> Figure:
     rows = levels.records()
     sigmas = [float(row["sigmas"]) for row in rows]
     for label, color, what in (
-        ("pegs that were felt", "tab:green", "felt_free_%"),
-        ("pegs that were missed", "tab:red", "missed_free_%"),
+        ("pegs that were felt", GREEN, "felt_free_%"),
+        ("pegs that were missed", RED, "missed_free_%"),
     ):
         left.plot(sigmas, [float(row[what]) for row in rows], "o-", color=color, label=label)
     left.axhline(0.1, color="0.6", linestyle=":", label="promised")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thigmo.localization import METHODS
+from thigmo.report.axes import GREEN
 from thigmo.studies import charts
 from thigmo.studies.attempt import attempt, mean_and_failures
 from thigmo.studies.baselines import BASELINES
@@ -104,36 +105,36 @@ def chart(scores: list[Score]) -> Figure:
         -(-len(scenes) // columns), columns, size=(6.4, 4.6),
         title="Speed against accuracy (dot size: share of failures, no answer or > 10 cm off)",
     )  # fmt: skip
-    for axis, scene in zip(axes, scenes, strict=False):
-        _draw(axis, scene, [s for s in scores if s.scene == scene and np.isfinite(s.mean_cm)])
+    shown = [[s for s in scores if s.scene == one and np.isfinite(s.mean_cm)] for one in scenes]
+    for axis, scene, here in zip(axes, scenes, shown, strict=False):
+        _draw(axis, scene, here)
     for axis in axes[len(scenes) :]:
         axis.set_axis_off()
+    charts.legend_below(figure)
+    # Last: names keep their places only if nothing moves any more.
+    for axis, here in zip(axes, shown, strict=False):
+        charts.named(axis, [(s.time_us, s.mean_cm) for s in here], [s.method for s in here])
     return figure
 
 
 def _draw(axis: Axes, scene: str, here: list[Score]) -> None:
     front = pareto(here)
     axis.plot(
-        [s.time_us for s in front], [s.mean_cm for s in front], color="tab:green", linewidth=1.2,
+        [s.time_us for s in front], [s.mean_cm for s in front], color=GREEN, linewidth=1.2,
         drawstyle="steps-post", zorder=1, label="Pareto front",
     )  # fmt: skip
     for one in here:
-        dot, ink = ("tab:green", "black") if one in front else ("tab:gray", "dimgray")
+        dot = GREEN if one in front else "0.5"
         at = one.time_us, one.mean_cm
-        axis.scatter(*at, s=30 + 170 * one.failures, color=dot, zorder=2)
-        axis.annotate(
-            one.method, at, textcoords="offset points", xytext=(6, 4), fontsize=8, color=ink
-        )
+        axis.scatter(*at, s=15 + 100 * one.failures, color=dot, zorder=2)
     axis.set(
-        xscale="log", yscale="log", title=scene, xlabel="median time of one call (us)",
+        xscale="log", yscale="log", title=scene, xlabel="median time of one call (µs)",
         ylabel="mean error of the arc (cm)",
     )  # fmt: skip
-    # Labels stand to the right of their dots.
-    axis.set_xlim(min(s.time_us for s in here) / 2, max(s.time_us for s in here) * 12)
+    axis.set_xlim(min(s.time_us for s in here) / 4, max(s.time_us for s in here) * 20)
     axis.yaxis.set_major_formatter("{x:g}")
     axis.yaxis.set_minor_formatter("{x:g}")
     axis.tick_params(axis="y", which="both", labelsize=7)
-    axis.legend(loc="upper right", fontsize=8)
 
 
 def run(context: Context) -> Outcome:

@@ -197,34 +197,51 @@ def tabulate(stress: Stress, errors: Floats) -> Table:
 
 _MEASURES = (
     ("mean error (cm)", 0, 15.0),
-    (f"failures (%): no answer, > {FAILURE_CM:g} cm", 1, 100.0),
+    (f"no answer, or > {FAILURE_CM:g} cm (%)", 1, 100.0),
 )
+
+_ABREAST = 4  # panels in a row, so that the numbers in the cells can be read in print
 
 
 def _maps(stress: Stress, errors: Floats) -> Figure:
     """A map of the cells for each method: mean error above, failures below."""
     methods = stress.methods
+    blocks = -(-len(methods) // _ABREAST)
     figure, axes = charts.panels(
-        2, len(methods), size=(3.1, 3.2), title=f"Stability: {stress.name}"
+        2 * blocks, _ABREAST, size=(1.9, 1.8), title=f"Stability: {stress.name}", share="all"
     )
-    for panel, axis in enumerate(axes):
-        row, m = divmod(panel, len(methods))
-        label, measure, top = _MEASURES[row]
-        values = np.array([[mean_and_failures(e)[measure] for e in r] for r in errors[..., m]])
-        values *= 100.0 if measure else 1.0
-        texts = [["-" if np.isnan(v) else f"{v:.{1 - measure}f}" for v in r] for r in values]
-        image = charts.cells(
-            axis, values, [f"{v:g}" for v in stress.rows], [f"{v:g}" for v in stress.columns],
-            texts=texts, vmin=0.0, vmax=top, origin="lower",
-        )  # fmt: skip
-        axis.set_xlabel(stress.column_label, fontsize=8)
-        if row == 0:
-            axis.set_title(methods[m], fontsize=9)
-        if m == 0:
-            axis.set_ylabel(stress.row_label, fontsize=8)
-        if m == len(methods) - 1:
-            figure.colorbar(image, ax=axis, label=label)
+    for axis in axes:
+        axis.set_axis_off()
+    for m, method in enumerate(methods):
+        block, column = divmod(m, _ABREAST)
+        for measure, (label, _, top) in enumerate(_MEASURES):
+            row = 2 * block + measure
+            axis = axes[row * _ABREAST + column]
+            axis.set_axis_on()
+            values = np.array([[mean_and_failures(e)[measure] for e in r] for r in errors[..., m]])
+            values *= 100.0 if measure else 1.0
+            image = charts.cells(
+                axis, values, [f"{v:g}" for v in stress.rows], [f"{v:g}" for v in stress.columns],
+                texts=[[_short(v, measure) for v in r] for r in values],
+                vmin=0.0, vmax=top, origin="lower",
+            )  # fmt: skip
+            if measure == 0:
+                axis.set_title(method)
+            if column == 0:
+                axis.set_ylabel(stress.row_label)
+                bar = figure.colorbar(image, ax=axes[row * _ABREAST : (row + 1) * _ABREAST])
+                bar.set_label(label, fontsize=7)
+                bar.ax.tick_params(labelsize=6)
+            if measure and m + _ABREAST >= len(methods):
+                axis.set_xlabel(stress.column_label)
     return figure
+
+
+def _short(value: float, measure: int) -> str:
+    """At most three signs, that a cell has room for."""
+    if np.isnan(value):
+        return "-"
+    return f"{value:.0f}" if measure or value >= 9.95 else f"{value:.1f}"
 
 
 def _lines(stress: Stress, errors: Floats, title: str) -> Figure:

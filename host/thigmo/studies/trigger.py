@@ -21,6 +21,7 @@ from thigmo.emulator.board import Floats
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.link.protocol import PARAMETERS
+from thigmo.report.axes import CYCLE
 from thigmo.studies import charts
 from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
 from thigmo.studies.trigger_sessions import (
@@ -261,21 +262,20 @@ def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) 
         title="Contact trigger: latency against false alarms. Noise in each column at 2 (full "
         "line) and 4 times its default (dotted).\nPoints along a line: debounce of "
         f"{', '.join(map(str, DEBOUNCES_MS))} ms. Star: the board's default. Grey: at most "
-        f"{ALLOWED_PER_100:g} in 100.",
+        f"{ALLOWED_PER_100:g} in 100.\nLatency: of 95 % of steps of 1.5 thresholds (above), and "
+        "of 90 % of sweeps into pegs (below).",
     )  # fmt: skip
     kinds = (
-        (step_ms(late), "latency, 95 % of steps of 1.5 thresholds (ms)", (0.0, 70.0)),
-        (peg_ms(late), "latency, 90 % of sweeps into pegs (ms)", (-60.0, 150.0)),
+        (step_ms(late), "latency, steps (ms)", (0.0, 70.0)),
+        (peg_ms(late), "latency, pegs (ms)", (-60.0, 150.0)),
     )
     for panel, axis in enumerate(axes):
         (latency, label, limits), part = kinds[panel // len(PARTS)], list(PARTS)[panel % len(PARTS)]
         _draw(axis, latency, [(level, alarms[part, level]) for level in LEVELS])
         axis.set(xlim=limits, xlabel=label, title=part if panel < len(PARTS) else "")
         if panel % len(PARTS) == 0:
-            axis.set_ylabel("false alarms in 100 empty sweeps")
-    axes[len(PARTS) - 1].legend(
-        fontsize=7, loc="upper right", title="samples averaged", title_fontsize=7
-    )
+            axis.set_ylabel("false alarms in\n100 empty sweeps")
+    charts.legend_below(figure, title="samples averaged")
     return figure
 
 
@@ -289,8 +289,8 @@ def _draw(axis: Axes, latency: list[float], levels: list[tuple[float, Floats]]) 
             those = [n for n, setting in enumerate(tried) if setting.filter_log2 == log2]
             axis.plot(
                 [latency[n] for n in those], [rates[n] for n in those], "o-" if first else "o:",
-                color=f"C{color}", markersize=5 if first else 3,
-                markerfacecolor=f"C{color}" if first else "white",
+                color=CYCLE[color], markersize=5 if first else 3,
+                markerfacecolor=CYCLE[color] if first else "white",
                 label=f"{2**log2}" if first else None,
             )  # fmt: skip
         size = 15 if first else 9

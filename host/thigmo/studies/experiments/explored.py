@@ -17,6 +17,7 @@ import numpy as np
 from thigmo.exploration import explore
 from thigmo.exploration.replay import recorded_sweeps
 from thigmo.record import RunDocument, RunFolder
+from thigmo.report.axes import BLUE, ORANGE, RED
 from thigmo.robot import SensorTable
 from thigmo.studies import charts
 from thigmo.studies.baselines import BASELINES, Problem
@@ -123,10 +124,10 @@ def _figure(runs: list[Run]) -> Figure:
         size=(7, 4.4), title=f"Exploration of the default room, {len(runs)} seeds"
     )
     for label, color, time, error in (
-        ("thesis's protocol and solver", "tab:red", "thesis_protocol_s", "thesis_solver_cm"),
-        ("thesis's protocol, our localizer", "tab:orange", "thesis_protocol_s",
+        ("thesis's protocol and solver", RED, "thesis_protocol_s", "thesis_solver_cm"),
+        ("thesis's protocol, our localizer", ORANGE, "thesis_protocol_s",
          "thesis_protocol_x_cm"),
-        ("ours", "tab:blue", "ours_s", "ours_x_cm"),
+        ("ours", BLUE, "ours_s", "ours_x_cm"),
     ):  # fmt: skip
         points = [(getattr(one, time), getattr(one, error)) for one in runs]
         mapped = np.array([p for p in points if np.isfinite(p[1])]).reshape(-1, 2)
@@ -160,7 +161,7 @@ def stages(seed: int) -> Figure:
     for letter, axis, stage in zip("abcdefghij", axes, shown, strict=False):
         for shape in stage.shapes:
             x, y, _ = np.array(shape.poses).T
-            axis.plot(x, y, color="tab:blue" if shape.side == "left" else "tab:orange", linewidth=1)
+            axis.plot(x, y, color=BLUE if shape.side == "left" else ORANGE, linewidth=1)
         for peg in found.truth.pegs if found.truth else ():
             axis.add_patch(Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k"))
         felt = [c for c in found.contacts if c.everted_length_cm == stage.everted_length_cm]
@@ -168,10 +169,10 @@ def stages(seed: int) -> Figure:
         title = f"({letter}) {stage.everted_length_cm:.0f} cm out"
         axis.set(title=title + (", contact" if felt else ""), aspect="equal", xlabel="x (cm)")
     for color, label in (
-        ("tab:blue", "left muscle, 0 to 18 psi"),
-        ("tab:orange", "right muscle, 0 to 18 psi"),
+        (BLUE, "left muscle, 0 to 18 psi"),
+        (ORANGE, "right muscle, 0 to 18 psi"),
         ("k", "dowel"),
-        ("r", "contact, localized"),
+        (RED, "contact, localized"),
     ):
         axes[0].plot([], [], color=color, label=label)
     charts.legend_below(figure)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.mechanics import phi
+from thigmo.report.axes import BLUE, GREEN, ORANGE
 from thigmo.studies import charts
 from thigmo.studies.experiments import schematics, thesis
 from thigmo.studies.experiments.compare import (
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Group = tuple[str, list[Solved]]
-_METHODS = ((THEIRS, "tab:orange", "thesis's method, here"), (OURS, "tab:blue", "ours"))
+_METHODS = ((THEIRS, ORANGE, "thesis's method, here"), (OURS, BLUE, "ours"))
 
 
 def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
@@ -53,7 +54,7 @@ def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
         bound = np.array([one.bound_cm[contact] for one in solved])
         if np.isfinite(bound).any():
             axis.plot(
-                [at - 0.4, at + 0.4], [bound[np.isfinite(bound)].mean()] * 2, color="tab:green",
+                [at - 0.4, at + 0.4], [bound[np.isfinite(bound)].mean()] * 2, color=GREEN,
                 linewidth=2, label="Cramer-Rao bound (mean absolute error)" if at == 0 else None,
             )  # fmt: skip
     axis.set_xticks(range(len(groups)), [name for name, _ in groups])
@@ -153,8 +154,8 @@ def _surface(solved: Sequence[Solved]) -> Figure:
     axis.plot(arcs, floor, "w:", linewidth=1, label="floor of the ravine")
     inner = np.flatnonzero((ravine[1:-1] < ravine[:-2]) & (ravine[1:-1] < ravine[2:])) + 1
     axis.plot(arcs[inner], floor[inner], "wv", label="local minima along it")
-    axis.axvline(trial.arcs_cm[0], color="r", linewidth=1, label="true contact")
-    axis.axvline(answer.arcs_cm[0], color="tab:orange", linewidth=1, label="thesis's method, here")
+    axis.axvline(trial.arcs_cm[0], color="white", linewidth=1, label="true contact")
+    axis.axvline(answer.arcs_cm[0], color=ORANGE, linewidth=1, label="thesis's method, here")
     axis.set(xlabel="arc of the contact (cm)", ylabel="base moment f a (1/cm)")
     axis.legend(fontsize=8, labelcolor="white", facecolor="0.25", loc="upper right")
     return figure

@@ -14,6 +14,7 @@ import numpy as np
 
 from thigmo.exploration.states import TRANSITIONS, State
 from thigmo.mechanics import Solution, peg_for
+from thigmo.report.axes import CYCLE
 from thigmo.studies import charts
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.conditions import actuated_body
@@ -84,10 +85,10 @@ def _figure(drawn: dict[str, Bodies], title: str, height: float) -> Figure:
     for axis, (text, bodies) in zip(axes, drawn.items(), strict=True):
         axis.axvline(0.0, color="k", linewidth=3, alpha=0.3)
         for number, (label, body) in enumerate(bodies):
-            _body(axis, body, f"C{number}", label)
+            _body(axis, body, CYCLE[number], label)
         axis.set(xlabel="x (cm)", ylabel="y (cm)", aspect="equal")
         axis.set_title(text, fontsize=9)
-        axis.legend(fontsize=8, loc="upper left")
+    charts.legend_below(figure)  # the labels of all panels are the same
     return figure
 
 
@@ -126,7 +127,7 @@ def flow() -> Figure:
         box = {"boxstyle": "round", "facecolor": "#eef3fa", "edgecolor": "0.3"}
         axis.text(0.0, -row, state.value, ha="center", va="center", bbox=box, zorder=3)
     for number, ((source, target), outcomes) in enumerate(steps.items()):
-        color, text, leap = f"C{number % 10}", " / ".join(outcomes), target - source
+        color, text, leap = CYCLE[number % len(CYCLE)], " / ".join(outcomes), target - source
         side = 0.0 if leap == 1 else 1.0 if leap > 1 else -1.0
         bend = -0.35 * side * np.sign(leap)
         arrow = {"arrowstyle": "-|>", "color": color, "connectionstyle": f"arc3,rad={bend}"}
