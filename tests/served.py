@@ -35,9 +35,12 @@ class _PatientServer(PtyServer):
 
     Attributes:
         patient: whether it does; not for a host that was ended.
+        slow_s: of real time, to add to each step: what then takes long is the robot's, and not this
+            computer's.
     """
 
     patient = True
+    slow_s = 0.0
     _heard_s: float | None = None  # by the robot's clock, since the port was opened
 
     def _exchange(self) -> None:
@@ -47,6 +50,8 @@ class _PatientServer(PtyServer):
             until = time.monotonic() + EVER_S
             while self.patient and not self._poll.poll(20) and time.monotonic() < until:
                 pass
+        if self.slow_s:
+            time.sleep(self.slow_s)
         super()._exchange()
 
     def _take(self) -> bytes:
@@ -97,6 +102,10 @@ class ServedRobot:
     def alone(self) -> None:
         """From now on its hosts may fall silent."""
         self._server.patient = False
+
+    def slow_motion(self) -> None:
+        """From now on its time runs at a fifth of the clock's pace."""
+        self._server.slow_s = 4 * STEP_S
 
     def off_within(self, seconds: float) -> bool:
         """Wait until it is off; whether it was within so many seconds of its own time."""

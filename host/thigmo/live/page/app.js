@@ -77,7 +77,7 @@ function batch(messages) {
 
 const { send } = listen({
   batch,
-  lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("lost"); ask(); },
+  lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("offline"); ask(); },
 });
 connectControl(send);
 connectPlayer(ask);

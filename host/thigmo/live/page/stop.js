@@ -27,12 +27,13 @@ function show(next) {
   document.body.dataset.stop = next;
 }
 
-// What is known of the way to the robot: none while nothing runs.
+// What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
+// any more, "offline" where this page has lost its server.
 export function stopReaches(way) {
   if (pending) return;
-  const next = way === "none" ? "idle" : way === "lost" ? "lost" : "ready";
+  const next = { none: "idle", lost: "lost", offline: "lost" }[way] ?? "ready";
   // What became of a stop is told until something runs again.
-  if ((state === "stopped" || state === "unconfirmed") && next !== "lost") return;
+  if ((state === "stopped" || state === "unconfirmed") && way !== "offline") return;
   if (state !== next) show(next);
 }
 

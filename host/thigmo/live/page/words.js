@@ -12,6 +12,8 @@ let listed = { events: null, count: 0, contacts: undefined, banners: "" };
 
 export function forget() { listed = { events: null, count: 0, contacts: undefined, banners: "" }; }
 
+// As a sentence: events come as clauses.
+const sentence = (words) => words && words[0].toUpperCase() + words.slice(1) + (/[.!?:]$/.test(words) ? "" : ".");
 const fixed = (value, digits) => Number.isFinite(value) ? value.toFixed(digits).replace("-", "−") : "–";
 
 export function drawWords(lost) {
@@ -98,8 +100,8 @@ function drawEvents() {
 
 function entry(event) {
   const what = element("div");
-  what.append(element("span", { class: "what" }, event.message));
-  if (event.next) what.append(element("div", { class: "next" }, event.next));
+  what.append(element("span", { class: "what" }, sentence(event.message)));
+  if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
   const item = element("li", { class: event.severity, title: event.name });
   item.dataset.t = time(event.t_s);
   item.innerHTML = `<time>${fixed(time(event.t_s), 1)} s</time>${ICONS[event.severity] ?? ICONS.info}`;
@@ -112,7 +114,7 @@ function drawBanners(lost) {
   const told = [];
   if (lost) {
     told.push(["fault", "Stop not connected: use the e-stop.", "The page has lost its server. In a terminal, `thigmo stop` stops the robot as well."]);
-  } else if (page?.mode === "live" && page.stop === "lost") {
+  } else if (page?.mode === "live" && page.stop === "lost" && document.body.dataset.stop !== "stopped") {
     told.push(["fault", "Stop not connected: use the e-stop.", "The process that owns the robot’s port does not answer."]);
   }
   if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
@@ -135,8 +137,8 @@ function drawBanners(lost) {
   if (key === listed.banners) return;
   listed.banners = key;
   $("banners").replaceChildren(...told.map(([kind, what, next]) => {
-    const banner = element("div", { class: `banner ${kind}` }, element("b", {}, what));
-    if (next) banner.append(element("span", { class: "next" }, next));
+    const banner = element("div", { class: `banner ${kind}` }, element("b", {}, sentence(what)));
+    if (next) banner.append(element("span", { class: "next" }, sentence(next)));
     return banner;
   }));
 }

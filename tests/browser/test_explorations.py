@@ -1,0 +1,125 @@
+"""Explorations on the page: from Start to the map, and stopped in mid-sweep on a port, also while
+the exploration's own process is stopped.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from browsing import Looking, Served
+from playwright.sync_api import expect
+from served import ServedRobot
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.scene import Scene
+
+ServePage = Callable[..., Served]
+EXPLORE = """
+import sys
+from thigmo.config import RobotConfig
+from thigmo.exploration import explore
+
+class Beside:
+    def everted_length_cm(self): return 20.0
+    def set_body_pressure(self, pressure_psi): pass
+    def place_pegs(self, pegs): pass
+
+port, config, out = sys.argv[1:]
+explore(port, config=RobotConfig.load(config), out=out, operator=Beside())
+"""
+
+
+@pytest.fixture
+def late_room(tmp_path: Path) -> Path:
+    """The default room, of which only the last two stages are explored."""
+    scene = Scene.load("default")
+    scene.start_length_cm = 50.0
+    scene.save(tmp_path / "late.toml")
+    return tmp_path / "late.toml"
+
+
+def test_exploration_from_start_to_map(
+    looking: Looking, serve_page: ServePage, late_room: Path, tmp_path: Path
+) -> None:
+    runs = tmp_path / "runs"
+    page = looking.open(
+        serve_page(url=f"emulator://{late_room}", explore=("--out", str(runs))).address
+    )
+    expect(page.locator("#doing")).to_have_text("Nothing runs yet")
+    page.locator("#pace").select_option("fast")
+    page.locator("#start").click()
+    expect(page.locator("#run-name")).to_have_text("late")
+    page.wait_for_function("() => thigmo.store.last.state?.outcome === 'full length'")
+    expect(page.locator("#doing")).to_have_text("Ended: full length")
+    expect(page.locator("#contact-rows tr")).to_have_count(1)
+    expect(page.locator("#room image")).to_have_count(1)  # the map
+    expect(page.locator("#truth-legend")).to_be_visible()
+    expect(page.locator("#start")).to_be_enabled()  # for another
+    page.wait_for_function("() => thigmo.store.page.ended")
+    (folder,) = runs.iterdir()
+    assert page.evaluate("thigmo.store.page.run.folder") == str(folder)
+    assert (folder / "map.yaml").exists()
+
+
+@pytest.fixture
+def robot() -> Iterator[ServedRobot]:
+    """A robot of 20 cm whose sensors have settled, on a port in real time."""
+    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
+    lockstep = Lockstep(scene, VirtualBoard(3), seed=3)
+    while lockstep.t_s < 60.0:
+        lockstep.advance()
+    served = ServedRobot(lockstep, reset_on_open=False)
+    yield served
+    served.close()
+
+
+@pytest.fixture
+def exploration(robot: ServedRobot, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """An exploration of that robot, in a process group of its own."""
+    config = tmp_path / "robot.toml"
+    robot.plant.scene.believed(3).save(config)
+    started = subprocess.Popen(
+        [sys.executable, "-c", EXPLORE, robot.port, str(config), str(tmp_path / "runs")],
+        start_new_session=True,
+    )
+    yield started
+    with suppress(ProcessLookupError):
+        os.killpg(started.pid, signal.SIGKILL)
+    started.wait()
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+@pytest.mark.parametrize("hangs", [False, True], ids=["running", "stopped by SIGSTOP"])
+def test_stop_in_mid_sweep_takes_the_valves_to_0_mA_within_300_ms_of_the_click(
+    looking: Looking,
+    serve_page: ServePage,
+    robot: ServedRobot,
+    exploration: subprocess.Popen[bytes],
+    *,
+    hangs: bool,
+) -> None:
+    page = looking.open(serve_page().address)
+    page.wait_for_function(
+        "() => thigmo.store.columns[1].at(-1) > 3 || thigmo.store.columns[2].at(-1) > 3"
+    )
+    assert robot.energised
+    if hangs:
+        os.kill(exploration.pid, signal.SIGSTOP)
+    page.locator("#stop").hover()
+    # What this computer's other work costs is not the robot's: its promise is in its own time.
+    robot.slow_motion()
+    clicked_s = robot.lockstep.t_s
+    page.mouse.down()
+    assert robot.off_within(0.3)
+    assert robot.lockstep.t_s >= clicked_s
+    expect(page.locator("#stop")).to_contain_text("the board has confirmed")
+    expect(page.locator("#banners")).to_contain_text("vented and braked")
