@@ -50,9 +50,7 @@ def test_another_site_can_neither_stop_nor_look(
         expect(own.locator("#stop")).to_have_attribute("data-state", "stopped")
 
 
-def test_another_interface_asks_for_the_token_once(
-    looking: Looking, serve_page: ServePage
-) -> None:
+def test_another_interface_asks_for_the_token_once(looking: Looking, serve_page: ServePage) -> None:
     with ScriptedRun() as run:
         address = serve_page(host="0.0.0.0").address.replace("0.0.0.0", "127.0.0.1")
         plain, _, token = address.partition("?token=")

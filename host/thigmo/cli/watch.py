@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,9 +22,9 @@ def watch(
     target: Annotated[
         str | None,
         typer.Argument(
-            metavar="[URL]",
-            help="Where the robot is, on which Start then explores. Left out: whatever run is "
-            "under way, or comes.",
+            metavar="[RUN or URL]",
+            help="Folder of a finished run, or where the robot is, on which Start then explores. "
+            "Left out: whatever run is under way, or comes.",
         ),
     ] = None,
     host: Annotated[
@@ -44,11 +45,16 @@ def watch(
     ] = False,
 ) -> None:  # fmt: skip
     """Show a run in the browser: the robot in its room, its signals, its contacts; and stop it."""
+    from thigmo.errors import RunFolderError
     from thigmo.live.server import WatchOptions
 
+    if target and os.sep in target and "://" not in target and not Path(target).exists():
+        raise RunFolderError(f"no such run folder or port: {target}", "check its path")
+    past = Path(target) if target is not None and Path(target).is_dir() else None
     explore = ["--out", str(out), *(["--config", str(config)] if config else [])]
     options = WatchOptions(
-        url=target,
+        url=None if past else target,
+        past=past,
         explore=tuple(explore),
         host=host,
         port=port,

@@ -23,6 +23,7 @@ from aiohttp import WSMsgType, web
 from thigmo.errors import ThigmoError
 from thigmo.live import facts
 from thigmo.live.guard import Guard, add_headers
+from thigmo.live.past import PastRun
 from thigmo.live.rows import row_text, thinned
 from thigmo.live.starting import StartedRun, StartPlan
 from thigmo.live.stopping import Stopped, Way, stop_port, way_to
@@ -45,6 +46,7 @@ class WatchOptions:
     """What to watch, and for whom.
 
     Attributes:
+        past: folder of a finished run to look back at; no other is watched.
         url: of a robot, if its runs only are to be watched; Start runs an exploration there.
         explore: further arguments of the exploration that Start runs.
         host: address to listen at; anything but loopback needs the token.
@@ -52,6 +54,7 @@ class WatchOptions:
         leaves: end when the run is over and nobody looks any more.
     """
 
+    past: Path | None = None
     url: str | None = None
     explore: tuple[str, ...] = ()
     host: str = "127.0.0.1"
@@ -69,17 +72,23 @@ class PageServer:
 
     Args:
         options: what to watch.
+
+    Raises:
+        RunFolderError: there is no such finished run.
     """
 
     def __init__(self, options: WatchOptions) -> None:
         self.options = options
         self.token = secrets.token_urlsafe(16) if options.token else None
-        self._watched = Watched(options.url)
+        self._past = PastRun(options.past) if options.past else None
+        self._watched = Watched(options.url) if options.past is None else None
         self._viewers: dict[web.WebSocketResponse, Viewer] = {}
         self._operator: web.WebSocketResponse | None = None
         self._run: Hello | None = None
         self._ended = False
         self._started: StartedRun | None = None
+        self._looked_back: PastRun | None = None  # the run that has just ended
+        self._failure = ""
         self._pausing = False
         self._truth = facts.Truth("")
         self._body = facts.body("")
@@ -102,6 +111,8 @@ class PageServer:
         app.router.add_get("/", self._index)
         app.router.add_get("/stream", self._stream)
         app.router.add_post("/stop", self._stop)
+        app.router.add_get("/record.json", self._record)
+        app.router.add_get("/record.f32", self._readings)
         app.router.add_static("/", PAGE)
         app.cleanup_ctx.append(self._work)
         return app
@@ -116,14 +127,15 @@ class PageServer:
             task.cancel()
         for socket in list(self._viewers):
             await socket.close(code=1001)
-        await asyncio.to_thread(self._watched.close)
+        if self._watched is not None:
+            await asyncio.to_thread(self._watched.close)
         if self._started is not None and self._started.runs:
             await asyncio.to_thread(self._started.end)
 
     # From the run to the pages.
 
     async def _pump(self) -> None:
-        while True:
+        while self._watched is not None:
             taken = self._watched.take()
             if taken.run is not None:
                 self._take(taken)
@@ -140,7 +152,7 @@ class PageServer:
 
     def _begin(self, run: Hello | None) -> None:
         """Another run is under way: whatever was of the last one is forgotten."""
-        self._run, self._ended, self._pausing = run, False, False
+        self._run, self._ended, self._pausing, self._failure = run, False, False, ""
         folder = run.folder if run else ""
         self._truth, self._body, self._pegs = facts.Truth(folder), facts.body(folder), []
         self._held.clear()
@@ -148,7 +160,9 @@ class PageServer:
         self._history.clear()
         self._history_s = float("-inf")
         self._seen.clear()
+        self._looked_back = None
         for viewer in self._viewers.values():
+            viewer.looks_back = False  # who looks at a robot that moves must be able to stop it
             viewer.forget()
         self._tell()
 
@@ -199,27 +213,30 @@ class PageServer:
 
     def _tell(self) -> None:
         for socket, viewer in self._viewers.items():
-            viewer.add("page", json.dumps(self._page(socket)), holds=True)
+            viewer.add("page", json.dumps(self._page(socket, viewer)), holds=True)
 
-    def _page(self, socket: web.WebSocketResponse) -> dict[str, Any]:
+    def _page(self, socket: web.WebSocketResponse, viewer: Viewer) -> dict[str, Any]:
         """What a page is told of the server, the run and its own part."""
+        if self._past is not None:
+            return {"channel": "page", "mode": "record", "stop": "none", **self._past.page()}
         run, plan = self._run, self._plan
+        heard_s = self._watched.heard_s if self._watched else 0.0
         return {
             "channel": "page",
-            "mode": "idle" if run is None else "live",
+            "mode": "idle" if run is None else "record" if viewer.looks_back else "live",
             "run": _run_facts(run),
             "ended": self._ended,
             "body": self._body,
             "truth": self._pegs,
             "start": {"url": plan.url, "virtual": plan.virtual} if plan else None,
             "starting": self._starting,
-            "failure": self._started.failure() if self._started else "",
+            "failure": self._failure or (self._started.failure() if self._started else ""),
             "pausing": self._pausing,
             "operator": self._operator is socket,
             "operated": self._operator is not None and self._operator is not socket,
             "viewers": len(self._viewers),
             "stop": self._way,
-            "silent_s": round(time.monotonic() - self._watched.heard_s, 1),
+            "silent_s": round(time.monotonic() - heard_s, 1),
         }
 
     @property
@@ -242,7 +259,7 @@ class PageServer:
         self._viewers[socket] = viewer
         if self._operator is None:
             self._operator = socket
-        viewer.add("page", json.dumps(self._page(socket)), holds=True)
+        viewer.add("page", json.dumps(self._page(socket, viewer)), holds=True)
         self._give_past(viewer)
         sender = asyncio.create_task(viewer.send_on())
         try:
@@ -276,6 +293,8 @@ class PageServer:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = socket
+        elif command == "record":
+            viewer.looks_back = await self._can_look_back()
         elif socket is self._operator:
             await self._operate(command, told)
         if command:
@@ -284,7 +303,7 @@ class PageServer:
     async def _operate(self, command: object, told: dict[str, Any]) -> None:
         if command == "start":
             await self._start(realtime=told.get("realtime") is not False)
-        elif command in ("pause", "resume"):
+        elif command in ("pause", "resume") and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
                 self._watched.send("pause" if command == "pause" else "resume")
                 self._pausing = command == "pause"
@@ -304,6 +323,7 @@ class PageServer:
         return web.json_response({"stopped": told.stopped, "failed": told.failed})
 
     async def _stop_virtual(self, run: Hello) -> Stopped:
+        assert self._watched is not None
         try:
             self._watched.send("stop")
             await asyncio.wait_for(self._seen.wait(), _STOP_S)
@@ -312,6 +332,31 @@ class PageServer:
         except TimeoutError:
             return Stopped(failed=f"the run {run.name} does not answer")
         return Stopped([run.url])
+
+    async def _can_look_back(self) -> bool:
+        """Read the record of the run that has just ended; whether that can be shown."""
+        if self._run is None or not self._ended or not self._run.folder:
+            return False
+        if self._looked_back is None:
+            try:
+                self._looked_back = await asyncio.to_thread(PastRun, Path(self._run.folder))
+            except ThigmoError as error:
+                self._failure = str(error)
+        return self._looked_back is not None
+
+    def _shown(self) -> PastRun:
+        past = self._past or self._looked_back
+        if past is None:
+            raise web.HTTPNotFound(text="No run has ended yet.")
+        return past
+
+    async def _record(self, request: web.Request) -> web.Response:
+        facts_of_it = await asyncio.to_thread(self._shown().facts)
+        return web.Response(body=facts_of_it, content_type="application/json")
+
+    async def _readings(self, request: web.Request) -> web.Response:
+        readings = await asyncio.to_thread(self._shown().readings)
+        return web.Response(body=readings, content_type="application/octet-stream")
 
     def left(self) -> bool:
         """Whether the run is over and nobody has looked for a while."""
@@ -351,6 +396,7 @@ async def serve(
         announce: told the page's address, once it can be opened.
 
     Raises:
+        RunFolderError: there is no such finished run.
         ThigmoError: the address cannot be listened at.
     """
     server = PageServer(options)

@@ -23,6 +23,7 @@ class Viewer:
     """A page behind its WebSocket.
 
     Attributes:
+        looks_back: it shows the run that has just ended, with its player.
         dropped: readings that it has missed.
     """
 
@@ -35,6 +36,7 @@ class Viewer:
         self._due = asyncio.Event()
         self._under_way = 0
         self._told = 0
+        self.looks_back = False
         self.dropped = 0
 
     def add_rows(self, rows: Iterable[str], board: str, *, most: int = _MOST_ROWS) -> None:

@@ -44,7 +44,7 @@ function drawDensity({ y0, y1 }, X) {
   const { posterior, contacts } = store.last;
   make("line", { x1: PAD.left, x2: X(store.page?.body?.length_cm ?? 60), y1: y1, y2: y1, stroke: "var(--line)" }, layer);
   text(layer, 14, (y0 + y1) / 2, "1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
-  let words = "no contact is believed to be anywhere";
+  let words = "no contact measured at this stage yet";
   if (posterior?.places_cm.length > 1) {
     const { places_cm: places, probability, side } = posterior;
     const density = probability.map((mass, n) => {

@@ -21,11 +21,11 @@ const CHARTS = [
   },
   {
     title: "Curvature, left sensors", unit: "1/cm", height: 136, least: [-.01, .02], digits: 4,
-    series: sensors("left", 0), note: "0 at the base; pale while that side is inflated, and wrinkles", dashed: "the free body",
+    series: sensors("left", 0), note: "0: base; pale: inflated side", dashed: "the free body",
   },
   {
     title: "Curvature, right sensors", unit: "1/cm", height: 136, least: [-.02, .01], digits: 4,
-    series: sensors("right", 5), note: "0 at the base; pale while that side is inflated, and wrinkles", dashed: "the free body",
+    series: sensors("right", 5), note: "0: base; pale: inflated side", dashed: "the free body",
   },
   {
     title: "Valve current", unit: "mA", height: 92, least: [0, 8], digits: 1, series: sides(COLUMN.drive),

@@ -22,7 +22,7 @@ export function drawControl(lost) {
   const { page, last } = store;
   const live = page?.mode === "live" && !page.ended;
   const operates = !!page?.operator && !lost;
-  $("start").hidden = !(page?.start && !live && page.mode !== "record");
+  $("start").hidden = !(page?.start && !live);
   $("start").disabled = !operates || page?.starting;
   $("pace-row").hidden = $("start").hidden || !page?.start?.virtual;
   $("pause").hidden = !live;

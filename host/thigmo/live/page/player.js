@@ -139,7 +139,7 @@ export function connectPlayer(changed) {
   $("play").addEventListener("click", toggle);
   $("scrub").addEventListener("input", () => { show(Number($("scrub").value)); });
   window.addEventListener("keydown", (event) => {
-    if (document.body.dataset.mode !== "record" || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (document.body.dataset.mode !== "record" || !loaded() || event.ctrlKey || event.metaKey || event.altKey) return;
     const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[event.key];
     if (event.key === "p" || event.key === "P") toggle();
     else if (event.key === "Home") show(0);

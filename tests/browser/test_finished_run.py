@@ -1,0 +1,78 @@
+"""A finished run on the page, and the player that moves the moment shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from browsing import Looking, Served
+from playwright.sync_api import Page, expect
+
+from thigmo.emulator.scene import Scene
+from thigmo.exploration import ExplorationResult, explore
+
+ServePage = Callable[..., Served]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
+    """The end of an exploration of the default room."""
+    folder = tmp_path_factory.mktemp("finished")
+    scene = Scene.load("default")
+    scene.start_length_cm = 50.0
+    scene.save(folder / "late.toml")
+    return explore(f"emulator://{folder / 'late.toml'}", seed=1, out=folder / "runs")
+
+
+def _shown_s(page: Page) -> float:
+    shown: float = page.evaluate("thigmo.store.now")
+    return shown
+
+
+def test_player_shows_any_moment_of_a_finished_run(
+    looking: Looking, serve_page: ServePage, finished: ExplorationResult
+) -> None:
+    page = looking.open(serve_page(past=finished.folder).address)
+    expect(page.locator("#run-name")).to_have_text("late")
+    (contact,) = finished.document.contacts
+    expect(page.locator("#contact-rows")).to_contain_text(f"{contact.arc_cm:.1f}")
+    expect(page.locator("#doing")).to_have_text("Ended: full length")
+    expect(page.locator("#stop")).to_be_hidden()  # nothing is connected
+    end_s = _shown_s(page)
+    assert end_s > 10.0
+
+    expect(page.locator("#position")).to_contain_text("of")  # all of it is loaded
+    page.keyboard.press("Home")
+    expect(page.locator("#contacts-empty")).to_be_visible()
+    assert _shown_s(page) == 0.0
+    page.keyboard.press("Shift+ArrowRight")
+    assert _shown_s(page) == 10.0
+    page.keyboard.press("Space")  # never plays: it is the stop's
+    expect(page.locator("#play")).to_have_text("Play")
+    page.keyboard.press("p")
+    expect(page.locator("#play")).to_have_text("Hold")
+    page.wait_for_function("() => thigmo.store.now > 11")
+    page.keyboard.press("End")
+    expect(page.locator("#contact-rows tr")).to_have_count(1)
+    assert _shown_s(page) == end_s
+
+
+def test_readings_on_the_page_are_those_of_the_record(
+    looking: Looking, serve_page: ServePage, finished: ExplorationResult
+) -> None:
+    from thigmo.stream import Telemetry, read_messages
+
+    readings = [each for each in read_messages(finished.folder) if isinstance(each, Telemetry)]
+    page = looking.open(serve_page(past=finished.folder).address)
+    page.wait_for_function("() => thigmo.store.columns[0].length > 0")
+    length, pressures = page.evaluate("[thigmo.store.columns[0].length, thigmo.store.columns[1]]")
+    assert length == len(readings)
+    assert pressures == pytest.approx([each.pressure_psi[0] for each in readings], abs=1e-5)
+
+
+def test_folder_without_a_record_is_refused(serve_page: ServePage, tmp_path: Path) -> None:
+    from thigmo.errors import RunFolderError
+
+    with pytest.raises(RunFolderError):
+        serve_page(past=tmp_path)
