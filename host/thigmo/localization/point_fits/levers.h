@@ -29,7 +29,6 @@ struct PointFit {
 
 constexpr double kTolerance = 1e-9;  // of the objective without contact: less counts as equal
 constexpr double kInnerEnd = 1e-9;   // a cell is open at its near end, as the base has no lever
-
 constexpr double kRounding = 1e-13;  // what is less, as a share of its terms, is zero
 
 // c[0] + c[1] t + c[2] t^2 + ...

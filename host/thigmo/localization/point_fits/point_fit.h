@@ -36,7 +36,7 @@ inline Answer point_fit(const Input& input, const Settings& settings) {
     frame.high.push_back(high);
     size = std::max(size, std::abs(frame.value.back()));
   }
-  for (double& value : frame.value) value /= std::max(size, 1e-300);
+  for (double& value : frame.value) value /= size > 0.0 ? size : 1.0;
   const PointFit fit = settings.contacts == 2 ? PairSearch(frame, settings.norm).fit()
                        : settings.norm == 1   ? fit_one_l1(frame)
                                               : fit_one_l2(frame);
