@@ -26,6 +26,8 @@ from thigmo.studies.experiments.explorations import (
 )
 from thigmo.studies.experiments.folder import Verdict
 
+pytestmark = pytest.mark.ci
+
 LENGTH_CM = 26.0
 
 

@@ -7,6 +7,8 @@ import pytest
 from thigmo.studies.engine import Context, Outcome
 from thigmo.studies.faults import FAILURES, QUICK, Case, Failure, outcome, run, visit
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def campaign() -> Outcome:

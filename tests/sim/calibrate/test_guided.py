@@ -147,7 +147,9 @@ def test_noise_pressure_and_check_of_a_sound_robot(lab):
         guided.run(bench, "magic")
 
 
-@pytest.mark.parametrize("seed", [5, 6, 7])
+@pytest.mark.parametrize(
+    "seed", [5, *(pytest.param(seed, marks=pytest.mark.ci) for seed in (6, 7))]
+)
 def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_three_and_a_half(
     tmp_path, seed
 ):
@@ -172,6 +174,7 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
         assert found.lag_s == pytest.approx(lag, rel=0.035)
 
 
+@pytest.mark.ci
 def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
     lab = Lab(tmp_path, 4)
     bench = lab.bench()
@@ -183,6 +186,7 @@ def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
     assert abs(result.ratio - 1.0) < 3 * result.ratio_se
 
 
+@pytest.mark.ci
 def test_a_robot_with_fewer_sensors_than_the_board_has_inputs_is_calibrated(tmp_path):
     few = Scene.load("empty").robot
     few.sensors.left = few.sensors.left[:4]

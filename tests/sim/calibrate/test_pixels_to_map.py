@@ -48,6 +48,7 @@ def test_calibration_begins_without_any_of_the_truth():
     assert begun.spool.counts_per_cm != 71.0
 
 
+@pytest.mark.ci
 def test_from_pixels_to_the_map(tmp_path):
     scene = unknown_robot(11)
     room = save(scene, tmp_path / "room.toml")

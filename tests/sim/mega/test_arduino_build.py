@@ -16,10 +16,13 @@ from thigmo.link.image import ROOT, read_hex, read_image
 HARDWARE = Path("/usr/share/arduino/hardware")
 BUILDER = Path("/usr/share/arduino-builder")
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("arduino-builder") is None or not (HARDWARE / "arduino" / "avr").exists(),
-    reason="arduino-builder or arduino-core-avr is not installed",
-)
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(
+        shutil.which("arduino-builder") is None or not (HARDWARE / "arduino" / "avr").exists(),
+        reason="arduino-builder or arduino-core-avr is not installed",
+    ),
+]
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,8 @@ import pytest
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.studies.faults import FAILURES, Case, visit
 
+pytestmark = pytest.mark.ci
+
 SAMPLE = [
     ("host silent", "growing"),
     ("pressure sensor frozen at 17 psi", "pressing"),
