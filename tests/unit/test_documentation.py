@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
+import thigmo
 from thigmo.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,6 +67,12 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert aim.exists(), link
         if part:
             assert part in headings(aim), link
+
+
+def test_public_names_are_in_the_reference() -> None:
+    written = (DOCS / "api.md").read_text()
+    names = set(thigmo.__all__) - {"__version__"}
+    assert not {name for name in names if not re.search(rf"\b{name}\b", written)}
 
 
 def test_every_page_is_in_the_table_of_contents() -> None:
