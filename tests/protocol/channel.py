@@ -11,7 +11,7 @@ import math
 import random
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 from thigmo.link.heart import Beat, Heart
 
@@ -85,7 +85,6 @@ class LoopTransport:
     """Host and device in one process, in virtual time: reading is what lets time pass."""
 
     virtual = True
-    operator = None
     name = "loop"
 
     def __init__(
@@ -135,9 +134,6 @@ class LoopTransport:
         sent = list(self._beats)
         self._beats.clear()
         return sent
-
-    def truth(self) -> Any:
-        return None
 
     def close(self) -> None:
         self._heart = None

@@ -34,7 +34,7 @@ class DictionaryBoard:
     """Answers commands from memory; each poll takes as long as it may, then gives events."""
 
     def __init__(self) -> None:
-        self.transport = SimpleNamespace(operator=None, virtual=True, truth=lambda: None)
+        self.transport = SimpleNamespace(virtual=True)
         self.values = {
             entry.index + i: value
             for entry in wire.PARAMETERS.values()

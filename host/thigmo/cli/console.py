@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from thigmo.exploration import ExplorationResult
-    from thigmo.link.transport import Dowel
+    from thigmo.room import Dowel
 
 Show = Callable[[str, float], None]
 # What a log on a pipe is told; a terminal sees every state.

@@ -25,7 +25,8 @@ from thigmo.link.heart import HOLD_AFTER, Beat, Heart
 from thigmo.mechanics import Peg
 
 if TYPE_CHECKING:
-    from thigmo.link.transport import Dowel, Operator, Transport
+    from thigmo.link.transport import Transport
+    from thigmo.room import Dowel, Operator
 
 _KEPT_BEATS = 64
 _SEEN_CM = 0.02  # of line: what an eye beside the spool sees
@@ -128,7 +129,7 @@ class EmulatorTransport:
         self.seed = scene.seed if seed is None else seed
         self.lockstep = Lockstep(scene, board, seed=self.seed, exchange_ms=exchange_ms)
         self.config: RobotConfig = scene.believed(self.seed)
-        self.operator: Operator | None = EmulatedOperator(self)
+        self.operator: Operator = EmulatedOperator(self)
         self.read_s = 0.0
         self._heart: Heart | None = None
         self._beats: deque[Beat] = deque(maxlen=_KEPT_BEATS)

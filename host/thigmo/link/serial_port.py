@@ -15,13 +15,11 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any
 
 from thigmo.errors import LinkError, PortError
 from thigmo.link import lease
 from thigmo.link.heart import Beat
 from thigmo.link.pipe import BEAT, START, Kind, Packet, read_packet, write_packet
-from thigmo.link.transport import Operator
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
 _TOUCH_S = 0.5
@@ -34,7 +32,6 @@ class SerialTransport:
     """See `transport.Transport`; time is `time.monotonic`."""
 
     virtual = False
-    operator: Operator | None = None
 
     def __init__(self, url: str, baud: int) -> None:
         """Open.
@@ -123,10 +120,6 @@ class SerialTransport:
         sent = list(self._beats)
         self._beats.clear()
         return sent
-
-    def truth(self) -> Any:
-        """Nothing is known of a real room."""
-        return None
 
     def close(self) -> None:
         """Close the port and end its process."""

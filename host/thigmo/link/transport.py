@@ -6,41 +6,11 @@ is the monotonic clock, in the emulator reading is what advances virtual time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Protocol
 
 from thigmo.errors import PortError
 from thigmo.link.heart import Beat
-
-
-class Dowel(Protocol):
-    """A round obstacle in the room, cm: x along the straight robot from its base, y to its left."""
-
-    @property
-    def x(self) -> float:
-        """Centre."""
-
-    @property
-    def y(self) -> float:
-        """Centre."""
-
-    @property
-    def radius(self) -> float:
-        """Radius."""
-
-
-class Operator(Protocol):
-    """Whoever stands beside the robot and does what its board cannot."""
-
-    def everted_length_cm(self) -> float:
-        """Measure the everted length."""
-
-    def set_body_pressure(self, pressure_psi: float) -> None:
-        """Set the body's pressure regulator; return when it is set."""
-
-    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Clear the room and put these dowels into it; return when they stand."""
 
 
 class Transport(Protocol):
@@ -49,14 +19,12 @@ class Transport(Protocol):
     Attributes:
         name: what was opened, for messages.
         virtual: time is virtual and advances while `read` waits.
-        operator: who answers for the robot's surroundings, if the transport knows one.
         read_s: host time at which the bytes last returned by `read` had arrived. A main thread
             that was busy finds old bytes with their true stamps.
     """
 
     name: str
     virtual: bool
-    operator: Operator | None
     read_s: float
 
     def now(self) -> float:
@@ -86,9 +54,6 @@ class Transport(Protocol):
 
     def beats(self) -> list[Beat]:
         """Heartbeats sent since the last call, oldest first (the last 64 at most)."""
-
-    def truth(self) -> Any:
-        """What an emulator knows of the room; None on hardware."""
 
     def close(self) -> None:
         """Close; may be called twice."""

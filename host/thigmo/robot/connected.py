@@ -27,6 +27,7 @@ from thigmo.robot.state import Status
 from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.truth import truth_now
 from thigmo.robot.watch import Watch
+from thigmo.room import Simulated
 from thigmo.stream import Hub, Message, Telemetry
 from thigmo.stream.hub import QUEUE
 
@@ -56,10 +57,9 @@ class Connected:
         # A board that lives in this process starts anew with the next connection.
         self._watch = Watch(client, "" if client.transport.virtual else url)
         self.url = url
-        self.operator: Operator = (
-            operator if operator and not client.transport.operator
-            else client.transport.operator or NobodyThere()
-        )  # fmt: skip
+        room = client.transport
+        self._room: Simulated | None = room if isinstance(room, Simulated) else None
+        self.operator: Operator = self._room.operator if self._room else operator or NobodyThere()
         self.config = RobotConfig()
         self._table = SensorTable.of(self.config)
         self._zero_sum: Floats = np.full(SENSORS, np.nan)
@@ -313,8 +313,7 @@ class Connected:
     @property
     def known_config(self) -> RobotConfig | None:
         """The robot.toml that an emulated robot's lab would have; None on hardware."""
-        known: RobotConfig | None = getattr(self._client.transport, "config", None)
-        return known
+        return self._room.config if self._room else None
 
     def now(self) -> float:
         """The link's clock, s: monotonic on hardware, virtual in the emulator."""
@@ -335,8 +334,8 @@ class Connected:
 
     def scenery(self) -> Any:
         """The emulator's own truth (shapes included), for painting pictures; None on hardware."""
-        return self._client.transport.truth()
+        return self._room.truth() if self._room else None
 
     def truth(self) -> Truth | None:
         """What the emulated room knows now; None on hardware."""
-        return truth_now(self._client.transport.truth())
+        return truth_now(self.scenery())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thigmo.errors import DataError
-from thigmo.link.transport import Dowel, Operator
+from thigmo.room import Dowel, Operator
 
 __all__ = ["NobodyThere", "Operator"]
 

@@ -160,13 +160,13 @@ class Robot(Sensing):
                     self._request(wire.Vent())
                     break
             if watcher.stopped:
-                truth = truth_now(self._client.transport.truth(), watcher.frames[-1].side)
+                truth = truth_now(self.scenery(), watcher.frames[-1].side)
                 truths += [truth] if truth else []
                 self._request(wire.Vent())
         return told()
 
     def _peak_and_truth(self, side: Side, truths: list[Truth]) -> list[SnapshotReading]:
-        truth = truth_now(self._client.transport.truth(), side)
+        truth = truth_now(self.scenery(), side)
         if truth is not None:
             truths.append(truth)
         return self.snapshots()

@@ -12,7 +12,7 @@ def truth_now(known: Any, side: Side | None = None) -> Truth | None:
     """The room and its present contacts.
 
     Args:
-        known: what the transport's `truth` gives (the emulator's Truth), or None.
+        known: what a simulated room's `truth` gives (the emulator's Truth), or None.
         side: the muscle that is inflated.
     """
     if known is None:

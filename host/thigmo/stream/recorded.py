@@ -70,8 +70,6 @@ def read_messages(
     Raises:
         RunFolderError: there is no record, or it holds raw frames alone (of an earlier version).
     """
-    from thigmo.stream.protobuf import from_protobuf
-
     path = Path(run)
     path = path / "run.mcap" if path.is_dir() else path
     wanted = {f"/{channel}" for channel in (RECORDED if channels is None else channels)}
@@ -81,7 +79,15 @@ def read_messages(
         raise RunFolderError(
             f"{path} holds raw frames alone", "record the run again with this version of thigmo"
         )
-    for number, _, data in found.messages:
-        topic = topics.get(number, "")
-        if topic in wanted:
-            yield from_protobuf(topic[1:], data)
+    return _decoded(
+        (topics[number][1:], data)
+        for number, _, data in found.messages
+        if topics.get(number) in wanted
+    )
+
+
+def _decoded(messages: Iterable[tuple[str, bytes]]) -> Iterator[Message]:
+    from thigmo.stream.protobuf import from_protobuf
+
+    for channel, data in messages:
+        yield from_protobuf(channel, data)

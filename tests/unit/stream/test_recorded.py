@@ -79,7 +79,7 @@ def test_a_record_of_raw_frames_alone_says_so(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "run.mcap", {}) as log:
         log.frame("rx", b"1", 1.0)
     with pytest.raises(RunFolderError, match="raw frames alone"):
-        list(read_messages(tmp_path))
+        read_messages(tmp_path)
 
 
 def test_mcaps_own_tools_decode_every_channel(path: Path) -> None:

@@ -31,8 +31,8 @@ from thigmo.studies.experiments.folder import Folder, Row, Say, Verdict
 if TYPE_CHECKING:
     from thigmo.exploration.run import Progress
     from thigmo.exploration.run import Protocol as Way
-    from thigmo.link.transport import Dowel
     from thigmo.robot import Operator
+    from thigmo.room import Dowel
 
 WAYS: dict[Way, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
 _BASE_CM = 0.2

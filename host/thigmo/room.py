@@ -1,0 +1,53 @@
+"""What is around a robot beyond its link: its operator, and a simulated robot's room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+from thigmo.config import RobotConfig
+
+
+class Dowel(Protocol):
+    """A round obstacle in the room, cm: x along the straight robot from its base, y to its left."""
+
+    @property
+    def x(self) -> float:
+        """Centre."""
+
+    @property
+    def y(self) -> float:
+        """Centre."""
+
+    @property
+    def radius(self) -> float:
+        """Radius."""
+
+
+class Operator(Protocol):
+    """Whoever stands beside the robot and does what its board cannot."""
+
+    def everted_length_cm(self) -> float:
+        """Measure the everted length."""
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Set the body's pressure regulator; return when it is set."""
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Clear the room and put these dowels into it; return when they stand."""
+
+
+@runtime_checkable
+class Simulated(Protocol):
+    """A connection that holds the robot itself, and its room.
+
+    Attributes:
+        operator: who stands beside it.
+        config: the robot.toml that this robot's lab would have.
+    """
+
+    operator: Operator
+    config: RobotConfig
+
+    def truth(self) -> Any:
+        """What the room knows: pegs, contacts and shapes."""
