@@ -40,36 +40,30 @@ class Answer:
     mass: _Array
     bend: _Array
 
+class Sensors:
+    length: float
+    def __init__(
+        self,
+        position: _Array,
+        span: _Array,
+        noise: _Array,
+        gain: _Array,
+        bad_odds: _Array,
+        shared: _Array,
+        offset: float,
+        map_scale: float,
+        length: float,
+        radius: float,
+    ) -> None: ...
+
 def localize(
     curvature: _Array,
-    position: _Array,
-    span: _Array,
     free: _Array,
     body: _Array,
-    noise: _Array,
-    gain: _Array,
-    bad_odds: _Array,
-    shared: _Array,
-    offset: float,
-    map_scale: float,
-    length: float,
-    radius: float,
+    sensors: Sensors,
     settings: Settings,
     priors: Priors,
 ) -> Answer: ...
 def localize_rows(
-    curvature: _Array,
-    position: _Array,
-    span: _Array,
-    free: _Array,
-    noise: _Array,
-    gain: _Array,
-    bad_odds: _Array,
-    shared: _Array,
-    offset: float,
-    map_scale: float,
-    length: float,
-    radius: float,
-    settings: Settings,
-    priors: Priors,
+    curvature: _Array, free: _Array, sensors: Sensors, settings: Settings, priors: Priors
 ) -> dict[str, _Array]: ...

@@ -83,24 +83,22 @@ def localize_batch(
     table = np.ascontiguousarray(curvature, dtype=np.float64)
     if table.ndim != 2 or table.shape[1] == 0:
         raise DataError(f"curvature has shape {table.shape}", "give (M, N) readings")
-    count, sensors = table.shape
+    count, width = table.shape
     free = np.asarray(free_curvature, dtype=np.float64)
     if free.ndim < 2:
-        free = vector(free, "free_curvature", sensors)[None, :]
-    if free.shape[0] not in (1, count) or free.shape[1] not in (1, sensors):
+        free = vector(free, "free_curvature", width)[None, :]
+    if free.shape[0] not in (1, count) or free.shape[1] not in (1, width):
         raise DataError(
             f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
         )
-    given = options_of(position, sensors, length, Options(method=method, **options))
+    sensors, settings = options_of(position, width, length, Options(method=method, **options))
     parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
     def run(rows: npt.NDArray[np.int64]) -> dict[str, Array]:
         own = free if free.shape[0] == 1 else free[rows]
         return _posterior.localize_rows(
-            table[rows], given.position, given.span, np.ascontiguousarray(own), given.noise,
-            given.gain, given.bad_odds, given.shared, given.offset, given.map, given.length,
-            given.radius, given.settings, priors.compiled(),
-        )  # fmt: skip
+            table[rows], np.ascontiguousarray(own), sensors, settings, priors.compiled()
+        )
 
     with ThreadPoolExecutor(len(parts)) as pool:
         tables = list((pool.map if len(parts) > 1 else map)(run, parts))
@@ -108,7 +106,7 @@ def localize_batch(
     wrong = np.flatnonzero(found["problem"])
     if wrong.size:
         row = int(wrong[0])
-        error = refusal(int(found["problem"][row]), float(found["shows"][row]), given.length)
+        error = refusal(int(found["problem"][row]), float(found["shows"][row]), sensors.length)
         raise DataError(f"row {row}: {error.what}", error.next_step)
     return BatchResult(
         [STATUSES[int(status)] for status in found["status"].tolist()],

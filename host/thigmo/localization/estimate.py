@@ -26,7 +26,7 @@ from thigmo.localization.readings import (
     share_of_length,
     vector,
 )
-from thigmo.localization.result import Array, Contact, LocalizeResult, Status
+from thigmo.localization.result import Contact, LocalizeResult, Status
 
 MOST_CONTACTS = 3
 METHODS = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
@@ -99,7 +99,7 @@ def localize(
         DataError: readings that cannot be used as given, or that look like another unit.
     """
     k = vector(curvature, "curvature")
-    given = options_of(
+    sensors, settings = options_of(
         position, k.size, length,
         Options(
             span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
@@ -109,16 +109,12 @@ def localize(
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
-    found = _posterior.localize(
-        k, given.position, given.span, free, body, given.noise, given.gain, given.bad_odds,
-        given.shared, given.offset, given.map, given.length, given.radius, given.settings,
-        priors.compiled(),
-    )  # fmt: skip
+    found = _posterior.localize(k, free, body, sensors, settings, priors.compiled())
     if found.problem:
-        raise refusal(found.problem, found.shows, given.length)
+        raise refusal(found.problem, found.shows, sensors.length)
     if method != "posterior":
-        return point_fit_result(found, given.length, method)
-    return _result(found, given.length)
+        return point_fit_result(found, sensors.length, method)
+    return _result(found, sensors.length)
 
 
 class Options(NamedTuple):
@@ -141,24 +137,10 @@ class Options(NamedTuple):
     method: str = "posterior"
 
 
-class Given(NamedTuple):
-    """The same, checked, as the compiled code takes them."""
-
-    position: Array
-    span: Array
-    noise: Array
-    gain: Array
-    bad_odds: Array
-    shared: Array
-    offset: float
-    map: float
-    length: float
-    radius: float
-    settings: _posterior.Settings
-
-
-def options_of(position: npt.ArrayLike, count: int, length: float, options: Options) -> Given:
-    """Check the options of N readings.
+def options_of(
+    position: npt.ArrayLike, count: int, length: float, options: Options
+) -> tuple[_posterior.Sensors, _posterior.Settings]:
+    """The options of N readings, checked, as the compiled code takes them.
 
     Raises:
         DataError: an option that is not possible.
@@ -179,7 +161,7 @@ def options_of(position: npt.ArrayLike, count: int, length: float, options: Opti
     radius = priors.TUBE_RADIUS * total
     if options.tube_radius is not None:
         radius = max(positive(options.tube_radius, "tube_radius"), 1e-6 * total)
-    return Given(
+    sensors = _posterior.Sensors(
         x,
         vector(options.span, "span", count),
         noise,
@@ -190,15 +172,14 @@ def options_of(position: npt.ArrayLike, count: int, length: float, options: Opti
         positive(options.map_error, "map_error"),
         total,
         radius,
-        _settings(
-            total, radius, options.contacts, options.critical_curvature,
-            options.critical_curvature_error,
-            options.tube_radius is None if options.held_end is None else 2 * options.held_end,
-            options.width_limit,
-            options.within,
-            options.method,
-        ),
+    )
+    settings = _settings(
+        total, radius, options.contacts, options.critical_curvature,
+        options.critical_curvature_error,
+        options.tube_radius is None if options.held_end is None else 2 * options.held_end,
+        options.width_limit, options.within, options.method,
     )  # fmt: skip
+    return sensors, settings
 
 
 @lru_cache(maxsize=64)

@@ -215,29 +215,35 @@ NB_MODULE(_posterior, m) {
           },
           nb::rv_policy::reference);
 
-  m.def("localize",
-        [](Numbers curvature, Numbers position, Numbers span, Numbers free, Numbers body,
-           Numbers noise, Numbers gain, Numbers bad_odds, Table shared, double offset, double map,
-           double length, double radius, const Settings& settings, const Priors& priors) {
-          const Input input{row(curvature), row(position), row(span),
-                            row(free),      row(body),     row(noise),
-                            row(gain),      row(bad_odds), columns(shared, curvature.size()),
-                            offset,         map,           length,
-                            radius};
-          check_sizes(input);
-          nb::gil_scoped_release released;
-          return answer_by_method(input, priors, settings);
-        });
+  nb::class_<Input>(m, "Sensors")
+      .def("__init__",
+           [](Input* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
+              Numbers bad_odds, Table shared, double offset, double map, double length,
+              double radius) {
+             new (self) Input{};
+             self->position = row(position), self->span = row(span), self->noise = row(noise);
+             self->gain = row(gain), self->bad_odds = row(bad_odds);
+             self->shared = columns(shared, position.size());
+             self->offset = offset, self->map = map;
+             self->length = length, self->radius = radius;
+           })
+      .def_ro("length", &Input::length);
+
+  m.def("localize", [](Numbers curvature, Numbers free, Numbers body, const Input& sensors,
+                       const Settings& settings, const Priors& priors) {
+    Input input = sensors;
+    input.curvature = row(curvature), input.free = row(free), input.body = row(body);
+    check_sizes(input);
+    nb::gil_scoped_release released;
+    return answer_by_method(input, priors, settings);
+  });
 
   // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
-  m.def("localize_rows", [](Table curvature, Numbers position, Numbers span, Table free,
-                            Numbers noise, Numbers gain, Numbers bad_odds, Table shared,
-                            double offset, double map, double length, double radius,
+  m.def("localize_rows", [](Table curvature, Table free, const Input& sensors,
                             const Settings& settings, const Priors& priors) {
     const std::size_t n = curvature.shape(1), count = curvature.shape(0);
-    Input input{Row(n),     row(position), row(span),     Row(free.shape(1)), Row(free.shape(1)),
-                row(noise), row(gain),     row(bad_odds), columns(shared, n), offset,
-                map,        length,        radius};
+    Input input = sensors;
+    input.curvature.resize(n), input.free.resize(free.shape(1)), input.body = input.free;
     check_sizes(input);
     if (free.shape(0) != count && free.shape(0) != 1) {
       throw nb::value_error("free needs one row, or one for each row");
@@ -250,7 +256,7 @@ NB_MODULE(_posterior, m) {
         const std::size_t from = free.shape(0) == 1 ? 0 : m;
         std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
         input.body = input.free;
-        out.set(m, answer_by_method(input, priors, settings), length);
+        out.set(m, answer_by_method(input, priors, settings), input.length);
       }
     }
     nb::dict table;

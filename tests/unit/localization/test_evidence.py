@@ -19,13 +19,9 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 def weighed(curvature, free, **options):
     """{(load, bad reading): log weight} of one frame."""
-    given = options_of(POSITION, len(POSITION), LENGTH, Options(SPAN, NOISE, **options))
+    sensors, settings = options_of(POSITION, len(POSITION), LENGTH, Options(SPAN, NOISE, **options))
     own = np.full(1, free)
-    found = _posterior.localize(
-        curvature, given.position, given.span, own, own, given.noise, given.gain, given.bad_odds,
-        given.shared, given.offset, given.map, given.length, given.radius, given.settings,
-        priors.compiled(),
-    )  # fmt: skip
+    found = _posterior.localize(curvature, own, own, sensors, settings, priors.compiled())
     assert found.problem == 0
     return {(load, bad): weight for load, bad, weight in found.weighed}
 

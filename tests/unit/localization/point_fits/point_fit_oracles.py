@@ -36,14 +36,10 @@ class PointFit:
 def fit(y: Floats, low: Floats, high: Floats, contacts: int, norm: str) -> PointFit:
     """The compiled fit of readings above a free curvature of 0."""
     options = Options(high - low, tube_radius=1e-6, contacts=contacts, method=norm)
-    given = options_of(0.5 * (low + high), len(y), 1.0, options)
+    sensors, settings = options_of(0.5 * (low + high), len(y), 1.0, options)
     # Readings that are all the same are refused of a body that nothing bends.
     free = np.full(1, 0.5 if np.ptp(y) == 0.0 else 0.0)
-    found = _posterior.localize(
-        y + free, given.position, given.span, free, free, given.noise, given.gain, given.bad_odds,
-        given.shared, given.offset, given.map, given.length, given.radius, given.settings,
-        priors.compiled(),
-    )  # fmt: skip
+    found = _posterior.localize(y + free, free, free, sensors, settings, priors.compiled())
     assert found.problem == 0
     arcs, forces, _, _, sets, *_ = zip(*found.contacts(1.0), strict=True)
     return PointFit(
