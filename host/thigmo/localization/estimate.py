@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
-from thigmo.localization.point_fit import point_fit_result
 from thigmo.localization.readings import (
     Range,
     columns,
@@ -113,7 +112,7 @@ def localize(
     if found.problem:
         raise refusal(found.problem, found.shows, sensors.length)
     if method != "posterior":
-        return point_fit_result(found, sensors.length, method)
+        return _point_fit(found, sensors.length, method)
     return _result(found, sensors.length)
 
 
@@ -219,6 +218,26 @@ def _settings(
         share_of_length(within, total),
         limit,
         METHODS.index(method),
+    )
+
+
+def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:
+    """The global minimum of a norm of the residual, and where it is attained."""
+    contacts = tuple(
+        Contact(arc, force, interval, "ambiguous", pieces)
+        for arc, force, interval, _, pieces, *_ in found.contacts(total)
+    )
+    return LocalizeResult(
+        "ambiguous",
+        contacts,
+        f"{len(contacts)} contact{'s' * (len(contacts) > 1)}, {method}",
+        "a point fit: its interval is where the minimum is attained, and no measure of error",
+        math.nan,
+        math.nan,
+        {},
+        objective=found.objective,
+        optimum_set=tuple(contact.intervals for contact in contacts),
+        length=total,
     )
 
 
