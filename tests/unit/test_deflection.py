@@ -15,15 +15,21 @@ LENGTHS = np.linspace(30.0, 40.0, 120)
 _KNOWN = (0, 1, 5, 6)  # zeroed before, at 5 and 15 cm of either side
 
 
-def _grown(force: float, met_cm: float, creep: float = 0.0) -> Deflection | None:
-    """A growth in which a peg at `met_cm` bends the body; `creep` moves the zeros only after it."""
+def _grown(
+    force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0
+) -> Deflection | None:
+    """A growth in which a peg at `met_cm` bends the body; `creep` moves the zeros only after it,
+    and `alone` moves that of one sensor meanwhile.
+    """
     rng = np.random.default_rng(3)
     before: Floats = np.full(10, np.nan)
     before[list(_KNOWN)] = rng.normal(0.0, 0.4, len(_KNOWN))
     lever = np.maximum(met_cm - TABLE.center_cm, 0.0)
-    bent = np.clip((LENGTHS - met_cm) / 1.0 + 0.5, 0.0, 1.0)[:, None] * force * lever
+    step = np.clip((LENGTHS - met_cm) / 1.0 + 0.5, 0.0, 1.0)[:, None]
+    change = force * lever + alone * (np.arange(10) == _KNOWN[0])
+    bent = step * change
     readings = np.nan_to_num(before) + bent + rng.normal(0.0, 3e-4, bent.shape)
-    after = np.nan_to_num(before) + force * lever + creep
+    after = np.nan_to_num(before) + change + creep
     return deflection(LENGTHS, readings, before, after, TABLE)
 
 
@@ -40,3 +46,8 @@ def test_a_straight_body_and_zeros_that_creep_are_no_lean() -> None:
     assert _grown(0.0, 34.0) is None
     assert _grown(3e-6, 34.0) is None
     assert _grown(0.0, 34.0, creep=5e-3) is None  # moved, but not while the robot grew
+
+
+@pytest.mark.parametrize("moved", [8e-3, -8e-3])
+def test_a_zero_that_moves_alone_is_no_lean(moved: float) -> None:
+    assert _grown(0.0, 34.0, alone=moved) is None

@@ -2,8 +2,9 @@
 
 A tip that meets a peg off its middle is not stopped but slides round it, and the vented robot then
 leans on the peg with its side. Zeroed so, every later reading would be wrong by that bend. But a
-zero, taken of the same sensor at the last stage, moves by its noise only: one that moves by more
-says that the body is held bent. The encoder says where: it was bent when the tip passed the peg.
+zero, taken of the same sensor at the last stage, moves by its noise only: those that move by more,
+each by its lever, say that the body is held bent. The encoder says where: it was bent when the tip
+passed the peg.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from thigmo.robot.readings import Floats
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
 # held bent; what is left of an eversion's creep is less.
 _SIGMAS = 4.0
+# A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
+# that moved alone.
+_EXPLAINED = 0.8
 _SMOOTH = 5  # frames of a running median, a quarter of a second
 # The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
 # on its way from the near face to the middle: up to a peg's radius before, which is not known.
@@ -76,6 +80,9 @@ def deflection(
         arc = (low + high) / 2
         lever = np.maximum(arc - table.center_cm[use], 0.0)
         if not lever.any():
+            continue
+        share = float(lever @ moved[use]) ** 2 / float(lever @ lever * (moved[use] @ moved[use]))
+        if share < _EXPLAINED:
             continue
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
