@@ -14,6 +14,7 @@ sys.path.insert(0, str(HERE / "_ext"))
 
 project = "thigmo"
 author = "the thigmo developers"
+project_copyright = author
 version = release = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"][
     "version"
 ]
@@ -28,6 +29,7 @@ extensions = [
     "mathml",
 ]
 exclude_patterns = ["_build", "_made", "_ext", "results"]
+smartquotes = False  # options begin with two hyphens
 html_theme = "furo"
 html_title = "thigmo"
 html_math_renderer = "mathml"

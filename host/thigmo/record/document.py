@@ -183,8 +183,8 @@ class RunDocument:
         outcome: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or
             "aborted: why".
         contacts: merged contacts, in the order of their discovery.
-        error_x_cm: absolute x error of the best contact against the true contact point (the thesis's
-            measure), null without truth or contact.
+        error_x_cm: absolute x error of the best contact against the true contact point (the
+            thesis's measure), null without truth or contact.
         error_cm: distance in the plane from it to the true contact point.
         missed: contacts known otherwise that are not on the map; null if nothing else is known.
         false: contacts of the map that are not in the room; null without truth.
