@@ -31,7 +31,17 @@ $(BIN)/python:
 	@mkdir -p .stamps
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet setuptools wheel scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench]'
+	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench,ros]'
+	@touch $@
+
+# ROS 2 itself, for the tests to talk to: in an environment of its own, for it takes over the
+# interpreter of the one that it is in.
+ROS := ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-sensor-msgs \
+       ros-jazzy-diagnostic-msgs
+.stamps/ros:
+	@mkdir -p .stamps
+	$(PYTHON) -m venv .venv-ros
+	.venv-ros/bin/pip install --quiet $(ROS)
 	@touch $@
 
 explore: install
@@ -51,7 +61,7 @@ test: lint
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "$(FAST) and not realtime"
 	$(PYTEST) -m "$(FAST) and realtime"
 
-ci: lint
+ci: lint .stamps/ros
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
 	$(PYTEST) -m "realtime and not nightly"
 	$(MAKE) docs
@@ -78,4 +88,4 @@ firmware:
 	$(MAKE) -C firmware/mega
 
 clean:
-	rm -rf $(VENV) build .stamps
+	rm -rf $(VENV) .venv-ros build .stamps

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -46,6 +48,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="PORT",
         help="run the conformance suite against this port too (its configuration is put back)",
     )
+
+
+@pytest.fixture
+def own_sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Runs and robots of this test are seen by this test only, and it sees no others; a socket's
+    path has to be short.
+    """
+    folder = tempfile.mkdtemp(prefix="tg")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+    yield
+    shutil.rmtree(folder)
 
 
 @pytest.fixture

@@ -10,11 +10,31 @@ import threading
 import time
 from collections.abc import Callable
 
+from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
+from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import PtyServer
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
 
+# A host that arms the robot on the port that it is given, sweeps and says so; and one that then
+# stays.
+SWEEP = """
+import ctypes, sys
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
+client = Client(open_transport(sys.argv[1]))
+while not client.request(wire.GetStatus()).conditions & wire.Condition.HOST_ALIVE.mask:
+    client.poll(0.01)
+client.request(wire.Arm())
+client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
+print("sweeping", flush=True)
+"""
+LIVE = SWEEP + "client.wait_for(lambda: False, 60.0)"
 EVER_S = 120.0  # of real time: what has not come by then never will
 
 
@@ -119,3 +139,29 @@ class ServedRobot:
         self._on = False
         self._thread.join()
         self._server.close()
+
+
+def ready_to_sweep() -> ServedRobot:
+    """An emulated robot, zeroed in virtual time, then on a port in real time."""
+    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
+    transport = EmulatorTransport(scene, VirtualBoard(3), seed=3)
+    client = Client(transport)
+    client.request(wire.LoadDefaults())
+    vented = wire.Condition.VENTED.mask
+    while not client.request(wire.GetStatus()).conditions & vented:
+        client.poll(0.01)
+    client.request(wire.ConfirmLength(200_000, 1))
+    client.request(wire.SelectZone(0))
+    client.request(wire.ClearFaults(0xFFFF))
+    client.request(wire.Arm())
+    client.request(wire.ZeroSensors(0b00011_00011))
+    report = client.request(wire.GetStatus())
+    assert client.wait_for(lambda: any(_done(e.message) for e in client.events), 30.0), report
+    client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
+    client.request(wire.Disarm())  # armed, it would miss this host: the next one arms it
+    # A board that keeps running while hosts come and go: opening does not reset it.
+    return ServedRobot(transport.lockstep, reset_on_open=False)
+
+
+def _done(event: wire.Event) -> bool:
+    return event.code == wire.EventCode.ACTIVITY_DONE and event.arg == wire.Activity.ZEROING

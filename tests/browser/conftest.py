@@ -7,8 +7,6 @@ machine fails the test, whatever it tests.
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -24,12 +22,8 @@ expect.set_options(timeout=PATIENCE_MS)
 
 
 @pytest.fixture(autouse=True)
-def own_sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Runs of this test are seen by this test only; a socket's path has to be short."""
-    folder = tempfile.mkdtemp(prefix="tg")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-    yield
-    shutil.rmtree(folder)
+def alone(own_sockets: None) -> None:
+    """Pages see this test's runs only."""
 
 
 @pytest.fixture(scope="session")

@@ -25,6 +25,7 @@ from thigmo.cli import (
     explore,
     flash,
     localize,
+    ros,
     runs,
     watch,
 )
@@ -58,6 +59,7 @@ for module in (
     localize,
     runs,
     board,
+    ros,
     flash,
     bringup,
     emulator,

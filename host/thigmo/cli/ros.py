@@ -1,0 +1,104 @@
+"""`thigmo ros`: runs on ROS 2."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from thigmo.live.relay import Relay
+    from thigmo.live.ros import RosNode
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(ros)
+
+
+def ros(
+    target: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[RUN or URL]",
+            help="A run folder, whose map is published; or where a robot is. Left out: whatever "
+            "run is under way, or comes.",
+        ),
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="Of the topics.")] = "thigmo",
+    frame: Annotated[
+        str,
+        typer.Option(
+            help="Frame of the map, its origin at the robot's base. With thigmo_base a transform "
+            "of yours places the robot."
+        ),
+    ] = "map",
+    domain: Annotated[
+        int, typer.Option(envvar="ROS_DOMAIN_ID", help="ROS domain.", min=0, max=232)
+    ] = 0,
+    interface: Annotated[
+        str | None,
+        typer.Option(help="Network interface, by name or address; else this machine alone."),
+    ] = None,
+) -> None:
+    """Publish maps, contacts and the body on ROS 2, and stop the robot when ROS says so."""
+    from thigmo.errors import DataError
+
+    try:
+        from thigmo.live.ros import RosNode
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("cyclonedds"):
+            raise
+        raise DataError(
+            "ROS 2 needs a package that is not installed", "run `pip install 'thigmo[ros]'`"
+        ) from error
+    stop = threading.Event()
+    with RosNode(
+        stop.set, namespace=namespace, frame=frame, domain=domain, interface=interface
+    ) as node:
+        where = f"domain {domain}, {interface or 'this machine alone'}"
+        typer.echo(f"ROS topics are under /{namespace} ({where}); Ctrl-C ends them.", err=True)
+        try:
+            if target is not None and Path(target).is_dir():
+                _publish_folder(node, Path(target))
+                threading.Event().wait()
+            else:
+                _relay(node, target, stop)
+        except KeyboardInterrupt:
+            raise typer.Exit from None
+
+
+def _publish_folder(node: RosNode, folder: Path) -> None:
+    """Publish the map and contacts of a finished run, which listeners get whenever they come."""
+    import time
+
+    from thigmo.record import RunFolder, read_ros_map
+    from thigmo.stream import Contacts, Grid
+
+    now = time.time()
+    document = RunFolder(folder).read_document()
+    node.publish(Grid.of(read_ros_map(folder / "map.yaml"), 0.0, now))
+    node.publish(Contacts(0.0, now, tuple(document.contacts)))
+
+
+def _relay(node: RosNode, url: str | None, stop: threading.Event) -> None:
+    from thigmo.live.relay import Relay
+    from thigmo.live.watched import Watched
+
+    relay = Relay(Watched(url))
+    # A stop waits for the board; neither DDS nor the messages may wait with it.
+    threading.Thread(target=_obey, args=(relay, stop), daemon=True).start()
+    try:
+        relay.run(node)
+    finally:
+        relay.close()
+
+
+def _obey(relay: Relay, stop: threading.Event) -> None:
+    """Thread: stops, one after the other."""
+    while True:
+        stop.wait()
+        stop.clear()
+        typer.echo(f"Stop from ROS: {relay.stop()}", err=True)

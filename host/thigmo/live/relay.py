@@ -1,0 +1,124 @@
+"""Passes runs on to other tools, and their stops to the robot: what ROS 2 and Foxglove share.
+
+A view is told of every message as it comes, and each second of how things are. It drives no robot:
+if it is killed, the run goes on.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from thigmo.errors import ThigmoError
+from thigmo.live.stopping import stop_port, way_to
+from thigmo.live.watched import Watched
+from thigmo.stream import Hello, Message, RunState, Telemetry
+
+_LOOK_S = 0.02  # between two looks at the stream
+_TELL_S = 1.0
+_CLOSED = {"lost": "stop not connected: use the e-stop", "none": "no robot is in use"}
+
+
+@dataclass(slots=True)
+class Facts:
+    """How things are.
+
+    Attributes:
+        run: whose messages came last; None before the first.
+        under_way: it has not ended.
+        state, board: last heard of it.
+        stop: why a stop would not reach the robot; empty if it would.
+        stopped: what the last stop came to; empty before the first.
+    """
+
+    run: Hello | None = None
+    under_way: bool = False
+    state: RunState | None = None
+    board: Telemetry | None = None
+    stop: str = ""
+    stopped: str = ""
+
+
+class View(Protocol):
+    """A tool that shows runs."""
+
+    def publish(self, message: Message) -> None:
+        """Show a message."""
+
+    def tell(self, facts: Facts) -> None:
+        """Show how things are."""
+
+
+class Relay:
+    """Passes on what a run says.
+
+    Args:
+        watched: the run. The relay closes it.
+    """
+
+    def __init__(self, watched: Watched) -> None:
+        self._watched = watched
+        self._closed = threading.Event()
+        self._told_s = float("-inf")
+        self._stopped = ""
+        self.facts = Facts()
+
+    def run(self, view: View) -> None:
+        """Pass messages on until `close`."""
+        while not self._closed.is_set():
+            if not self.pass_on(view):
+                self._closed.wait(_LOOK_S)
+
+    def pass_on(self, view: View) -> bool:
+        """Pass on what has come; whether there was anything."""
+        taken = self._watched.take()
+        facts = self.facts
+        if taken.run is not facts.run:
+            facts = Facts(taken.run)
+        facts.under_way = taken.run is not None and not taken.ended
+        self.facts = facts
+        for message in taken.messages:
+            if isinstance(message, Telemetry):
+                facts.board = message
+            elif isinstance(message, RunState):
+                facts.state = message
+            view.publish(message)
+        now = time.monotonic()
+        if now - self._told_s >= _TELL_S:
+            self._told_s = now
+            facts.stopped = self._stopped
+            facts.stop = _CLOSED.get(way_to(facts.run if facts.under_way else None), "")
+            view.tell(facts)
+        return bool(taken.messages)
+
+    def stop(self) -> str:
+        """Stop the robot, from any thread. Blocks until its board has confirmed it, for seconds at
+        most.
+
+        Returns:
+            A line for the operator, which the view is soon told, too.
+        """
+        self._stopped = said = self._stop()
+        self._told_s = float("-inf")
+        return said
+
+    def _stop(self) -> str:
+        facts = self.facts
+        run = facts.run if facts.under_way else None
+        try:
+            if run is not None and run.virtual:
+                self._watched.send("stop")
+                return f"told {run.name} to stop"
+            told = stop_port(run)
+        except ThigmoError as error:
+            return f"not stopped: {error}"
+        if told.failed:
+            return f"not stopped: {told.failed}"
+        return f"stopped {', '.join(told.stopped)}" if told.stopped else "no robot is in use"
+
+    def close(self) -> None:
+        """Pass nothing on any more; from any thread."""
+        self._closed.set()
+        self._watched.close()

@@ -1,0 +1,192 @@
+"""A run on ROS 2: maps, contacts and the body for planners, and a topic that stops the robot.
+
+Cyclone DDS speaks to every ROS 2 middleware on DDS without an installation of ROS. Of ROS's own
+conventions the topics' and types' names and the qualities of service are all that is needed;
+services do not interoperate between the vendors' layers, so stop is a topic.
+
+| topic | type | |
+| --- | --- | --- |
+| map | nav_msgs/OccupancyGrid | latched |
+| contacts | geometry_msgs/PoseWithCovarianceStamped | latched; those with the newest stamp |
+| body | nav_msgs/Path | latched; the centreline |
+| joint_states | sensor_msgs/JointState | everted length and the turn of each tenth |
+| /tf, /tf_static | tf2_msgs/TFMessage | thigmo_base to thigmo_tip; map to thigmo_base |
+| /diagnostics | diagnostic_msgs/DiagnosticArray | each second |
+| stop | std_msgs/Empty | any message stops the robot |
+
+Contacts are poses with covariances because that is what estimators and planners take; markers are
+for eyes and carry no covariance.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+from xml.sax.saxutils import quoteattr
+
+from cyclonedds.core import DDSException, Listener, Policy, Qos
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from thigmo.errors import DataError, LinkError
+from thigmo.live import ros_messages as made
+from thigmo.live import ros_types as ros
+from thigmo.live.relay import Facts
+from thigmo.stream import BodyShape, Contacts, Grid, Message
+
+_DEPTH = 100  # contacts that a late listener gets, and transforms under way
+_WIRE = Policy.DataRepresentation(use_cdrv0_representation=True)  # XCDR 1, as all of ROS 2
+_RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
+# DDS ports of a machine's first participants, at which ROS 2 looks for local ones, too
+# (ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST).
+_LOCAL_PARTICIPANTS = 32
+
+
+class RosNode:
+    """The topics. A context manager.
+
+    Args:
+        on_stop: called when a stop arrives, in a thread of DDS: it must be quick.
+        namespace: of the topics that are not the whole machine's.
+        frame: of map, contacts and body. `made.BASE` says nothing of where the robot stands.
+        domain: ROS_DOMAIN_ID.
+        interface: name or address of a network interface; None keeps to this machine.
+
+    Raises:
+        DataError: a name that ROS does not allow.
+        LinkError: DDS cannot start.
+    """
+
+    def __init__(
+        self,
+        on_stop: Callable[[], None],
+        *,
+        namespace: str = "thigmo",
+        frame: str = "map",
+        domain: int = 0,
+        interface: str | None = None,
+    ) -> None:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", namespace):
+            raise DataError(f"{namespace!r} is no ROS namespace", "use letters, digits and /")
+        self._frame = frame
+        try:
+            self._domain = Domain(domain, _configuration(interface))
+            self._participant = DomainParticipant(domain)
+            writer = self._writer
+            self._map = writer(f"rt/{namespace}/map", ros.OccupancyGrid, 1, latched=True)
+            self._contacts = writer(
+                f"rt/{namespace}/contacts", ros.PoseWithCovarianceStamped, _DEPTH, latched=True
+            )
+            self._body = writer(f"rt/{namespace}/body", ros.Path, 1, latched=True)
+            self._joints = writer(f"rt/{namespace}/joint_states", ros.JointState, 10)
+            self._tf = writer("rt/tf", ros.TFMessage, _DEPTH)
+            self._tf_static = writer("rt/tf_static", ros.TFMessage, 1, latched=True)
+            self._diagnostics = writer("rt/diagnostics", ros.DiagnosticArray, 10)
+            self._stops = self._stop_readers(f"rt/{namespace}/stop", on_stop)
+        except DDSException as error:
+            raise LinkError(
+                f"DDS cannot start in domain {domain}: {error}",
+                "check --domain, --interface and CYCLONEDDS_URI",
+            ) from error
+        if frame != made.BASE:
+            self._tf_static.write(made.base_transform(time.time(), frame))
+
+    def publish(self, message: Message) -> None:
+        """Publish what a message of the stream says, if ROS is told of its kind."""
+        match message:
+            case Grid():
+                self._map.write(made.occupancy_grid(message, self._frame))
+            case Contacts():
+                for pose in made.contact_poses(message, self._frame):
+                    self._contacts.write(pose)
+            case BodyShape() if len(message.poses) > 1:
+                self._body.write(made.body_path(message, self._frame))
+                self._joints.write(made.joint_state(message))
+                self._tf.write(made.tip_transform(message))
+
+    def tell(self, facts: Facts) -> None:
+        """Publish how things are, as diagnostics."""
+        self._diagnostics.write(made.diagnostics(time.time(), facts))
+
+    def close(self) -> None:
+        """Leave the domain."""
+        del self._stops, self._map, self._contacts, self._body, self._joints
+        del self._tf, self._tf_static, self._diagnostics, self._participant, self._domain
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _writer(
+        self, topic: str, kind: type[IdlStruct], depth: int, *, latched: bool = False
+    ) -> DataWriter[Any]:
+        history = Policy.History.KeepLast(depth)
+        policies = [_RELIABLE, history, _WIRE]
+        if latched:
+            # What a late listener gets is kept apart from what is under way.
+            policies += [
+                Policy.Durability.TransientLocal,
+                Policy.DurabilityService(duration(seconds=0), history, -1, -1, -1),
+            ]
+        return DataWriter(
+            self._participant, Topic(self._participant, topic, kind), qos=Qos(*policies)
+        )
+
+    def _stop_readers(self, topic: str, on_stop: Callable[[], None]) -> list[DataReader[Any]]:
+        """A reliable reader, and one for publishers that promise no delivery, which DDS does not
+        connect with a reliable reader.
+        """
+        named = Topic(self._participant, topic, ros.Empty)
+        return [
+            DataReader(
+                self._participant,
+                named,
+                qos=Qos(reliability, Policy.History.KeepLast(10), _WIRE),
+                listener=_Stops(on_stop),
+            )
+            for reliability in (_RELIABLE, Policy.Reliability.BestEffort)
+        ]
+
+
+class _Stops(Listener):
+    """Hears stops; a publisher's leaving is none."""
+
+    def __init__(self, on_stop: Callable[[], None]) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self._on_stop = on_stop
+
+    def on_data_available(self, reader: DataReader[Any]) -> None:
+        """Called by DDS."""
+        if any(isinstance(sample, ros.Empty) for sample in reader.take(10)):
+            self._on_stop()
+
+
+def _configuration(interface: str | None) -> str:
+    """Cyclone DDS's configuration: this machine alone, or one network interface."""
+    if interface is not None:
+        which = "address" if interface[:1].isdigit() else "name"
+        general = f"<Interfaces><NetworkInterface {which}={quoteattr(interface)}/></Interfaces>"
+        return f'<CycloneDDS><Domain Id="any"><General>{general}</General></Domain></CycloneDDS>'
+    return (
+        '<CycloneDDS><Domain Id="any">'
+        '<General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
+        "<AllowMulticast>false</AllowMulticast></General>"
+        "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+        f"<MaxAutoParticipantIndex>{_LOCAL_PARTICIPANTS}</MaxAutoParticipantIndex>"
+        '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
+        "</Domain></CycloneDDS>"
+    )

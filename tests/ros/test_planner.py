@@ -1,0 +1,153 @@
+"""A planner on ROS 2 sees what the robot feels, and stops it: a real rclpy node, in its process."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from served import LIVE, comes, ready_to_sweep
+
+import thigmo
+from thigmo.emulator.scene import Scene
+from thigmo.errors import StoppedByViewerError
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The default room, of which only the last stages are explored."""
+    scene = Scene.load("default")
+    scene.start_length_cm = 50.0
+    scene.robot.sensors.settle_s = 0.2
+    path = tmp_path_factory.mktemp("scene") / "late.toml"
+    scene.save(path)
+    return f"emulator://{path}"
+
+
+def _map_is_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None:
+    grid = run.map
+    cells = grid.cells.ravel().tolist()
+    told = planner.hears(lambda told: told["topic"] == "map" and told["cells"] == cells)
+    assert told["frame"] == "map"
+    assert told["size"] == list(grid.cells.shape[::-1])
+    assert told["resolution"] == pytest.approx(grid.resolution_cm / 100)
+    assert told["origin"] == pytest.approx(
+        [grid.origin[0] / 100, grid.origin[1] / 100, 0, 0, 0, 0, 1], abs=1e-6
+    )
+
+
+def _contacts_are_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None:
+    """Those with the newest stamp, as docs/ros.md tells planners to read them."""
+
+    def newest() -> list[dict[str, Any]]:
+        told = planner.of("contact")
+        last = max((each["stamp"] for each in told), default=None)
+        return [each for each in told if each["stamp"] == last]
+
+    assert run.contacts
+    expected = [
+        pytest.approx(
+            [
+                *(contact.x_cm / 100, contact.y_cm / 100, 0),
+                *(0, 0, math.sin(contact.normal_rad / 2), math.cos(contact.normal_rad / 2)),
+            ]
+        )
+        for contact in run.contacts
+    ]
+    planner.hears(lambda told: [each["pose"] for each in newest()] == expected)
+    for told, contact in zip(newest(), run.contacts, strict=True):
+        covariance = np.reshape(told["covariance"], (6, 6))
+        assert covariance[:2, :2] == pytest.approx(np.array(contact.covariance_cm2) * 1e-4)
+        assert np.linalg.eigvalsh(covariance).min() >= 0
+
+
+def test_planner_receives_map_contacts_and_body_of_a_live_run(
+    ros: Any, url: str, tmp_path: Path
+) -> None:
+    planner, transforms = ros.planner(), ros.transforms()
+    ros.bridge(url)
+    # The bridge is there before the run: what it says of it then is that it knows of none.
+    planner.hears(lambda told: told.get("name") == "thigmo: run" and told["level"] == 3)
+    run = thigmo.explore(url, seed=1, out=tmp_path)
+    planner.hears(lambda told: told.get("message") == "full length")
+    _map_is_the_run_s(planner, run)
+    _contacts_are_the_run_s(planner, run)
+    joints = [told for told in planner.of("joints") if told["positions"][0] > 0]
+    assert joints[0]["names"] == ["everted_length", *(f"bend_{n}" for n in range(1, 11))]
+    assert max(told["positions"][0] for told in joints) == pytest.approx(0.53, abs=0.005)
+    turns = [sum(told["positions"][1:]) for told in joints]
+    assert min(turns) < -0.5 < 0.5 < max(turns)
+    assert planner.of("body")[-1]["poses"][0] == pytest.approx([0, 0, 0, 0, 0, 0, 1])
+    board = planner.hears(
+        lambda told: (
+            told.get("name") == "thigmo: board"
+            and float(told["values"]["everted length (m)"]) > 0.4
+        )
+    )
+    assert board["hardware"] == url
+    base = transforms.hears(lambda told: told["topic"] == "tf_static")
+    assert (base["frame"], base["child"]) == ("map", "thigmo_base")
+    assert base["pose"] == [0, 0, 0, 0, 0, 0, 1]
+    tips = [told["pose"] for told in transforms.of("tf")]
+    assert {told["child"] for told in transforms.of("tf")} == {"thigmo_tip"}
+    assert max(tip[0] for tip in tips) == pytest.approx(0.53, abs=0.01)
+    assert min(tip[1] for tip in tips) < -0.1 < 0.1 < max(tip[1] for tip in tips)
+
+
+def test_planner_that_comes_later_gets_a_finished_run_s_map(
+    ros: Any, url: str, tmp_path: Path
+) -> None:
+    run = thigmo.explore(url, seed=1, out=tmp_path)
+    ros.bridge(run.folder, "--namespace", "lab/vine")
+    planner = ros.planner("lab/vine")
+    _map_is_the_run_s(planner, run)
+    _contacts_are_the_run_s(planner, run)
+
+
+@pytest.mark.parametrize("stop", ["stop", "stop, best effort"])
+def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: str) -> None:
+    planner = ros.planner()
+    ros.bridge()
+    bent = threading.Event()
+
+    def ask() -> None:
+        planner.hears(lambda told: abs(sum(told.get("positions", [0])[1:])) > 0.1)
+        bent.set()
+        planner.say(stop)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    with pytest.raises(StoppedByViewerError):
+        thigmo.explore(url, seed=1, out=tmp_path, realtime=True)
+    asking.join()
+    assert bent.is_set()
+    told = planner.hears(
+        lambda told: told.get("name") == "thigmo: run" and told["message"].startswith("aborted")
+    )
+    assert told["level"] == 2
+
+
+@pytest.mark.realtime
+def test_planner_s_stop_reaches_the_board_while_the_program_on_its_port_hangs(ros: Any) -> None:
+    planner, bridge = ros.planner(), ros.bridge()
+    robot = ready_to_sweep()
+    host = subprocess.Popen([sys.executable, "-c", LIVE, robot.port], stdout=subprocess.PIPE)
+    try:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"sweeping\n"
+        assert comes(lambda: robot.energised)
+        host.send_signal(signal.SIGSTOP)
+        planner.say("stop")
+        # The port's process says so once the board has echoed the stop.
+        bridge.hears(lambda told: told.get("text") == f"Stop from ROS: stopped {robot.port}\n")
+        assert robot.off
+    finally:
+        host.kill()
+        host.communicate()
+        robot.close()
