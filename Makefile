@@ -65,6 +65,7 @@ ci: lint .stamps/ros
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
 	$(PYTEST) -m "realtime and not nightly"
 	$(MAKE) docs
+	$(BIN)/python tools/release.py
 
 nightly: ci
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m nightly

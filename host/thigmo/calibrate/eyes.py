@@ -10,7 +10,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.camera import CameraModel, Centerline, Painted, PictureSource, Seen, Sheet, Sighting
+from thigmo.camera import (
+    AxisDoubtfulError,
+    CameraModel,
+    Centerline,
+    Painted,
+    PictureSource,
+    Seen,
+    Sheet,
+    Sighting,
+)
 from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.camera.sight import TipSighting, look, see_tip
 from thigmo.errors import DataError
@@ -51,15 +60,20 @@ class Eyes:
         """
         return see_tip(self.source.read(), self.camera, self.sheet, self.wanted.diameter_cm)
 
-    def axis(self, *, free_bend: bool) -> Centerline:
+    def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis; a pushed tip's place needs its marker, a free bend does not.
 
+        Args:
+            free_bend: one curvature.
+            length_cm: of the body, if it is known.
+
         Raises:
-            CameraError: as named.
+            CameraError: as named; also where the axis that was seen is doubtful.
         """
-        wanted = replace(self.wanted, constant=free_bend, obstacles=False)
+        wanted = replace(self.wanted, constant=free_bend, obstacles=False, length_cm=length_cm)
         sighting = look(self.source.read(), self.camera, self.sheet, wanted)
-        if sighting.axis is None or (sighting.tip is None and not free_bend):
+        doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in sighting.problems)
+        if doubtful or sighting.axis is None or (sighting.tip is None and not free_bend):
             raise sighting.problems[-1]
         return sighting.axis
 

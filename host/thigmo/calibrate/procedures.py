@@ -96,7 +96,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
             reading = bench.robot.read(_READ_S)
 
             def shot() -> Row:
-                axis = bench.eyes.axis(free_bend=True)
+                axis = bench.eyes.axis(free_bend=True, length_cm=bench.config.body.length_cm)
                 return {"k": axis.coefficients[2], "k_se": float(axis.covariance[2, 2] ** 0.5)}
 
             seen = bench.seen(shot, {"k": None, "k_se": None})
@@ -173,7 +173,7 @@ def _tip_seen(bench: Bench) -> Row:
     """The tip and the axis by the camera; None where it does not see the robot."""
 
     def shot() -> Row:
-        axis = bench.eyes.axis(free_bend=False)
+        axis = bench.eyes.axis(free_bend=False, length_cm=bench.config.body.length_cm)
         x, y = axis.tip_cm
         return {"tip": [x, y], "points": axis.points_cm.tolist()}
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from thigmo.camera.centerline import Centerline, fit_centerline
     from thigmo.camera.clicks import Clicks, click
     from thigmo.camera.errors import (
+        AxisDoubtfulError,
         BodyNotSeenError,
         CameraError,
         CameraMovedError,
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
         PictureError,
         PlaneFitError,
         SheetHiddenError,
+        TooCoarseError,
     )
     from thigmo.camera.model import CameraModel, Lens, calibrate_lens, check_still
     from thigmo.camera.obstacles import Obstacle
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from thigmo.camera.source import Painted, PictureSource, open_source
 
 _HOME = {
+    "AxisDoubtfulError": "errors",
     "BodyNotSeenError": "errors",
     "CameraError": "errors",
     "CameraModel": "model",
@@ -49,6 +52,7 @@ _HOME = {
     "SheetHiddenError": "errors",
     "Sighting": "sight",
     "TipSighting": "sight",
+    "TooCoarseError": "errors",
     "calibrate_lens": "model",
     "check_still": "model",
     "click": "clicks",
@@ -62,6 +66,7 @@ _HOME = {
 }
 
 __all__ = [
+    "AxisDoubtfulError",
     "BodyNotSeenError",
     "CameraError",
     "CameraModel",
@@ -82,6 +87,7 @@ __all__ = [
     "SheetHiddenError",
     "Sighting",
     "TipSighting",
+    "TooCoarseError",
     "calibrate_lens",
     "check_still",
     "click",

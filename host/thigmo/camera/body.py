@@ -175,11 +175,13 @@ class Track:
         middle: (n, 2) cm, mid-points of the flanks, base to tip, about 0.5 cm apart.
         good: (n,) whether both flanks were seen there.
         tip: (2,) cm, where the body ends.
+        lost: whether it was given up for want of flanks, before the body ended.
     """
 
     middle: Array
     good: NDArray[np.bool_]
     tip: Array
+    lost: bool
 
 
 def follow(
@@ -284,7 +286,7 @@ def follow(
     overshoot = float(ahead_cm[falls[-1]] + 0.025) if len(falls) else 0.0
     refined = _between_edges(flat, middle, way, np.where(sound, width, 2 * radius_cm))
     middle = np.where((sound & np.isfinite(refined[:, 0]))[:, None], refined, middle)
-    return Track(middle, sound, base + overshoot * forward)
+    return Track(middle, sound, base + overshoot * forward, lost * _STEP_CM > 4 * radius_cm)
 
 
 def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> Array:

@@ -22,11 +22,14 @@ class PictureError(CameraError):
 class SheetHiddenError(CameraError):
     """Too few of the workspace cards can be seen."""
 
-    def __init__(self, hidden: Iterable[str], seen: int) -> None:
+    def __init__(self, hidden: Iterable[str], seen: int, other: str = "") -> None:
         self.hidden = tuple(hidden)
         super().__init__(
             f"only {seen} workspace card(s) are seen; hidden: {', '.join(self.hidden)}",
-            "uncover the cards, avoid glare on them, and check that the picture holds them all",
+            f'the picture shows markers of {other}: write dictionary = "{other}" into the sheet '
+            "file, and the cards' first_id"
+            if other
+            else "uncover the cards, avoid glare on them, and check that the picture holds all",
         )
 
 
@@ -68,6 +71,22 @@ class MarkerAstrayError(CameraError):
 
 class BodyNotSeenError(CameraError):
     """The robot's body cannot be told from what lies around it."""
+
+
+class AxisDoubtfulError(CameraError):
+    """An axis was found that may not be the body's, or not all of it."""
+
+
+class TooCoarseError(CameraError):
+    """The picture has too few pixels for what is looked for."""
+
+    def __init__(self, what: str, px_per_cm: float, needed: float) -> None:
+        self.px_per_cm = px_per_cm
+        self.needed = needed
+        super().__init__(
+            f"the picture has {px_per_cm:.1f} px per cm, and {what} needs {needed:.1f}",
+            f"take one {needed / px_per_cm:.1f} times as large, or bring the camera nearer",
+        )
 
 
 class PlaneFitError(CameraError):

@@ -20,7 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
-from thigmo.camera.sheet import BOARD_DICTIONARY, Points, Sheet, board, dictionary
+from thigmo.camera.sheet import (
+    BOARD_DICTIONARY,
+    Points,
+    Sheet,
+    board,
+    dictionary,
+    marker_dictionaries,
+)
 
 Picture = NDArray[np.uint8]
 
@@ -232,8 +239,13 @@ def gray(picture: Picture) -> Picture:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def detect_markers(picture: Picture) -> dict[int, Points]:
-    """Corners (4, 2) px of every marker seen, by id; sub-pixel. A doubled id is dropped."""
+def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
+    """Corners (4, 2) px of every marker of a dictionary, by id; sub-pixel. A doubled id is dropped.
+
+    Args:
+        picture: (h, w, 3) BGR or (h, w).
+        name: of the dictionary.
+    """
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     settings.cornerRefinementWinSize = 4
@@ -241,7 +253,7 @@ def detect_markers(picture: Picture) -> dict[int, Points]:
     settings.cornerRefinementMinAccuracy = 0.01
     settings.errorCorrectionRate = 0.34
     settings.minMarkerPerimeterRate = 0.02
-    finder = cv2.aruco.ArucoDetector(dictionary(), settings)
+    finder = cv2.aruco.ArucoDetector(dictionary(name), settings)
     corners, ids, _ = finder.detectMarkers(gray(picture))
     found: dict[int, Points] = {}
     doubled: set[int] = set()
@@ -252,6 +264,27 @@ def detect_markers(picture: Picture) -> dict[int, Points]:
             doubled.add(int(marker))
         found[int(marker)] = np.asarray(four, float).reshape(4, 2)
     return {marker: four for marker, four in found.items() if marker not in doubled}
+
+
+def other_dictionary(picture: Picture, name: str) -> str:
+    """The dictionary of another name of which most markers are seen, if four or more; else empty.
+
+    Of each marker size only the largest dictionary is tried: the smaller ones are parts of it.
+    """
+    largest: dict[int, str] = {}
+    for each in marker_dictionaries():
+        if each.startswith(("DICT_APRILTAG", "DICT_ARUCO")):
+            continue
+        size = dictionary(each).markerSize
+        now = largest.get(size)
+        if now is None or len(dictionary(each).bytesList) > len(dictionary(now).bytesList):
+            largest[size] = each
+    own = dictionary(name).markerSize
+    tried = [each for size, each in largest.items() if size != own or "DICT_ARUCO" in name]
+    tried += [e for e in ("DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11") if e != name]
+    seen = {each: len(detect_markers(picture, each)) for each in tried}
+    most = max(seen, key=lambda each: seen[each])
+    return most if seen[most] >= 4 else ""
 
 
 def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
@@ -297,7 +330,7 @@ def check_still(picture: Picture, model: CameraModel, sheet: Sheet) -> tuple[str
         CameraMovedError: the cards stand elsewhere in the picture.
     """
     model.lens.require(picture)
-    return judge_still(detect_markers(picture), model, sheet)
+    return judge_still(detect_markers(picture, sheet.dictionary), model, sheet)
 
 
 def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:

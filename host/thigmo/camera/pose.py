@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from thigmo.camera.errors import PlaneFitError, SheetHiddenError
-from thigmo.camera.model import CameraModel, Lens, Picture, detect_markers
+from thigmo.camera.model import CameraModel, Lens, Picture, detect_markers, other_dictionary
 from thigmo.camera.sheet import Card, Points, Sheet
 
 GOOD_CM = 0.15  # one sigma of a place at the robot's height: 0.3 cm at 95 %
@@ -49,11 +49,13 @@ def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraMo
     """
     if lens is not None:
         lens.require(picture)
-    found = {k: v for k, v in detect_markers(picture).items() if k in sheet.marker_ids()}
+    markers = detect_markers(picture, sheet.dictionary)
+    found = {k: v for k, v in markers.items() if k in sheet.marker_ids()}
     seen_cards = [c for c in sheet.cards if any(c.first_id + k in found for k in range(4))]
     hidden = tuple(c.name for c in sheet.cards if c not in seen_cards)
     if len(seen_cards) < 3:
-        raise SheetHiddenError(hidden, len(seen_cards))
+        other = "" if seen_cards else other_dictionary(picture, sheet.dictionary)
+        raise SheetHiddenError(hidden, len(seen_cards), other)
     size = (picture.shape[1], picture.shape[0])
     return fit_pose(found, sheet, size, lens, hidden)
 

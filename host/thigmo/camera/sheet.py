@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from thigmo.camera.errors import CameraError
 from thigmo.config import Finite, Model, Positive
@@ -27,7 +27,6 @@ Points = NDArray[np.float64]
 DICTIONARY = "DICT_4X4_50"
 BOARD_DICTIONARY = "DICT_5X5_50"
 TIP_MARKER = 40
-_MODULES = 6  # 4x4 bits and the black border
 A4_CM = (21.0, 29.7)
 
 
@@ -35,7 +34,7 @@ class Card(Model):
     """One workspace card: four markers around a printed cross, which is its reference point."""
 
     name: str
-    first_id: Annotated[int, Field(ge=0, le=36)]
+    first_id: Annotated[int, Field(ge=0)]
     x_cm: Finite
     y_cm: Finite
     turn_deg: Finite = 0.0  # of the card's arrow from the x axis, counter-clockwise
@@ -56,12 +55,13 @@ class Sheet(Model):
     """Everything that is printed, and where the cards lie in the workspace (cm, robot's frame)."""
 
     version: Literal[1] = 1
+    dictionary: str = DICTIONARY  # of the markers, as OpenCV names it; APRILTAG ones too
     cards: list[Card] = Field(default_factory=_default_cards, min_length=3, max_length=10)
     marker_cm: Positive = 4.4
     marker_offset_cm: Positive = 3.1  # marker centres from the cross, in both directions
     placement_se_cm: Positive = 0.05  # how well the crosses' places are known (tape measure)
     tip_marker_cm: Positive = 2.4
-    tip_marker_id: Annotated[int, Field(ge=40, le=49)] = TIP_MARKER
+    tip_marker_id: Annotated[int, Field(ge=0)] = TIP_MARKER
     # Arc from the tip marker's centre to the robot's very tip.
     tip_offset_cm: Finite = 2.0
     board_square_cm: Positive = 2.5
@@ -73,6 +73,24 @@ class Sheet(Model):
     camera_height_se_cm: Positive = 1.0
     # Printed length of the 10 cm bar, over 10: printers shrink pages.
     print_scale: Annotated[float, Field(gt=0.5, lt=1.5)] = 1.0
+
+    @model_validator(mode="after")
+    def _markers_exist(self) -> Sheet:
+        names = marker_dictionaries()
+        if self.dictionary not in names:
+            raise ValueError(f"dictionary: no {self.dictionary!r}; one of {', '.join(names)}")
+        ids = [card.first_id + k for card in self.cards for k in range(4)] + [self.tip_marker_id]
+        if len(set(ids)) < len(ids):
+            raise ValueError("two cards, or a card and the tip, share a marker's id")
+        count = len(dictionary(self.dictionary).bytesList)
+        if max(ids) >= count:
+            raise ValueError(f"{self.dictionary} has {count} markers, and no id {max(ids)}")
+        return self
+
+    @property
+    def modules(self) -> int:
+        """Cells along a marker's side, its black border included."""
+        return int(dictionary(self.dictionary).markerSize) + 2
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Sheet:
@@ -132,7 +150,14 @@ def place(points: Points, card: Card) -> Points:
     return np.asarray(points @ rotation.T + np.array([card.x_cm, card.y_cm]))
 
 
-def dictionary(name: str = DICTIONARY) -> Any:
+def marker_dictionaries() -> tuple[str, ...]:
+    """Names of OpenCV's predefined dictionaries."""
+    import cv2
+
+    return tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
+
+
+def dictionary(name: str) -> Any:
     """OpenCV's predefined ArUco dictionary of that name."""
     import cv2
 
@@ -167,13 +192,13 @@ class Decal:
     name: str
 
 
-def marker_image(marker: int, pixels_per_module: int = 8) -> Gray:
+def marker_image(sheet: Sheet, marker: int, pixels_per_module: int = 8) -> Gray:
     """A marker's picture with black border, without the white margin."""
     import cv2
 
-    return np.asarray(
-        cv2.aruco.generateImageMarker(dictionary(), marker, _MODULES * pixels_per_module), np.uint8
-    )
+    size = sheet.modules * pixels_per_module
+    made = cv2.aruco.generateImageMarker(dictionary(sheet.dictionary), marker, size)
+    return np.asarray(made, np.uint8)
 
 
 def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
@@ -189,7 +214,7 @@ def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
         column = round((upper_left[0] + side_cm / 2) * pixels_per_cm)
         row = round((side_cm / 2 - upper_left[1]) * pixels_per_cm)
         picture[row : row + size, column : column + size] = cv2.resize(
-            marker_image(card.first_id + k), (size, size), interpolation=cv2.INTER_NEAREST
+            marker_image(sheet, card.first_id + k), (size, size), interpolation=cv2.INTER_NEAREST
         )
     middle, arm = n // 2, round(0.7 * pixels_per_cm)
     line = max(1, pixels_per_cm // 20)
@@ -206,10 +231,10 @@ def tip_image(sheet: Sheet, pixels_per_cm: int = 40) -> Gray:
     import cv2
 
     size = round(sheet.tip_marker_cm * pixels_per_cm)
-    margin = round(size / _MODULES)
+    margin = round(size / sheet.modules)
     picture = np.full((size + 2 * margin, size + 2 * margin), 255, np.uint8)
     picture[margin : margin + size, margin : margin + size] = cv2.resize(
-        marker_image(sheet.tip_marker_id), (size, size), interpolation=cv2.INTER_NEAREST
+        marker_image(sheet, sheet.tip_marker_id), (size, size), interpolation=cv2.INTER_NEAREST
     )
     return picture
 
@@ -229,7 +254,7 @@ def card_decals(sheet: Sheet) -> list[Decal]:
 
 def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Decal:
     """The tip marker as it rides on a robot's axis (n,) and (n,), base to tip, at that height."""
-    side = sheet.tip_marker_cm * (1 + 2 / _MODULES) * sheet.print_scale
+    side = sheet.tip_marker_cm * (1 + 2 / sheet.modules) * sheet.print_scale
     axis = np.column_stack([x_cm, y_cm])
     back = np.cumsum(np.linalg.norm(np.diff(axis[::-1], axis=0), axis=1))
     place = len(axis) - 2 - int(np.searchsorted(back[:-1], sheet.tip_offset_cm))

@@ -14,14 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.camera.body import Flat, bodyness, flatten, follow
+from thigmo.camera.body import Flat, Track, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.clicks import Clicks
 from thigmo.camera.errors import (
+    AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,
     MarkerAstrayError,
     MarkerMissingError,
+    TooCoarseError,
 )
 from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
 from thigmo.camera.obstacles import (
@@ -35,6 +37,13 @@ from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
+# Rendered rooms, made coarser step by step: below these, tip markers are no longer seen.
+_CELL_PX = 2.0  # of a marker's cell
+_TUBE_PX = 14.0  # of the tube's diameter
+_GOOD_SHARE = 0.6
+_CURE = (
+    "look at it with `thigmo camera check`; give a picture of the empty table, or click the axis"
+)
 _WORKSPACE = ((-4.0, -58.0), (60.0, 58.0))
 
 
@@ -90,6 +99,7 @@ class Seen:
         body: look for the body.
         obstacles: look for dowels.
         constant: the body is a free bend (one curvature).
+        length_cm: of the body, if it is known.
     """
 
     diameter_cm: float = 3.5
@@ -99,6 +109,7 @@ class Seen:
     body: bool = True
     obstacles: bool = True
     constant: bool = False
+    length_cm: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.obstacle_radius_cm
@@ -134,12 +145,14 @@ def look(
 
     Raises:
         CameraError: the picture has another size than the camera's.
+        TooCoarseError: it has too few pixels per cm.
         SheetHiddenError: no card at all is seen.
         CameraMovedError: the camera moved since it was located.
     """
     camera.lens.require(picture)
     wanted = wanted or Seen()
-    markers = detect_markers(picture)
+    _fine_enough(camera, sheet, wanted, clicks)
+    markers = detect_markers(picture, sheet.dictionary)
     hidden = judge_still(markers, camera, sheet)
     problems: list[CameraError] = []
     tip: TipSighting | None = None
@@ -151,7 +164,8 @@ def look(
     axis: Centerline | None = None
     if wanted.body:
         try:
-            axis = _axis(picture, camera, sheet, wanted, markers, tip, background, clicks)
+            axis, doubts = _axis(picture, camera, sheet, wanted, markers, tip, background, clicks)
+            problems += [AxisDoubtfulError(doubt, _CURE) for doubt in doubts]
         except BodyNotSeenError as error:
             problems.append(error)
         except MarkerAstrayError as error:
@@ -171,10 +185,11 @@ def see_tip(
     """The tip alone (fast).
 
     Raises:
-        SheetHiddenError, CameraMovedError, MarkerMissingError: as named.
+        SheetHiddenError, CameraMovedError, MarkerMissingError, TooCoarseError: as named.
     """
     camera.lens.require(picture)
-    markers = detect_markers(picture)
+    _fine_enough(camera, sheet, Seen(diameter_cm=diameter_cm, body=False), None)
+    markers = detect_markers(picture, sheet.dictionary)
     judge_still(markers, camera, sheet)
     return _tip(markers, camera, sheet, Seen(diameter_cm=diameter_cm), None)
 
@@ -210,12 +225,16 @@ def _axis(
     tip: TipSighting | None,
     background: Picture | None,
     clicks: Clicks | None,
-) -> Centerline:
+) -> tuple[Centerline, list[str]]:
+    """The axis, and why it may not be trusted."""
     radius = wanted.diameter_cm / 2
     if clicks is not None and len(clicks.axis) > 0:
         points = camera.to_plane(np.array(clicks.axis), radius)
         end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
-        return fit_centerline(points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0)
+        by_hand = fit_centerline(
+            points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0
+        )
+        return by_hand, []
     flat = flatten(picture, camera, radius, *_WORKSPACE)
     empty: Flat | None = None
     if background is not None:
@@ -223,9 +242,10 @@ def _axis(
     covers = []
     four = markers.get(sheet.tip_marker_id)
     if four is not None:
-        # The white margin belongs to the marker: 8 modules where the corners span 6.
+        # The white margin belongs to the marker: one more cell on each side.
         middle = four.mean(axis=0)
-        covers.append(camera.to_plane(middle + 1.36 * (four - middle), radius))
+        wider = 1.02 * (1 + 2 / sheet.modules)
+        covers.append(camera.to_plane(middle + wider * (four - middle), radius))
     score = bodyness(flat, radius, covers, empty)
     track = follow(flat, score, radius)
     middle, good = track.middle, track.good
@@ -247,7 +267,37 @@ def _axis(
         end = np.array([tip.x_cm, tip.y_cm])
     elif tip is not None and tip.clicked:
         end = np.array([tip.x_cm, tip.y_cm])
-    return fit_centerline(middle, end, constant=wanted.constant, good=good)
+    line = fit_centerline(middle, end, constant=wanted.constant, good=good)
+    return line, _doubts(track, good, line, wanted)
+
+
+def _doubts(track: Track, good: NDArray[np.bool_], line: Centerline, wanted: Seen) -> list[str]:
+    """Why an axis that was followed may not be the body's, or not all of it."""
+    doubts = []
+    if track.lost:
+        doubts.append(f"the body was lost sight of {line.length_cm:.0f} cm from its base")
+    if np.mean(good) < _GOOD_SHARE:
+        doubts.append(f"both flanks were seen at only {np.mean(good):.0%} of the axis")
+    if wanted.length_cm is not None and abs(line.length_cm - wanted.length_cm) > wanted.diameter_cm:
+        doubts.append(
+            f"the axis that was seen is {line.length_cm:.1f} cm long, and the body is "
+            f"{wanted.length_cm:.1f} cm"
+        )
+    return doubts
+
+
+def _fine_enough(camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks | None) -> None:
+    """Refuse a picture in which markers and flanks are too few pixels wide."""
+    px_per_cm = 1 / camera.cm_per_px
+    needs = []
+    if wanted.tip and (clicks is None or clicks.tip is None):
+        cell_cm = sheet.tip_marker_cm * sheet.print_scale / sheet.modules
+        needs.append((_CELL_PX / cell_cm, f"a tip marker of {sheet.tip_marker_cm:g} cm"))
+    if wanted.body and (clicks is None or not clicks.axis):
+        needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
+    if needs and px_per_cm < max(needs)[0]:
+        needed, what = max(needs)
+        raise TooCoarseError(what, px_per_cm, needed)
 
 
 def _obstacles(

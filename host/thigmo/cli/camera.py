@@ -184,6 +184,9 @@ def check(
     peg_radius: Annotated[
         float | None, typer.Option(help="Radius of the dowels, cm, if known: fewer mistakes.")
     ] = None,
+    length: Annotated[
+        float | None, typer.Option(help="Everted length, cm, if known: an axis unlike it is told.")
+    ] = None,
     free_bend: Annotated[bool, typer.Option(help="The body is a free bend.")] = False,
     background: Annotated[
         Path | None, typer.Option(help="Picture of the empty table, same camera.")
@@ -213,7 +216,7 @@ def check(
         if not as_json:
             typer.echo(f"no {camera_file}: the camera is located from this very picture")
     radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
-    wanted = Seen(diameter, peg_height, radii, constant=free_bend)
+    wanted = Seen(diameter, peg_height, radii, constant=free_bend, length_cm=length)
     empty = None if background is None else _one_picture(background)
     clicks = _clicks(np.asarray(picture, np.uint8), tip, points, click)
     seen = look(picture, model, used, wanted, background=empty, clicks=clicks)

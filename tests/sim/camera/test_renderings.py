@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -10,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from thigmo.camera import (
+    AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,
     CameraMovedError,
@@ -19,6 +21,7 @@ from thigmo.camera import (
     Seen,
     Sheet,
     SheetHiddenError,
+    TooCoarseError,
     check_still,
     draw,
     locate,
@@ -31,7 +34,7 @@ from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.camera.sight import write_picture
 from thigmo.cli.camera import group
 from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
-from thigmo.errors import DataError
+from thigmo.errors import ConfigError, DataError
 from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
 
 SHEET = Sheet(camera_height_cm=105.0)
@@ -83,6 +86,7 @@ def test_random_rooms_are_seen_within_three_millimetres():
     assert found["span_chi"] < 1.6
 
 
+@pytest.mark.ci
 def test_cards_alone_suffice_for_three_millimetres_and_a_box_makes_them_sure():
     alone = [glimpse(seed, "cards only") for seed in range(1000, 1006)]
     boxed = [glimpse(seed, "a card on a box") for seed in range(1000, 1006)]
@@ -218,6 +222,71 @@ def test_a_picture_of_another_size_is_refused(picture, model):
         look(small, model, SHEET)
     with pytest.raises(CameraError, match="of one size"):
         locate(small, SHEET, model.lens)
+
+
+def test_a_picture_of_too_few_pixels_is_refused_with_the_number_needed(picture):
+    for share, fine in ((0.34, True), (0.3, False)):
+        small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+        model = locate(small, SHEET)
+        if fine:
+            seen = look(small, model, SHEET, Seen(constant=True, obstacles=False))
+            assert seen.problems == ()
+            continue
+        for eye in (look, see_tip):
+            with pytest.raises(TooCoarseError, match=r"4\.6 px per cm, and a tip .* needs 5\.0; "):
+                eye(small, model, SHEET)
+
+
+def test_a_body_of_which_a_part_is_not_seen_is_doubted(room, model):
+    """As of a transparent tube."""
+    part = BodyShape(room.x[:230], room.y[:230])
+    view = View(part, (), card_decals(SHEET))
+    picture = render(room.camera, view, Look(), np.random.default_rng(5))
+    wanted = Seen(constant=True, tip=False, obstacles=False, length_cm=53.0)
+    (problem,) = look(picture, model, SHEET, wanted).problems
+    assert isinstance(problem, AxisDoubtfulError)
+    assert re.search(r"is 30\.\d cm long, and the body is 53\.0 cm", str(problem))
+    whole = look(room.picture(tip=False), model, SHEET, wanted)
+    assert whole.problems == ()
+
+
+def test_an_axis_whose_flanks_are_hidden_is_doubted(room, model):
+    # Things as wide as the robot's surroundings, of its own colour, lie along it.
+    heap = [PegShape(x, side * 4.2, 2.4, color=BodyShape.color) for x in range(8, 50, 4)
+            for side in (-1, 1)]  # fmt: skip
+    straight = BodyShape(np.linspace(0, 53, 400), np.zeros(400))
+    picture = render(
+        room.camera, View(straight, heap, card_decals(SHEET)), Look(), np.random.default_rng(5)
+    )
+    seen = look(picture, model, SHEET, Seen(constant=True, tip=False, obstacles=False))
+    assert seen.axis is None or any(isinstance(p, AxisDoubtfulError) for p in seen.problems)
+
+
+@pytest.mark.parametrize("name", ["DICT_6X6_250", "DICT_APRILTAG_36h11"])
+def test_markers_may_be_of_any_dictionary(room, name):
+    other = SHEET.model_copy(update={"dictionary": name})
+    patches = [*card_decals(other), tip_decal(other, room.x, room.y, 3.5)]
+    view = View(BodyShape(room.x, room.y), (), patches)
+    picture = render(room.camera, view, Look(), np.random.default_rng(5))
+    seen = look(picture, locate(picture, other), other, Seen(constant=True))
+    assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
+    told = "DICT_6X6_1000" if "6X6" in name else name
+    with pytest.raises(SheetHiddenError, match=f'write dictionary = "{told}"'):
+        locate(picture, SHEET)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('dictionary = "DICT_3X3"', "no 'DICT_3X3'; one of DICT_4X4_100"),
+        ("tip_marker_id = 60", "no id 60"),
+        ("tip_marker_id = 3", "share a marker's id"),
+    ],
+)
+def test_a_sheet_of_markers_that_do_not_exist_is_refused(tmp_path, text, named):
+    (tmp_path / "sheet.toml").write_text(text)
+    with pytest.raises(ConfigError, match=named):
+        Sheet.load(tmp_path / "sheet.toml")
 
 
 def test_pictures_come_from_stills_and_videos(tmp_path, picture):

@@ -15,7 +15,7 @@ def test_a_cards_markers_are_where_the_sheet_says():
     sheet = Sheet()
     card = sheet.cards[2]
     picture = card_image(sheet, card, 40)
-    found = detect_markers(picture)
+    found = detect_markers(picture, "DICT_4X4_50")
     assert sorted(found) == [8, 9, 10, 11]
     middle = picture.shape[0] / 2
     for k in range(4):
@@ -40,7 +40,7 @@ def test_pages_hold_every_marker_and_the_scale_bar():
     assert [picture.shape for _, picture in made] == [(1188, 840)] * 4
     ids = set()
     for _, picture in made[:2]:
-        ids |= set(detect_markers(picture))
+        ids |= set(detect_markers(picture, "DICT_4X4_50"))
     assert ids == set(range(16))
     bar = made[0][1][1188 - 60]
     dark = np.flatnonzero(bar < 128)
@@ -48,7 +48,7 @@ def test_pages_hold_every_marker_and_the_scale_bar():
 
 
 def test_tip_marker_reads():
-    assert list(detect_markers(tip_image(Sheet()))) == [40]
+    assert list(detect_markers(tip_image(Sheet()), "DICT_4X4_50")) == [40]
 
 
 def test_pdf_has_true_a4_pages_and_png_its_resolution(tmp_path):
