@@ -60,7 +60,8 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
         xlabel="separation of two opposed contacts (cm)",
         yscale="log",
         ylim=(0.1, 50),
-        title="Two opposed contacts",
+        title="Two opposed contacts (no line: not told apart)",
+        xlim=(found.separation[0], found.separation[-1]),
     )
     for axis in (one, two):
         axis.grid(which="both", alpha=0.2)
