@@ -12,6 +12,7 @@ import pytest
 
 from thigmo.cli.main import main
 from thigmo.config import RobotConfig
+from thigmo.link import protocol as wire
 
 BENT = "position,curvature\n5,0.021\n15,0.0223\n25,0.0244\n35,0.0268\n45,0.0285\n"
 GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
@@ -247,6 +248,13 @@ def test_every_bad_argument_is_one_clear_line(  # type: ignore[no-untyped-def]
     assert re.fullmatch(r"thigmo: [^\n]+; [^\n]+", line)  # what happened; what to do
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {"r.csv", "bad.toml", "empty"}  # and nothing is begun
+
+
+def test_parameters_have_their_whole_names_in_80_columns(thigmo) -> None:  # type: ignore[no-untyped-def]
+    lines = thigmo("params", "--robot", "emulator://default").out.splitlines()
+    assert max(map(len, lines)) <= 80
+    first = {line.split()[0] for line in lines if line.strip()}
+    assert set(wire.PARAMETERS) <= first
 
 
 def test_the_version_is_said(thigmo) -> None:  # type: ignore[no-untyped-def]

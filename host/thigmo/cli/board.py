@@ -84,12 +84,17 @@ def params(
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("parameter", "value", "unit", "range", "meaning", box=None)
+    table = Table(box=None)
+    # In 80 columns as well: a name stays whole, for it is copied, and all else takes more lines.
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("value", max_width=15)
+    table.add_column("range", max_width=14)
+    table.add_column("meaning")
     for each, held in values.items():
         entry = wire.PARAMETERS[each]
         same = held[:1] if len(set(held)) == 1 and len(held) > 1 else held
         shown = " ".join(map(str, same)) + (f" (x{len(held)})" if same is not held else "")
-        table.add_row(each, shown, entry.unit, f"{entry.low}..{entry.high}", entry.doc)
+        table.add_row(each, shown, f"{entry.low}.. {entry.high} {entry.unit}", entry.doc)
     Console().print(table)
 
 

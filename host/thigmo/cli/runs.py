@@ -10,6 +10,8 @@ import typer
 
 from thigmo.cli.output import JsonOption, print_json
 
+_OF_THE_HOST = ("thigmo", "url", "seed", "started")  # in a record's metadata; the rest: the board's
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
@@ -102,6 +104,8 @@ def _shown(value: Any) -> str:
     """A fact for people: numbers rounded, lists on one line."""
     if isinstance(value, list | tuple):
         return ", ".join(map(_shown, value)) or "none"
+    if value is None:
+        return "unknown"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -137,7 +141,8 @@ def _run_info(path: Path) -> dict[str, Any]:
         "recorded_s": round(max(times) - min(times), 3) if times else 0.0,
         "truncated": log.truncated,
         "gaps": log.gaps,
-        "board": dict(log.metadata),
+        "record": {key: told for key, told in log.metadata.items() if key in _OF_THE_HOST},
+        "board": {key: told for key, told in log.metadata.items() if key not in _OF_THE_HOST},
     }
 
 
