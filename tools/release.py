@@ -30,6 +30,8 @@ NEEDED = (
     r"thigmo/emulator/scenes/default\.toml",
     r"thigmo/emulator/_board\..*(so|pyd)",
     r"thigmo/localization/_posterior\..*(so|pyd)",
+    r"thigmo/live/page/index\.html",
+    r"thigmo/live/page/vendor/uplot/LICENSE",
     r"thigmo/py\.typed",
     r"thigmo-.*/licenses/LICENSE",
     r"thigmo-.*/licenses/licenses/avr-libc\.txt",
