@@ -17,6 +17,7 @@ from thigmo.record.obstacles import OBSTACLES_FILE, ObstacleMap, write_obstacles
 from thigmo.record.occupancy import OccupancyGrid, write_ros_map
 from thigmo.record.whole_file import write_whole
 
+_CHUNK_BYTES = 65_536  # half a second of frames and decoded channels
 _DOCUMENT = TypeAdapter(RunDocument)
 
 
@@ -69,12 +70,12 @@ class RunFolder:
         return self.path / "run.mcap"
 
     def open_log(self, metadata: dict[str, str], epoch_s: float = 0.0) -> LogWriter:
-        """Start `run.mcap`; arguments as for `LogWriter`.
+        """Start `run.mcap`, with room for decoded channels; arguments as for `LogWriter`.
 
         Raises:
             RunFolderError: it exists already or cannot be written.
         """
-        return LogWriter(self.log_path, metadata, epoch_s)
+        return LogWriter(self.log_path, metadata, epoch_s, _CHUNK_BYTES)
 
     def read_log(self) -> Log:
         """Read `run.mcap`.

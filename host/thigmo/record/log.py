@@ -105,12 +105,19 @@ class LogWriter:
         path: the file; it must not exist.
         metadata: facts of the run, as strings (versions, schema hash, URL, seed).
         epoch_s: UTC seconds since 1970 at which the robot's time base was 0.
+        chunk_bytes: what a killed process loses at most.
 
     Raises:
         RunFolderError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, metadata: dict[str, str], epoch_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        path: Path,
+        metadata: dict[str, str],
+        epoch_s: float = 0.0,
+        chunk_bytes: int = _CHUNK_BYTES,
+    ) -> None:
         from mcap.writer import IndexType, Writer
 
         try:
@@ -122,7 +129,7 @@ class LogWriter:
         self._stream = output
         self._writer: Any = Writer(
             output,
-            chunk_size=_CHUNK_BYTES,
+            chunk_size=chunk_bytes,
             index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
         )
         self._epoch_ns = round(epoch_s * 1e9)

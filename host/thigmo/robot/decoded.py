@@ -19,6 +19,7 @@ from thigmo.stream import Event, Telemetry
 from thigmo.stream.messages import Severity
 
 _FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
+_OPEN_COUNT = 0.75  # mean count below which a circuit is open
 _IDLE_CPSI = 10  # below, no muscle bends the body
 _SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(len(SIDES) * SENSORS_A_SIDE)]
 
@@ -37,13 +38,19 @@ class Decoder:
         self, table: SensorTable, zero_sum: Floats, oversample: int, epoch_s: float
     ) -> None:
         self._epoch_s = epoch_s
-        self._oversample = oversample
+        self._share = 1.0 / oversample
         self._divider_ohm = table.divider_ohm
-        self._scale = table.scale_per_ohm.tolist()
-        self._zero_ohm = table.resistance(zero_sum, oversample).tolist()
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(zero_sum)
-        self._out_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist()
+        self._sensors = list(
+            zip(
+                np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist(),
+                table.scale_per_ohm.tolist(),
+                table.resistance(zero_sum, oversample).tolist(),
+                _SIDE_OF,
+                strict=True,
+            )
+        )
 
     def telemetry(self, frame: TelemetryFrame, supply_v: float = nan) -> Telemetry:
         """A frame in units."""
@@ -55,10 +62,16 @@ class Decoder:
         if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
             inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
         curvature, expected = [], []
-        for sensor, flex_sum in enumerate(raw.flex_sum):
-            value = self._curvature(sensor, flex_sum) if self._out_cm[sensor] <= length_cm else nan
+        for flex_sum, (out_cm, scale, zero_ohm, side) in zip(
+            raw.flex_sum, self._sensors, strict=True
+        ):
+            value = nan
+            count = flex_sum * self._share + 0.5
+            if out_cm <= length_cm and count > _OPEN_COUNT:
+                # As `SensorTable.curvature`, of one reading.
+                value = scale * (self._divider_ohm * (1024.0 - count) / count - zero_ohm)
             curvature.append(value)
-            expected.append(nan if value != value or _SIDE_OF[sensor] == inflated else free)
+            expected.append(nan if value != value or side == inflated else free)
         return Telemetry(
             t_s=frame.t_s,
             epoch_s=self._epoch_s + frame.t_s,
@@ -78,14 +91,6 @@ class Decoder:
             faults=_faults(raw.faults),
             flex_sum=raw.flex_sum,
         )
-
-    def _curvature(self, sensor: int, flex_sum: int) -> float:
-        """As `SensorTable.curvature`, of one reading."""
-        count = flex_sum / self._oversample + 0.5
-        if count <= 0.75:
-            return nan  # the circuit is open
-        ohm = self._divider_ohm * (1024.0 - count) / count
-        return float(self._scale[sensor] * (ohm - self._zero_ohm[sensor]))
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words."""

@@ -39,6 +39,7 @@ VIEWS: dict[str, type[Proto]] = {
 ROOM, TIP = "room", "tip"
 
 _M = 0.01  # per cm
+_SHOWN = (BodyShape, Contacts, Grid, Event, Log)
 _BODY, _SURE, _UNSURE = (
     Color(r=0.30, g=0.55, b=0.85, a=0.8),
     Color(r=0.85, g=0.15, b=0.10, a=1.0),
@@ -53,6 +54,8 @@ _UINT8, _INT8 = PackedElementField.UINT8, PackedElementField.INT8
 
 def views(message: Message) -> list[tuple[str, Proto]]:
     """What a message is in Foxglove's schemas: topics and messages; none for many."""
+    if not isinstance(message, _SHOWN):
+        return []
     stamp = Timestamp()
     stamp.FromNanoseconds(round(message.epoch_s * 1e9))
     if isinstance(message, BodyShape):
@@ -64,9 +67,7 @@ def views(message: Message) -> list[tuple[str, Proto]]:
     if isinstance(message, Event):
         text = f"{message.message}; {message.next}" if message.next else message.message
         return [(LOG, _log(message.name, message.severity, text, stamp))]
-    if isinstance(message, Log):
-        return [(LOG, _log("thigmo", message.level, message.text, stamp))]
-    return []
+    return [(LOG, _log("thigmo", message.level, message.text, stamp))]
 
 
 def _body(shape: BodyShape, stamp: Timestamp) -> SceneUpdate:
