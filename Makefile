@@ -31,7 +31,7 @@ $(BIN)/python:
 	@mkdir -p .stamps
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet setuptools wheel scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench,ros]'
+	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench,foxglove,ros]'
 	@touch $@
 
 # ROS 2 itself, for the tests to talk to: in an environment of its own, for it takes over the

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,6 +42,10 @@ def watch(
         Path | None, typer.Option(help="robot.toml for explorations that Start begins.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve the run to Foxglove, too (thigmo[foxglove]).")
+    ] = False,
+    foxglove_port: Annotated[int, typer.Option(help="For Foxglove; 0 takes any.", min=0)] = 8765,
     leave: Annotated[
         bool, typer.Option("--leave", help="End once the run is over and no page is open any more.")
     ] = False,
@@ -60,7 +66,38 @@ def watch(
         port=port,
         leaves=leave,
     )
-    _serve(options, browser=browser)
+    with _foxglove(options.url, foxglove_port) if foxglove else nullcontext():
+        _serve(options, browser=browser)
+
+
+@contextmanager
+def _foxglove(url: str | None, port: int) -> Iterator[None]:
+    """Serve runs to Foxglove, from a thread beside the page."""
+    import threading
+
+    from thigmo.errors import DataError
+    from thigmo.live.relay import Relay
+    from thigmo.live.watched import Watched
+
+    try:
+        from thigmo.live.foxglove import FoxgloveServer
+    except ModuleNotFoundError as error:
+        if error.name != "foxglove":
+            raise
+        raise DataError(
+            "Foxglove needs a package that is not installed",
+            "run `pip install 'thigmo[foxglove]'`",
+        ) from error
+    relay = Relay(Watched(url))
+    with closing(relay), FoxgloveServer(relay.stop, port) as server:
+        typer.echo(f"For Foxglove, open {server.address}.", err=True)
+        thread = threading.Thread(target=relay.run, args=(server,))
+        thread.start()
+        try:
+            yield
+        finally:
+            relay.close()
+            thread.join()
 
 
 def _serve(options: WatchOptions, *, browser: bool) -> None:

@@ -1,0 +1,150 @@
+"""A run in Foxglove: its live connection, on this machine, with a service that stops the robot.
+
+The channels are those of a record (`stream.recorded`): the messages with schemas of their own, and
+Foxglove's scene, transform, grid and log. `docs/foxglove-layout.json` arranges both.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import foxglove
+from foxglove import Channel, Context, MessageSchema, Schema, Service, ServiceRequest, ServiceSchema
+from foxglove.websocket import ChannelView, Client, ServerListener
+
+from thigmo.errors import PortError
+from thigmo.live.relay import Facts
+from thigmo.stream import RETAINED, Message
+from thigmo.stream.foxglove import VIEWS, views
+from thigmo.stream.protobuf import descriptor_set, schema, to_protobuf
+from thigmo.stream.recorded import RECORDED
+
+PORT = 8765  # where Foxglove looks by itself
+STOP = "/thigmo/stop"
+STATUS = "/thigmo/status"
+_ENCODING = "protobuf"
+
+
+class FoxgloveServer(ServerListener):
+    """Serves what it is told to all who connect. A context manager.
+
+    Args:
+        stop: stops the robot and says what came of it; may take seconds.
+        port: to serve at; 0 takes any that is free.
+
+    Raises:
+        PortError: the port is taken.
+    """
+
+    def __init__(self, stop: Callable[[], str], port: int = PORT) -> None:
+        self._stop = stop
+        self._context = context = Context()  # its channels close with it
+        self._channels = {
+            f"/{channel}": _channel(context, f"/{channel}", *schema(channel))
+            for channel in RECORDED
+        }
+        for topic, kind in VIEWS.items():
+            described = kind.DESCRIPTOR
+            self._channels[topic] = _channel(
+                context, topic, described.full_name, descriptor_set(described.file)
+            )
+        self._status = Channel(STATUS, message_encoding="json", context=context)
+        # Whoever subscribes later gets the last of each channel that seldom speaks.
+        self._last: dict[str, dict[str, tuple[bytes, int]]] = {}
+        try:
+            self._server = foxglove.start_server(
+                name="thigmo",
+                host="127.0.0.1",
+                port=port,
+                services=[Service(STOP, schema=_stop_schema(), handler=self._serve_stop)],
+                supported_encodings=["json"],
+                server_listener=self,
+                context=context,
+            )
+        except (OSError, RuntimeError) as error:
+            raise PortError(
+                f"Foxglove cannot be served at port {port}: {error}",
+                "end what serves there, or give another with --foxglove-port",
+            ) from error
+
+    @property
+    def address(self) -> str:
+        """What to open in Foxglove."""
+        return f"ws://127.0.0.1:{self._server.port}"
+
+    def publish(self, message: Message) -> None:
+        """Pass a message on, as it is and as Foxglove draws it."""
+        channel = message.CHANNEL
+        if channel not in RECORDED:
+            return
+        self._log(f"/{channel}", channel, message, to_protobuf(message))
+        for topic, view in views(message):
+            self._log(topic, channel, message, view.SerializeToString())
+
+    def tell(self, facts: Facts) -> None:
+        """Say whether stop is connected, and what the last one came to."""
+        told = {
+            "run": facts.run.name if facts.run else "",
+            "under_way": facts.under_way,
+            "stop": facts.stop or "connected",
+            "last_stop": facts.stopped,
+        }
+        self._status.log(told)
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Called by the server: somebody looks at a channel. For the others, who get it again, it
+        changes nothing."""
+        for data, at_ns in list(self._last.get(channel.topic, {}).values()):
+            self._channels[channel.topic].log(data, log_time=at_ns)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _log(self, topic: str, source: str, message: Message, data: bytes) -> None:
+        at_ns = round(message.epoch_s * 1e9)
+        if source in RETAINED:
+            # The scene holds the body and the contacts, each with a last message of its own.
+            self._last.setdefault(topic, {})[source] = (data, at_ns)
+        self._channels[topic].log(data, log_time=at_ns)
+
+    def _serve_stop(self, request: ServiceRequest) -> bytes:
+        """Called by the server, in a thread of its own."""
+        return json.dumps({"message": self._stop()}).encode()
+
+
+def _channel(context: Context, topic: str, name: str, described: bytes) -> Channel:
+    return Channel(
+        topic,
+        message_encoding=_ENCODING,
+        schema=Schema(name=name, encoding=_ENCODING, data=described),
+        context=context,
+    )
+
+
+def _stop_schema() -> ServiceSchema:
+    def described(name: str, properties: dict[str, dict[str, str]]) -> MessageSchema:
+        data = json.dumps({"type": "object", "properties": properties}).encode()
+        return MessageSchema(
+            encoding="json", schema=Schema(name=name, encoding="jsonschema", data=data)
+        )
+
+    return ServiceSchema(
+        "thigmo.Stop",
+        request=described("thigmo.StopRequest", {}),
+        response=described("thigmo.StopResponse", {"message": {"type": "string"}}),
+    )

@@ -1,0 +1,180 @@
+"""What Foxglove gets of a run: a client of its own protocol, which is not this package's."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+import thigmo
+from thigmo.emulator.scene import Scene
+from thigmo.errors import PortError, StoppedByViewerError
+from thigmo.live.foxglove import FoxgloveServer
+from thigmo.live.relay import Relay
+from thigmo.live.watched import Watched
+from thigmo.stream import Contacts, Grid, Telemetry
+from thigmo.stream.foxglove import VIEWS
+from thigmo.stream.protobuf import from_protobuf, schema
+
+LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
+Message = tuple[str, int, bytes]  # topic, time in ns, payload
+
+
+class Client:
+    """A client of Foxglove's protocol (github.com/foxglove/ws-protocol, docs/spec.md)."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self._socket = socket
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.services: dict[str, int] = {}
+
+    async def advertised(self) -> None:
+        """Wait until channels and services are known."""
+        while not (self.channels and self.services):
+            told = await self._socket.receive()
+            assert told.type is aiohttp.WSMsgType.TEXT, told
+            said = json.loads(told.data)
+            if said["op"] == "advertise":
+                self.channels |= {each["topic"]: each for each in said["channels"]}
+            if said["op"] == "advertiseServices":
+                self.services |= {each["name"]: each["id"] for each in said["services"]}
+
+    async def subscribe(self, *topics: str) -> None:
+        wanted = [
+            {"id": self.channels[t]["id"], "channelId": self.channels[t]["id"]} for t in topics
+        ]
+        await self._socket.send_json({"op": "subscribe", "subscriptions": wanted})
+
+    async def message(self) -> Message:
+        """The next message of a channel."""
+        names = {channel["id"]: topic for topic, channel in self.channels.items()}
+        while True:
+            told = await self._socket.receive()
+            if told.type is aiohttp.WSMsgType.BINARY and told.data[0] == 1:
+                number, at_ns = struct.unpack_from("<IQ", told.data, 1)
+                return names[number], at_ns, told.data[13:]
+
+    async def call(self, service: str) -> Any:
+        """Call a service with an empty request."""
+        head = struct.pack("<BIII4s", 2, self.services[service], 7, 4, b"json")
+        await self._socket.send_bytes(head + b"{}")
+        while True:
+            told = await self._socket.receive()
+            if told.type is aiohttp.WSMsgType.BINARY and told.data[0] == 3:
+                _, call, size = struct.unpack_from("<III", told.data, 1)
+                assert call == 7
+                return json.loads(told.data[13 + size :])
+
+
+@contextmanager
+def served(url: str) -> Iterator[str]:
+    relay = Relay(Watched(url))
+    with FoxgloveServer(relay.stop, port=0) as server:
+        thread = threading.Thread(target=relay.run, args=(server,))
+        thread.start()
+        yield server.address
+        relay.close()
+        thread.join()
+
+
+async def connected(session: aiohttp.ClientSession, address: str) -> Client:
+    client = Client(await session.ws_connect(address, protocols=("foxglove.sdk.v1",)))
+    await client.advertised()
+    return client
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The default room, of which only the last stages are explored."""
+    scene = Scene.load("default")
+    scene.start_length_cm = 50.0
+    scene.robot.sensors.settle_s = 0.2
+    path = tmp_path_factory.mktemp("scene") / "late.toml"
+    scene.save(path)
+    return f"emulator://{path}"
+
+
+@pytest.mark.usefixtures("own_sockets")
+def test_foxglove_sees_a_run_and_late_comers_its_map(url: str, tmp_path: Path) -> None:
+    async def look(address: str) -> None:
+        async with aiohttp.ClientSession() as session:
+            client = await connected(session, address)
+            assert set(VIEWS) < set(client.channels)
+            await client.subscribe("/telemetry", "/foxglove/scene", "/contacts")
+            exploring = asyncio.create_task(
+                asyncio.to_thread(thigmo.explore, url, seed=1, out=tmp_path)
+            )
+            topics = {"/telemetry", "/foxglove/scene", "/contacts"}
+            seen: dict[str, bytes] = {}
+            while set(seen) != topics:
+                topic, _, data = await client.message()
+                seen[topic] = data
+            telemetry = from_protobuf("telemetry", seen["/telemetry"])
+            assert isinstance(telemetry, Telemetry)
+            assert len(telemetry.curvature_per_cm) == 10
+            run = await exploring
+            while True:
+                topic, at_ns, data = await client.message()
+                if topic != "/contacts":
+                    continue
+                contacts = from_protobuf("contacts", data)
+                assert isinstance(contacts, Contacts)
+                if contacts.contacts == tuple(run.contacts):
+                    break
+            assert at_ns == pytest.approx(contacts.epoch_s * 1e9, abs=1000)
+
+            late = await connected(session, address)
+            await late.subscribe("/grid")
+            _, _, data = await late.message()
+            grid = from_protobuf("grid", data)
+            assert isinstance(grid, Grid)
+            assert list(grid.cells) == run.map.cells.ravel().tolist()
+
+    with served(url) as address:
+        asyncio.run(look(address))
+
+
+@pytest.mark.usefixtures("own_sockets")
+def test_foxglove_s_service_stops_the_run(url: str, tmp_path: Path) -> None:
+    async def stop(address: str) -> None:
+        async with aiohttp.ClientSession() as session:
+            client = await connected(session, address)
+            await client.subscribe("/state")
+            exploring = asyncio.create_task(
+                asyncio.to_thread(thigmo.explore, url, seed=1, out=tmp_path, realtime=True)
+            )
+            await client.message()
+            assert await client.call("/thigmo/stop") == {"message": "told late to stop"}
+            with pytest.raises(StoppedByViewerError):
+                await exploring
+
+    with served(url) as address:
+        asyncio.run(stop(address))
+
+
+def test_port_that_is_taken_is_refused() -> None:
+    with FoxgloveServer(lambda: "", port=0) as first:
+        port = int(first.address.rpartition(":")[2])
+        with pytest.raises(PortError, match="--foxglove-port"):
+            FoxgloveServer(lambda: "", port=port)
+
+
+def test_layout_shows_channels_and_fields_that_exist() -> None:
+    layout = json.loads(LAYOUT.read_text())
+    panels = layout["configById"]
+    topics = set(panels["3D!room"]["topics"]) | {panels["RosOut!log"]["topicToRender"]}
+    assert topics <= set(VIEWS)
+    assert panels["CallService!stop"]["serviceName"] == "/thigmo/stop"
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
+    assert len(paths) > 10
+    for path in paths:
+        channel, field = path[1:].split(".")
+        assert field.partition("[")[0].encode() in schema(channel)[1]
