@@ -135,12 +135,11 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   Answer out;
   std::tie(out.problem, out.shows) = problem_of(input);
   if (out.problem != Problem::none) return out;
-  const Readings readings = normalised(input, priors);
-  Weighing weighing(readings, priors, settings);
+  Weighing weighing(normalised(input, priors), priors, settings);
   weighing.run();
+  const Readings& readings = weighing.readings;
   out.hypotheses = std::move(weighing.found);
   out.rest = readings.frame.rest;
-  out.noise = readings.noise;
   double top = -INFINITY, total = 0.0, contact_misfit = INFINITY;
   for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
   for (const Hypothesis& h : out.hypotheses) {
@@ -169,6 +168,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     }
   }
   const Hypothesis& best = out.hypotheses[out.best];
+  out.noise = best.noise * readings.noise;
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
   if (best.contacts.size() != count) count = best.contacts.size();
   // What fits as many numbers as there are good readings explains nothing.

@@ -13,6 +13,11 @@
 
 namespace thigmo {
 
+// What the white noise may be: a factor of that stated, and its log odds.
+struct Level {
+  double factor, log_odds;
+};
+
 // One frame, normalised by the length.
 struct Frame {
   Row excess;     // (N,) readings above the free ones
@@ -20,9 +25,9 @@ struct Frame {
   Row noise;      // (N,) standard deviation of white noise, or its share where that is unknown
   Row gain;       // (N,) standard deviation of a reading's gain error
   Matrix shared;  // (K, N) effect of each shared error of one standard deviation
-  Row levels;     // factors of `noise`, equally likely
-  Nodes rest;     // curvature of the free body
-  bool straight;  // whether that is zero
+  std::vector<Level> levels;  // of the noise; their odds sum to one
+  Nodes rest;                 // curvature of the free body
+  bool straight;              // whether that is zero
   int size() const { return static_cast<int>(excess.size()); }
 };
 
@@ -37,17 +42,17 @@ inline Matrix stacked(const Matrix& shared, const Matrix& more) {
 
 class Whitener {
  public:
-  double log_det;  // of V^(-1/2), of N standard normal densities
+  double log_det;  // of V^(-1/2), of N standard normal densities, and of the noise's odds
 
-  Whitener(const Frame& frame, double level, const Matrix& shared)
-      : log_det(-0.5 * frame.size() * std::log(2.0 * std::numbers::pi)),
+  Whitener(const Frame& frame, const Level& level, const Matrix& shared)
+      : log_det(level.log_odds - 0.5 * frame.size() * std::log(2.0 * std::numbers::pi)),
         inverse_(frame.size()),
         column_(shared),
         factor_(shared.rows) {
     const int n = frame.size();
     double product = 1.0;
     for (int i = 0; i < n; ++i) {
-      const double noise = level * frame.noise[i], gain = frame.gain[i];
+      const double noise = level.factor * frame.noise[i], gain = frame.gain[i];
       inverse_[i] = 1.0 / std::sqrt(noise * noise + gain * gain);
       product *= inverse_[i];
       if (!(product < 1e200 && product > 1e-200) || i == n - 1) {
@@ -118,31 +123,31 @@ class Whitener {
   Row factor_;
 };
 
-// Log of the mean of exponentials, which may be far apart.
-inline double log_mean_exp(const Row& values) {
+// Log of the sum of exponentials, which may be far apart.
+inline double log_sum_exp(const Row& values) {
   const double top = *std::max_element(values.begin(), values.end());
   if (!(top > -INFINITY)) return -INFINITY;
   double sum = 0.0;
   for (const double value : values) sum += std::exp(value - top);
-  return top + std::log(sum / static_cast<double>(values.size()));
+  return top + std::log(sum);
 }
 
 // Log density of the readings of a free body whose errors have these shared columns.
 inline double log_density(const Frame& frame, const Matrix& shared) {
   Row each;
-  for (const double level : frame.levels) {
+  for (const Level& level : frame.levels) {
     const Whitener white(frame, level, shared);
     const Row read = white(frame.excess.data());
     each.push_back(white.log_det - 0.5 * Whitener::dot(read.data(), read.data(), frame.size()));
   }
-  return log_mean_exp(each);
+  return log_sum_exp(each);
 }
 
 // The same, with each column of `extra` (E, N), in units of its deviation, added by itself.
 inline Row log_densities(const Frame& frame, const Matrix& extra) {
   const int n = frame.size();
   std::vector<Row> each(extra.rows);
-  for (const double level : frame.levels) {
+  for (const Level& level : frame.levels) {
     const Whitener white(frame, level, frame.shared);
     const Row read = white(frame.excess.data());
     const double plain = white.log_det - 0.5 * Whitener::dot(read.data(), read.data(), n);
@@ -154,23 +159,23 @@ inline Row log_densities(const Frame& frame, const Matrix& extra) {
     }
   }
   Row out;
-  for (const Row& values : each) out.push_back(log_mean_exp(values));
+  for (const Row& values : each) out.push_back(log_sum_exp(values));
   return out;
 }
 
-// Least squared whitened residual of a free body, over levels of noise weighed by their density.
-inline double free_misfit(const Frame& frame) {
-  double best = -INFINITY, misfit = 0.0;
-  for (const double level : frame.levels) {
+// Squared whitened residual of a free body at the likeliest factor of the noise, and that factor.
+inline std::pair<double, double> free_misfit(const Frame& frame) {
+  double best = -INFINITY, misfit = 0.0, factor = 1.0;
+  for (const Level& level : frame.levels) {
     const Whitener white(frame, level, frame.shared);
     const Row read = white(frame.excess.data());
     const double square = Whitener::dot(read.data(), read.data(), frame.size());
     if (white.log_det - 0.5 * square > best) {
       best = white.log_det - 0.5 * square;
-      misfit = square;
+      misfit = square, factor = level.factor;
     }
   }
-  return misfit;
+  return {misfit, factor};
 }
 
 }  // namespace thigmo

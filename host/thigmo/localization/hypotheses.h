@@ -8,6 +8,7 @@
 #pragma once
 
 #include <iterator>
+#include <tuple>
 #include <utility>
 
 #include "loads.h"
@@ -41,6 +42,7 @@ struct Hypothesis {
   std::vector<Marginal> contacts{};  // base to tip
   int numbers = 0;                   // how many numbers of its own it fits
   double misfit = INFINITY;          // squared whitened residual
+  double noise = 1.0;                // likeliest factor of the noise
   Nodes curvature{};                 // of the body
   int bad = -1;                      // index of the bad reading
   // Further numbers: fold's or hinge's angle, place of the hinge, half width of a spread contact;
@@ -54,10 +56,11 @@ class Weighing {
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
   static constexpr int kPairCells = 30, kTripleCells = 16, kSecondCells = 24;
 
+  Readings readings;
   std::vector<Hypothesis> found;
 
-  Weighing(const Readings& readings, const Priors& priors, const Settings& settings)
-      : readings_(readings),
+  Weighing(Readings&& given, const Priors& priors, const Settings& settings)
+      : readings(std::move(given)),
         frame_(readings.frame),
         priors_(priors),
         settings_(settings),
@@ -78,9 +81,16 @@ class Weighing {
 
   void run() {
     free();
-    const Hypothesis one = weigh_one();
-    const bool misfit = readings_.known && one.misfit > limit_;
-    double turn = readings_.turn;
+    Hypothesis one = weigh_one();
+    const bool misfit = readings.known && one.misfit > limit_;
+    if (misfit) {  // the noise may be larger than stated, too
+      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
+                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
+      found.clear();
+      free();
+      one = weigh_one();
+    }
+    double turn = readings.turn;
     turn = std::max(turn, turn_of(one.curvature));
     const bool held = settings_.held_end == Settings::Held::yes;
     if (frame_.size() > 1 && (turn > priors_.end_turn || held)) end(one.curvature, held);
@@ -91,7 +101,7 @@ class Weighing {
     }
     const bool several = settings_.contacts != 0 && settings_.contacts != 1;
     bool poor = misfit;
-    if (!readings_.known && several && frame_.size() >= 5) {
+    if (!readings.known && several && frame_.size() >= 5) {
       poor = gain_of_second(one) > priors_.second_gain;
     }
     // A moment that few contacts have may be a kink.
@@ -111,12 +121,12 @@ class Weighing {
 
   void free() {
     Hypothesis plain{Load::none, log_density(frame_, frame_.shared)};
-    plain.misfit = free_misfit(frame_);
+    std::tie(plain.misfit, plain.noise) = free_misfit(frame_);
     plain.curvature = frame_.rest;
     found.push_back(plain);
     const Row with = log_densities(frame_, bad_);
     for (int i = 0; i < frame_.size(); ++i) {
-      const double weight = with[i] + readings_.log_bad[i];
+      const double weight = with[i] + readings.log_bad[i];
       if (weight > plain.log_weight + priors_.hopeless) {
         found.push_back(plain);
         found.back().log_weight = weight;
@@ -166,12 +176,13 @@ class Weighing {
                             std::move(fit.force), std::move(fit.spread)});
     out.numbers = 2;
     out.misfit = fit.misfit;
+    out.noise = fit.noise;
     out.curvature = fit.curvature;
     return out;
   }
 
   Hypothesis weigh_one() {
-    std::vector<Hypothesis> contacts = contact_and(bad_, readings_.log_bad, frame_.rest);
+    std::vector<Hypothesis> contacts = contact_and(bad_, readings.log_bad, frame_.rest);
     std::move(contacts.begin(), contacts.end(), std::back_inserter(found));
     return found[found.size() - contacts.size()];
   }
@@ -183,6 +194,7 @@ class Weighing {
     out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
     out.numbers = 3;
     out.misfit = fit.misfit;
+    out.noise = fit.noise;
     out.curvature = fit.curvature;
     out.bad = bad;
     out.push = fit.load[1];
@@ -195,14 +207,14 @@ class Weighing {
 
   void end(const Nodes& start, bool held) {
     double weight = priors_.contact;
-    const bool bends = readings_.turn > priors_.end_turn;
+    const bool bends = readings.turn > priors_.end_turn;
     if (!held) weight += bends ? priors_.end : priors_.end_straight;
     if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
     add_end(frame_.shared, start, held, weight, -1);
     if (found.back().misfit < limit_) return;
     const Nodes shape = found.back().curvature;
     for (int i = 0; i < frame_.size(); ++i) {
-      add_end(with(bad_, i), shape, held, weight + readings_.log_bad[i], i);
+      add_end(with(bad_, i), shape, held, weight + readings.log_bad[i], i);
     }
   }
 
@@ -236,12 +248,14 @@ class Weighing {
           folded_contact(frame_, i < 0 ? frame_.shared : with(bad_, i), prior_, settings_.critical,
                          settings_.critical_error, share, priors_.angle, kCells, start);
       if (!(fit.log_evidence > -INFINITY)) return;
-      Hypothesis out{Load::fold, fit.log_evidence + weight + (i < 0 ? 0.0 : readings_.log_bad[i])};
+      Hypothesis out{Load::fold, fit.log_evidence + weight + (i < 0 ? 0.0 : readings.log_bad[i])};
       Row spread = fit.force;
       for (double& value : spread) value = settings_.critical_error * std::abs(value);
       out.contacts.push_back({fit.place, 1.0 / kCells, fit.mass, fit.force, spread});
       out.numbers = 3;
       out.misfit = fit.misfit;
+      out.noise = fit.noise;
+      out.noise = fit.noise;
       out.curvature = fit.curvature;
       out.bad = i;
       out.angle = fit.angle[fit.top];
@@ -316,13 +330,13 @@ class Weighing {
     const Levers levers = levers_at(frame_, shape, place, 0.0);
     Row left = frame_.excess;
     for (int i = 0; i < n; ++i) left[i] -= first.force[top] * levers.sensor[i][kSecondCells];
-    const auto likelihood = [&](double level) {
+    const auto likelihood = [&](const Level& level) {
       const Whitener by(frame_, level, frame_.shared);
       const Row rest = by(left.data());
       return by.log_det - 0.5 * Whitener::dot(rest.data(), rest.data(), n);
     };
-    const auto less = [&](double a, double b) { return likelihood(a) < likelihood(b); };
-    const Row& levels = frame_.levels;
+    const auto less = [&](const Level& a, const Level& b) { return likelihood(a) < likelihood(b); };
+    const std::vector<Level>& levels = frame_.levels;
     const Whitener by(frame_, *std::max_element(levels.begin(), levels.end(), less), frame_.shared);
     const Row rest = by(left.data());
     Matrix white(n, kSecondCells + 1);
@@ -348,7 +362,7 @@ class Weighing {
     const SeveralContacts fit = several_contacts(frame_, bad < 0 ? frame_.shared : with(bad_, bad),
                                                  prior_, count, cells, frame_.rest);
     double weight = priors_.contact + (count - 1) * priors_.another;
-    if (bad >= 0) weight += readings_.log_bad[bad];
+    if (bad >= 0) weight += readings.log_bad[bad];
     Hypothesis out{count == 2 ? Load::two : Load::three, fit.log_evidence + weight};
     for (std::size_t j = 0; j < fit.place.size(); ++j) {
       out.contacts.push_back({fit.place[j], fit.width[j], fit.mass[j], Row(cells, fit.force[j]),
@@ -356,6 +370,7 @@ class Weighing {
     }
     out.numbers = 2 * count;
     out.misfit = fit.misfit;
+    out.noise = fit.noise;
     out.curvature = fit.curvature;
     out.bad = bad;
     return out;
@@ -387,7 +402,6 @@ class Weighing {
     }
   }
 
-  const Readings& readings_;
   const Frame& frame_;
   const Priors& priors_;
   const Settings& settings_;

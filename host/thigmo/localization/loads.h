@@ -159,7 +159,7 @@ struct OneContact {
   Row mass;            // (M,) of sum one
   Row force, spread;   // (M,) its mean and standard deviation
   Nodes curvature;     // of the body bent by the force at the likeliest place
-  double log_evidence = -INFINITY, misfit = INFINITY;
+  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
   int top = 0;  // index of the likeliest place
 };
 
@@ -182,7 +182,7 @@ class OneContactGrid {
  public:
   OneContactGrid(const Frame& frame, const Matrix& shared, const ForcePrior& prior)
       : frame_(frame), prior_(prior) {
-    for (const double level : frame.levels) {
+    for (const Level& level : frame.levels) {
       white_.emplace_back(frame, level, shared);
       read_.push_back(white_.back()(frame.excess.data()));
     }
@@ -248,7 +248,7 @@ class OneContactGrid {
           out.spread[m] += w * (f * f + v);
           if (w > best) {
             best = w;
-            level_ = s;
+            level_ = s, out.noise = frame_.levels[s].factor;
             out.misfit = free[s] - f * (2.0 * told[s][m] - square[s][m] * f);
           }
         }
@@ -265,39 +265,46 @@ class OneContactGrid {
     if (!(total > 0.0)) return false;
     out.top =
         static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
-    out.log_evidence = top + std::log(total * out.width / (window * levels * scales));
+    out.log_evidence = top + std::log(total * out.width / (window * scales));
     for (double& mass : out.mass) mass /= total;
     return true;
   }
 
   // Log likelihood that each column adds at most to that of the likeliest place, whichever place
-  // that then is.
+  // that then is, at the noise that suits the place or at less of it.
   Row gains(const Levers& levers, const Matrix& columns) const {
     const int n = frame_.size(), count = levers.sensor.columns;
-    const Row& read = read_[level_];
     Matrix white(n, count);
-    white_[level_](levers.sensor, white);
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
     Row precision = prior_deviations(prior_, levers.largest, widest);
     for (double& value : precision) value = 1.0 / (value * value);
-    Row told(count), square(count), along(count), out(columns.rows);
-    products(white, read, told.data(), square.data());
-    double plain = 0.0;
-    for (int m = 0; m < count; ++m) {
-      square[m] += precision[m];
-      plain = std::max(plain, told[m] * told[m] / square[m]);
-    }
-    for (int e = 0; e < columns.rows; ++e) {
-      const Beside beside(white_[level_](columns[e]), read);
-      beside.along(white, along.data());
+    Row told(count), square(count), along(count), out(columns.rows, -INFINITY);
+    double plain = -INFINITY;
+    for (std::size_t s = 0; s < white_.size(); ++s) {
+      if (frame_.levels[s].factor > frame_.levels[level_].factor) continue;
+      const Row& read = read_[s];
+      white_[s](levers.sensor, white);
+      products(white, read, told.data(), square.data());
+      const double constant = white_[s].log_det - 0.5 * Whitener::dot(read.data(), read.data(), n);
       double best = 0.0;
       for (int m = 0; m < count; ++m) {
-        const double b = told[m] - along[m] * beside.told, g = square[m] - along[m] * along[m];
-        const double gain = b * b / g;
-        best = gain > best ? gain : best;
+        square[m] += precision[m];
+        best = std::max(best, told[m] * told[m] / square[m]);
       }
-      out[e] = beside.gain + 0.5 * (best - plain);
+      plain = std::max(plain, constant + 0.5 * best);
+      for (int e = 0; e < columns.rows; ++e) {
+        const Beside beside(white_[s](columns[e]), read);
+        beside.along(white, along.data());
+        best = 0.0;
+        for (int m = 0; m < count; ++m) {
+          const double b = told[m] - along[m] * beside.told, g = square[m] - along[m] * along[m];
+          const double gain = b * b / g;
+          best = gain > best ? gain : best;
+        }
+        out[e] = std::max(out[e], constant + beside.gain + 0.5 * best);
+      }
     }
+    for (double& gain : out) gain -= plain;
     return out;
   }
 
@@ -428,7 +435,7 @@ struct SeveralContacts {
   Row width;                     // of each contact's cells
   Row best, force, spread;       // the likeliest set of places; its mean forces, deviations
   Nodes curvature;               // of the body that it bends
-  double log_evidence = -INFINITY, misfit = INFINITY;
+  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
 };
 
 class SetsGrid {
@@ -440,7 +447,8 @@ class SetsGrid {
   Row told;                    // (k M,) and with the readings
   std::vector<Row> mass;       // (k, M)
   Row best, force, spread;     // (k,)
-  double total = 0.0, misfit = INFINITY, top = -INFINITY;
+  double total = 0.0, misfit = INFINITY, noise = 1.0, top = -INFINITY;
+  double factor = 1.0;  // of the noise that is weighed
 
   void clear() {
     mass.assign(count_, Row(cells_, 0.0));
@@ -503,7 +511,7 @@ class SetsGrid {
     for (int j = 0; j < count_; ++j) mass[j][at[j] - j * cells_] += weight;
     total += weight;
     if (weight > peak_) {
-      peak_ = weight, misfit = free - gain;
+      peak_ = weight, misfit = free - gain, noise = factor;
       for (int j = 0; j < count_; ++j) {
         best[j] = place[at[j]], force[j] = f[j], spread[j] = std::sqrt(variance[j]);
       }
@@ -540,10 +548,11 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
     const Levers levers = levers_at(frame, shape, sets.place, 0.0);
     sets.base = levers.base;
     sets.clear();
-    for (const double level : frame.levels) {
+    for (const Level& level : frame.levels) {
       const Whitener by(frame, level, shared);
       const Row read = by(frame.excess.data());
       by(levers.sensor, white);
+      sets.factor = level.factor;
       sets.gram = Matrix(wide, wide);
       sets.told.assign(wide, 0.0);
       for (int i = 0; i < n; ++i) {
@@ -566,8 +575,8 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
     }
     if (!(sets.total > 0.0)) return out;
     out.best = sets.best, out.force = sets.force, out.spread = sets.spread;
-    out.misfit = sets.misfit;
-    const double weights = static_cast<double>(frame.levels.size() * prior.scales.size());
+    out.misfit = sets.misfit, out.noise = sets.noise;
+    const double weights = static_cast<double>(prior.scales.size());
     out.log_evidence = sets.top + std::log(sets.total / weights) + log_volume;
     out.place.clear();
     for (int j = 0; j < count; ++j) {
@@ -606,7 +615,7 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
 struct EndWrench {
   std::array<double, 3> load{}, spread{};  // normal and tangential force, couple
   Nodes curvature;                         // of the body that it bends
-  double log_evidence = -INFINITY, misfit = INFINITY;
+  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
 };
 
 // `radius`: of the tube, the longest arm of a tangential force, unless something `held` the end.
@@ -624,7 +633,7 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
     const double arm = std::max({normal.largest[0], along.largest[0], 1e-6});
     Row each;
     double best = -INFINITY;
-    for (const double level : frame.levels) {
+    for (const Level& level : frame.levels) {
       const Whitener by(frame, level, shared);
       const Row read = by(frame.excess.data());
       const double free = Whitener::dot(read.data(), read.data(), n);
@@ -647,7 +656,7 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
         each.push_back(log_weight);
         if (log_weight > best) {
           best = log_weight;
-          out.misfit = free;
+          out.noise = level.factor;
           for (int j = 0; j < 3; ++j) {
             out.load[j] = found.mean[j] * unit[j];
             out.spread[j] = found.deviation[j] * unit[j];
@@ -665,7 +674,7 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
         }
       }
     }
-    out.log_evidence = log_mean_exp(each);
+    out.log_evidence = log_sum_exp(each) - std::log(static_cast<double>(prior.scales.size()));
     Nodes bent = frame.rest;
     shape.add_moment(shape.at(1.0), out.load[0], bent);
     shape.add_moment(shape.at(1.0).turned(), out.load[1], bent);
@@ -682,7 +691,7 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
 struct FoldedContact {
   Row place, mass, force, angle;  // (M,)
   Nodes curvature;
-  double log_evidence = -INFINITY, misfit = INFINITY;
+  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
   int top = 0;
 };
 
@@ -696,7 +705,7 @@ inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
   out.curvature = start;
   out.place = middles({0.0, 1.0}, cells);
   std::vector<Whitener> white;
-  for (const double level : frame.levels) white.emplace_back(frame, level, shared);
+  for (const Level& level : frame.levels) white.emplace_back(frame, level, shared);
   for (int turn = 0; turn < kMostPasses; ++turn) {
     const std::optional<Shape> shape(out.curvature);
     const Levers levers = levers_at(frame, shape, out.place, 0.0);
@@ -709,7 +718,8 @@ inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
       if (std::abs(lever) < 0.02) continue;
       Row each;
       double top = -INFINITY;
-      for (const Whitener& by : white) {
+      for (std::size_t s = 0; s < white.size(); ++s) {
+        const Whitener& by = white[s];
         for (const double sign : {-1.0, 1.0}) {
           const double mean = sign * critical / std::abs(lever);
           Row contact(n), column(n), rest(n);
@@ -735,14 +745,15 @@ inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
             if (log_weight > best) {
               best = log_weight;
               out.top = m;
+              out.noise = frame.levels[s].factor;
               out.misfit = free - found.gain;
             }
           }
         }
       }
-      log_mass[m] = log_mean_exp(each);
+      log_mass[m] = log_sum_exp(each) - std::log(2.0);  // of either sign
     }
-    out.log_evidence = log_mean_exp(log_mass);
+    out.log_evidence = log_sum_exp(log_mass) - std::log(static_cast<double>(cells));
     out.mass.assign(cells, 0.0);
     double total = 0.0;
     for (int m = 0; m < cells; ++m) {

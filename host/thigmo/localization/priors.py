@@ -83,6 +83,10 @@ SECOND_GAIN = 1.75
 # Readings are never trusted to more than this share of the largest of them or of the free
 # curvature: no beam model and no sensor constant is better.
 TRUST = 5e-4
+# Where even a contact leaves a misfit: factor by which the noise may be larger than stated, and how
+# probable that is.
+NOISE_FACTOR = 2.0
+NOISE_ODDS = 0.05
 # Where the noise is unknown, its levels: shares of the readings' root mean square.
 NOISE_LEVELS = 1.3 * 0.6 ** np.arange(9)
 
@@ -101,6 +105,6 @@ _NAMES = (
     "moments", "least_lever", "contact", "end", "end_straight", "held", "another", "spread",
     "hinge", "base_fold", "bad_deviation", "angle", "half_widths", "near_fold", "strong",
     "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "second_gain",
-    "hopeless", "trust", "end_cell", "misfit_deviate", "noise_levels",
+    "noise_factor", "noise_odds", "hopeless", "trust", "end_cell", "misfit_deviate", "noise_levels",
 )  # fmt: skip
 _of = itemgetter(*(name.upper() for name in _NAMES))

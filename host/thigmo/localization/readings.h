@@ -13,7 +13,7 @@ struct Priors {
   double least_lever, contact, end, end_straight, held, another, spread, hinge, base_fold,
       bad_deviation, angle;
   double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma,
-      second_gain;
+      second_gain, noise_factor, noise_odds;
   double hopeless, trust, end_cell, misfit_deviate;
 };
 
@@ -165,11 +165,12 @@ inline Readings normalised(const Input& in, const Priors& priors) {
   const int n = frame.size();
   for (double& gain : frame.gain) gain = std::hypot(gain, priors.trust * most);
   out.known = !in.noise.empty();
-  frame.levels = {1.0};
+  frame.levels = {{1.0, 0.0}};
   if (!out.known) {
     const double scale = std::max(std::sqrt(square / n), priors.trust * most);
-    frame.levels = priors.noise_levels;
-    for (double& level : frame.levels) level *= scale;
+    frame.levels.clear();
+    const double odds = -std::log(static_cast<double>(priors.noise_levels.size()));
+    for (const double level : priors.noise_levels) frame.levels.push_back({level * scale, odds});
   }
   for (const double noise : frame.noise) out.noise += noise / n / length;
   const int own = (in.offset > 0.0) + (in.map > 0.0);
