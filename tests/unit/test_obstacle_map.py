@@ -155,6 +155,11 @@ def test_free_space_ends_where_the_shapes_error_begins() -> None:
     assert _reach(None) == -np.inf  # a shape of unknown error makes nothing free
 
 
+def test_a_bend_within_its_error_makes_nothing_free() -> None:
+    grid, _ = occupancy(_document(top=1e-3, curvature_se=8e-4), RADIUS)
+    assert not (grid.cells == 0).any()
+
+
 def test_near_a_contact_nothing_is_free() -> None:
     contact = _contact()
     grid, _ = occupancy(_document(contact, top=0.03), RADIUS)

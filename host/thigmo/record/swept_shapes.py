@@ -52,6 +52,8 @@ def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
         less = way * drawn_in * np.array([shape.curvature_se or 0.0 for shape in ordered])
         straight = _turned(straight[None], steps[:1], less[:1])[0]
         bent = _turned(bent, steps, -less)
+        # What bends no further than the late start, by its error, was perhaps never passed.
+        bent = bent[way * (bent[:, -1, 2] - straight[-1, 2]) > 0]
     start = np.concatenate((straight[None], bent[:-1]))
     share = np.linspace(0, 1, _BETWEEN)[None, :, None, None]
     between: Floats = start[:, None] + (bent - start)[:, None] * share
