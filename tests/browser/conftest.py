@@ -48,7 +48,8 @@ def serve_page() -> Iterator[Callable[..., Served]]:
 
 
 @pytest.fixture
-def looking(chromium: Browser) -> Iterator[Looking]:
+def looking(chromium: Browser, serve_page: object) -> Iterator[Looking]:
+    """Opens pages; they are closed before their servers, whose end they would tell."""
     eyes = Looking(chromium)
     yield eyes
     eyes.close()

@@ -93,10 +93,18 @@ def robot() -> Iterator[ServedRobot]:
 
 
 @pytest.fixture
-def exploration(robot: ServedRobot, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+def config(robot: ServedRobot, tmp_path: Path) -> Path:
+    """What that robot's lab would know of it."""
+    path = tmp_path / "robot.toml"
+    robot.plant.scene.believed(3).save(path)
+    return path
+
+
+@pytest.fixture
+def exploration(
+    robot: ServedRobot, config: Path, tmp_path: Path
+) -> Iterator[subprocess.Popen[bytes]]:
     """An exploration of that robot, in a process group of its own."""
-    config = tmp_path / "robot.toml"
-    robot.plant.scene.believed(3).save(config)
     started = subprocess.Popen(
         [sys.executable, "-c", EXPLORE, robot.port, str(config), str(tmp_path / "runs")],
         start_new_session=True,
@@ -134,3 +142,26 @@ def test_stop_in_mid_sweep_takes_the_current_off_the_valves_within_300_ms_of_the
     assert robot.lockstep.t_s >= clicked_s
     expect(page.locator("#stop")).to_contain_text("the board has confirmed")
     expect(page.locator("#banners")).to_contain_text("vented and braked")
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+def test_run_on_a_port_asks_its_operator_on_the_page(
+    looking: Looking, serve_page: ServePage, robot: ServedRobot, config: Path, tmp_path: Path
+) -> None:
+    options = ("--config", str(config), "--out", str(tmp_path / "runs"))
+    page = looking.open(serve_page(url=robot.port, explore=options).address)
+    page.locator("#start").click()
+    question, answer = page.locator("#question-text"), page.locator("#answer")
+    expect(question).to_have_text("Measure the everted length. How many cm?")
+    expect(answer).to_be_focused()
+    page.keyboard.type("20.0")
+    page.keyboard.press("Enter")
+    expect(question).to_contain_text("Set the body pressure to")
+    page.keyboard.press("Enter")
+    expect(page.locator("#question")).to_be_hidden()
+    page.wait_for_function("() => thigmo.store.last.state?.stage_cm === 20")
+    robot.slow_motion()
+    page.keyboard.press("Escape")
+    expect(page.locator("#stop")).to_contain_text("the board has confirmed")
+    assert robot.off_within(0.3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,12 +29,19 @@ def _nothing(doing: str, fraction: float) -> None:
 
 
 class Console:
-    """What a command shows. Everything but results goes to stderr; with `quiet`, prompts only."""
+    """What a command shows. Everything but results goes to stderr; with `quiet`, prompts only.
 
-    def __init__(self, *, quiet: bool) -> None:
+    Args:
+        quiet: show nothing but prompts and results.
+        piped: prompts are for the program that started this one: a JSON line on stdout for each
+            question, a line on stdin for its answer.
+    """
+
+    def __init__(self, *, quiet: bool, piped: bool = False) -> None:
         from rich.console import Console as RichConsole
 
         self.quiet = quiet
+        self._piped = piped
         self.out = RichConsole()
         self.err = RichConsole(stderr=True)
         self._bar: Progress | None = None
@@ -96,6 +104,8 @@ class Console:
         Raises:
             DataError: nobody is there to answer.
         """
+        if self._piped:
+            return _ask_starter(question)
         if not sys.stdin.isatty():
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
@@ -166,6 +176,17 @@ class Console:
             highlight=False,
             soft_wrap=True,
         )
+
+
+def _ask_starter(question: str) -> str:
+    from thigmo.link.lease import waits_for_operator
+
+    waits_for_operator()
+    typer.echo(json.dumps({"question": question}))
+    answer = sys.stdin.readline()
+    if not answer:
+        raise DataError(f"no answer to: {question}", "run it again, and answer")
+    return answer.strip()
 
 
 class TerminalOperator:

@@ -49,6 +49,12 @@ def explore(
             "YAML file. It is believed as far as the readings allow.",
         ),
     ] = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Open the page on which the run is seen and stopped.")
+    ] = False,
+    piped: Annotated[
+        bool, typer.Option("--prompts-piped", hidden=True)  # for the page, which starts runs
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Grow, sweep, feel, localize and map, stage by stage to the full length."""
@@ -59,10 +65,15 @@ def explore(
 
     if robot is not None and scene is not None:
         raise ConfigError("--robot and --scene are both given", "give one of them")
-    console = Console(quiet=as_json)
+    url = robot or f"emulator://{scene or 'default'}"
+    if watch:
+        from thigmo.cli.watch import open_page
+
+        open_page(url, out, config)
+    console = Console(quiet=as_json, piped=piped)
     with console.progress() as show, console.interruptible():
         result = run(
-            robot or f"emulator://{scene or 'default'}",
+            url,
             config=RobotConfig.load(config) if config else None,
             seed=seed,
             out=out,

@@ -116,6 +116,20 @@ def _serve(options: WatchOptions, *, browser: bool) -> None:
         raise typer.Exit from None
 
 
+def open_page(url: str, out: Path, config: Path | None) -> None:
+    """Serve the page of a robot's runs beside this command, and open it. It stays until the run is
+    over and nobody looks any more."""
+    import subprocess
+
+    options = ["--leave", "--out", str(out), *(["--config", str(config)] if config else [])]
+    subprocess.Popen(
+        [sys.executable, "-m", "thigmo", "watch", url, *options],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
 def open_browser(address: str) -> None:
     """Open the page, where there is a browser; in a process of its own, for some never return."""
     import subprocess

@@ -29,15 +29,17 @@ from thigmo.live.starting import StartedRun, StartPlan
 from thigmo.live.stopping import Stopped, Way, stop_port, way_to
 from thigmo.live.viewer import Viewer
 from thigmo.live.watched import Taken, Watched
-from thigmo.stream import RETAINED, Event, Hello, Message, RunState, Telemetry, to_json
+from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
 _TICK_S = 0.03
 _PULSE_S = 0.25  # the page calls its connection lost after six of them
 _MOST_ROWS_A_TICK = 40  # an emulator at full speed makes more than a chart has pixels for
+_MOST_SHAPES_A_TICK = 4
 _HISTORY_S = 0.02  # between the rows that a page gets which comes later
 _HISTORY_ROWS = 6000
+_LEAVES_S = 60.0
 _STOP_S = 5.0  # for an emulated run to end
 
 
@@ -51,7 +53,7 @@ class WatchOptions:
         explore: further arguments of the exploration that Start runs.
         host: address to listen at; anything but loopback needs the token.
         port: None takes the usual one, or any that is free.
-        leaves: end when the run is over and nobody looks any more.
+        leaves: end when nothing runs and nobody looks any more.
     """
 
     past: Path | None = None
@@ -89,6 +91,7 @@ class PageServer:
         self._started: StartedRun | None = None
         self._looked_back: PastRun | None = None  # the run that has just ended
         self._failure = ""
+        self._tasks: set[asyncio.Task[None]] = set()
         self._pausing = False
         self._truth = facts.Truth("")
         self._body = facts.body("")
@@ -170,8 +173,13 @@ class PageServer:
         readings = [each for each in messages if isinstance(each, Telemetry)]
         if readings:
             self._pass_readings(readings)
+        shapes = [each for each in messages if isinstance(each, BodyShape)]
+        for shape in shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)]:
+            text = self._held[BodyShape.CHANNEL] = to_json(shape).decode()
+            for viewer in self._viewers.values():
+                viewer.add_shape(text)
         for message in messages:
-            if isinstance(message, Telemetry):
+            if isinstance(message, Telemetry | BodyShape):
                 continue
             if isinstance(message, RunState) and message.paused:
                 self._pausing = False
@@ -230,6 +238,7 @@ class PageServer:
             "truth": self._pegs,
             "start": {"url": plan.url, "virtual": plan.virtual} if plan else None,
             "starting": self._starting,
+            "question": self._started.question if self._started else "",
             "failure": self._failure or (self._started.failure() if self._started else ""),
             "pausing": self._pausing,
             "operator": self._operator is socket,
@@ -294,7 +303,10 @@ class PageServer:
         elif command == "take" and self._operator is None:
             self._operator = socket
         elif command == "record":
-            viewer.looks_back = await self._can_look_back()
+            # Reading the record takes a while, in which this page must be heard.
+            task = asyncio.create_task(self._look_back(viewer))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
         elif socket is self._operator:
             await self._operate(command, told)
         if command:
@@ -303,6 +315,8 @@ class PageServer:
     async def _operate(self, command: object, told: dict[str, Any]) -> None:
         if command == "start":
             await self._start(realtime=told.get("realtime") is not False)
+        elif command == "answer" and self._started is not None:
+            await asyncio.to_thread(self._started.answer, str(told.get("text", "")))
         elif command in ("pause", "resume") and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
                 self._watched.send("pause" if command == "pause" else "resume")
@@ -333,16 +347,22 @@ class PageServer:
             return Stopped(failed=f"the run {run.name} does not answer")
         return Stopped([run.url])
 
-    async def _can_look_back(self) -> bool:
-        """Read the record of the run that has just ended; whether that can be shown."""
-        if self._run is None or not self._ended or not self._run.folder:
-            return False
+    async def _look_back(self, viewer: Viewer) -> None:
+        """Show a page the run that has just ended, from its record."""
+        run = self._run
+        if run is None or not self._ended or not run.folder:
+            return
         if self._looked_back is None:
             try:
-                self._looked_back = await asyncio.to_thread(PastRun, Path(self._run.folder))
+                past = await asyncio.to_thread(PastRun, Path(run.folder))
             except ThigmoError as error:
                 self._failure = str(error)
-        return self._looked_back is not None
+                return
+            if run is self._moving or run is not self._run:
+                return  # another run has begun
+            self._looked_back = past
+        viewer.looks_back = True
+        self._tell()
 
     def _shown(self) -> PastRun:
         past = self._past or self._looked_back
@@ -359,8 +379,8 @@ class PageServer:
         return web.Response(body=readings, content_type="application/octet-stream")
 
     def left(self) -> bool:
-        """Whether the run is over and nobody has looked for a while."""
-        return self._ended and time.monotonic() - self._left_s > 20.0
+        """Whether nothing runs and nobody has looked for a while."""
+        return self._moving is None and time.monotonic() - self._left_s > _LEAVES_S
 
 
 def _run_facts(run: Hello | None) -> dict[str, Any] | None:

@@ -6,6 +6,8 @@ killed. One that is ended in good order terminates the run first, which vents th
 
 from __future__ import annotations
 
+import contextlib
+import json
 import subprocess
 import sys
 import threading
@@ -38,7 +40,7 @@ class StartPlan:
         """The command line."""
         pace = ["--realtime"] if realtime and self.virtual else []
         explore = [sys.executable, "-m", "thigmo", "explore", "--robot", self.url]
-        return [*explore, *self.options, *pace]
+        return [*explore, *self.options, *pace, "--prompts-piped"]
 
 
 class StartedRun:
@@ -47,19 +49,24 @@ class StartedRun:
     Args:
         plan: what to run.
         realtime: at the clock's pace, if it is emulated.
+
+    Attributes:
+        question: to the operator, which the run waits to be answered; empty if there is none.
     """
 
     def __init__(self, plan: StartPlan, *, realtime: bool) -> None:
         self._said: deque[str] = deque(maxlen=_LINES)
+        self.question = ""
         # A session of its own: Ctrl-C at the server's terminal is not meant for the run.
         self._process = subprocess.Popen(
             plan.command(realtime=realtime),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
         )
+        threading.Thread(target=self._listen, daemon=True).start()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -72,6 +79,16 @@ class StartedRun:
     def runs(self) -> bool:
         """Whether it is still under way."""
         return self._process.poll() is None
+
+    def answer(self, text: str) -> None:
+        """Answer the question, in one line."""
+        assert self._process.stdin is not None
+        if not self.question:
+            return
+        self.question = ""
+        with contextlib.suppress(OSError):  # it has just ended
+            self._process.stdin.write(" ".join(text.split()) + "\n")
+            self._process.stdin.flush()
 
     def failure(self) -> str:
         """Why it ended early, in its own last words; empty if it did not, or is under way."""
@@ -89,6 +106,14 @@ class StartedRun:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+    def _listen(self) -> None:
+        """Thread: questions. What it prints as its result is no question."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith('{"question": '):
+                self.question = json.loads(line)["question"]
+        self.question = ""
 
     def _read(self) -> None:
         assert self._process.stderr is not None

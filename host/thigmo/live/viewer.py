@@ -17,6 +17,7 @@ from aiohttp import web
 _UNANSWERED = 4  # batches under way
 _MOST_ROWS = 600  # three seconds of telemetry
 _MOST_EVENTS = 500
+_MOST_SHAPES = 40  # what the body swept is drawn of them: two seconds
 
 
 class Viewer:
@@ -32,6 +33,7 @@ class Viewer:
         self._rows: deque[str] = deque()
         self._board = ""
         self._once: deque[str] = deque(maxlen=_MOST_EVENTS)
+        self._shapes: deque[str] = deque(maxlen=_MOST_SHAPES)
         self._last: dict[str, str] = {}
         self._due = asyncio.Event()
         self._under_way = 0
@@ -63,10 +65,16 @@ class Viewer:
             self._once.append(text)
         self._due.set()
 
+    def add_shape(self, text: str) -> None:
+        """Queue a shape of the body."""
+        self._shapes.append(text)
+        self._due.set()
+
     def forget(self) -> None:
         """Drop what waits: it is of a run that is no longer shown."""
         self._rows.clear()
         self._once.clear()
+        self._shapes.clear()
         self._last.clear()
 
     def acknowledged(self) -> None:
@@ -96,12 +104,13 @@ class Viewer:
         if self.dropped > self._told:
             self._told = self.dropped
             parts.append(json.dumps({"channel": "dropped", "count": self.dropped}))
-        parts += self._last.values()
-        parts += self._once
+        # Shapes before the posterior, which lies on one of them.
+        parts += [*self._shapes, *self._last.values(), *self._once]
         if self._rows:
             rows = ",".join(self._rows)
             parts.append(f'{{"channel":"telemetry",{self._board},"rows":[{rows}]}}')
         self._last.clear()
         self._once.clear()
+        self._shapes.clear()
         self._rows.clear()
         return f"[{','.join(parts)}]" if parts else None

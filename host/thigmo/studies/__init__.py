@@ -22,6 +22,7 @@ STUDIES: dict[str, str] = {
     "exploration": "pegs found and empty rooms silent, as calibrated and not",
     "faults": "single failures: what notices them, how soon it is safe, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
+    "watch": "how late the page shows a reading, and what three pages cost",
     "plant-models": "time against error of the plant's mechanics",
 }
 

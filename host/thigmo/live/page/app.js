@@ -12,12 +12,13 @@ import { $, add, addRows, reset, store } from "./store.js";
 import { drawWords, forget as forgetWords } from "./words.js";
 
 let lost = false, asked = false, spent = 0;
-// For tests and the benchmark: what the page knows, and how old the newest reading was each time
-// that one was drawn.
-const drawnAges = (window.thigmo = { store, ages_s: [], keep: false });
+// For tests, pictures and the benchmark: what the page knows; how old the newest reading was each
+// time that one was drawn, if they are to be kept; and whether the page is to stand still.
+const hooks = (window.thigmo = { store, ages_s: [], keep: false, still: false });
 
 function draw() {
   asked = false;
+  if (hooks.still) return;
   const began = performance.now();
   const shownEpoch = store.epoch;
   drawWords(lost);
@@ -26,9 +27,9 @@ function draw() {
   drawRoom();
   drawBodyChart();
   spent = performance.now() - began;
-  if (drawnAges.keep && shownEpoch && shownEpoch !== store.drawnEpoch) {
+  if (hooks.keep && shownEpoch && shownEpoch !== store.drawnEpoch) {
     store.drawnEpoch = shownEpoch;
-    drawnAges.ages_s.push(Date.now() / 1000 - shownEpoch);
+    hooks.ages_s.push(Date.now() / 1000 - shownEpoch);
   }
 }
 

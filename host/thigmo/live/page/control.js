@@ -33,8 +33,10 @@ export function drawControl(lost) {
   $("take").textContent = page?.operated ? "Another page operates" : "Take control";
   $("open-record").hidden = !(page?.ended && page.mode === "live" && page.run?.folder);
   $("viewers").textContent = page?.viewers > 1 ? `${page.viewers} pages look at this robot.` : "";
-  const question = live ? last.question?.text ?? "" : "";
+  const question = page?.question ?? "";
+  const fresh = question && $("question").hidden;
   $("question").hidden = !question;
   if ($("question-text").textContent !== question) $("question-text").textContent = question;
   $("answer").disabled = !operates;
+  if (fresh && operates) $("answer").focus();
 }

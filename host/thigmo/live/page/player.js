@@ -61,10 +61,10 @@ export function seek(t) {
       if (n) store.last.shape = list[n - 1];
     } else if (channel === "posterior") {
       const found = n ? list[n - 1] : null;
-      if (found && time(found.t_s) >= stageBegan()) {
+      const swept = slow.state.findLast((each) => each.state === "SWEEP" && time(each.t_s) <= store.now);
+      if (found && swept && found.t_s >= swept.t_s) {
         const at = before(slow.shape, time(found.t_s), (each) => time(each.t_s));
-        const first = before(slow.shape, stageBegan(), (each) => time(each.t_s));
-        const shapes = slow.shape.slice(first, at).map((each) => each.poses);
+        const shapes = slow.shape.slice(Math.max(0, at - 400), at).map((each) => each.poses);
         store.touched = found.places_cm.length ? mostBent(shapes, found.side) : null;
         store.last.posterior = found;
       }

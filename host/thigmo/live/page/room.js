@@ -66,6 +66,7 @@ export function drawRoom() {
   if (page?.body) include(page.body.length_cm, 0, 5);
   for (const contact of last.contacts?.contacts ?? []) include(contact.x_cm, contact.y_cm, 6);
   for (const peg of page?.truth ?? []) include(peg.x_cm, peg.y_cm, peg.radius_cm + 2);
+  for (const poses of store.trail) include(...poses.at(-1).slice(0, 2), 3);
   for (const [x, y] of last.shape?.poses ?? []) include(x, y);
   fit();
   changed("map", last.grid, drawMap);
@@ -220,13 +221,13 @@ function drawContacts({ contacts }) {
 function label(layer, contact, x, y, placed) {
   const [low, high] = contact.interval_cm.map((value) => value.toFixed(1));
   const up = contact.y_cm >= 0 ? -1 : 1;
-  const width = 116, anchor = x + 14 + width > svg.clientWidth - 12 ? "end" : "start";
-  const tx = anchor === "start" ? x + 14 : x - 14;
+  const width = 116, anchor = x + 20 + width > svg.clientWidth - 12 ? "end" : "start";
+  const out = anchor === "start" ? 1 : -1, tx = x + 20 * out;
   let ty = y + up * 30;
   while (placed.some((at) => Math.abs(at.y - ty) < 32 && Math.abs(at.x - tx) < width)) ty += up * 8;
   placed.push({ x: tx, y: ty });
   const group = make("g", { "text-anchor": anchor }, layer);
-  make("path", { d: `M${x} ${y + up * 7}L${tx} ${ty + (up > 0 ? -12 : 6)}`, stroke: "var(--contact)", "stroke-width": 1 }, group);
+  make("path", { d: `M${x} ${y + up * 7}L${tx - 4 * out} ${ty + 3}`, stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
   text(group, tx, ty, `${contact.arc_cm.toFixed(1)} cm along`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
   text(group, tx, ty + 14, `95 %: ${low} to ${high} cm`, { fill: "var(--contact)", ...halo });

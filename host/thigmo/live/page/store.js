@@ -80,10 +80,13 @@ export function add(message) {
 // A message of a slow channel holds until the next one.
 export function hold(message) {
   const { last } = store;
-  if (message.channel === "state" && message.stage_cm !== last.state?.stage_cm) {
-    store.trail = [];
-    store.touched = null;
-    delete last.posterior;
+  if (message.channel === "state") {
+    if (message.stage_cm !== last.state?.stage_cm) store.trail = [];
+    // What was measured stays in view until the next sweep.
+    if (message.state === "SWEEP" && last.state?.state !== "SWEEP") {
+      store.touched = null;
+      delete last.posterior;
+    }
   }
   if (message.channel === "shape") {
     store.trail.push(message.poses);

@@ -1,0 +1,186 @@
+"""What watching costs, and how late it is: readings from the robot's port to the screen, and an
+exploration with three pages open against one that nobody watches.
+
+The robot is emulated and served on a pseudo-terminal in real time, at its full rate: 200 readings a
+second. The pages are a real browser's. Everything runs on this computer, which should have nothing
+else to do.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any
+
+import numpy as np
+
+from thigmo.errors import DataError
+from thigmo.studies.engine import Claim, Context, Outcome, Table
+
+_VIEWERS = 3
+_RATE_HZ = 200
+_PROMISED_S = {"p50": 0.1, "p95": 0.25}
+_EVER_MS = 120_000
+# Streams a robot's telemetry for so many seconds, as an exploration does, and moves nothing.
+_STREAM = """
+import sys
+from thigmo.config import RobotConfig
+from thigmo.robot import connect
+from thigmo.stream import Hello, Server
+
+with connect(sys.argv[1]) as robot:
+    robot.configure(RobotConfig())
+    now = robot.now()
+    hello = Hello(now, robot.epoch_s + now, robot.url, "watched", "", 0, "", False)
+    with Server(robot.hub, hello, lambda command: None):
+        robot.wait(float(sys.argv[2]))
+"""
+
+
+def run(context: Context) -> Outcome:
+    """Age of readings on the screen; explorations watched and not."""
+    with _own_sockets():
+        return _run(context)
+
+
+def _run(context: Context) -> Outcome:
+    seconds = 15.0 if context.scale == "quick" else 60.0
+    context.progress("readings to the screen", 0, 3)
+    ages_s, rate_hz = _ages(seconds)
+    context.progress("an exploration alone", 1, 3)
+    alone = _explored(0)
+    context.progress("an exploration with three pages", 2, 3)
+    watched = _explored(_VIEWERS)
+    context.progress("an exploration with three pages", 3, 3)
+    late = {
+        name: float(np.quantile(ages_s, share)) for name, share in (("p50", 0.5), ("p95", 0.95))
+    }
+    same = alone["contacts"] == watched["contacts"] and alone["stages"] == watched["stages"]
+    return Outcome(
+        [
+            Table("late", ("drawn", *late), [(len(ages_s), *late.values())]),
+            Table(
+                "explorations",
+                ("pages", "robot_time_s", "wall_time_s"),
+                [
+                    (pages, found["robot_time_s"], found["wall_time_s"])
+                    for pages, found in ((0, alone), (_VIEWERS, watched))
+                ],
+            ),
+        ],
+        claims=[
+            *(
+                Claim(f"age of a reading on the screen, {name}", value, _PROMISED_S[name], unit="s")
+                for name, value in late.items()
+            ),
+            Claim("readings drawn", rate_hz, 0.98 * _RATE_HZ, at_most=False, unit="1/s"),
+            Claim(
+                f"robot time that {_VIEWERS} pages cost",
+                watched["robot_time_s"] - alone["robot_time_s"], 0.0, unit="s",
+            ),
+            Claim(f"results that differ with {_VIEWERS} pages", float(not same), 0.0),
+        ],
+    )  # fmt: skip
+
+
+@contextmanager
+def _own_sockets() -> Iterator[None]:
+    """Let no other run of this user be watched meanwhile."""
+    before = os.environ.get("XDG_RUNTIME_DIR")
+    with tempfile.TemporaryDirectory(prefix="tg") as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["XDG_RUNTIME_DIR"]
+            else:
+                os.environ["XDG_RUNTIME_DIR"] = before
+
+
+def _ages(seconds: float) -> tuple[list[float], float]:
+    """How old the newest reading was each time that the page was drawn; readings a second."""
+    with ExitStack() as stack:
+        robot = stack.enter_context(_process("emulate", "empty", says="open "))
+        port = robot.partition("open ")[2].partition(";")[0]
+        browser, address = stack.enter_context(_page())
+        page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
+        page.goto(address)
+        streaming = subprocess.Popen([sys.executable, "-c", _STREAM, port, str(seconds)])
+        stack.callback(_end, streaming)
+        page.wait_for_function("() => thigmo.store.columns[0].length > 200", timeout=_EVER_MS)
+        page.evaluate("thigmo.keep = true")
+        page.wait_for_function("() => thigmo.store.page.ended", timeout=_EVER_MS)
+        times: list[float] = page.evaluate("thigmo.store.columns[0]")
+        ages: list[float] = page.evaluate("thigmo.ages_s")
+    return ages, (len(times) - 1) / (times[-1] - times[0])
+
+
+def _explored(pages: int) -> dict[str, Any]:
+    """The default exploration, with so many pages open."""
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        if pages:
+            browser, address = stack.enter_context(_page())
+            for _ in range(pages):
+                browser.new_context().new_page().goto(address)
+        command = [sys.executable, "-m", "thigmo", "explore", "--seed", "1", "--out", folder]
+        done = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE)
+        found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@contextmanager
+def _page() -> Iterator[tuple[Any, str]]:
+    """A browser, and the address of the page of whatever runs.
+
+    Raises:
+        DataError: there is no browser.
+    """
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise DataError("playwright is not installed", "pip install playwright") from error
+    chromium = os.environ.get("CHROMIUM", "/usr/bin/chromium")
+    with ExitStack() as stack:
+        playwright = stack.enter_context(sync_playwright())
+        try:
+            browser = playwright.chromium.launch(executable_path=chromium)
+        except Error as error:
+            raise DataError(
+                f"no browser at {chromium}", "install chromium, or name one in CHROMIUM"
+            ) from error
+        stack.callback(browser.close)
+        said = stack.enter_context(_process("watch", "--no-browser", "--port", "0", says="http://"))
+        yield browser, "http://" + said.partition("http://")[2].partition(" ")[0]
+
+
+@contextmanager
+def _process(*arguments: str, says: str) -> Iterator[str]:
+    """A `thigmo` command beside this one: the first line that holds `says`."""
+    started = subprocess.Popen(
+        [sys.executable, "-m", "thigmo", *arguments],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    assert started.stdout is not None
+    try:
+        for line in started.stdout:
+            if says in line:
+                yield line.strip()
+                return
+        raise DataError(f"thigmo {arguments[0]} has ended", "run it by hand to see why")
+    finally:
+        _end(started)
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    with suppress(ProcessLookupError):
+        process.terminate()
+    process.wait()
