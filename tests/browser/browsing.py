@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page
 
 from thigmo.live.server import WatchOptions, serve
 
-PATIENCE_MS = 60_000  # on a machine that does other things as well
+PATIENCE_MS = 300_000  # what has not come by then, on a busy computer too, never will
 
 
 class Served:

@@ -6,7 +6,6 @@ import { line, make, set, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
 const RIBBON_CM = 3.5; // height of the posterior at its peak
-const LEAST = .01; // share of the peak below which it is not drawn
 const svg = $("room");
 const layers = {};
 for (const name of ["grid", "map", "swept", "truth", "body", "posterior", "contacts", "words"]) {
@@ -185,7 +184,7 @@ function drawPosterior(poses) {
   const skin = [], top = [];
   places.forEach((arc, n) => {
     const pose = along(poses, arc);
-    if (!pose || probability[n] < LEAST * most) return;
+    if (!pose) return;
     skin.push(...beside([pose], sign * (radius + .25)));
     top.push(...beside([pose], sign * (radius + .25 + RIBBON_CM * probability[n] / most)));
   });
