@@ -123,6 +123,8 @@ def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
     if code is wire.EventCode.FAULT:
         what, _, cure = wire.Fault(arg).doc.partition("; ")
         return wire.Fault(arg).key, "fault", what, cure
+    if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
+        return code.key, "info", f"{wire.Activity(arg).key} ended when the host asked", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
         what, _, cure = wire.Reason(value).doc.partition("; ")
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure

@@ -14,6 +14,7 @@ import re
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
@@ -30,7 +31,7 @@ COMMANDS: tuple[Command, ...] = get_args(Command)
 _MOST_BYTES = 4096
 _POLL_S = 0.1
 _LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
-_LAST_S = 1.0  # for a client to take what is left when the run ends
+_LAST_S = 5.0  # for all clients to take what is left when the run ends
 _PIPES = r"\\.\pipe"
 
 
@@ -93,7 +94,7 @@ class Server:
         self._accepting.start()
 
     def close(self) -> None:
-        """Serve no more; clients get a second for what is left. May be called twice."""
+        """Serve no more; clients get five seconds for what is left. May be called twice."""
         with self._lock:
             if self._closed:
                 return
@@ -105,8 +106,9 @@ class Server:
         self._listener.close()
         for client in clients:
             client.end()
+        until = time.monotonic() + _LAST_S
         for client in clients:
-            client.join(_LAST_S)
+            client.join(max(until - time.monotonic(), 0.0))
 
     def __enter__(self) -> Self:
         return self
