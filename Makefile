@@ -12,7 +12,7 @@ FAST    := not (bench or browser or ros or ci or nightly)
 
 .PHONY: help install explore test ci nightly lint bench soak figures docs firmware clean
 help:
-	@echo "make explore  set up everything, then explore the default room on the emulator"
+	@echo "make explore  set up what a robot needs, then explore the default room on the emulator"
 	@echo "make test     set up everything, then lint, and test units, protocol, simulation and image"
 	@echo "make ci       the same, and what takes longer: studies, browser, ROS, fault campaign, docs"
 	@echo "make nightly  the same, and the full oracles (hours)"
@@ -27,10 +27,14 @@ help:
 install: .stamps/install
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
-.stamps/install: $(BIN)/python $(CORE)
+# What a robot needs; then what its developers need.
+.stamps/robot: $(BIN)/python $(CORE)
 	@mkdir -p .stamps
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet setuptools wheel scikit-build-core nanobind cmake ninja
+	$(BIN)/pip install --quiet --no-build-isolation --editable .
+	@touch $@
+.stamps/install: .stamps/robot
 	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench,foxglove,ros]'
 	@touch $@
 
@@ -44,7 +48,7 @@ ROS := ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-s
 	.venv-ros/bin/pip install --quiet $(ROS)
 	@touch $@
 
-explore: install
+explore: .stamps/robot
 	$(BIN)/thigmo explore
 
 lint: install
