@@ -29,7 +29,7 @@ Message = tuple[str, int, bytes]  # topic, time in ns, payload
 
 
 class Client:
-    """A client of Foxglove's protocol (github.com/foxglove/ws-protocol, docs/spec.md)."""
+    """A client of Foxglove's protocol (github.com/foxglove/ws-protocol)."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self._socket = socket

@@ -133,7 +133,7 @@ def _run_info(path: Path) -> dict[str, Any]:
         }
     log = folder.read_log()
     if log.missing:
-        facts["record"] = log.missing
+        facts["missing"] = log.missing
     times = [entry.t_s for entry in log.entries]
     return facts | {
         "frames": len(log.entries),
