@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,8 +22,13 @@ pytestmark = [
 
 
 @pytest.fixture
-def port(serve: Callable[[Scene], str]) -> str:
-    return serve(Scene.load("empty"))
+def port() -> Iterator[str]:
+    from served import ServedRobot  # has no import where there are no terminals
+
+    robot = ServedRobot(Lockstep(Scene.load("empty"), VirtualBoard(1), seed=1))
+    robot.alone()  # the suite falls silent on purpose, and waits in the computer's time
+    yield robot.port
+    robot.close()
 
 
 def run(port: str, tests: str) -> subprocess.CompletedProcess[str]:
