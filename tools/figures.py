@@ -204,7 +204,7 @@ HEADLINES = (
     ),
     (
         "bench-scaling",
-        "one contact, 10 readings, all that localize answers",
+        "one contact, straight, 10 readings",
         "time of one answer of `thigmo.localize`, ten readings",
     ),
     ("budgets", "trigger: step to event on the wire", "touch to event on the wire, on the Mega"),
