@@ -80,6 +80,22 @@ class Whitener {
     return out;
   }
 
+  // One column, where independent errors leave it zero outside of a few readings only those.
+  struct Column {
+    int from, count;
+    Row value;  // (count,)
+  };
+  Column column(const double* values) const {
+    const int n = static_cast<int>(inverse_.size());
+    if (column_.rows > 0) return {0, n, (*this)(values)};
+    int from = 0, to = n;
+    while (from < n && values[from] == 0.0) ++from;
+    while (to > from && values[to - 1] == 0.0) --to;
+    Column out{from, to - from, Row(values + from, values + to)};
+    for (int i = 0; i < out.count; ++i) out.value[i] *= inverse_[from + i];
+    return out;
+  }
+
   // Each of the M columns of `values`.
   void operator()(const Matrix& values, Matrix& out) const {
     const int n = values.rows, count = values.columns;
@@ -152,9 +168,9 @@ inline Row log_densities(const Frame& frame, const Matrix& extra) {
     const Row read = white(frame.excess.data());
     const double plain = white.log_det - 0.5 * Whitener::dot(read.data(), read.data(), n);
     for (int e = 0; e < extra.rows; ++e) {
-      const Row column = white(extra[e]);
-      const double c = 1.0 + Whitener::dot(column.data(), column.data(), n);
-      const double told = Whitener::dot(column.data(), read.data(), n);
+      const auto [from, count, column] = white.column(extra[e]);
+      const double c = 1.0 + Whitener::dot(column.data(), column.data(), count);
+      const double told = Whitener::dot(column.data(), read.data() + from, count);
       each[e].push_back(plain + 0.5 * told * told / c - 0.5 * std::log(c));
     }
   }

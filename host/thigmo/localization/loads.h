@@ -208,7 +208,7 @@ class OneContactGrid {
       free[s] = Whitener::dot(read_[s].data(), read_[s].data(), n);
       constant[s] = white_[s].log_det - 0.5 * free[s];
       if (extra) {
-        const Beside beside(white_[s](extra), read_[s]);
+        const Beside beside(white_[s].column(extra), read_[s]);
         Row along(count);
         beside.along(white, along.data());
         for (int m = 0; m < count; ++m) {
@@ -293,7 +293,7 @@ class OneContactGrid {
       }
       plain = std::max(plain, constant + 0.5 * best);
       for (int e = 0; e < columns.rows; ++e) {
-        const Beside beside(white_[s](columns[e]), read);
+        const Beside beside(white_[s].column(columns[e]), read);
         beside.along(white, along.data());
         best = 0.0;
         for (int m = 0; m < count; ++m) {
@@ -327,21 +327,20 @@ class OneContactGrid {
   // One more column of the covariance: a rank-one change of every product. `told` and `along` are
   // products with the column, scaled so that their own products are what is taken away.
   struct Beside {
-    Row column;
+    Whitener::Column column;
     double scale, told, gain;
-    Beside(Row&& whitened, const Row& read) : column(std::move(whitened)) {
-      const int n = static_cast<int>(column.size());
-      const double c = 1.0 + Whitener::dot(column.data(), column.data(), n);
+    Beside(Whitener::Column&& whitened, const Row& read) : column(std::move(whitened)) {
+      const double* value = column.value.data();
+      const double c = 1.0 + Whitener::dot(value, value, column.count);
       scale = 1.0 / std::sqrt(c);
-      told = scale * Whitener::dot(column.data(), read.data(), n);
+      told = scale * Whitener::dot(value, read.data() + column.from, column.count);
       gain = 0.5 * (told * told - std::log(c));
     }
     void along(const Matrix& white, double* out) const {
       std::fill(out, out + white.columns, 0.0);
-      for (int i = 0; i < white.rows; ++i) {
-        const double share = scale * column[i];
-        if (share == 0.0) continue;
-        const double* row = white[i];
+      for (int i = 0; i < column.count; ++i) {
+        const double share = scale * column.value[i];
+        const double* row = white[column.from + i];
         for (int m = 0; m < white.columns; ++m) out[m] += row[m] * share;
       }
     }
