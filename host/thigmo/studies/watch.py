@@ -106,7 +106,9 @@ def _own_sockets() -> Iterator[None]:
 def _ages(seconds: float) -> tuple[list[float], float]:
     """How old the newest reading was each time that the page was drawn; readings a second."""
     with ExitStack() as stack:
-        robot = stack.enter_context(_process("emulate", "empty", says="open "))
+        config = f"{stack.enter_context(tempfile.TemporaryDirectory())}/robot.toml"
+        served = _process("emulate", "empty", "--config", config, says="open ")
+        robot = stack.enter_context(served)
         port = robot.partition("open ")[2].partition(";")[0]
         browser, address = stack.enter_context(_page())
         page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
