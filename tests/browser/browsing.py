@@ -59,7 +59,8 @@ class Looking:
         self.errors: list[str] = []
         self.outside: list[str] = []
 
-    def open(self, address: str, **options: Any) -> Page:
+    def open(self, address: str, *, refused: bool = False, **options: Any) -> Page:
+        """A page of this address; one that is to be `refused` may say so on its console."""
         context = self._browser.new_context(
             **{"viewport": {"width": 1440, "height": 900}, **options}
         )
@@ -67,7 +68,7 @@ class Looking:
         self._contexts.append(context)
         origin = address.partition("?")[0].rstrip("/")
         page = context.new_page()
-        page.on("console", self._hear)
+        page.on("console", lambda message: self._hear(message, refused=refused))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
 
         def note(url: str) -> None:
@@ -79,7 +80,9 @@ class Looking:
         page.goto(address)
         return page
 
-    def _hear(self, message: ConsoleMessage) -> None:
+    def _hear(self, message: ConsoleMessage, *, refused: bool) -> None:
+        if refused and "403 (Forbidden)" in message.text:
+            return
         if message.type in ("error", "warning"):
             self.errors.append(message.text)
 

@@ -67,12 +67,16 @@ def test_exploration_from_start_to_map(
     (folder,) = runs.iterdir()
     assert page.evaluate("thigmo.store.page.run.folder") == str(folder)
     assert (folder / "map.yaml").exists()
+    page.evaluate("thigmo.still = true")  # nothing is drawn until the record's first moment is
     page.locator("#open-record").click()
     expect(page.locator("#player")).to_be_visible()
-    expect(page.locator("#contact-rows tr")).to_have_count(1)
     expect(page.locator("#position")).to_contain_text("of")  # all of it is loaded
     page.keyboard.press("Home")
+    page.evaluate("thigmo.still = false")
+    page.keyboard.press("Home")
     expect(page.locator("#contacts-empty")).to_be_visible()
+    page.keyboard.press("End")
+    expect(page.locator("#contact-rows tr")).to_have_count(1)
     page.locator("#start").click()  # a robot that moves is shown live, with its stop
     expect(page.locator("#player")).to_be_hidden()
     expect(page.locator("#stop")).to_be_visible()

@@ -79,7 +79,7 @@ export function drawRoom() {
 }
 
 function changed(name, value, draw) {
-  if (drawn[name] === value) return;
+  if (name in drawn && drawn[name] === value) return;
   drawn[name] = value;
   layers[name].replaceChildren();
   if (value) draw(value);

@@ -8,9 +8,11 @@ const ICONS = {
   fault: '<svg class="icon" viewBox="0 0 12 12" aria-label="fault"><path d="M3.6.8h4.8l2.8 2.8v4.8l-2.8 2.8H3.6L.8 8.4V3.6Z" fill="var(--fault)"/></svg>',
 };
 const SHOWN = 300;
-let listed = { events: null, count: 0, contacts: undefined, banners: "" };
+let listed;
 
-export function forget() { listed = { events: null, count: 0, contacts: undefined, banners: "" }; }
+// `null` is nothing that comes: what was listed before goes also where no message follows.
+export function forget() { listed = { events: null, count: 0, contacts: null, banners: null }; }
+forget();
 
 // As a sentence: events come as clauses.
 const sentence = (words) => words && words[0].toUpperCase() + words.slice(1) + (/[.!?:]$/.test(words) ? "" : ".");
