@@ -89,18 +89,27 @@ class ScriptedRun:
         """Tell an event."""
         self.hub.publish(Event(*self._now(), name, severity, message, what_next))  # type: ignore[arg-type]
 
-    def feel(self) -> None:
-        """Tell a contact, where it is believed to be, and the bent body."""
-        poses = tuple((float(x), 0.007 * x * x, 0.014 * x) for x in range(0, 41, 2))
+    def bend(self, curvature_per_cm: float) -> None:
+        """Tell how the body lies: 40 cm of it, bent to the left."""
+        half = 0.5 * curvature_per_cm
+        poses = tuple((float(x), half * x * x, 2 * half * x) for x in range(0, 41, 2))
         self.hub.publish(BodyShape(*self._now(), poses, 1.75))
+
+    def believe(self, *, sweeping: bool) -> None:
+        """Tell where along the body a contact is believed to be."""
         places = tuple(0.5 * n for n in range(81))
         weights = [math.exp(-0.5 * ((place - 31.2) / 1.1) ** 2) for place in places]
         self.hub.publish(
             Posterior(
                 *self._now(), "left", 40.0, places, tuple(w / sum(weights) for w in weights),
-                "localized", "one contact", "",
+                "localized", "one contact", "", 0.97, sweeping,
             )
         )  # fmt: skip
+
+    def feel(self) -> None:
+        """Tell the bent body, and a contact with its place."""
+        self.bend(0.014)
+        self.believe(sweeping=False)
         self.hub.publish(Contacts(*self._now(), (CONTACT,)))
 
     def read(self, count: int, *, faults: tuple[str, ...] = ()) -> None:

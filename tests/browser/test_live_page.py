@@ -63,6 +63,61 @@ def test_page_shows_state_readings_contact_and_events(
         assert shown == [40.0, None]
 
 
+def _ribbon(page: Page) -> str:
+    """How the posterior is drawn in the room; on an outline in dashes if the body has moved on."""
+    return page.locator('#room [data-layer="posterior"]').inner_html()
+
+
+def _drawn_otherwise(page: Page, before: str) -> None:
+    page.wait_for_function(
+        "before => document.querySelector('#room [data-layer=\"posterior\"]').innerHTML !== before",
+        arg=before,
+    )
+
+
+def test_posterior_of_mid_sweep_moves_with_the_body_until_the_contact_is_measured(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        run.read(20)
+        run.bend(0.006)
+        run.believe(sweeping=True)
+        density = page.locator("#body")
+        expect(density).to_contain_text("contact so far, left muscle: localized, 97.0 %")
+        _drawn_otherwise(page, "")
+        first = _ribbon(page)
+        assert "dash" not in first
+        run.read(20)
+        run.bend(0.009)  # the posterior is still the same one
+        _drawn_otherwise(page, first)
+        second = _ribbon(page)
+        assert "dash" not in second
+        run.read(200)  # the robot has gone on for a second, and the posterior has not
+        _drawn_otherwise(page, second)
+        assert "dash" in _ribbon(page)
+        run.bend(0.014)
+        run.believe(sweeping=False)
+        expect(density).to_contain_text("contact, left muscle: localized, 97.0 %")
+
+
+def test_page_that_comes_in_the_next_sweep_shows_no_posterior_of_the_last_one(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        run.state()
+        run.feel()
+        run.state(stage_cm=50.0)
+        run.read(20)
+        page = looking.open(serve_page().address)
+        expect(page.locator("#body")).to_contain_text("no contact measured at this stage yet")
+        expect(page.locator("#contact-rows")).to_contain_text("31.2")
+        assert _ribbon(page) == ""
+        run.state(state="GROW", stage_cm=60.0)  # and again at rest, until the next sweep
+        expect(page.locator("#body")).to_contain_text("probability density of a contact, left")
+
+
 def test_fault_stands_at_the_top_with_what_to_do_next(
     looking: Looking, serve_page: ServePage
 ) -> None:

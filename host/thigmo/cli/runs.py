@@ -77,22 +77,13 @@ def info(
 
 def export(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    csv: Annotated[Path | None, typer.Option(help="Folder for CSV files, one a channel.")] = None,
-    parquet: Annotated[
-        Path | None, typer.Option(help="Folder for Parquet files; needs pyarrow.")
-    ] = None,
+    csv: Annotated[Path, typer.Option(help="Folder for CSV files, one a channel.")],
     as_json: JsonOption = False,
 ) -> None:
     """Write a run's telemetry, events, states, posteriors, contacts and shapes as tables."""
-    from thigmo.errors import DataError
-    from thigmo.stream.export import export_csv, export_parquet
+    from thigmo.stream.export import export_csv
 
-    if csv is None and parquet is None:
-        raise DataError("nothing to write", "give --csv FOLDER or --parquet FOLDER")
-    files = [
-        *(export_csv(run, csv) if csv else []),
-        *(export_parquet(run, parquet) if parquet else []),
-    ]
+    files = export_csv(run, csv)
     if as_json:
         print_json({"files": [str(file) for file in files]})
         return

@@ -51,12 +51,17 @@ def watch(
     ] = False,
 ) -> None:  # fmt: skip
     """Show a run in the browser: the robot in its room, its signals, its contacts; and stop it."""
-    from thigmo.errors import RunFolderError
+    from thigmo.errors import DataError, RunFolderError
     from thigmo.live.server import WatchOptions
 
     if target and os.sep in target and "://" not in target and not Path(target).exists():
         raise RunFolderError(f"no such run folder or port: {target}", "check its path")
     past = Path(target) if target is not None and Path(target).is_dir() else None
+    if past is not None and foxglove:
+        raise DataError(
+            f"--foxglove serves runs that are under way, and {past} has ended",
+            f"open {past / 'run.mcap'} in Foxglove as a local file",
+        )
     explore = ["--out", str(out), *(["--config", str(config)] if config else [])]
     options = WatchOptions(
         url=None if past else target,
@@ -120,14 +125,24 @@ def open_page(url: str, out: Path, config: Path | None) -> None:
     """Serve the page of a robot's runs beside this command, and open it. It stays until the run is
     over and nobody looks any more."""
     import subprocess
+    import threading
 
     options = ["--leave", "--out", str(out), *(["--config", str(config)] if config else [])]
-    subprocess.Popen(
+    page = subprocess.Popen(
         [sys.executable, "-m", "thigmo", "watch", url, *options],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         start_new_session=True,
+        text=True,
     )
+
+    # It must not hold this command's own stderr open, which others may read to its end.
+    def tell_address() -> None:
+        assert page.stderr is not None
+        typer.echo(page.stderr.readline(), nl=False, err=True)
+
+    threading.Thread(target=tell_address, daemon=True).start()
 
 
 def open_browser(address: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from math import tanh
 
 from thigmo.errors import StoppedByViewerError, ThigmoError
 from thigmo.exploration.feel import Feeling
@@ -51,23 +52,31 @@ class Live:
 
     def felt(self, length_cm: float, feelings: Sequence[Feeling]) -> None:
         """What a stage's sweeps told, of each side."""
-        hub, now = self._robot.hub, self._now()
         for feeling in feelings:
-            result = feeling.result
-            hub.publish(
-                Posterior(
-                    *now,
-                    feeling.shape.side,
-                    length_cm,
-                    tuple(result.places.tolist()),
-                    tuple(result.probability.tolist()),
-                    result.status,
-                    result.hypothesis,
-                    result.message,
-                )
-            )
+            self.feels(length_cm, feeling)
         if not feelings:
-            hub.publish(Posterior(*now, "", length_cm, (), (), "no contact", "", _NOTHING_FELT))
+            now = self._now()
+            self._robot.hub.publish(
+                Posterior(*now, "", length_cm, (), (), "no contact", "", _NOTHING_FELT)
+            )
+
+    def feels(self, length_cm: float, feeling: Feeling, *, sweeping: bool = False) -> None:
+        """What the sweep of one side told; `sweeping` while it goes on."""
+        result = feeling.result
+        self._robot.hub.publish(
+            Posterior(
+                *self._now(),
+                feeling.shape.side,
+                length_cm,
+                tuple(result.places.tolist()),
+                tuple(result.probability.tolist()),
+                result.status,
+                result.hypothesis,
+                result.message,
+                (1.0 + tanh(result.log_odds / 2.0)) / 2.0,
+                sweeping,
+            )
+        )
 
     def contacts(self, contacts: Sequence[MapContact]) -> None:
         """The map's contacts."""

@@ -1,4 +1,4 @@
-"""A run's messages as tables, one a channel: CSV, or Parquet where pyarrow is installed.
+"""A run's messages as tables, one a channel, in CSV.
 
 Units are in the columns' names. A message with a list in it (a body's poses, the cells of a
 posterior, the contacts of a map) becomes a row for each entry. The grid stays a picture (map.pgm).
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from thigmo.config import SIDES
-from thigmo.errors import DataError, RunFolderError
+from thigmo.errors import RunFolderError
 from thigmo.stream.messages import (
     BodyShape,
     Contacts,
@@ -61,8 +61,11 @@ def _shape(message: BodyShape) -> Iterator[Row]:
 def _posterior(message: Posterior) -> Iterator[Row]:
     told = {
         name: getattr(message, name)
-        for name in ("side", "length_cm", "status", "hypothesis", "message")
-    }
+        for name in (
+            "side", "length_cm", "status", "hypothesis", "message", "contact_probability",
+            "sweeping",
+        )
+    }  # fmt: skip
     cells: list[tuple[float | None, float | None]]
     cells = list(zip(message.places_cm, message.probability, strict=True)) or [(None, None)]
     for place_cm, probability in cells:
@@ -142,28 +145,3 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
                 {name: "" if value != value else value for name, value in row.items()}
             )
     return [target / f"{channel}.csv" for channel in writers]
-
-
-def export_parquet(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
-    """As `export_csv`, in Parquet.
-
-    Raises:
-        DataError: pyarrow is not installed.
-        RunFolderError: as `export_csv`.
-    """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise DataError(
-            "Parquet needs pyarrow, which is not installed", "`pip install pyarrow`, or give --csv"
-        ) from error
-    tables: dict[str, dict[str, list[Any]]] = {}
-    for channel, row in _rows(run):
-        columns = tables.setdefault(channel, {name: [] for name in row})
-        for name, value in row.items():
-            columns[name].append(value)
-    with _writing(folder) as (target, _):
-        for channel, columns in tables.items():
-            parquet.write_table(pyarrow.table(columns), target / f"{channel}.parquet")
-    return [target / f"{channel}.parquet" for channel in tables]

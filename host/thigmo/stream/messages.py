@@ -173,7 +173,8 @@ class BodyShape(Message):
 
 @dataclass(frozen=True, slots=True)
 class Posterior(Message):
-    """Where along the body a contact is, as the localizer sees it after a stage's measurement.
+    """Where along the body a contact is, as the localizer sees it: about ten times a second while a
+    sweep feels one, and after a stage's measurement.
 
     Attributes:
         side: inflated muscle.
@@ -181,6 +182,8 @@ class Posterior(Message):
         places_cm: (N,) middles of cells along the body; empty without a contact.
         probability: (N,) mass of each cell; their sum is 1.
         status, hypothesis, message: the localizer's answer in words.
+        contact_probability: that the readings have a contact behind them at all, 0 to 1.
+        sweeping: the sweep goes on, and this is by its last half second.
     """
 
     CHANNEL = "posterior"
@@ -192,6 +195,8 @@ class Posterior(Message):
     status: str
     hypothesis: str
     message: str
+    contact_probability: Number = nan
+    sweeping: bool = False
 
 
 @dataclass(frozen=True, slots=True)

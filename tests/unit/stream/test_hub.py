@@ -49,7 +49,7 @@ ONE_OF_EACH = [
     an_event(),
     a_state(),
     BodyShape(1.0, 2.0, ((0.0, 0.0, 0.0), (1.0, 0.1, 0.2)), 1.75),
-    Posterior(1.0, 2.0, "left", 40.0, (1.0, 2.0), (0.25, 0.75), "localized", "one", "one contact"),
+    Posterior(1.0, 2.0, "left", 40.0, (1.0, 2.0), (0.25, 0.75), "localized", "one", "", 0.9, True),
     Contacts(
         1.0, 2.0,
         (

@@ -1,8 +1,9 @@
 // Along the body: what the localizer believes of a contact's place, over what every sensor reads
 // against what the free body would read there. Both share the axis, from the base to the tip.
 
-import { $, COLUMN, index, store } from "./store.js";
+import { $, COLUMN, index, posterior as shown, store } from "./store.js";
 import { line, make, sized, text, ticks } from "./svg.js";
+import { percent } from "./words.js";
 
 const svg = $("body");
 const layer = make("g", {}, svg);
@@ -16,7 +17,7 @@ export function drawBodyChart() {
   const width = svg.clientWidth, height = svg.clientHeight;
   const row = index(), { last, page } = store;
   const values = row < 0 ? [] : Array.from({ length: 20 }, (_, n) => store.columns[COLUMN.curvature + n][row]);
-  const key = JSON.stringify([width, height, row, last.posterior?.t_s, last.contacts?.t_s, page?.body?.length_cm]);
+  const key = JSON.stringify([width, height, row, shown()?.t_s, shown()?.side, last.contacts?.t_s, page?.body?.length_cm]);
   if (key === drawn || width < 10) return;
   drawn = key;
   layer.replaceChildren();
@@ -41,7 +42,7 @@ export function drawBodyChart() {
 }
 
 function drawDensity({ y0, y1 }, X) {
-  const { posterior, contacts } = store.last;
+  const posterior = shown(), { contacts } = store.last;
   make("line", { x1: PAD.left, x2: X(store.page?.body?.length_cm ?? 60), y1: y1, y2: y1, stroke: "var(--line)" }, layer);
   text(layer, 14, (y0 + y1) / 2, "1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
   let words = "no contact measured at this stage yet";
@@ -58,7 +59,8 @@ function drawDensity({ y0, y1 }, X) {
     for (const value of ticks(0, most, 2).slice(1)) {
       text(layer, PAD.left - 8, Y(value) + 4, +value.toPrecision(3), { "text-anchor": "end", fill: "var(--faint)" });
     }
-    words = `probability density of a contact, ${side} muscle: ${posterior.status}`;
+    const certain = posterior.contact_probability === null ? "" : `, ${percent(posterior.contact_probability)}`;
+    words = `probability density of a contact${posterior.sweeping ? " so far" : ""}, ${side} muscle: ${posterior.status}${certain}`;
   } else if (posterior) {
     words = posterior.status;
   }

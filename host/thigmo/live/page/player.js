@@ -1,7 +1,7 @@
 // A finished run: all of it is loaded, and the player moves the moment that is shown. The space bar
 // stays the stop's, also here; P plays, the arrow keys go a second back and forth.
 
-import { $, COLUMN, COLUMNS, add, hold, mostBent, reset, store, time } from "./store.js";
+import { $, COLUMN, COLUMNS, add, hold, reset, store, time, under } from "./store.js";
 import { make } from "./svg.js";
 
 const CHANNELS = ["state", "shape", "posterior", "contacts", "grid"];
@@ -60,14 +60,10 @@ export function seek(t) {
       for (let k = first; k < n; k += step) store.trail.push(list[k].poses);
       if (n) store.last.shape = list[n - 1];
     } else if (channel === "posterior") {
-      const found = n ? list[n - 1] : null;
-      const swept = slow.state.findLast((each) => each.state === "SWEEP" && time(each.t_s) <= store.now);
-      if (found && swept && found.t_s >= swept.t_s) {
-        const at = before(slow.shape, time(found.t_s), (each) => time(each.t_s));
-        const shapes = slow.shape.slice(Math.max(0, at - 400), at).map((each) => each.poses);
-        store.touched = found.places_cm.length ? mostBent(shapes, found.side) : null;
-        store.last.posterior = found;
-      }
+      if (!n) continue;
+      const found = (store.last.posterior = list[n - 1]);
+      const at = before(slow.shape, time(found.t_s), (each) => time(each.t_s));
+      store.touched = under(found, slow.shape.slice(Math.max(0, at - 400), at).map((each) => each.poses));
     } else if (n) {
       hold(list[n - 1]);
     }

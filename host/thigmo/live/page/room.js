@@ -1,15 +1,16 @@
 // The room from above: what was swept, what is occupied, the robot, and its contacts with what is
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
-import { $, css, latest, store, COLUMN } from "./store.js";
+import { $, css, latest, posterior, store, time, COLUMN } from "./store.js";
 import { line, make, set, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
 const RIBBON_CM = 3.5; // height of the posterior at its peak
+const FRESH_S = .3; // for which a posterior of mid-sweep moves with the body
 const svg = $("room");
 const layers = {};
 for (const name of ["grid", "map", "swept", "truth", "body", "posterior", "contacts", "words"]) {
-  layers[name] = make("g", {}, svg);
+  layers[name] = make("g", { "data-layer": name }, svg);
 }
 const bounds = { x0: -8, x1: 60, y0: -28, y1: 28 };
 let frame = "", scale = 1, left = 0, top = 0, drawn = {};
@@ -75,7 +76,9 @@ export function drawRoom() {
   const shape = last.shape ?? (length > 0.5 ? straight(length) : null);
   changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape));
   changed("swept", store.trail.length ? store.trail.at(-1) : null, drawTrail);
-  changed("posterior", last.posterior && store.touched, drawPosterior);
+  const felt = posterior(), moves = felt?.sweeping && store.now - time(felt.t_s) < FRESH_S;
+  const poses = moves ? last.shape?.poses : store.touched;
+  changed("posterior", felt && poses && [felt.t_s, felt.side, moves && last.shape.t_s].join(), () => drawPosterior(felt, poses, moves));
 }
 
 function changed(name, value, draw) {
@@ -175,8 +178,7 @@ function along(poses, arc) {
 }
 
 // The density along the body, as a ribbon on the skin that leads the bend.
-function drawPosterior(poses) {
-  const { places_cm: places, probability, side } = store.last.posterior;
+function drawPosterior({ places_cm: places, probability, side }, poses, moves) {
   const most = Math.max(...probability);
   const radius = store.last.shape?.radius_cm ?? 2.4;
   const turned = poses.at(-1)[2] - poses[0][2];
@@ -190,7 +192,7 @@ function drawPosterior(poses) {
   });
   if (skin.length < 2) return;
   const layer = layers.posterior;
-  make("path", { d: tube(poses, radius), fill: "none", stroke: "var(--contact)", "stroke-opacity": .35, "stroke-dasharray": "3 3" }, layer);
+  if (!moves) make("path", { d: tube(poses, radius), fill: "none", stroke: "var(--contact)", "stroke-opacity": .35, "stroke-dasharray": "3 3" }, layer);
   make("path", { d: `${line(top)}${line(skin.reverse()).replace("M", "L")}Z`, fill: "var(--contact)", "fill-opacity": .38 }, layer);
   make("path", { d: line(top), fill: "none", stroke: "var(--contact)", "stroke-width": 1.5 }, layer);
 }

@@ -13,6 +13,7 @@ COLUMN.telling = COLUMNS;
 export const SIDES = ["left", "right"];
 const KEPT = 40_000; // rows: more than three minutes of full telemetry
 const TRAIL = 400; // shapes of a stage
+const SWEEPING = ["SWEEP", "REST", "MEASURE", "LOCALIZE"];
 
 export const store = {
   page: null, // what the server says of itself and of the run
@@ -81,25 +82,31 @@ export function add(message) {
 export function hold(message) {
   const { last } = store;
   if (message.channel === "state") {
-    if (message.stage_cm !== last.state?.stage_cm) store.trail = [];
-    // What was measured stays in view until the next sweep.
-    if (message.state === "SWEEP" && last.state?.state !== "SWEEP") {
-      store.touched = null;
-      delete last.posterior;
-    }
+    if (last.state && message.stage_cm !== last.state.stage_cm) store.trail = [];
   }
   if (message.channel === "shape") {
     store.trail.push(message.poses);
     if (store.trail.length > TRAIL) store.trail = store.trail.filter((_, n) => n % 2);
   }
-  if (message.channel === "posterior") {
-    store.touched = message.places_cm.length ? mostBent(store.trail, message.side) : null;
-  }
+  if (message.channel === "posterior") store.touched = under(message, store.trail);
   last[message.channel] = message;
 }
 
+// The posterior that is shown: what was measured stays in view until the next stage is swept.
+export function posterior() {
+  const { posterior, state } = store.last;
+  const before = SWEEPING.includes(state?.state) && Math.abs(posterior?.length_cm - state.stage_cm) > .5;
+  return before ? null : posterior;
+}
+
+// The shape on which a posterior lies: the last one while the sweep goes on, else the one measured.
+export function under({ places_cm, side, sweeping }, shapes) {
+  if (!places_cm.length) return null;
+  return sweeping ? shapes.at(-1) ?? null : mostBent(shapes, side);
+}
+
 // The last shape of a stage in which the body was bent the most to a side: there it was measured.
-export function mostBent(shapes, side) {
+function mostBent(shapes, side) {
   const sign = side === "right" ? -1 : 1;
   let found = null, most = .05;
   for (let n = shapes.length - 1; n >= 0; n--) {

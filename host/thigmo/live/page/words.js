@@ -79,7 +79,7 @@ function drawContactRows() {
   }));
 }
 
-const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;
+export const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;
 
 function drawEvents() {
   const { events, page } = store;

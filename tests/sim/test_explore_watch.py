@@ -1,0 +1,131 @@
+"""`thigmo explore --watch`: the page is opened, follows the run, and outlives the command."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from served import comes
+
+from thigmo.emulator.scene import Scene
+
+# Stands for the operator's browser: tells the page's address, and the process that serves it, which
+# has started Python's `webbrowser`, which has started this.
+BROWSER = """
+import os, sys
+with open(f"/proc/{os.getppid()}/stat") as stat:
+    server = stat.read().rpartition(")")[2].split()[1]
+with open(sys.argv[1], "w") as told:
+    told.write(f"{server} {sys.argv[2]}")
+"""
+
+
+class Watched:
+    """`thigmo explore --watch`, and the page that it has opened."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        told = folder / "told"
+        os.mkfifo(told)
+        (folder / "browser.py").write_text(BROWSER)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "thigmo", "explore", "--watch", *options],
+            env=os.environ | {"BROWSER": f"{sys.executable} {folder / 'browser.py'} {told} %s"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        # An emulated run is over within seconds: it waits until its page is there.
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        assert comes(lambda: bool(children.read_text()))
+        self.process.send_signal(signal.SIGSTOP)
+        server, self.address = told.read_text().split()
+        self._server = int(server)
+        self.process.send_signal(signal.SIGCONT)
+
+    def until(self, outcome: str, *, interrupt: bool = False) -> None:
+        """Look at the page until the run that it shows has ended so.
+
+        Args:
+            outcome: how its outcome begins.
+            interrupt: press Ctrl-C once the robot is sweeping.
+        """
+        asyncio.run(self._until(outcome, interrupt=interrupt))
+
+    async def _until(self, outcome: str, *, interrupt: bool) -> None:
+        async for message in self._messages():
+            if message["channel"] != "state":
+                continue
+            if message["outcome"].startswith(outcome):
+                return
+            assert message["outcome"] == "running"
+            if interrupt and message["state"] == "SWEEP":
+                self.process.send_signal(signal.SIGINT)
+                interrupt = False
+
+    async def _messages(self) -> Any:
+        origin = self.address.rstrip("/")
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(f"{origin}/stream", headers={"Origin": origin}) as socket,
+        ):
+            async for batch in socket:
+                for message in json.loads(batch.data):
+                    yield message
+                await socket.send_str('{"ack":1}')
+
+    def close(self) -> None:
+        """End the command and the page."""
+        self.process.kill()
+        self.process.communicate()
+        with suppress(ProcessLookupError):
+            os.kill(self._server, signal.SIGKILL)
+
+
+@pytest.fixture
+def watched(own_sockets: None, tmp_path: Path) -> Iterator[Any]:
+    """Explores the default room from a length on, with further options."""
+    started: list[Watched] = []
+
+    def explore(start_cm: float, *options: str) -> Watched:
+        scene = Scene.load("default")
+        scene.start_length_cm = start_cm
+        scene.robot.sensors.settle_s = 0.2
+        scene.save(tmp_path / "room.toml")
+        where = ["--scene", str(tmp_path / "room.toml"), "--out", str(tmp_path / "runs")]
+        started.append(Watched(tmp_path, *where, *options))
+        return started[-1]
+
+    yield explore
+    for each in started:
+        each.close()
+
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="finds the page's process in /proc")
+
+
+def test_page_is_opened_and_follows_the_run_whose_result_is_the_only_output(watched: Any) -> None:
+    run = watched(53.0, "--json")
+    run.until("full length")
+    out, err = run.process.communicate()
+    assert run.process.returncode == 0, err
+    assert json.loads(out)["outcome"] == "full length"
+    assert err.startswith(f"The page is at {run.address}")
+    run.until("full length")  # the page is still there for those who look
+
+
+def test_ctrl_c_ends_the_run_and_leaves_the_page(watched: Any) -> None:
+    run = watched(20.0, "--realtime")
+    run.until("aborted: interrupted by the operator", interrupt=True)
+    run.process.communicate()
+    assert run.process.returncode == 130
+    run.until("aborted: interrupted by the operator")
