@@ -15,7 +15,7 @@ help:
 	@echo "make explore  set up what a robot needs, then explore the default room on the emulator"
 	@echo "make test     set up everything, then lint, and test units, protocol, simulation and image"
 	@echo "make ci       the same, and what takes longer: studies, browser, ROS, fault campaign, docs"
-	@echo "make nightly  the same, and the full oracles (hours)"
+	@echo "make nightly  the same, and the full oracles, soak and studies (hours)"
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
@@ -72,7 +72,9 @@ ci: lint .stamps/ros
 	$(BIN)/python tools/release.py
 
 nightly: ci
-	$(PYTEST) -n $(WORKERS) --dist worksteal -m nightly
+	$(PYTEST) -n $(WORKERS) --dist worksteal --nightly -m "nightly or scaled"
+	$(BIN)/python tools/soak.py
+	$(BIN)/thigmo bench --jobs $(WORKERS) --out build/nightly
 
 bench: install
 	$(BIN)/thigmo bench

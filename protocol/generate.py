@@ -59,7 +59,7 @@ class SchemaError(Exception):
     """The schema breaks one of its own rules."""
 
 
-class _UniqueLoader(yaml.SafeLoader):
+class _UniqueLoader(yaml.CSafeLoader):
     """YAML that refuses a key given twice, which would silently drop a message."""
 
 

@@ -22,13 +22,17 @@ HERE = Path(__file__).parent
 TIERS = frozenset({"unit", "protocol", "sim", "mega", "bench", "browser", "ros"})
 
 # One commit gives one verdict: every run draws the same examples. `HYPOTHESIS_PROFILE=random`
-# draws new ones.
-settings.register_profile("repeatable", derandomize=True)
-settings.register_profile("random", print_blob=True)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+# draws new ones. No example has a deadline, for the computer may be busy.
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=30)
+settings.register_profile("nightly", settings.get_profile("repeatable"), max_examples=1000)
+settings.register_profile("random", deadline=None, print_blob=True)
+
+NIGHTLY_TIMES = 20  # as many cases of `many`
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
+    usual = "nightly" if config.getoption("--nightly") else "repeatable"
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", usual))
     # A shell without job control starts what it puts in the background with SIGINT ignored, and
     # every child inherits that; the tests that send it mean programs which were started by hand.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -37,9 +41,11 @@ def pytest_configure() -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        for folder in item.path.relative_to(HERE).parts:
-            if folder in TIERS:
-                item.add_marker(folder)
+        slow = {"unit"} if item.get_closest_marker("ci") else set()  # `unit` takes seconds in all
+        for folder in (TIERS - slow).intersection(item.path.relative_to(HERE).parts):
+            item.add_marker(folder)
+        if "many" in getattr(item, "fixturenames", ()) or item.get_closest_marker("hypothesis"):
+            item.add_marker("scaled")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -48,6 +54,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="PORT",
         help="run the conformance suite against this port too (its configuration is put back)",
     )
+    parser.addoption(
+        "--nightly",
+        action="store_true",
+        help="many more examples and cases in the tests marked `scaled`",
+    )
+
+
+@pytest.fixture(scope="session")
+def many(pytestconfig: pytest.Config) -> Callable[[int], int]:
+    """How many cases to take where so many are usual: those, and in `make nightly` 20 times."""
+    times = NIGHTLY_TIMES if pytestconfig.getoption("--nightly") else 1
+    return lambda usual: usual * times
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_runtime_folder() -> Iterator[None]:
+    """Sockets of runs and robots of this worker's tests: no other worker sees or clears them."""
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory(prefix="tg") as folder:
+        patch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
 
 
 @pytest.fixture

@@ -10,6 +10,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from port_holder import PortHolder
+
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
@@ -50,11 +52,12 @@ def comes(condition: Callable[[], bool], seconds: float = EVER_S) -> bool:
 
 
 class _PatientServer(PtyServer):
-    """Lets the robot's time stand still rather than let a host fall silent that this computer
-    keeps from running.
+    """Lets the robot's time stand still while this computer keeps the host's port process from
+    running.
 
     Attributes:
-        patient: whether it does; not for a host that was ended.
+        patient: whether it also stands still rather than that the host falls silent; not for a
+            host that was ended.
         slow_s: of real time, to add to each step: what then takes long is the robot's, and not this
             computer's.
     """
@@ -63,11 +66,17 @@ class _PatientServer(PtyServer):
     slow_s = 0.0
     _heard_s: float | None = None  # by the robot's clock, since the port was opened
 
+    def __init__(self, lockstep: Lockstep, *, reset_on_open: bool) -> None:
+        super().__init__(lockstep, reset_on_open=reset_on_open)
+        self._holder = PortHolder(self.path)
+
     def _exchange(self) -> None:
+        until = time.monotonic() + EVER_S
+        while self._opened and self._holder.held_up() and time.monotonic() < until:
+            time.sleep(STEP_S / 2)
         if not self._opened:
             self._heard_s = None
         elif self._heard_s is not None and self.lockstep.t_s - self._heard_s > 2 * PERIOD_S:
-            until = time.monotonic() + EVER_S
             while self.patient and not self._poll.poll(20) and time.monotonic() < until:
                 pass
         if self.slow_s:
@@ -77,6 +86,7 @@ class _PatientServer(PtyServer):
     def _take(self) -> bytes:
         data = super()._take()
         if data:
+            self._holder.look()
             self._heard_s = self.lockstep.t_s
         return data
 

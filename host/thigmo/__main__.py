@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-
 from thigmo.cli import ending
 
 
@@ -12,12 +10,12 @@ def run() -> None:
     ending.be_ready()
     try:
         from thigmo.cli.main import main
+
+        main()
     except KeyboardInterrupt:
         ending.leave()
-    try:
-        main()
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left that it could leave undone
+        ending.be_done()
 
 
 if __name__ == "__main__":

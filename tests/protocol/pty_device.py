@@ -1,8 +1,8 @@
 """The reference device behind a pseudo-terminal, in real time: what a serial port looks like.
 
 A thread steps it by the monotonic clock. It keeps the device's times of the heartbeats that reached
-it: where the computer is busy, device time slips against the wall clock, and a gap between beats is
-one that the device saw.
+it: where the computer is busy, device time slips against the wall clock, and stands still while the
+host's port process is kept from running. A gap between beats is one that the device saw.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import threading
 import time
 import tty
 
+from port_holder import PortHolder
 from reference_device import ReferenceDevice
 
-MOST_BEHIND_MS = 50
+_LONGEST_S = 0.05  # that passes at once
 
 
 class PtyDevice:
@@ -57,20 +58,23 @@ class PtyDevice:
         return self.now_s() - self.beats[-1]
 
     def _run(self) -> None:
-        began = time.monotonic()
+        holder, out = PortHolder(self.port), bytearray()
+        due_s, last = 0.0, time.monotonic()
         while not self._stop.is_set():
             ready, _, _ = select.select([self._master], [], [], 0.005)
+            if ready:
+                holder.look()
+            held_up = holder.held_up()
             with self.lock:
                 if ready:
                     self.device.write(os.read(self._master, 4096))
-                behind = int((time.monotonic() - began) * 1000) - self.device.now_us // 1000
-                if behind > MOST_BEHIND_MS:  # a busy computer: the device's time slips instead
-                    began += (behind - MOST_BEHIND_MS) / 1000
-                    behind = MOST_BEHIND_MS
-                count = len(self.device.beats)
-                self.device.step(behind)
-                if len(self.device.beats) > count or len(self.device.beats) > len(self.beats):
+                now = time.monotonic()
+                due_s += 0.0 if held_up else min(now - last, _LONGEST_S)
+                last = now
+                self.device.step(int(due_s * 1000))
+                due_s %= 0.001
+                if len(self.device.beats) > len(self.beats):
                     self.beats += [self.now_s()] * (len(self.device.beats) - len(self.beats))
-                out = self.device.read()
+                out += self.device.read()
             if out and select.select([], [self._master], [], 0)[1]:
-                os.write(self._master, out[:2048])
+                del out[: os.write(self._master, out[:2048])]

@@ -99,7 +99,9 @@ def assert_executed_once_in_order(device: ReferenceDevice, witness: Witness) -> 
     assert acknowledged <= set(log), "acknowledged, but not executed"
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [*range(8), *(pytest.param(n, marks=pytest.mark.nightly) for n in range(8, 100))]
+)
 @pytest.mark.parametrize("rate", RATES)
 def test_commands_execute_once_and_in_order(rate: float, seed: int) -> None:
     device = ReferenceDevice(seed)

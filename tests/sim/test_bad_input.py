@@ -138,7 +138,7 @@ def test_a_port_that_is_no_robot_of_ours(
     named: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(client_module, "BOOT_LOADER_S", 0.2)
+    monkeypatch.setattr(client_module, "BOOT_LOADER_S", 0.6)
     monkeypatch.setattr(client_module, "SILENCE_S", 0.2)
     monkeypatch.setattr(wire.Hello, "DEADLINE_S", 0.3)
     speaker = Speaker(says)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from served import EVER_S
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.plant import Plant
@@ -151,7 +152,7 @@ def served(tmp_path: Path) -> Iterator[str]:
         },
     )
     thread.start()
-    assert up.wait(30)
+    assert up.wait(EVER_S)
     try:
         yield str(link)
     finally:

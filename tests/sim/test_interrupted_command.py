@@ -27,6 +27,63 @@ run()
 """
 
 
+# What raises the signal in itself, when it comes to a place.
+AT_A_PLACE = """
+import sys, signal
+from importlib import import_module
+from thigmo.cli import ending
+number, module, name = int(sys.argv[1]), *sys.argv[2].split(":")
+ending.be_ready()
+owner = import_module(module)
+for part in name.split(".")[:-1]:
+    owner = getattr(owner, part)
+real = getattr(owner, name.split(".")[-1])
+def raising(*args, **options):
+    signal.raise_signal(number)
+    return real(*args, **options)
+setattr(owner, name.split(".")[-1], raising)
+sys.argv = ["thigmo", "localize", "example", "--length", "53", "--span", "5.5"]
+from thigmo.__main__ import run
+run()
+"""
+AGAIN = "thigmo: interrupted; run it again\n"
+KEPT = "thigmo: interrupted; what was finished is kept\n"
+
+
+@pytest.mark.parametrize(
+    ("place", "line", "number"),
+    [
+        ("typer.main:get_command", AGAIN, signal.SIGINT),
+        ("typer.main:get_command", AGAIN, signal.SIGTERM),
+        ("typer.core:TyperGroup.make_context", KEPT, signal.SIGINT),
+        ("typer.core:TyperGroup.make_context", KEPT, signal.SIGTERM),
+        ("typer.core:TyperGroup.invoke", KEPT, signal.SIGINT),
+        ("thigmo.localization:localize", KEPT, signal.SIGTERM),
+        ("rich.console:Console.print", KEPT, signal.SIGINT),
+    ],
+)
+def test_at_a_place(place: str, line: str, number: signal.Signals) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", AT_A_PLACE, str(int(number)), place],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (128 + number, line)
+
+
+@pytest.mark.parametrize("number", [number for number, _ in BOTH])
+def test_after_its_end_it_ends_without_a_word(number: signal.Signals) -> None:
+    script = (
+        "import atexit, signal, sys; sys.argv = ['thigmo', '--version']\n"
+        f"atexit.register(signal.raise_signal, {int(number)})\n"
+        "from thigmo.__main__ import run; run()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (-number, "")
+    assert done.stdout.startswith("thigmo ")
+
+
 def ended(program: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
     program.send_signal(number)
     _, said = program.communicate()

@@ -250,6 +250,29 @@ def test_every_bad_argument_is_one_clear_line(  # type: ignore[no-untyped-def]
     assert left == {"r.csv", "bad.toml", "empty"}  # and nothing is begun
 
 
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["explore", "--seed", "many"], r"'--seed': .*`thigmo explore --help`"),
+        (["explore", "--sead", "1"], r"No such option: --sead .*--seed"),
+        (["explor"], r"No such command 'explor'.*'explore'.*`thigmo --help`"),
+        (["localize"], r"Missing argument .*`thigmo localize --help`"),
+        (["localize", "r.csv"], r"Missing option '--length'"),
+        (["params"], r"Missing option '--robot'"),
+        (["retract", "--robot", "emulator://empty", "--to", "-1"], "'--to': .* or equal to 0"),
+        (["camera", "lok"], r"No such command 'lok'.*`thigmo camera --help`"),
+        (["info", "a", "b"], r"unexpected extra argument.*b"),
+    ],
+)
+def test_every_wrong_usage_is_one_line_and_status_2(  # type: ignore[no-untyped-def]
+    thigmo, arguments: list[str], named: str
+) -> None:
+    ran = thigmo(*arguments)
+    assert (ran.code, ran.out) == (2, "")
+    assert re.fullmatch(r"thigmo: [^\n]+; see `thigmo[^\n]*--help`", ran.err.strip()), ran.err
+    assert re.search(named, ran.err), ran.err
+
+
 def test_parameters_have_their_whole_names_in_80_columns(thigmo) -> None:  # type: ignore[no-untyped-def]
     lines = thigmo("params", "--robot", "emulator://default").out.splitlines()
     assert max(map(len, lines)) <= 80

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from thigmo.config import RobotConfig
@@ -33,13 +33,11 @@ def _growth(
     return length, bend + 0.3  # any zero
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 4), st.integers(0, 2**31))
 def test_a_growth_that_went_well_is_no_stall(pitch: int, seed: int) -> None:
     assert stall(*_growth(10.0 * pitch, 10.0 * pitch + 10, seed=seed), TABLE) is None
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.floats(33.5, 36.0), st.integers(0, 2**31))
 def test_a_tip_that_stalls_within_a_sensor_is_placed_within_a_centimetre(
     tip: float, seed: int
@@ -52,7 +50,6 @@ def test_a_tip_that_stalls_within_a_sensor_is_placed_within_a_centimetre(
     assert found.believed_cm == 40.0
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(30.2, 32.5), st.integers(0, 2**31))
 def test_a_tip_that_stalls_before_the_sensor_has_an_interval(tip: float, seed: int) -> None:
     found = stall(*_growth(30.0, 40.0, tip, seed), TABLE)

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
@@ -58,7 +58,6 @@ def test_frames_notes_and_metadata_survive_in_order(tmp_path: Path, whole: bytes
     assert not log.truncated
 
 
-@settings(max_examples=60, deadline=None)
 @given(share=st.floats(0.0, 0.999))
 def test_a_record_cut_anywhere_gives_a_prefix_and_says_so(
     tmp_path_factory: pytest.TempPathFactory, whole: bytes, share: float
@@ -77,7 +76,6 @@ def test_a_record_cut_anywhere_gives_a_prefix_and_says_so(
     assert count >= 1000 * share - 300
 
 
-@settings(max_examples=60, deadline=None)
 @given(place=st.integers(200, 30_000), value=st.integers(0, 255))
 def test_a_flipped_byte_never_invents_a_frame(
     tmp_path_factory: pytest.TempPathFactory, whole: bytes, place: int, value: int
@@ -94,7 +92,6 @@ def test_a_flipped_byte_never_invents_a_frame(
     assert all(e.frame in known for e in log.entries)
 
 
-@settings(max_examples=60, deadline=None)
 @given(share=st.floats(0.02, 0.98), count=st.integers(1, 40), seed=st.integers(0, 2**32 - 1))
 def test_a_record_damaged_in_its_middle_gives_up_only_what_is_damaged(
     tmp_path_factory: pytest.TempPathFactory, whole: bytes, share: float, count: int, seed: int

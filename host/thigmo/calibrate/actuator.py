@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -187,12 +186,6 @@ class ActuatorResult:
             # The board has one constant, and looks for contacts while pressure rises.
             actuator.lag_s = self.lag.inflate_s
         return made
-
-    def figure(self, path: Path) -> None:
-        """Curvature against pressure with both maps."""
-        from thigmo.calibrate.figures import actuator_figure
-
-        actuator_figure(self, path)
 
 
 def _map_values(p: Array, parameters: Array) -> Array:

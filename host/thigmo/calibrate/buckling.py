@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -94,12 +93,6 @@ class BucklingResult:
         made.body.critical_curvature_se = self.critical_se
         made.body.critical_pressure_psi = self.body_pressure_psi
         return made
-
-    def figure(self, path: Path) -> None:
-        """Every trial's estimate and the mean."""
-        from thigmo.calibrate.figures import buckling_figure
-
-        buckling_figure(self, path)
 
 
 def fit_buckling(

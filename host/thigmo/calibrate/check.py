@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -67,12 +66,6 @@ class CheckResult:
     def apply(self, config: RobotConfig) -> RobotConfig:
         """A check changes nothing: a copy."""
         return config.model_copy(deep=True)
-
-    def figure(self, path: Path) -> None:
-        """The findings as a table."""
-        from thigmo.calibrate.figures import check_figure
-
-        check_figure(self, path)
 
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:

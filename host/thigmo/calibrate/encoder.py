@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,12 +53,6 @@ class EncoderResult:
         made = config.model_copy(deep=True)
         made.spool.counts_per_cm = self.counts_per_cm
         return made
-
-    def figure(self, path: Path) -> None:
-        """Counts against length."""
-        from thigmo.calibrate.figures import encoder_figure
-
-        encoder_figure(self, path)
 
 
 def read_encoder(path: str | os.PathLike[str]) -> tuple[Array, Array]:
@@ -195,12 +188,6 @@ class PressureResult:
     def apply(self, config: RobotConfig) -> RobotConfig:
         """The zeros are the board's, not the configuration's: a copy."""
         return config.model_copy(deep=True)
-
-    def figure(self, path: Path) -> None:
-        """The zeros against what is plausible."""
-        from thigmo.calibrate.figures import pressure_figure
-
-        pressure_figure(self, path)
 
 
 def fit_pressure_zero(

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+from functools import singledispatch
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from thigmo.calibrate.actuator import _map_values
+from thigmo.calibrate.actuator import ActuatorResult
+from thigmo.calibrate.buckling import BucklingResult
+from thigmo.calibrate.check import CheckResult
+from thigmo.calibrate.encoder import EncoderResult, PressureResult
+from thigmo.calibrate.flex import FlexResult
+from thigmo.calibrate.hysteresis import HysteresisResult
+from thigmo.calibrate.muscles import ActuatorResults
+from thigmo.calibrate.noise import NoiseResult
+from thigmo.calibrate.stiffness import StiffnessResult
+from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import SIDES
 from thigmo.errors import DataError
 from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
-
-if TYPE_CHECKING:
-    from thigmo.calibrate.actuator import ActuatorResult
-    from thigmo.calibrate.buckling import BucklingResult
-    from thigmo.calibrate.check import CheckResult
-    from thigmo.calibrate.encoder import EncoderResult, PressureResult
-    from thigmo.calibrate.flex import FlexResult
-    from thigmo.calibrate.hysteresis import HysteresisResult
-    from thigmo.calibrate.noise import NoiseResult
-    from thigmo.calibrate.stiffness import StiffnessResult
-    from thigmo.calibrate.verdict import Verdict
 
 _MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
 
@@ -40,7 +39,18 @@ def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
         raise DataError(f"cannot write {path}: {error}", "choose another folder") from error
 
 
-def flex_figure(result: FlexResult, path: Path) -> None:
+@singledispatch
+def draw(result: StepResult, path: Path) -> None:
+    """Draw a step's data and fit.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    raise TypeError(f"{type(result).__name__} has no figure")
+
+
+@draw.register
+def _flex(result: FlexResult, path: Path) -> None:
     """Resistance against curvature, one panel a sensor."""
     columns = 1 + max(fit.index for fit in result.sensors)
     figure = Figure(figsize=(3.0 * columns, 6.4), layout="constrained")
@@ -81,7 +91,8 @@ def flex_figure(result: FlexResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def actuator_figure(result: ActuatorResult, path: Path) -> None:
+@draw.register
+def _actuator(result: ActuatorResult, path: Path) -> None:
     """Curvature against pressure with both maps."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -94,8 +105,7 @@ def actuator_figure(result: ActuatorResult, path: Path) -> None:
     for name, mark, color, curve in curves:
         pick = (branch == name) & result.used
         axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
-        x = np.array([np.log(curve.amplitude), np.log(curve.scale_psi), curve.offset_psi])
-        axes.plot(grid, sign * _map_values(grid, x), "-", color=color, lw=1)
+        axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
     out = ~result.used
     axes.plot(r.pressure_psi[out], r.curvature[out], "x", color=RED, label="left out")
     axes.set_xlabel("muscle pressure (psi)")
@@ -105,7 +115,16 @@ def actuator_figure(result: ActuatorResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def buckling_figure(result: BucklingResult, path: Path) -> None:
+@draw.register
+def _actuators(results: ActuatorResults, path: Path) -> None:
+    """One figure for each muscle and body pressure."""
+    for result in results.each:
+        name = f"{path.stem}-{result.readings.side}-{result.readings.body_pressure_psi:g}psi.png"
+        _actuator(result, path.with_name(name))
+
+
+@draw.register
+def _buckling(result: BucklingResult, path: Path) -> None:
     """Every trial's estimate and the mean."""
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
@@ -121,7 +140,8 @@ def buckling_figure(result: BucklingResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def hysteresis_figure(result: HysteresisResult, path: Path) -> None:
+@draw.register
+def _hysteresis(result: HysteresisResult, path: Path) -> None:
     """Decays with their laws."""
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -138,7 +158,8 @@ def hysteresis_figure(result: HysteresisResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def stiffness_figure(result: StiffnessResult, path: Path) -> None:
+@draw.register
+def _stiffness(result: StiffnessResult, path: Path) -> None:
     """Ratio of every picture and the mean."""
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
@@ -152,7 +173,8 @@ def stiffness_figure(result: StiffnessResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def noise_figure(result: NoiseResult, path: Path) -> None:
+@draw.register
+def _noise(result: NoiseResult, path: Path) -> None:
     """The three parts of every sensor."""
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes = figure.subplots()
@@ -170,7 +192,8 @@ def noise_figure(result: NoiseResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def encoder_figure(result: EncoderResult, path: Path) -> None:
+@draw.register
+def _encoder(result: EncoderResult, path: Path) -> None:
     """Counts against length."""
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
@@ -183,7 +206,8 @@ def encoder_figure(result: EncoderResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def pressure_figure(result: PressureResult, path: Path) -> None:
+@draw.register
+def _pressure(result: PressureResult, path: Path) -> None:
     """The zeros."""
     figure = Figure(figsize=(5, 3.5), layout="constrained")
     axes = figure.subplots()
@@ -194,7 +218,8 @@ def pressure_figure(result: PressureResult, path: Path) -> None:
     _finish(figure, path, result.verdict)
 
 
-def check_figure(result: CheckResult, path: Path) -> None:
+@draw.register
+def _check(result: CheckResult, path: Path) -> None:
     """The findings as a table."""
     figure = Figure(figsize=(9, 0.3 * len(result.findings) + 1.2), layout="constrained")
     axes = figure.subplots()

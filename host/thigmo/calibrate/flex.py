@@ -15,7 +15,6 @@ The errors stated hold from sweep to sweep (`correlation`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -157,12 +156,6 @@ class FlexResult:
             sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, fit.hysteresis))
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
         return made
-
-    def figure(self, path: Path) -> None:
-        """Resistance against curvature, one panel a sensor."""
-        from thigmo.calibrate.figures import flex_figure
-
-        flex_figure(self, path)
 
 
 def fit_flex(

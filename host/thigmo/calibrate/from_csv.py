@@ -11,8 +11,8 @@ from thigmo.calibrate.actuator import BendReadings, fit_actuator
 from thigmo.calibrate.buckling import PushReadings, fit_buckling
 from thigmo.calibrate.encoder import fit_encoder, fit_pressure_zero, read_encoder
 from thigmo.calibrate.flex import FlexReadings, fit_flex
-from thigmo.calibrate.guided import ActuatorResults, summary
 from thigmo.calibrate.hysteresis import CreepRecord, fit_hysteresis
+from thigmo.calibrate.muscles import ActuatorResults, summary
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
 from thigmo.calibrate.verdict import StepResult

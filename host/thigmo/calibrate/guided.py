@@ -10,9 +10,8 @@ check (the keys of `STEPS`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.hysteresis import CreepRecord, HysteresisResult, fit_hysteresis
 from thigmo.calibrate.lag import fit_lag
+from thigmo.calibrate.muscles import ActuatorResults, summary
 from thigmo.calibrate.noise import NoiseResult, fit_noise
 from thigmo.calibrate.procedures import (
     bend_rows,
@@ -40,7 +40,7 @@ from thigmo.calibrate.procedures import (
     tip_rows,
 )
 from thigmo.calibrate.stiffness import AxisPoints, StiffnessResult, fit_stiffness
-from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.calibrate.verdict import StepResult
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
 
@@ -101,53 +101,6 @@ def hysteresis(bench: Bench) -> HysteresisResult:
     result = fit_hysteresis(records, config)
     bench.finish("hysteresis", result)
     return result
-
-
-@dataclass(frozen=True)
-class ActuatorResults:
-    """Both muscles at every body pressure that was measured."""
-
-    each: tuple[ActuatorResult, ...]
-    verdict: Verdict
-
-    def as_data(self) -> Row:
-        """Plain data."""
-        return {"each": [r.as_data() for r in self.each], "verdict": self.verdict.as_data()}
-
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """All maps into a copy of the configuration."""
-        made = config.model_copy(deep=True)
-        for result in self.each:
-            made = result.apply(made)
-        for side in SIDES:
-            spreads = [r.offset_se for r in self.each if r.readings.side == side]
-            if spreads:
-                made.actuators.side(side).offset_se = max(spreads)
-        return made
-
-    def figure(self, path: Path) -> None:
-        """One figure for each muscle and body pressure."""
-        for result in self.each:
-            body = result.readings.body_pressure_psi
-            result.figure(path.with_name(f"{path.stem}-{result.readings.side}-{body:g}psi.png"))
-
-
-def summary(found: Sequence[ActuatorResult]) -> Verdict:
-    """One verdict over several maps."""
-    bad = [r for r in found if not r.verdict.good]
-    notes = tuple(
-        f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {text}"
-        for r in found
-        for text in ((r.verdict.reason,) if r not in bad else ()) + r.verdict.notes
-    )
-    if bad:
-        r = bad[0]
-        return Verdict(
-            False, f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi: {r.verdict.reason}",
-            notes,
-        )  # fmt: skip
-    worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
-    return Verdict(True, f"{len(found)} maps, g to {100 * worst:.2f} % or better", notes)
 
 
 def actuator(bench: Bench) -> ActuatorResults:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -118,12 +117,6 @@ class HysteresisResult:
                 sensor.settle_tau_s = fit.law.tau_s
                 sensor.settle_amplitude = fit.law.amplitude
         return made
-
-    def figure(self, path: Path) -> None:
-        """Decays with their fits."""
-        from thigmo.calibrate.figures import hysteresis_figure
-
-        hysteresis_figure(self, path)
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,12 +71,6 @@ class NoiseResult:
                 lasting = float(np.hypot(s.slow, np.nan_to_num(s.hysteresis)))
                 sensor.zero_se = max(sensor.zero_se, lasting)
         return made
-
-    def figure(self, path: Path) -> None:
-        """The three parts of every sensor."""
-        from thigmo.calibrate.figures import noise_figure
-
-        noise_figure(self, path)
 
 
 def fit_noise(

@@ -116,9 +116,11 @@ class Session:
 
     def keep(self, step: str, result: StepResult) -> Path | None:
         """Store a result and its figure; a good one goes into robot.toml. Returns the backup."""
+        from thigmo.calibrate.figures import draw  # takes Matplotlib with it
+
         data = json.dumps(result.as_data(), indent=1, default=_plain)
         (self.folder / f"{step}.json").write_text(data)
-        result.figure(self.folder / f"{step}.png")
+        draw(result, self.folder / f"{step}.png")
         if not result.verdict.good:
             return None
         made = result.apply(self.config)

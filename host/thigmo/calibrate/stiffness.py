@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,12 +79,6 @@ class StiffnessResult:
     def apply(self, config: RobotConfig) -> RobotConfig:
         """Nothing in the configuration depends on it: a copy."""
         return config.model_copy(deep=True)
-
-    def figure(self, path: Path) -> None:
-        """Ratio of every picture and the mean."""
-        from thigmo.calibrate.figures import stiffness_figure
-
-        stiffness_figure(self, path)
 
 
 def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 from thigmo.config import RobotConfig
@@ -43,10 +42,6 @@ class StepResult(Protocol):
 
     def apply(self, config: RobotConfig) -> RobotConfig:
         """A copy of the configuration with this step's results in it."""
-        ...
-
-    def figure(self, path: Path) -> None:
-        """Draw data and fit."""
         ...
 
 

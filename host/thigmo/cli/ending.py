@@ -9,16 +9,27 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Callable
 from types import FrameType
 
+_BOTH = (signal.SIGINT, signal.SIGTERM)
 _caught = signal.SIGINT
 
 
 def be_ready() -> None:
     """From now on SIGINT and SIGTERM are `KeyboardInterrupt`."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    _handle(_interrupt)
+
+
+def be_done() -> None:
+    """From now on they end the process without a word: nothing is left to be undone."""
+    _handle(signal.SIG_DFL)
+
+
+def _handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    for number in _BOTH:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` and `&` have it
-            signal.signal(number, _interrupt)
+            signal.signal(number, handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -33,7 +44,7 @@ def status() -> int:
 
 
 def leave() -> None:
-    """Say that nothing more is done, and end at once: while Python itself is being set up."""
+    """Say that nothing was done, and end at once: modules may be half imported."""
     sys.stderr.write("thigmo: interrupted; run it again\n")
     sys.stderr.flush()
     os._exit(status())

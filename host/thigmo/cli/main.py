@@ -7,6 +7,9 @@ imported when it runs, so that `thigmo --help` stays fast.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from inspect import getdoc
 from typing import Annotated, Any
 
 import typer
@@ -31,17 +34,38 @@ from thigmo.cli import (
 )
 from thigmo.errors import ThigmoError
 
+# Wrong options, values and commands; typer has no name of its own for their class.
+_UsageError: Any = typer.BadParameter.__base__
+
 
 class _Thigmo(TyperGroup):
-    """The command; what nobody below it said of an interrupt, it says."""
+    """The command; what nobody below it said of an interrupt or of wrong arguments, it says."""
+
+    def make_context(self, *args: Any, **options: Any) -> Any:
+        """Parse the arguments."""
+        with _told():
+            return super().make_context(*args, **options)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the subcommand."""
-        try:
+        with _told():
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            typer.echo("thigmo: interrupted; what was finished is kept", err=True)
-            raise typer.Exit(ending.status()) from None
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo("thigmo: interrupted; what was finished is kept", err=True)
+        raise typer.Exit(ending.status()) from None
+    except _UsageError as error:
+        if type(error).show is not _UsageError.show:  # no argument at all: its help is shown
+            raise
+        said = " ".join(error.format_message().split()).rstrip(".")
+        path = error.ctx.command_path if error.ctx else "thigmo"
+        typer.echo(f"thigmo: {said}; see `{path} --help`", err=True)
+        raise typer.Exit(error.exit_code) from None
 
 
 app = typer.Typer(
@@ -70,6 +94,12 @@ for module in (
     design,
 ):
     module.register(app)
+for each in filter(None, (app, *(group.typer_instance for group in app.registered_groups))):
+    for command in each.registered_commands:
+        # A docstring's lines are as long as the source's; a terminal breaks its paragraphs anew.
+        command.help = "\n\n".join(
+            " ".join(part.split()) for part in (getdoc(command.callback) or "").split("\n\n")
+        )
 
 
 @app.callback()

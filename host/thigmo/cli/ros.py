@@ -22,7 +22,7 @@ def ros(
     target: Annotated[
         str | None,
         typer.Argument(
-            metavar="[RUN or URL]",
+            metavar="RUN|URL",
             help="A run folder, whose map is published; or where a robot is. Left out: whatever "
             "run is under way, or comes.",
         ),

@@ -71,12 +71,17 @@ def report(name: str, outcome: Outcome, out: Path, as_json: bool) -> dict[str, A
 
 def _show(table: Table) -> None:
     from rich.console import Console
+    from rich.measure import Measurement
     from rich.table import Table as RichTable
 
     shown = RichTable(*table.columns, title=table.name)
     for row in table.rows:
         shown.add_row(*(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row))
-    Console(width=150).print(shown)
+    console = Console()
+    # Words are not cut: a table whose words need more than the terminal has goes beyond it.
+    needed = Measurement.get(console, console.options.update_width(1000), shown).minimum
+    console.width = max(console.width, needed)
+    console.print(shown)
 
 
 @contextmanager

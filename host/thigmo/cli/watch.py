@@ -24,7 +24,7 @@ def watch(
     target: Annotated[
         str | None,
         typer.Argument(
-            metavar="[RUN or URL]",
+            metavar="RUN|URL",
             help="Folder of a finished run, or where the robot is, on which Start then explores. "
             "Left out: whatever run is under way, or comes.",
         ),

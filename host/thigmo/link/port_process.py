@@ -25,6 +25,7 @@ import sys
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from multiprocessing.connection import Listener
 from typing import IO
 
@@ -316,7 +317,8 @@ def main() -> int:
     signal.signal(signal.SIGINT, lambda number, frame: relay.call_stop())
     signal.signal(signal.SIGTERM, lambda number, frame: relay.call_stop())
     relay.run()
-    stops.close()
+    with suppress(FileNotFoundError):  # somebody cleared the folder away
+        stops.close()
     port.close()
     outbox.close(0.5)
     # The thread that reads the host's stream may hold its lock; a normal exit would wait for it.

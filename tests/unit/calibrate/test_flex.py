@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS, Lab, real_sweeps
 
+from thigmo.calibrate.figures import draw
 from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex, merge, tip_curvature
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import fit_linear
@@ -26,13 +27,13 @@ def errors(result: FlexResult, lab: Lab) -> np.ndarray:
 
 
 @pytest.mark.ci
-def test_stated_errors_cover_the_true_ones_over_many_labs():
+def test_stated_errors_cover_the_true_ones_over_many_labs(many):
     """Scales and zeros of 18 labs, ten sensors each: their z-scores spread as they say.
 
     A lab's ten sensors share the places of the camera, so the 180 scores count as fewer.
     """
     scales, zeros, relative = [], [], []
-    for seed in range(100, 118):
+    for seed in range(100, 100 + many(18)):
         lab = Lab(seed)
         result = fit_flex(lab.flex(), lab.config)
         assert result.verdict.good, result.verdict
@@ -264,7 +265,7 @@ def test_merge_and_figure(tmp_path):
     result = fit_flex(both, lab.config)
     assert result.readings.block.tolist() == [0] * 13 + [1] * 15
     assert (np.abs(errors(result, lab)) < 4 * np.array([f.scale_se for f in result.sensors])).all()
-    result.figure(tmp_path / "flex.png")
+    draw(result, tmp_path / "flex.png")
     assert (tmp_path / "flex.png").stat().st_size > 20_000
 
 
@@ -279,10 +280,10 @@ def scores(one: FlexResult, two: FlexResult) -> list[float]:
 
 
 @pytest.mark.ci
-def test_stated_errors_hold_from_sweep_to_sweep_and_half_to_half():
+def test_stated_errors_hold_from_sweep_to_sweep_and_half_to_half(many):
     """On sensors whose residuals last, whose gain changes, that curve, and that drop out."""
     halves, single, true = [], [], []
-    for seed in range(5):
+    for seed in range(many(5)):
         lab, sweeps = real_sweeps(seed, bow=0.3, lost=0.28)
         one, two = (
             fit_flex(reduce(merge, part), lab.config) for part in (sweeps[::2], sweeps[1::2])

@@ -11,6 +11,7 @@ from calibration_truth import CENTERS, LENGTH, SPANS
 from thigmo.calibrate.buckling import PushReadings, fit_buckling
 from thigmo.calibrate.check import CheckReadings, run_check
 from thigmo.calibrate.encoder import fit_encoder, fit_pressure_zero
+from thigmo.calibrate.figures import draw
 from thigmo.calibrate.hysteresis import CreepRecord, fit_decay, fit_hysteresis
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
@@ -314,7 +315,7 @@ def test_every_result_draws_its_figure_and_makes_plain_data(tmp_path):
     ]
     for number, result in enumerate(results):
         path = tmp_path / f"{number}.png"
-        result.figure(path)
+        draw(result, path)
         assert path.stat().st_size > 5_000
         assert result.as_data()["verdict"]["good"] == result.verdict.good
         assert isinstance(result.apply(config), RobotConfig)

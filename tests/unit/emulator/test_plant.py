@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from thigmo.emulator.plant import STEP_S, Plant
@@ -380,7 +380,6 @@ def test_same_seed_same_levels_and_another_seed_others() -> None:
     assert levels(3) != levels(4)
 
 
-@settings(max_examples=15, deadline=None)
 @given(
     commands=st.lists(
         st.tuples(

@@ -3,14 +3,13 @@ test. The golden vectors of the protocol are handed to them as a generated heade
 
 from __future__ import annotations
 
-import fcntl
-import hashlib
 import json
 import re
 import subprocess
 from pathlib import Path
 
 import pytest
+from compiled import compiled
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
@@ -58,36 +57,15 @@ def _golden_header() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _digest(golden: str) -> str:
-    """Of all that the program is made of."""
-    digest = hashlib.sha256(" ".join((golden, *FLAGS)).encode())
-    for path in sorted([*HERE.glob("*.h"), *HERE.glob("*.cpp"), *CORE.rglob("*.h")]):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 @pytest.fixture(scope="session")
 def runner() -> Path:
-    """The program; it takes half a minute to build, and is built once for the same sources."""
-    golden = _golden_header()
-    folder = ROOT / "build" / "core-tests"
-    program = folder / _digest(golden)
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # both workers may come here
-        if program.exists():
-            return program
-        (folder / "golden_vectors.h").write_text(golden)
-        include = [f"-I{folder}", f"-I{HERE}", f"-I{CORE}"]
-        built = folder / "built"
-        done = subprocess.run(
-            ["c++", *FLAGS, *include, str(HERE / "runner.cpp"), "-o", str(built)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        return built.rename(program)
+    """The program; it takes half a minute to build."""
+    return compiled(
+        "core",
+        ["c++", *FLAGS, f"-I{HERE}", f"-I{CORE}", HERE / "runner.cpp"],
+        [HERE, HERE / "runner.cpp", CORE],
+        {"golden_vectors.h": _golden_header()},
+    )
 
 
 def test_every_case_is_found(runner: Path) -> None:

@@ -39,7 +39,7 @@ def tree(committed: dict[str, Any]) -> dict[str, Any]:
 
 def load(generate: ModuleType, tree: dict[str, Any], folder: Path) -> Any:
     path = folder / "schema.yaml"
-    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    path.write_text(yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False))
     return generate.load(path)
 
 

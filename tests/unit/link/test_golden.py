@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from compiled import compiled
 
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, FrameError, decode, encode
@@ -127,22 +128,20 @@ def cpp_program() -> str:
     )
 
 
-FLAGS = ["-Wall", "-Wextra", "-Werror", "-I", str(ROOT / "firmware/core")]
-
-
-def test_cpp_encodes_and_decodes(tmp_path: Path) -> None:
-    source, program = tmp_path / "golden.cpp", tmp_path / "golden"
-    source.write_text(cpp_program())
-    compiler = shutil.which("c++") or shutil.which("g++")
-    assert compiler, "a C++ compiler is needed, as for the virtual board"
-    subprocess.run([compiler, "-std=c++14", *FLAGS, str(source), "-o", str(program)], check=True)
-    code = subprocess.run([str(program)], check=False).returncode
+def test_cpp_encodes_and_decodes() -> None:
+    program = built("golden", "c++", "-std=c++14")
+    code = subprocess.run([program], check=False).returncode
     assert code == 0, f"vector {code - 1}: {VECTORS[code - 1] if code < 255 else 'parameters'}"
 
 
 @pytest.mark.skipif(not shutil.which("avr-g++"), reason="avr-g++ is not installed")
-def test_the_header_compiles_for_the_mega(tmp_path: Path) -> None:
-    source = tmp_path / "golden.cpp"
-    source.write_text(cpp_program())
-    command = ["avr-g++", "-mmcu=atmega2560", "-std=gnu++14", "-Os", *FLAGS, "-c", str(source)]
-    subprocess.run([*command, "-o", str(tmp_path / "golden.o")], check=True)
+def test_the_header_compiles_for_the_mega() -> None:
+    assert built("golden-avr", "avr-g++", "-mmcu=atmega2560", "-std=gnu++14", "-Os", "-c").exists()
+
+
+def built(name: str, *command: str) -> Path:
+    """What the generated header and its vectors compile to."""
+    core = ROOT / "firmware/core"
+    source = ["-x", "c++", "-include", "golden_vectors.h", "/dev/null"]
+    flags = ["-Wall", "-Wextra", "-Werror", f"-I{core}"]
+    return compiled(name, [*command, *flags, *source], [core], {"golden_vectors.h": cpp_program()})

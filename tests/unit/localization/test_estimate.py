@@ -53,21 +53,21 @@ def test_free_body_has_no_contact():
     assert result.contacts == ()
 
 
-def test_false_contacts_stay_below_one_in_a_hundred():
+def test_false_contacts_stay_below_one_in_a_hundred(many):
     rng = np.random.default_rng(11)
     for position, noise, scenes in ((BOTH, SIGMA, 1200), (COLUMN, SIGMA, 600), (BOTH, None, 200)):
         false = sum(
             bool(find(SIGMA * rng.standard_normal(len(position)), position, noise=noise).contacts)
-            for _ in range(scenes)
+            for _ in range(many(scenes))
         )
         # Three deviations above 1 %.
-        assert false <= 0.01 * scenes + 3.0 * np.sqrt(0.01 * scenes)
+        assert false <= 0.01 * many(scenes) + 3.0 * np.sqrt(0.01 * many(scenes))
 
 
-def test_false_second_contacts_stay_below_one_in_twenty():
+def test_false_second_contacts_stay_below_one_in_twenty(many):
     rng = np.random.default_rng(12)
     counts = Counter()
-    for _ in range(300):
+    for _ in range(many(300)):
         arc = rng.uniform(15.0, LENGTH)
         force = rng.choice([-1.0, 1.0]) * rng.uniform(0.004, 0.011) / arc
         result = find(felt(arc, force) + SIGMA * rng.standard_normal(10))
@@ -76,12 +76,12 @@ def test_false_second_contacts_stay_below_one_in_twenty():
     assert counts[0] / counts.total() <= 0.05
 
 
-def test_intervals_cover_what_they_claim_and_the_estimate_is_efficient():
+def test_intervals_cover_what_they_claim_and_the_estimate_is_efficient(many):
     """Scenes of a stated prior; errors against the Cramer-Rao bound inside the body."""
     rng = np.random.default_rng(13)
     inside = confident = wrong = 0
     scaled = []
-    scenes = 500
+    scenes = many(500)
     for _ in range(scenes):
         arc = rng.uniform(10.0, LENGTH)
         moment = rng.uniform(0.004, 0.011)

@@ -60,7 +60,7 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
         return  # the levers of a contact are then those of a bent body
     for which in (-1, 3):
         each = []
-        for arc in (np.arange(1000) + 0.5) / 1000:
+        for arc in (np.arange(400) + 0.5) / 400:
             column = phi(arc, POSITION / LENGTH, SPAN / LENGTH)
             for scale in priors.MOMENTS:
                 deviation = scale / max(arc, priors.LEAST_LEVER)

@@ -30,7 +30,7 @@ def check(result, length):
     assert result.probability.sum() == pytest.approx(1.0 if result.contacts else 0.0)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_finite_input_is_answered(data):
     n = data.draw(st.integers(1, 12))

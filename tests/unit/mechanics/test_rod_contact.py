@@ -6,7 +6,7 @@ from math import hypot
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rod_oracles import carried_moment, lagrangian, moment_imbalance
 
@@ -63,7 +63,6 @@ def test_contact_touches_where_it_says(peg: Peg, g: float, kind: str) -> None:
         assert lever == pytest.approx(1.75)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     places=st.lists(
         st.tuples(st.floats(4.0, 56.0), st.floats(2.0, 30.0), st.booleans(), st.floats(0.1, 2.0)),
@@ -106,7 +105,6 @@ def test_any_room_gives_a_body_that_overlaps_nothing(
                 assert found.fold_angle * found.base_moment > 0
 
 
-@settings(max_examples=40, deadline=None)
 @given(x=st.floats(3.0, 52.0), y=st.floats(-2.0, 2.0), radius=st.floats(0.3, 1.5))
 def test_peg_inside_the_straight_body_is_pushed_out(x: float, y: float, radius: float) -> None:
     found = solve(0.01, 53.0, pegs=[Peg(x, y, radius)])
@@ -253,7 +251,6 @@ def test_contact_slides_from_the_side_over_the_corner_onto_the_face(side: float)
     assert list(dict.fromkeys(kinds)) == ["side", "corner", "face"]
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     x=st.floats(10.0, 50.0),
     y=st.floats(2.5, 12.0),

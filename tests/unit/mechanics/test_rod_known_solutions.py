@@ -6,7 +6,7 @@ from math import cos, sin
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from rod_oracles import bending_energy, moment_imbalance
 
@@ -66,7 +66,6 @@ def test_error_falls_with_the_fourth_power_of_the_mesh_width() -> None:
     assert fine < 1e-5
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     arcs=st.lists(st.floats(4.0, 53.0), min_size=1, max_size=3, unique=True),
     g=st.floats(-0.04, 0.04),
@@ -83,7 +82,6 @@ def test_pushed_body_agrees_with_an_independent_integration(
     assert found.averages(CENTERS, 5.5) == pytest.approx(other, abs=2e-7)
 
 
-@settings(max_examples=40, deadline=None)
 @given(arc=st.floats(12.0, 52.9), share=st.floats(0.01, 1.0), g=st.floats(0.003, 0.03))
 def test_peg_that_pushes_is_found_again_by_solving(arc: float, share: float, g: float) -> None:
     # Pushing against the bend, as a robot that runs into a peg does.
@@ -119,7 +117,6 @@ def test_work_of_a_moving_peg_is_the_energy_gained() -> None:
         assert (energies[2] - energies[0]) / 2e-3 == pytest.approx(force_x, rel=2e-4)
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     x=st.floats(10.0, 50.0),
     y=st.floats(4.0, 25.0),

@@ -117,7 +117,7 @@ def test_no_thread_outlives_its_run() -> None:
         one = Run()
         with attach(one.server.address):
             one.server.close()
-    assert threading.active_count() == before
+    assert threading.active_count() <= before  # those of earlier tests may end meanwhile
 
 
 def test_what_a_killed_run_left_behind_is_cleared_away(run: Run) -> None:

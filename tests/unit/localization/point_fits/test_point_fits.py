@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ import thigmo
 from thigmo.errors import DataError
 
 Norm = Literal["l1", "l2"]
+Many = Callable[[int], int]
 BOTH: tuple[Norm, ...] = ("l1", "l2")
 ROBOT = np.tile(np.arange(5.0, 46.0, 10.0), 2) / 53.0  # the thesis's five sensors on both sides
 ROBOT_LOW, ROBOT_HIGH = ROBOT - 2.75 / 53.0, ROBOT + 2.75 / 53.0
@@ -44,9 +46,9 @@ def check(y: Floats, low: Floats, high: Floats, norm: Norm, found: PointFit) -> 
 
 @pytest.mark.parametrize("norm", BOTH)
 @pytest.mark.parametrize(("contacts", "frames", "most"), [(1, 25, 10), (2, 10, 6)])
-def test_no_grid_does_better(norm: Norm, contacts: int, frames: int, most: int) -> None:
+def test_no_grid_does_better(norm: Norm, contacts: int, frames: int, most: int, many: Many) -> None:
     rng = np.random.default_rng(20 + contacts)
-    for _ in range(frames):
+    for _ in range(many(frames)):
         y, low, high = random_frame(rng, most, contacts)
         found = fit(y, low, high, contacts, norm)
         slack = check(y, low, high, norm, found)
@@ -57,9 +59,9 @@ def test_no_grid_does_better(norm: Norm, contacts: int, frames: int, most: int) 
 
 
 @pytest.mark.parametrize(("contacts", "frames", "most"), [(1, 12, 8), (2, 4, 4)])
-def test_linear_programmes_agree(contacts: int, frames: int, most: int) -> None:
+def test_linear_programmes_agree(contacts: int, frames: int, most: int, many: Many) -> None:
     rng = np.random.default_rng(40 + contacts)
-    for _ in range(frames):
+    for _ in range(many(frames)):
         y, places, _ = random_frame(rng, most, contacts, points=True)
         found = fit(y, places, places, contacts, "l1")
         best = programme_minimum(y, places, contacts)
@@ -67,10 +69,10 @@ def test_linear_programmes_agree(contacts: int, frames: int, most: int) -> None:
         assert found.objective == pytest.approx(best, abs=1e-5 * max(1.0, float(np.abs(y).sum())))
 
 
-def test_the_optimum_set_of_one_contact_is_where_the_profile_is_least() -> None:
+def test_the_optimum_set_of_one_contact_is_where_the_profile_is_least(many: Many) -> None:
     rng = np.random.default_rng(60)
     flat = 0
-    for _ in range(50):
+    for _ in range(many(50)):
         y, low, high = random_frame(rng, 10, 1)
         found = fit(y, low, high, 1, "l1")
         (ranges,) = found.optimum_set
@@ -90,10 +92,10 @@ def test_the_optimum_set_of_one_contact_is_where_the_profile_is_least() -> None:
     assert flat > 10
 
 
-def test_the_optimum_sets_of_two_contacts_attain_the_minimum_at_their_ends() -> None:
+def test_the_optimum_sets_of_two_contacts_attain_the_minimum_at_their_ends(many: Many) -> None:
     rng = np.random.default_rng(80)
     flat = 0
-    for _ in range(3):
+    for _ in range(many(2)):
         y = 0.03 * rng.standard_normal(10)
         for _ in range(2):
             y += rng.choice([-1, 1]) * influence(rng.uniform(0.2, 1.0), ROBOT_LOW, ROBOT_HIGH)
@@ -112,7 +114,7 @@ def test_the_optimum_sets_of_two_contacts_attain_the_minimum_at_their_ends() -> 
                     held = {contact: arc}
                     value = grid_minimum(y, ROBOT_LOW, ROBOT_HIGH, 2, "l1", held)
                     assert (value <= found.objective + 1e-5 * scale) == least
-    assert flat > 2
+    assert flat > 1
 
 
 @pytest.mark.parametrize("norm", BOTH)
@@ -140,10 +142,10 @@ def test_rows_are_fitted_as_if_alone(contacts: int, norm: Norm) -> None:
 
 @pytest.mark.parametrize("norm", BOTH)
 @pytest.mark.parametrize("contacts", [1, 2])
-def test_sign_scale_and_order_do_not_matter(contacts: int, norm: Norm) -> None:
+def test_sign_scale_and_order_do_not_matter(contacts: int, norm: Norm, many: Many) -> None:
     rng = np.random.default_rng(4)
     power = 1 if norm == "l1" else 2
-    for _ in range(20):
+    for _ in range(many(20)):
         y, low, high = random_frame(rng, 10, contacts)
         found = fit(y, low, high, contacts, norm).objective
         slack = 3e-9 * float(misfit(y, norm)) + 1e-300

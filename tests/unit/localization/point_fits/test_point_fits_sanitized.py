@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compiled import ROOT, compiled
 from point_fit_oracles import random_frame
 
 import thigmo
@@ -18,11 +19,11 @@ FLAGS = [
 ]
 
 
-def test_the_sanitizers_find_nothing_and_the_answers_are_the_same(tmp_path: Path) -> None:
-    program = tmp_path / "runner"
-    include = f"-I{HERE.parents[3] / 'host/thigmo/localization'}"
+def test_the_sanitizers_find_nothing_and_the_answers_are_the_same() -> None:
+    headers = ROOT / "host/thigmo/localization"
     source = HERE / "point_fit_runner.cpp"
-    subprocess.run(["c++", *FLAGS, include, source, "-o", program], check=True)
+    command = ["c++", *FLAGS, f"-I{headers}", source]
+    program = compiled("point-fits", command, [source, headers])
     rng = np.random.default_rng(7)
     frames, words = [], []
     for k in range(40):

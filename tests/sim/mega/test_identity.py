@@ -12,10 +12,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from compiled import compiled
 
 HERE = Path(__file__).parent
 CORE = HERE.parents[2] / "firmware/core"
-WARN = ["-Wall", "-Wextra", "-Werror", f"-I{CORE}", str(HERE / "identity.cpp"), "-o"]
+SOURCE = HERE / "identity.cpp"
+WARN = ["-Wall", "-Wextra", "-Werror", f"-I{CORE}", SOURCE]
 AVR = ["-mmcu=atmega2560", "-DF_CPU=16000000UL", "-Os", "-std=gnu++14", "-fno-exceptions"]
 
 
@@ -28,17 +30,16 @@ def _parts(output: str) -> dict[str, str]:
     shutil.which("avr-g++") is None or shutil.which("simavr") is None,
     reason="avr-g++ or simavr is missing (.ci/packages.txt)",
 )
-def test_arithmetic_is_identical_on_the_mega(tmp_path: Path) -> None:
-    native, image = tmp_path / "native", tmp_path / "image.elf"
+def test_arithmetic_is_identical_on_the_mega() -> None:
     sanitize = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
-    subprocess.run(["c++", "-std=c++14", "-O1", *sanitize, *WARN, native], check=True)
-    subprocess.run(["avr-g++", *AVR, *WARN, image], check=True)
-    here = _parts(subprocess.run([native], capture_output=True, text=True, check=True).stdout)
+    native = ["c++", "-std=c++14", "-O1", *sanitize, *WARN]
+    program = compiled("identity", native, [SOURCE, CORE])
+    image = compiled("identity-avr", ["avr-g++", *AVR, *WARN], [SOURCE, CORE])
+    here = _parts(subprocess.run([program], capture_output=True, text=True, check=True).stdout)
     simulated = subprocess.run(
         ["simavr", "-m", "atmega2560", "-f", "16000000", image],
         capture_output=True,
         text=True,
-        timeout=60,
         check=False,
     )
     there = _parts(simulated.stdout + simulated.stderr)

@@ -2,7 +2,7 @@
 //
 // Built twice, for this machine and for the ATmega2560 (run in a simulator): `int` has 16 bits
 // there and 32 here, so a product in the wrong width shows as another number.
-// test_firmware_identity.py compares the two outputs.
+// test_identity.py compares the two outputs.
 #ifdef __AVR__
 #include <avr/io.h>
 #include <avr/pgmspace.h>

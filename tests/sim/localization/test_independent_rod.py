@@ -17,11 +17,11 @@ ROOMS = 40  # of each length
 
 
 @pytest.fixture(scope="module")
-def rooms():
+def rooms(many):
     """(frames, readings, sensors, span, side that the body bends to) of each room."""
     out = []
     for length in LENGTHS:
-        for index in range(ROOMS):
+        for index in range(many(ROOMS)):
             rng = np.random.default_rng([2026, int(length), index])
             frames = room(rng, FREES, length)
             span = (0.0, 5.5)[index % 2]

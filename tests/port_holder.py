@@ -1,0 +1,53 @@
+"""The process at the host's end of a pseudo-terminal, and whether this computer lets it run.
+
+A test of promises such as "a heartbeat every 0.1 s" gives the robot a clock that stands still while
+that process is ready to run and does not get to. A process that waits where it should not is not
+ready: for that one the clock goes on.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+PROCESSES = Path("/proc")  # on Linux only; elsewhere nothing is ever held up
+
+
+class PortHolder:
+    """Whoever has a port open, beside this process.
+
+    Args:
+        port: path of the pseudo-terminal.
+    """
+
+    def __init__(self, port: str) -> None:
+        self._port = port
+        self._tasks: Path | None = None
+
+    def look(self) -> None:
+        """Find it, unless it is known and alive; to be called when it has written."""
+        if self._tasks is not None and self._tasks.exists():
+            return
+        self._tasks = None
+        for process in PROCESSES.glob("[1-9]*"):
+            if process.name != str(os.getpid()) and self._holds(process):
+                self._tasks = process / "task"
+
+    def held_up(self) -> bool:
+        """Whether one of its threads is ready to run."""
+        if self._tasks is None:
+            return False
+        for task in self._tasks.glob("*/stat"):
+            with suppress(OSError):  # it may have ended
+                if task.read_text().rpartition(")")[2].split()[0] == "R":
+                    return True
+        return False
+
+    def _holds(self, process: Path) -> bool:
+        with suppress(OSError):  # it may have ended, or be another user's
+            for file in (process / "fd").iterdir():
+                with suppress(OSError):
+                    if str(file.readlink()) == self._port:
+                        return True
+        return False
