@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
-from thigmo.localization.estimate import STATUSES, Options, options_of
+from thigmo.localization.estimate import STATUSES, options_of
 from thigmo.localization.readings import refusal, vector
 from thigmo.localization.result import Array, Status
 
@@ -91,7 +91,7 @@ def localize_batch(
         raise DataError(
             f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
         )
-    sensors, settings = options_of(position, width, length, Options(method=method, **options))
+    sensors, settings = options_of(position, width, length, method=method, **options)
     parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
     def run(rows: npt.NDArray[np.int64]) -> dict[str, Array]:

@@ -40,6 +40,29 @@ inline Matrix stacked(const Matrix& shared, const Matrix& more) {
   return both;
 }
 
+// Effects, in units of their deviation, that are zero but on a few neighbouring readings.
+class Columns {
+ public:
+  struct Column {
+    int from, count;
+    const double* value;
+  };
+  void add(int from, const Row& value) {
+    from_.push_back(from), at_.push_back(value_.size());
+    value_.insert(value_.end(), value.begin(), value.end());
+  }
+  int size() const { return static_cast<int>(from_.size()); }
+  Column operator[](int e) const {
+    const std::size_t end = e + 1 < size() ? at_[e + 1] : value_.size();
+    return {from_[e], static_cast<int>(end - at_[e]), value_.data() + at_[e]};
+  }
+
+ private:
+  std::vector<int> from_;
+  std::vector<std::size_t> at_;
+  Row value_;
+};
+
 class Whitener {
  public:
   double log_det;  // of V^(-1/2), of N standard normal densities, and of the noise's odds
@@ -48,7 +71,9 @@ class Whitener {
       : log_det(level.log_odds - 0.5 * frame.size() * std::log(2.0 * std::numbers::pi)),
         inverse_(frame.size()),
         column_(shared),
-        factor_(shared.rows) {
+        raised_(shared.rows, frame.size()),
+        factor_(shared.rows),
+        taken_(shared.rows) {
     const int n = frame.size();
     double product = 1.0;
     for (int i = 0; i < n; ++i) {
@@ -62,61 +87,47 @@ class Whitener {
     }
     for (int k = 0; k < shared.rows; ++k) {
       double* own = column_[k];
-      for (int i = 0; i < n; ++i) own[i] *= inverse_[i];
-      for (int j = 0; j < k; ++j) take(column_[j], factor_[j], own);
+      whiten(own, 1, k);
       const double square = dot(own, own, n);
+      taken_[k] = 1.0 / (1.0 + square);
       if (square > 0.0) {
-        factor_[k] = (1.0 - 1.0 / std::sqrt(1.0 + square)) / square;
+        factor_[k] = (1.0 - std::sqrt(taken_[k])) / square;
         log_det -= 0.5 * std::log1p(square);
       }
+      std::copy(own, own + n, raised_[k]);
+      raise(raised_[k], 1, k);
     }
   }
 
-  Row operator()(const double* values) const {
-    const int n = static_cast<int>(inverse_.size());
-    Row out(n);
-    for (int i = 0; i < n; ++i) out[i] = values[i] * inverse_[i];
-    for (int k = 0; k < column_.rows; ++k) take(column_[k], factor_[k], out.data());
+  Row operator()(const Row& values) const {
+    Row out = values;
+    whiten(out.data(), 1, column_.rows);
     return out;
   }
-
-  // One column, where independent errors leave it zero outside of a few readings only those.
-  struct Column {
-    int from, count;
-    Row value;  // (count,)
-  };
-  Column column(const double* values) const {
-    const int n = static_cast<int>(inverse_.size());
-    if (column_.rows > 0) return {0, n, (*this)(values)};
-    int from = 0, to = n;
-    while (from < n && values[from] == 0.0) ++from;
-    while (to > from && values[to - 1] == 0.0) --to;
-    Column out{from, to - from, Row(values + from, values + to)};
-    for (int i = 0; i < out.count; ++i) out.value[i] *= inverse_[from + i];
-    return out;
-  }
-
   // Each of the M columns of `values`.
   void operator()(const Matrix& values, Matrix& out) const {
-    const int n = values.rows, count = values.columns;
-    for (int i = 0; i < n; ++i) {
-      const double* from = values[i];
-      double* to = out[i];
-      for (int m = 0; m < count; ++m) to[m] = from[m] * inverse_[i];
+    out = values;
+    whiten(out.value.data(), out.columns, column_.rows);
+  }
+  // The transpose of whitening: from V^(-1/2) x to V^(-1) x.
+  void raise(Matrix& white) const { raise(white.value.data(), white.columns, column_.rows); }
+  Row raised(Row white) const {
+    raise(white.data(), 1, column_.rows);
+    return white;
+  }
+
+  // Squared length of a whitened column.
+  double square(const Columns::Column& of) const {
+    double sum = 0.0;
+    for (int i = 0; i < of.count; ++i) {
+      const double value = of.value[i] * inverse_[of.from + i];
+      sum += value * value;
     }
-    Row share(count);
-    for (int k = 0; k < column_.rows; ++k) {
-      std::fill(share.begin(), share.end(), 0.0);
-      for (int i = 0; i < n; ++i) {
-        const double* row = out[i];
-        for (int m = 0; m < count; ++m) share[m] += column_[k][i] * row[m];
-      }
-      for (int i = 0; i < n; ++i) {
-        const double step = factor_[k] * column_[k][i];
-        double* row = out[i];
-        for (int m = 0; m < count; ++m) row[m] -= step * share[m];
-      }
+    for (int k = 0; k < raised_.rows; ++k) {
+      const double share = dot(of.value, raised_[k] + of.from, of.count);
+      sum -= taken_[k] * share * share;
     }
+    return std::max(sum, 0.0);
   }
 
   static double dot(const double* a, const double* b, int n) {
@@ -126,72 +137,103 @@ class Whitener {
   }
 
  private:
-  static void take(const double* column, double factor, double* of, int n) {
-    const double step = factor * dot(column, of, n);
-    for (int i = 0; i < n; ++i) of[i] -= step * column[i];
+  void scale(double* values, int columns) const {
+    for (const double inverse : inverse_) {
+      for (int m = 0; m < columns; ++m) *values++ *= inverse;
+    }
   }
-  void take(const double* column, double factor, double* of) const {
-    take(column, factor, of, static_cast<int>(inverse_.size()));
+  // Take a share of a shared column out of each of the M columns of N by M values.
+  void take(int k, double* values, int columns) const {
+    const int n = static_cast<int>(inverse_.size());
+    const double* own = column_[k];
+    Row share(columns);
+    for (int i = 0; i < n; ++i) {
+      for (int m = 0; m < columns; ++m) share[m] += own[i] * values[i * columns + m];
+    }
+    for (int i = 0; i < n; ++i) {
+      const double step = factor_[k] * own[i];
+      for (int m = 0; m < columns; ++m) values[i * columns + m] -= step * share[m];
+    }
+  }
+  // By the first `count` shared columns.
+  void whiten(double* values, int columns, int count) const {
+    scale(values, columns);
+    for (int k = 0; k < count; ++k) take(k, values, columns);
+  }
+  void raise(double* values, int columns, int count) const {
+    for (int k = count; k-- > 0;) take(k, values, columns);
+    scale(values, columns);
   }
 
   Row inverse_;
-  Matrix column_;
-  Row factor_;
+  Matrix column_;  // shared columns, each whitened by those before it
+  Matrix raised_;  // the same times V^(-1/2) of those before it
+  Row factor_, taken_;
 };
 
 // Log of the sum of exponentials, which may be far apart.
-inline double log_sum_exp(const Row& values) {
-  const double top = *std::max_element(values.begin(), values.end());
-  if (!(top > -INFINITY)) return -INFINITY;
+inline double log_sum_exp(const double* value, int count) {
+  const double top = *std::max_element(value, value + count);
+  if (count == 1 || !(top > -INFINITY)) return top;
   double sum = 0.0;
-  for (const double value : values) sum += std::exp(value - top);
+  for (int k = 0; k < count; ++k) sum += std::exp(value[k] - top);
   return top + std::log(sum);
 }
+inline double log_sum_exp(const Row& of) { return log_sum_exp(of.data(), of.size()); }
 
-// Log density of the readings of a free body whose errors have these shared columns.
-inline double log_density(const Frame& frame, const Matrix& shared) {
-  Row each;
-  for (const Level& level : frame.levels) {
-    const Whitener white(frame, level, shared);
-    const Row read = white(frame.excess.data());
-    each.push_back(white.log_det - 0.5 * Whitener::dot(read.data(), read.data(), frame.size()));
-  }
-  return log_sum_exp(each);
-}
+// A frame whitened at each level of its noise.
+struct Whitened {
+  struct At {
+    double factor;  // of the noise
+    Whitener by;
+    Row read, raised;            // V^(-1/2) and V^(-1) times the readings
+    double square, log_density;  // of the readings, were the body free
+  };
+  const Frame* frame;
+  std::vector<At> levels;
 
-// The same, with each column of `extra` (E, N), in units of its deviation, added by itself.
-inline Row log_densities(const Frame& frame, const Matrix& extra) {
-  const int n = frame.size();
-  std::vector<Row> each(extra.rows);
-  for (const Level& level : frame.levels) {
-    const Whitener white(frame, level, frame.shared);
-    const Row read = white(frame.excess.data());
-    const double plain = white.log_det - 0.5 * Whitener::dot(read.data(), read.data(), n);
-    for (int e = 0; e < extra.rows; ++e) {
-      const auto [from, count, column] = white.column(extra[e]);
-      const double c = 1.0 + Whitener::dot(column.data(), column.data(), count);
-      const double told = Whitener::dot(column.data(), read.data() + from, count);
-      each[e].push_back(plain + 0.5 * told * told / c - 0.5 * std::log(c));
+  Whitened(const Frame& of, const Matrix& shared) : frame(&of) {
+    levels.reserve(of.levels.size());
+    for (const Level& level : of.levels) {
+      At& at = levels.emplace_back(At{level.factor, {of, level, shared}, {}, {}, 0.0, 0.0});
+      at.read = at.by(of.excess);
+      at.raised = at.by.raised(at.read);
+      at.square = Whitener::dot(at.read.data(), at.read.data(), of.size());
+      at.log_density = at.by.log_det - 0.5 * at.square;
     }
   }
-  Row out;
-  for (const Row& values : each) out.push_back(log_sum_exp(values));
-  return out;
-}
 
-// Squared whitened residual of a free body at the likeliest factor of the noise, and that factor.
-inline std::pair<double, double> free_misfit(const Frame& frame) {
-  double best = -INFINITY, misfit = 0.0, factor = 1.0;
-  for (const Level& level : frame.levels) {
-    const Whitener white(frame, level, frame.shared);
-    const Row read = white(frame.excess.data());
-    const double square = Whitener::dot(read.data(), read.data(), frame.size());
-    if (white.log_det - 0.5 * square > best) {
-      best = white.log_det - 0.5 * square;
-      misfit = square, factor = level.factor;
-    }
+  // The level that suits a free body best.
+  const At& likeliest() const {
+    return *std::max_element(levels.begin(), levels.end(), [](const At& a, const At& b) {
+      return a.log_density < b.log_density;
+    });
   }
-  return {misfit, factor};
-}
+
+  // Log density of the readings of a free body.
+  double log_density() const {
+    Row each;
+    for (const At& at : levels) each.push_back(at.log_density);
+    return log_sum_exp(each);
+  }
+
+  // The same, with each of the columns added by itself.
+  Row log_densities(const Columns& columns) const {
+    const int count = static_cast<int>(levels.size());
+    Row out(columns.size()), each(count);
+    for (int e = 0; e < columns.size(); ++e) {
+      const Columns::Column column = columns[e];
+      for (int s = 0; s < count; ++s) {
+        const At& at = levels[s];
+        const double c = 1.0 + at.by.square(column);
+        const double told =
+            Whitener::dot(column.value, at.raised.data() + column.from, column.count);
+        each[s] = at.log_density + 0.5 * told * told / c - 0.5 * std::log(c);
+      }
+      out[e] = log_sum_exp(each);
+    }
+    return out;
+  }
+};
 
 }  // namespace thigmo

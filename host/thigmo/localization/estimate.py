@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.readings import (
+    Array,
     Range,
     columns,
     everted_length,
@@ -100,11 +101,9 @@ def localize(
     k = vector(curvature, "curvature")
     sensors, settings = options_of(
         position, k.size, length,
-        Options(
-            span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
-            contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
-            width_limit, within, method,
-        ),
+        span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
+        contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
+        width_limit, within, method,
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
@@ -116,83 +115,70 @@ def localize(
     return _result(found, sensors.length)
 
 
-class Options(NamedTuple):
-    """Options of `localize` that hold for every frame of the same sensors, as the caller gives."""
-
-    span: npt.ArrayLike = 0.0
-    noise: npt.ArrayLike | None = None
-    gain_error: npt.ArrayLike = 0.0
-    offset_error: float = 0.0
-    map_error: float = 0.0
-    shared_errors: npt.ArrayLike | None = None
-    bad_reading_odds: npt.ArrayLike = priors.BAD_READING
-    contacts: int | str = "auto"
-    critical_curvature: float | None = None
-    critical_curvature_error: float = priors.CRITICAL_ERROR
-    tube_radius: float | None = None
-    held_end: bool | None = None
-    width_limit: float | None = None
-    within: Range | None = None
-    method: str = "posterior"
-
-
 def options_of(
-    position: npt.ArrayLike, count: int, length: float, options: Options
+    position: npt.ArrayLike, count: int, length: float, *options: Any, **named: Any
 ) -> tuple[_posterior.Sensors, _posterior.Settings]:
     """The options of N readings, checked, as the compiled code takes them.
+
+    Args:
+        position: (N,) sensor centres.
+        count: N.
+        length: everted length.
+        options, named: those of `localize` that hold for every frame of the same sensors.
 
     Raises:
         DataError: an option that is not possible.
     """
-    total = everted_length(length)
     x = vector(position, "position")
+    defaults = priors.TUBE_RADIUS, priors.WIDTH_SHARE
+    try:
+        # Most callers give the same options again and again.
+        return _kept_options(x.tobytes(), defaults, count, length, *options, **named)
+    except TypeError:
+        pass  # one is an array, which has no hash
+    return _options(x, defaults, count, length, *options, **named)
+
+
+@lru_cache(maxsize=64, typed=True)
+def _kept_options(
+    position: bytes, *options: Any, **named: Any
+) -> tuple[_posterior.Sensors, _posterior.Settings]:
+    return _options(np.frombuffer(position), *options, **named)
+
+
+def _options(
+    x: Array,
+    defaults: tuple[float, float],  # shares of the length: tube radius, widest interval
+    count: int,
+    length: float,
+    span: npt.ArrayLike = 0.0,
+    noise: npt.ArrayLike | None = None,
+    gain_error: npt.ArrayLike = 0.0,
+    offset_error: float = 0.0,
+    map_error: float = 0.0,
+    shared_errors: npt.ArrayLike | None = None,
+    bad_reading_odds: npt.ArrayLike = priors.BAD_READING,
+    contacts: int | str = "auto",
+    critical_curvature: float | None = None,
+    critical_curvature_error: float = priors.CRITICAL_ERROR,
+    tube_radius: float | None = None,
+    held_end: bool | None = None,
+    width_limit: float | None = None,
+    within: Range | None = None,
+    method: str = "posterior",
+) -> tuple[_posterior.Sensors, _posterior.Settings]:
+    total = everted_length(length)
     if x.size != count:
         raise DataError(
             "position and curvature differ in length", "give one position for each reading"
         )
-    noise = _NONE
-    if options.noise is not None:
-        noise = vector(options.noise, "noise", count)
-        if not noise.size:
+    white = _NONE
+    if noise is not None:
+        white = vector(noise, "noise", count)
+        if not white.size:
             raise DataError(
                 "noise is empty", "give one standard deviation, or None if it is unknown"
             )
-    radius = priors.TUBE_RADIUS * total
-    if options.tube_radius is not None:
-        radius = max(positive(options.tube_radius, "tube_radius"), 1e-6 * total)
-    sensors = _posterior.Sensors(
-        x,
-        vector(options.span, "span", count),
-        noise,
-        vector(options.gain_error, "gain_error", count),
-        vector(options.bad_reading_odds, "bad_reading_odds", count),
-        columns(options.shared_errors, count),
-        positive(options.offset_error, "offset_error"),
-        positive(options.map_error, "map_error"),
-        total,
-        radius,
-    )
-    settings = _settings(
-        total, radius, options.contacts, options.critical_curvature,
-        options.critical_curvature_error,
-        options.tube_radius is None if options.held_end is None else 2 * options.held_end,
-        options.width_limit, options.within, options.method,
-    )  # fmt: skip
-    return sensors, settings
-
-
-@lru_cache(maxsize=64)
-def _settings(
-    total: float,
-    radius: float,
-    contacts: int | str,
-    critical: float | None,
-    critical_error: float,
-    held_end: int,
-    width_limit: float | None,
-    within: Range | None,
-    method: str,
-) -> _posterior.Settings:
     if contacts != "auto" and (
         isinstance(contacts, bool)
         or not isinstance(contacts, (int, np.integer))
@@ -203,22 +189,37 @@ def _settings(
         raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
     if method != "posterior" and contacts not in ("auto", 1, 2):
         raise DataError(f"{method} fits no {contacts} contacts", "give 1 or 2, or no method")
+    radius, limit = defaults[0] * total, defaults[1]
+    if tube_radius is not None:
+        radius = max(positive(tube_radius, "tube_radius"), 1e-6 * total)
     moment = math.inf
-    if critical is not None:
-        moment = max(positive(critical, "critical_curvature") * total, 1e-6)
-    limit = priors.WIDTH_SHARE
+    if critical_curvature is not None:
+        moment = max(positive(critical_curvature, "critical_curvature") * total, 1e-6)
     if width_limit is not None:
         limit = positive(width_limit, "width_limit") / total
-    return _posterior.Settings(
+    sensors = _posterior.Sensors(
+        x,
+        vector(span, "span", count),
+        white,
+        vector(gain_error, "gain_error", count),
+        vector(bad_reading_odds, "bad_reading_odds", count),
+        columns(shared_errors, count),
+        positive(offset_error, "offset_error"),
+        positive(map_error, "map_error"),
+        total,
+        radius,
+    )
+    settings = _posterior.Settings(
         moment,
-        max(positive(critical_error, "critical_curvature_error"), 1e-3),
+        max(positive(critical_curvature_error, "critical_curvature_error"), 1e-3),
         radius / total,
-        int(held_end),
+        int(tube_radius is None) if held_end is None else 2 * int(held_end),
         -1 if contacts == "auto" else int(contacts),
         share_of_length(within, total),
         limit,
         METHODS.index(method),
     )
+    return sensors, settings
 
 
 def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:

@@ -3,12 +3,13 @@
 // Every frame weighs a free body, one contact, and each of them with one bad reading. What a scene
 // calls for comes in order of cost: a contact on the end of a bent body, a folded base near its
 // critical moment; and where one contact and good readings leave a misfit, a hinge, a contact that
-// is spread out, two contacts, three. All evidences are densities of the same readings, so they
-// compare directly; prior odds are those of priors.py.
+// is spread out, two contacts, three. What then still leaves a misfit is weighed with one bad
+// reading, of those that may bring it within reach of the best. All evidences are densities of the
+// same readings, so they compare directly; prior odds are those of priors.py.
 #pragma once
 
+#include <functional>
 #include <iterator>
-#include <tuple>
 #include <utility>
 
 #include "loads.h"
@@ -55,6 +56,7 @@ class Weighing {
   static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
   static constexpr int kPairCells = 30, kTripleCells = 16, kSecondCells = 24;
+  static constexpr std::size_t kMostSuspects = 5;  // bad readings weighed beside one explanation
 
   Readings readings;
   std::vector<Hypothesis> found;
@@ -66,9 +68,8 @@ class Weighing {
         settings_(settings),
         prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
                priors.shape_rests},
-        bad_(frame_.size(), frame_.size()) {
-    found.reserve(2 * frame_.size() + 8);
-    for (int i = 0; i < frame_.size(); ++i) bad_[i][i] = readings.bad[i];
+        white_(frame_, frame_.shared) {
+    for (int i = 0; i < frame_.size(); ++i) bad_.add(i, {readings.bad[i]});
     double share = 0.0;
     for (const double moment : priors.moments) {
       share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
@@ -81,50 +82,90 @@ class Weighing {
 
   void run() {
     free();
-    Hypothesis one = weigh_one();
-    const bool misfit = readings.known && one.misfit > limit_;
+    std::size_t one = weigh_one();
+    const bool misfit = readings.known && found[one].misfit > limit_;
     if (misfit) {  // the noise may be larger than stated, too
       readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
                                {priors_.noise_factor, std::log(priors_.noise_odds)}};
+      white_ = Whitened(frame_, frame_.shared);
       found.clear();
       free();
       one = weigh_one();
     }
-    double turn = readings.turn;
-    turn = std::max(turn, turn_of(one.curvature));
+    const Nodes bent = found[one].curvature;
     const bool held = settings_.held_end == Settings::Held::yes;
-    if (frame_.size() > 1 && (turn > priors_.end_turn || held)) end(one.curvature, held);
-    const double moment = std::abs(one.curvature[0] - frame_.rest[0]);
+    const bool turned = std::max(readings.turn, turn_of(bent)) > priors_.end_turn;
+    if (frame_.size() > 1 && (turned || held)) end(bent, held);
+    const double moment = std::abs(bent[0] - frame_.rest[0]);
     if (settings_.critical < INFINITY &&
         (misfit || moment > priors_.near_fold * settings_.critical)) {
-      fold(one.curvature);
+      fold(bent);
     }
     const bool several = settings_.contacts != 0 && settings_.contacts != 1;
     bool poor = misfit;
     if (!readings.known && several && frame_.size() >= 5) {
-      poor = gain_of_second(one) > priors_.second_gain;
+      poor = gain_of_second(found[one]) > priors_.second_gain;
     }
     // A moment that few contacts have may be a kink.
     const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
-    if (poor || strong) hinge(one.curvature, strong);
-    if (poor) spread(one.curvature);
-    if (poor && settings_.held_end == Settings::Held::perhaps) end(one.curvature, true);
+    if (poor || strong) hinge(bent, strong);
+    if (poor) spread(bent);
+    if (poor && settings_.held_end == Settings::Held::perhaps) end(bent, true);
     if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
+    for (const Doubt& doubt : doubts_) {
+      for (const int i : suspects(doubt)) doubt.weigh(i);
+    }
   }
 
  private:
+  // An explanation that leaves a misfit, and how to weigh it beside a bad reading.
+  struct Doubt {
+    double log_weight;
+    Frame left;    // of the readings, without what the loads' prior means explain
+    Matrix loads;  // that were fitted
+    std::function<void(int)> weigh;
+  };
+
   double best() const {
     double top = -INFINITY;
     for (const Hypothesis& hypothesis : found) top = std::max(top, hypothesis.log_weight);
     return top;
   }
 
+  // Bad readings that may bring an explanation within reach of the best, the likeliest first: by
+  // what they add where its loads change in proportion only, or beside what was weighed already.
+  std::vector<int> suspects(const Doubt& doubt) const {
+    const Whitened white(doubt.left, stacked(frame_.shared, doubt.loads));
+    Row weight = white.log_densities(bad_);
+    const double plain = doubt.log_weight - white.log_density();
+    for (int i = 0; i < frame_.size(); ++i) weight[i] += plain + readings.log_bad[i];
+    for (const Hypothesis& other : found) {
+      if (other.bad >= 0) weight[other.bad] = std::max(weight[other.bad], other.log_weight);
+    }
+    const double least = best() + priors_.hopeless;
+    std::vector<int> out;
+    for (int i = 0; i < frame_.size(); ++i) {
+      if (weight[i] > least) out.push_back(i);
+    }
+    std::sort(out.begin(), out.end(), [&](int a, int b) { return weight[a] > weight[b]; });
+    out.resize(std::min(out.size(), kMostSuspects));
+    return out;
+  }
+
+  void doubt(const Hypothesis& of, const Fit& fit, std::function<void(int)> weigh) {
+    if (of.misfit < limit_) return;
+    doubts_.push_back({of.log_weight, frame_, fit.loads, std::move(weigh)});
+    for (std::size_t i = 0; i < fit.known.size(); ++i)
+      doubts_.back().left.excess[i] -= fit.known[i];
+  }
+
   void free() {
-    Hypothesis plain{Load::none, log_density(frame_, frame_.shared)};
-    std::tie(plain.misfit, plain.noise) = free_misfit(frame_);
+    const Whitened::At& likeliest = white_.likeliest();
+    Hypothesis plain{Load::none, white_.log_density()};
+    plain.misfit = likeliest.square, plain.noise = likeliest.factor;
     plain.curvature = frame_.rest;
     found.push_back(plain);
-    const Row with = log_densities(frame_, bad_);
+    const Row with = white_.log_densities(bad_);
     for (int i = 0; i < frame_.size(); ++i) {
       const double weight = with[i] + readings.log_bad[i];
       if (weight > plain.log_weight + priors_.hopeless) {
@@ -135,74 +176,79 @@ class Weighing {
     }
   }
 
-  // Shared columns of the frame and one more.
-  Matrix with(const Matrix& columns, int row) const {
+  // The frame whitened with one more shared column; without one for index -1.
+  Whitened with(const Columns& columns, int index) const {
+    if (index < 0) return white_;
     Matrix more(1, frame_.size());
-    std::copy(columns[row], columns[row] + frame_.size(), more[0]);
-    return stacked(frame_.shared, more);
+    const Columns::Column column = columns[index];
+    std::copy_n(column.value, column.count, more[0] + column.from);
+    return Whitened(frame_, stacked(frame_.shared, more));
   }
 
-  OneContact fit_one(const Matrix& shared, const Nodes& start, double half = 0.0) const {
-    return one_contact(frame_, shared, prior_, {0.0, 1.0}, kCells, half, start);
+  double odds_of_bad(int index) const { return index < 0 ? 0.0 : readings.log_bad[index]; }
+
+  Hypothesis hypothesis(Load load, const Fit& fit, double weight, int numbers, int bad) const {
+    return {load,
+            fit.log_evidence + weight + odds_of_bad(bad),
+            {},
+            numbers,
+            fit.misfit,
+            fit.noise,
+            fit.curvature,
+            bad};
+  }
+
+  Hypothesis contact(Load load, OneContact&& fit, double weight, int numbers) const {
+    Hypothesis out = hypothesis(load, fit, weight, numbers, -1);
+    out.contacts.push_back({std::move(fit.place), fit.width, std::move(fit.mass),
+                            std::move(fit.force), std::move(fit.spread)});
+    return out;
   }
 
   // One contact, then one beside each rival that is worth weighing: on the same grid, and by
   // itself where that may change the answer. `bad` is the rival's index.
-  std::vector<Hypothesis> contact_and(const Matrix& column, const Row& log_odds,
+  std::vector<Hypothesis> contact_and(const Columns& column, const Row& log_odds,
                                       const Nodes& start) const {
     const double weight = priors_.contact + std::log(unfolded_);
     const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless};
     std::vector<RivalContact> beside;
     std::vector<Hypothesis> out;
     out.push_back(contact(Load::contact,
-                          one_contact(frame_, frame_.shared, prior_, {0.0, 1.0}, kCells, 0.0, start,
-                                      &rivals, &beside),
-                          weight));
+                          one_contact(white_, prior_, kCells, 0.0, start, &rivals, &beside), weight,
+                          2));
     const double matters = std::max(best(), out[0].log_weight) + kMatters;
     for (RivalContact& other : beside) {
       const double odds = weight + log_odds[other.index];
       if (other.contact.log_evidence + odds > matters) {
-        other.contact = fit_one(with(column, other.index), out[0].curvature);
+        other.contact =
+            one_contact(with(column, other.index), prior_, kCells, 0.0, out[0].curvature);
       }
-      out.push_back(contact(Load::contact, std::move(other.contact), odds));
+      out.push_back(contact(Load::contact, std::move(other.contact), odds, 2));
       out.back().bad = other.index;
     }
     return out;
   }
 
-  Hypothesis contact(Load load, OneContact&& fit, double weight) const {
-    Hypothesis out{load, fit.log_evidence + weight};
-    out.contacts.push_back({std::move(fit.place), fit.width, std::move(fit.mass),
-                            std::move(fit.force), std::move(fit.spread)});
-    out.numbers = 2;
-    out.misfit = fit.misfit;
-    out.noise = fit.noise;
-    out.curvature = fit.curvature;
-    return out;
-  }
-
-  Hypothesis weigh_one() {
+  // Returns the index of the contact whose readings are all good.
+  std::size_t weigh_one() {
     std::vector<Hypothesis> contacts = contact_and(bad_, readings.log_bad, frame_.rest);
+    const std::size_t first = found.size();
     std::move(contacts.begin(), contacts.end(), std::back_inserter(found));
-    return found[found.size() - contacts.size()];
+    return first;
   }
 
-  void add_end(const Matrix& shared, const Nodes& start, bool held, double weight, int bad) {
-    const EndWrench fit = end_wrench(frame_, shared, prior_, settings_.radius, held, start);
-    Hypothesis out{Load::end, fit.log_evidence + weight};
+  EndWrench add_end(const Whitened& white, const Nodes& start, bool held, double weight, int bad) {
+    EndWrench fit = end_wrench(white, prior_, settings_.radius, held, start);
+    Hypothesis out = hypothesis(Load::end, fit, weight, 3, bad);
     const double cell = priors_.end_cell;
     out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
-    out.numbers = 3;
-    out.misfit = fit.misfit;
-    out.noise = fit.noise;
-    out.curvature = fit.curvature;
-    out.bad = bad;
     out.push = fit.load[1];
     out.couple = fit.load[2];
     if (!held && fit.load[1] > 0.0) {
       out.offset = std::clamp(fit.load[2] / fit.load[1], -settings_.radius, settings_.radius);
     }
     found.push_back(std::move(out));
+    return fit;
   }
 
   void end(const Nodes& start, bool held) {
@@ -210,12 +256,10 @@ class Weighing {
     const bool bends = readings.turn > priors_.end_turn;
     if (!held) weight += bends ? priors_.end : priors_.end_straight;
     if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
-    add_end(frame_.shared, start, held, weight, -1);
-    if (found.back().misfit < limit_) return;
-    const Nodes shape = found.back().curvature;
-    for (int i = 0; i < frame_.size(); ++i) {
-      add_end(with(bad_, i), shape, held, weight + readings.log_bad[i], i);
-    }
+    const EndWrench fit = add_end(white_, start, held, weight, -1);
+    doubt(found.back(), fit, [this, shape = fit.curvature, held, weight](int i) {
+      add_end(with(bad_, i), shape, held, weight, i);
+    });
   }
 
   // What a fold of one radian, spread over one diameter from the base, adds to each reading.
@@ -232,44 +276,40 @@ class Weighing {
   }
 
   void fold(const Nodes& start) {
-    const int n = frame_.size();
-    const Row share = fold_share();
+    Row share = fold_share();
+    for (double& value : share) value *= priors_.angle;
     if (found.back().load == Load::end) {  // the end of a bent body may bear the load as well
-      Matrix column(1, n);
-      for (int i = 0; i < n; ++i) column[0][i] = priors_.angle * share[i];
+      Columns column;
+      column.add(0, share);
       const double weight = priors_.contact + priors_.end + std::log(1.0 - unfolded_ + 1e-12);
       add_end(with(column, 0), found.back().curvature, false, weight, -1);
       found.back().load = Load::end_fold;
       found.back().numbers = 4;
     }
+    const FoldedContact fit = add_fold(share, start, -1);
+    if (!(fit.log_evidence > -INFINITY)) return;
+    doubt(found.back(), fit, [this, share, start](int i) { add_fold(share, start, i); });
+  }
+
+  FoldedContact add_fold(const Row& share, const Nodes& start, int bad) {
+    const double error = settings_.critical_error;
+    FoldedContact fit = folded_contact(with(bad_, bad), prior_, error, share, kCells, start);
+    if (!(fit.log_evidence > -INFINITY)) return fit;
     const double weight = priors_.contact + std::log(std::max(1.0 - unfolded_, 1e-12));
-    for (int i = -1; i < n; ++i) {
-      const FoldedContact fit =
-          folded_contact(frame_, i < 0 ? frame_.shared : with(bad_, i), prior_, settings_.critical,
-                         settings_.critical_error, share, priors_.angle, kCells, start);
-      if (!(fit.log_evidence > -INFINITY)) return;
-      Hypothesis out{Load::fold, fit.log_evidence + weight + (i < 0 ? 0.0 : readings.log_bad[i])};
-      Row spread = fit.force;
-      for (double& value : spread) value = settings_.critical_error * std::abs(value);
-      out.contacts.push_back({fit.place, 1.0 / kCells, fit.mass, fit.force, spread});
-      out.numbers = 3;
-      out.misfit = fit.misfit;
-      out.noise = fit.noise;
-      out.noise = fit.noise;
-      out.curvature = fit.curvature;
-      out.bad = i;
-      out.angle = fit.angle[fit.top];
-      found.push_back(std::move(out));
-      if (i < 0 && fit.misfit < limit_) return;
-    }
+    Hypothesis& out = found.emplace_back(hypothesis(Load::fold, fit, weight, 3, bad));
+    Row spread = fit.force;
+    for (double& value : spread) value = error * std::abs(value);
+    out.contacts.push_back({fit.place, 1.0 / kCells, fit.mass, fit.force, spread});
+    out.angle = priors_.angle * fit.angle[fit.top];
+    return fit;
   }
 
   void spread(const Nodes& start) {
     const double weight = priors_.contact + priors_.spread -
                           std::log(static_cast<double>(priors_.half_widths.size()));
     for (const double half : priors_.half_widths) {
-      found.push_back(contact(Load::spread, fit_one(frame_.shared, start, half), weight));
-      found.back().numbers = 3;
+      OneContact fit = one_contact(white_, prior_, kCells, half, start);
+      found.push_back(contact(Load::spread, std::move(fit), weight, 3));
       found.back().half_width = half;
     }
   }
@@ -279,35 +319,34 @@ class Weighing {
     Row edges = frame_.low;
     edges.insert(edges.end(), frame_.high.begin(), frame_.high.end());
     std::sort(edges.begin(), edges.end());
-    Row place, log_odds, values;
-    const int n = frame_.size();
+    Row place, log_odds;
+    Columns columns;
     for (std::size_t e = 1; e < edges.size(); ++e) {
       const double middle = 0.5 * (edges[e - 1] + edges[e]);
       if (edges[e] - edges[e - 1] < kPoint) continue;
-      Row column(n);
-      bool seen = false;
-      for (int i = 0; i < n; ++i) {
-        const bool covers = frame_.low[i] < middle && middle < frame_.high[i];
-        column[i] = covers ? priors_.angle / (frame_.high[i] - frame_.low[i]) : 0.0;
-        seen = seen || covers;
+      Row column;
+      int first = 0, covered = 0;
+      for (int i = 0; i < frame_.size(); ++i) {
+        if (!(frame_.low[i] < middle && middle < frame_.high[i])) continue;
+        if (column.empty()) first = i;
+        column.resize(i - first + 1, 0.0);
+        column.back() = priors_.angle / (frame_.high[i] - frame_.low[i]);
+        ++covered;
       }
-      if (!seen) continue;
-      values.insert(values.end(), column.begin(), column.end());
+      if (covered == 0) continue;
+      columns.add(first, column);
       place.push_back(middle);
       log_odds.push_back(priors_.hinge + std::log(edges[e] - edges[e - 1]));
     }
-    if (place.empty()) return;
-    Matrix columns(static_cast<int>(place.size()), n);
-    columns.value = values;
-    const Row alone = log_densities(frame_, columns);
-    for (int h = 0; h < columns.rows; ++h) {
-      Hypothesis free{Load::hinge, alone[h] + log_odds[h]};
+    const Row alone = white_.log_densities(columns);
+    for (int h = 0; h < columns.size(); ++h) {
+      Hypothesis& free = found.emplace_back(Hypothesis{Load::hinge, alone[h] + log_odds[h]});
       free.at = place[h];
       free.curvature = frame_.rest;
       free.numbers = 1;
-      found.push_back(free);
       if (folds && place[h] < 4.0 * settings_.radius) log_odds[h] = priors_.base_fold;
     }
+    if (place.empty()) return;
     std::vector<Hypothesis> contacts = contact_and(columns, log_odds, start);
     for (std::size_t k = 1; k < contacts.size(); ++k) {
       Hypothesis& kinked = found.emplace_back(std::move(contacts[k]));
@@ -328,19 +367,14 @@ class Weighing {
     std::optional<Shape> shape;
     if (turn_of(one.curvature) >= priors_.straight) shape.emplace(one.curvature);
     const Levers levers = levers_at(frame_, shape, place, 0.0);
-    Row left = frame_.excess;
-    for (int i = 0; i < n; ++i) left[i] -= first.force[top] * levers.sensor[i][kSecondCells];
-    const auto likelihood = [&](const Level& level) {
-      const Whitener by(frame_, level, frame_.shared);
-      const Row rest = by(left.data());
-      return by.log_det - 0.5 * Whitener::dot(rest.data(), rest.data(), n);
-    };
-    const auto less = [&](const Level& a, const Level& b) { return likelihood(a) < likelihood(b); };
-    const std::vector<Level>& levels = frame_.levels;
-    const Whitener by(frame_, *std::max_element(levels.begin(), levels.end(), less), frame_.shared);
-    const Row rest = by(left.data());
-    Matrix white(n, kSecondCells + 1);
-    by(levers.sensor, white);
+    Frame left = frame_;
+    for (int i = 0; i < n; ++i) {
+      left.excess[i] -= first.force[top] * levers.sensor[i][kSecondCells];
+    }
+    const Whitened rest(left, frame_.shared);
+    const Whitened::At& at = rest.likeliest();
+    Matrix white;
+    at.by(levers.sensor, white);
     // Products of the first contact's column, last, and of what each other has beside it.
     Row own(n), beside(n);
     for (int i = 0; i < n; ++i) own[i] = white[i][kSecondCells];
@@ -351,62 +385,43 @@ class Weighing {
       for (int i = 0; i < n; ++i) both += white[i][m] * own[i];
       for (int i = 0; i < n; ++i) beside[i] = white[i][m] - both / power * own[i];
       const double apart = Whitener::dot(beside.data(), beside.data(), n);
-      const double told = Whitener::dot(beside.data(), rest.data(), n);
+      const double told = Whitener::dot(beside.data(), at.read.data(), n);
       if (apart > 1e-6 * power) most = std::max(most, told * told / apart);
     }
-    const double square = Whitener::dot(rest.data(), rest.data(), n);
-    return 0.5 * n * std::log(square / std::max(square - most, 1e-9 * square));
+    return 0.5 * n * std::log(at.square / std::max(at.square - most, 1e-9 * at.square));
   }
 
-  Hypothesis several_contacts_of(int count, int cells, int bad) const {
-    const SeveralContacts fit = several_contacts(frame_, bad < 0 ? frame_.shared : with(bad_, bad),
-                                                 prior_, count, cells, frame_.rest);
-    double weight = priors_.contact + (count - 1) * priors_.another;
-    if (bad >= 0) weight += readings.log_bad[bad];
-    Hypothesis out{count == 2 ? Load::two : Load::three, fit.log_evidence + weight};
+  // Returns the misfit; infinite where no set of places is possible.
+  double add_several(int count, int cells, int bad) {
+    const SeveralContacts fit =
+        several_contacts(with(bad_, bad), prior_, count, cells, frame_.rest);
+    if (!(fit.log_evidence > -INFINITY)) return INFINITY;
+    const double weight = priors_.contact + (count - 1) * priors_.another;
+    Hypothesis& out = found.emplace_back(
+        hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
     for (std::size_t j = 0; j < fit.place.size(); ++j) {
       out.contacts.push_back({fit.place[j], fit.width[j], fit.mass[j], Row(cells, fit.force[j]),
                               Row(cells, fit.spread[j])});
     }
-    out.numbers = 2 * count;
-    out.misfit = fit.misfit;
-    out.noise = fit.noise;
-    out.curvature = fit.curvature;
-    out.bad = bad;
-    return out;
+    if (count == 2 && bad < 0) {
+      doubt(out, fit, [this](int i) { add_several(2, kPairCells, i); });
+    }
+    return fit.misfit;
   }
 
   void weigh_several() {
-    const Hypothesis two = several_contacts_of(2, kPairCells, -1);
-    if (two.contacts.empty()) return;
-    found.push_back(two);
-    if (two.misfit > limit_) {
-      // With one bad reading, of those that one contact would rather do without.
-      std::vector<std::pair<double, int>> bad;
-      for (const Hypothesis& other : found) {
-        if (other.bad >= 0) bad.emplace_back(-other.log_weight, other.bad);
-      }
-      std::sort(bad.begin(), bad.end());
-      std::vector<int> tried;
-      for (const auto& [weight, i] : bad) {
-        if (tried.size() == 3) break;
-        if (std::find(tried.begin(), tried.end(), i) != tried.end()) continue;
-        tried.push_back(i);
-        found.push_back(several_contacts_of(2, kPairCells, i));
-      }
-    }
-    const bool more = settings_.contacts < 0 && two.misfit > limit_ && frame_.size() >= 6;
-    if (settings_.contacts == 3 || more) {
-      const Hypothesis three = several_contacts_of(3, kTripleCells, -1);
-      if (!three.contacts.empty()) found.push_back(three);
-    }
+    const double misfit = add_several(2, kPairCells, -1);
+    const bool more = settings_.contacts < 0 && misfit > limit_ && frame_.size() >= 6;
+    if (misfit < INFINITY && (settings_.contacts == 3 || more)) add_several(3, kTripleCells, -1);
   }
 
   const Frame& frame_;
   const Priors& priors_;
   const Settings& settings_;
   ForcePrior prior_;
-  Matrix bad_;
+  Whitened white_;
+  Columns bad_;
+  std::vector<Doubt> doubts_;
   double unfolded_;  // prior share of contacts that leave the base as it is
   double limit_;     // misfit beyond which an explanation is poor
 };

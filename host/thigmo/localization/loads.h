@@ -30,6 +30,7 @@ constexpr int kMostPasses = 9;
 constexpr int kMostTurns = 24;
 constexpr double kResolved = 0.35;  // mass of a cell above which the grid is too coarse
 constexpr double kOutside = 1e-6;   // mass of a cell below which the grid may leave it out
+constexpr double kNothing = 25.0;   // nats below the likeliest place that weigh nothing
 
 // Probability that a normal number lies within plus and minus a limit.
 inline double probability_within(double mean, double variance, double limit) {
@@ -37,51 +38,56 @@ inline double probability_within(double mean, double variance, double limit) {
   return 0.5 * (std::erf((limit - mean) * scale) + std::erf((limit + mean) * scale));
 }
 
-// Normal density of up to four loads on whitened readings.
+// Normal density of up to four loads. `gram` and `told` are products of their whitened columns, in
+// units of prior deviations, with each other and with the readings; so the prior is N(0, I).
 struct Solution {
   static constexpr int kMost = 4;
-  int count;
-  double gain, log_volume;  // log evidence is gain / 2 - log_volume / 2
-  std::array<double, kMost> mean, deviation;
+  using Square = std::array<std::array<double, kMost>, kMost>;
+  double gain = 0.0, log_volume = 0.0;  // log evidence is gain / 2 - log_volume / 2
+  std::array<double, kMost> mean{}, deviation{};
 
-  // `column` are whitened and in units of their prior deviations, so the prior is N(0, I).
-  Solution(const std::vector<Row>& column, const Row& read) : count(column.size()) {
-    const int n = static_cast<int>(read.size());
-    double a[kMost][kMost], inverse[kMost][kMost] = {}, told[kMost];
-    for (int j = 0; j < count; ++j) {
-      told[j] = Whitener::dot(column[j].data(), read.data(), n);
+  Solution(int count, Square gram, const std::array<double, kMost>& told) {
+    Square inverse{};
+    for (int j = 0; j < count; ++j) {  // Cholesky of I + gram, and the inverse of its factor
+      gram[j][j] += 1.0;
       for (int k = 0; k <= j; ++k) {
-        a[j][k] = (j == k) + Whitener::dot(column[j].data(), column[k].data(), n);
+        for (int l = 0; l < k; ++l) gram[j][k] -= gram[j][l] * gram[k][l];
+        if (k < j) gram[j][k] /= gram[k][k];
       }
-    }
-    log_volume = 0.0;
-    for (int j = 0; j < count; ++j) {  // Cholesky, and the inverse of its factor
-      for (int k = 0; k <= j; ++k) {
-        for (int l = 0; l < k; ++l) a[j][k] -= a[j][l] * a[k][l];
-        if (k < j) a[j][k] /= a[k][k];
-      }
-      a[j][j] = std::sqrt(a[j][j]);
-      log_volume += 2.0 * std::log(a[j][j]);
+      gram[j][j] = std::sqrt(gram[j][j]);
+      log_volume += 2.0 * std::log(gram[j][j]);
+      double half = 0.0;
       for (int k = 0; k <= j; ++k) {
         double sum = j == k;
-        for (int l = k; l < j; ++l) sum -= a[j][l] * inverse[l][k];
-        inverse[j][k] = sum / a[j][j];
+        for (int l = k; l < j; ++l) sum -= gram[j][l] * inverse[l][k];
+        inverse[j][k] = sum / gram[j][j];
+        half += inverse[j][k] * told[k];
       }
-    }
-    gain = 0.0;
-    mean = deviation = {};
-    for (int j = 0; j < count; ++j) {
-      double half = 0.0;
-      for (int k = 0; k <= j; ++k) half += inverse[j][k] * told[k];
       gain += half * half;
       for (int k = 0; k <= j; ++k) {
         mean[k] += inverse[j][k] * half;
         deviation[k] += inverse[j][k] * inverse[j][k];
       }
     }
-    for (int j = 0; j < count; ++j) deviation[j] = std::sqrt(deviation[j]);
+    for (double& value : deviation) value = std::sqrt(value);
   }
 };
+
+// Loads (K, N) on the body, fitted at one level of the noise.
+inline Solution solve(const Whitened::At& at, const Matrix& loads) {
+  const int n = loads.columns;
+  Solution::Square gram{};
+  std::array<double, Solution::kMost> told{};
+  std::vector<Row> white;
+  for (int j = 0; j < loads.rows; ++j) {
+    white.push_back(at.by(Row(loads[j], loads[j] + n)));
+    told[j] = Whitener::dot(white[j].data(), at.read.data(), n);
+    for (int k = 0; k <= j; ++k) {
+      gram[j][k] = Whitener::dot(white[j].data(), white[k].data(), n);
+    }
+  }
+  return Solution(loads.rows, gram, told);
+}
 
 // Levers of normal forces on a shape, or on a straight body; of loads spread evenly over `half` to
 // either side.
@@ -118,12 +124,12 @@ inline Levers levers_at(const Frame& frame, const std::optional<Shape>& shape, c
   return out;
 }
 
-inline Row prior_deviations(const ForcePrior& prior, const Row& largest, double scale) {
+// Prior standard deviations of the forces, for a largest moment of one.
+inline Row prior_deviations(const ForcePrior& prior, const Row& largest) {
   const double widest = *std::max_element(largest.begin(), largest.end());
-  Row out(largest.size());
-  for (std::size_t m = 0; m < out.size(); ++m) {
-    out[m] = scale / std::max(largest[m], std::max(prior.least * widest, 1e-12));
-  }
+  const double least = std::max(prior.least * widest, 1e-12);
+  Row out(largest);
+  for (double& value : out) value = 1.0 / std::max(value, least);
   return out;
 }
 
@@ -142,6 +148,14 @@ inline double turn_of(const Nodes& curvature) {
   return most;
 }
 
+inline Row middles(Window window, int cells) {
+  Row place(cells);
+  for (int m = 0; m < cells; ++m) {
+    place[m] = window.near + (m + 0.5) * (window.far - window.near) / cells;
+  }
+  return place;
+}
+
 // Cells that hold all but nothing of a mass, widened by one: where a finer grid is laid.
 inline Window support(const double* mass, int cells, Window window, double outside) {
   int first = 0, last = cells - 1;
@@ -152,22 +166,30 @@ inline Window support(const double* mass, int cells, Window window, double outsi
           window.near + std::min(last + 2, cells) * width};
 }
 
+// What every load that was fitted tells.
+struct Fit {
+  double log_evidence = -INFINITY;
+  double misfit = INFINITY,
+         noise = 1.0;  // squared whitened residual; likeliest factor of the noise
+  Nodes curvature{};   // of the body that the likeliest loads bend
+  Matrix loads{};      // (K, N) columns of these, in units of prior deviations
+  Row known{};  // (N,) readings that the loads' prior means cause; empty where these are zero
+};
+
 // Posterior of one contact over M cells of the body.
-struct OneContact {
+struct OneContact : Fit {
   Row place;           // (M,) middles of the cells
   double width = 0.0;  // of a cell
   Row mass;            // (M,) of sum one
   Row force, spread;   // (M,) its mean and standard deviation
-  Nodes curvature;     // of the body bent by the force at the likeliest place
-  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
-  int top = 0;  // index of the likeliest place
+  int top = 0;         // index of the likeliest place
 };
 
-// Explanations that a contact shares the readings with, one at a time: columns (E, N) in units of
-// their deviation, and log prior odds of each.
+// Explanations that a contact shares the readings with, one at a time: their columns, and log prior
+// odds of each.
 struct Rivals {
-  Matrix column;
-  Row log_odds;
+  const Columns& column;
+  const Row& log_odds;
   double best, hopeless;  // log evidence of the best explanation so far; what counts against it
 };
 
@@ -180,82 +202,161 @@ struct RivalContact {
 // Weighs one contact at all places of a grid, over levels of noise and scales of the force.
 class OneContactGrid {
  public:
-  OneContactGrid(const Frame& frame, const Matrix& shared, const ForcePrior& prior)
-      : frame_(frame), prior_(prior) {
-    for (const Level& level : frame.levels) {
-      white_.emplace_back(frame, level, shared);
-      read_.push_back(white_.back()(frame.excess.data()));
+  OneContactGrid(const Whitened& readings, const ForcePrior& prior)
+      : readings_(readings), prior_(prior), products_(readings.levels.size()) {}
+
+  // Fills mass, force, spread, evidence and misfit for the levers of a grid of the body.
+  // Returns whether any place is possible.
+  bool weigh(const Levers& levers, OneContact& out) {
+    base_ = levers.base;
+    unit_ = prior_deviations(prior_, levers.largest);
+    for (double& value : unit_) value *= value;
+    for (std::size_t s = 0; s < products_.size(); ++s) {
+      const Whitened::At& at = readings_.levels[s];
+      Products& of = products_[s];
+      of.constant = at.log_density, of.free = at.square;
+      at.by(levers.sensor, of.white);
+      const int count = of.white.columns;
+      of.told.assign(count, 0.0), of.square.assign(count, 0.0);
+      for (int i = 0; i < of.white.rows; ++i) {
+        const double *row = of.white[i], read = at.read[i];
+        double *told = of.told.data(), *square = of.square.data();
+        for (int m = 0; m < count; ++m) {
+          told[m] += row[m] * read;
+          square[m] += row[m] * row[m];
+        }
+      }
     }
+    return mix(products_, out);
   }
 
-  // Fills mass, force, spread, evidence and misfit, for a window of the body; beside a further
-  // column (N,) in units of its deviation, if there is one. Returns whether any place is possible.
-  bool weigh(const Levers& levers, double window, const double* extra, OneContact& out) {
-    const int n = frame_.size(), count = levers.sensor.columns;
-    const int levels = static_cast<int>(white_.size());
-    const int scales = static_cast<int>(prior_.scales.size());
-    Matrix told(levels, count), square(levels, count), white(n, count);
-    Matrix variance(scales, count);
-    for (int p = 0; p < scales; ++p) {
-      const Row deviation = prior_deviations(prior_, levers.largest, prior_.scales[p]);
-      for (int m = 0; m < count; ++m) variance[p][m] = deviation[m] * deviation[m];
+  // The same beside a further column, on the grid that was weighed last.
+  bool weigh_beside(const Columns::Column& column, OneContact& out) {
+    std::vector<Products> products(products_.size());
+    for (std::size_t s = 0; s < products.size(); ++s) {
+      const Products& plain = products_[s];
+      const Beside beside(column, readings_.levels[s]);
+      beside.along(plain.white, along_);
+      products[s] = {plain.constant + beside.gain,
+                     plain.free - beside.told * beside.told,
+                     plain.told,
+                     plain.square,
+                     {}};
+      for (std::size_t m = 0; m < along_.size(); ++m) {
+        products[s].told[m] -= along_[m] * beside.told;
+        products[s].square[m] -= along_[m] * along_[m];
+      }
     }
-    Row constant(levels), free(levels);
-    double top = -INFINITY;
-    for (int s = 0; s < levels; ++s) {
-      white_[s](levers.sensor, white);
-      products(white, read_[s], told[s], square[s]);
-      free[s] = Whitener::dot(read_[s].data(), read_[s].data(), n);
-      constant[s] = white_[s].log_det - 0.5 * free[s];
-      if (extra) {
-        const Beside beside(white_[s].column(extra), read_[s]);
-        Row along(count);
-        beside.along(white, along.data());
-        for (int m = 0; m < count; ++m) {
-          told[s][m] -= along[m] * beside.told;
-          square[s][m] -= along[m] * along[m];
-        }
-        constant[s] += beside.gain;
-        free[s] -= beside.told * beside.told;
+    return mix(products, out);
+  }
+
+  // Log likelihood that each column adds at most to that of the likeliest place, whichever place
+  // that then is, at the noise that suits the place or at less of it. Readies `weigh_beside`.
+  Row gains(const Columns& columns) {
+    const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
+    Row out(columns.size(), -INFINITY), square, ratio(unit_.size());
+    double plain = -INFINITY;
+    for (std::size_t s = 0; s < products_.size(); ++s) {
+      const Whitened::At& at = readings_.levels[s];
+      Products& of = products_[s];
+      at.by.raise(of.white);
+      if (at.factor > readings_.levels[level_].factor) continue;
+      square = of.square;
+      for (std::size_t m = 0; m < square.size(); ++m) {
+        square[m] += 1.0 / (widest * widest * unit_[m]);
+        ratio[m] = of.told[m] * of.told[m] / square[m];
       }
-      for (int p = 0; p < scales; ++p) {
-        double best = 0.0;
-        for (int m = 0; m < count; ++m) {
-          const double v = variance[p][m];
-          const double gain = told[s][m] * told[s][m] * v / (1.0 + square[s][m] * v);
-          best = gain > best ? gain : best;
+      plain = std::max(plain, of.constant + 0.5 * *std::max_element(ratio.begin(), ratio.end()));
+      for (int e = 0; e < columns.size(); ++e) {
+        const Beside beside(columns[e], at);
+        beside.along(of.white, along_);
+        for (std::size_t m = 0; m < square.size(); ++m) {
+          const double b = of.told[m] - along_[m] * beside.told;
+          ratio[m] = b * b / (square[m] - along_[m] * along_[m]);
         }
-        top = std::max(top, constant[s] + 0.5 * best);
+        const double most = *std::max_element(ratio.begin(), ratio.end());
+        out[e] = std::max(out[e], of.constant + beside.gain + 0.5 * most);
       }
+    }
+    for (double& gain : out) gain -= plain;
+    return out;
+  }
+
+ private:
+  // At one level of noise: log density and square of the readings, products of each whitened lever
+  // with the readings and with itself, the levers.
+  struct Products {
+    double constant, free;
+    Row told, square;
+    Matrix white;
+  };
+
+  // One more column of the covariance: a rank-one change of every product. `told` and `along` are
+  // products with the column, scaled so that their own products are what is taken away.
+  struct Beside {
+    Columns::Column column;
+    double scale, told, gain;
+    Beside(const Columns::Column& of, const Whitened::At& at) : column(of) {
+      const double c = 1.0 + at.by.square(of);
+      scale = 1.0 / std::sqrt(c);
+      told = scale * Whitener::dot(of.value, at.raised.data() + of.from, of.count);
+      gain = 0.5 * (told * told - std::log(c));
+    }
+    void along(const Matrix& raised, Row& out) const {
+      out.assign(raised.columns, 0.0);
+      for (int i = 0; i < column.count; ++i) {
+        const double share = scale * column.value[i];
+        const double* row = raised[column.from + i];
+        for (int m = 0; m < raised.columns; ++m) out[m] += row[m] * share;
+      }
+    }
+  };
+
+  bool mix(const std::vector<Products>& products, OneContact& out) {
+    const std::size_t count = unit_.size();
+    const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
+    Row best_of(products.size()), q(count), f(count), exponent(count);
+    double top = -INFINITY, best = 0.0;
+    for (std::size_t s = 0; s < products.size(); ++s) {
+      const Products& of = products[s];
+      for (std::size_t m = 0; m < count; ++m) {
+        exponent[m] = of.told[m] * of.told[m] / (of.square[m] + 1.0 / (widest * widest * unit_[m]));
+      }
+      best_of[s] = of.constant + 0.5 * *std::max_element(exponent.begin(), exponent.end());
+      top = std::max(top, best_of[s]);
     }
     out.mass.assign(count, 0.0);
     out.force.assign(count, 0.0);
     out.spread.assign(count, 0.0);
-    double best = 0.0;
-    for (int s = 0; s < levels; ++s) {
-      for (int p = 0; p < scales; ++p) {
-        for (int m = 0; m < count; ++m) {
-          const double q = 1.0 / (1.0 + square[s][m] * variance[p][m]);
-          const double v = variance[p][m] * q, f = told[s][m] * v;
-          const double exponent = constant[s] - top + 0.5 * told[s][m] * f;
-          if (exponent < -kNothing) continue;
-          double w = std::exp(exponent) * std::sqrt(q);
-          if (prior_.critical < INFINITY) {
-            w *= below_fold(f, v, variance[p][m], levers.base[m]);
-          }
+    for (std::size_t s = 0; s < products.size(); ++s) {
+      if (best_of[s] < top - kNothing) continue;
+      const Products& of = products[s];
+      for (const double scale : prior_.scales) {
+        const double power = scale * scale, constant = of.constant - top;
+        for (std::size_t m = 0; m < count; ++m) {
+          const double variance = power * unit_[m];
+          q[m] = 1.0 / (1.0 + of.square[m] * variance);
+          f[m] = of.told[m] * variance * q[m];
+          exponent[m] = constant + 0.5 * of.told[m] * f[m];
+        }
+        for (std::size_t m = 0; m < count; ++m) {
+          if (exponent[m] < -kNothing) continue;
+          const double variance = power * unit_[m], v = variance * q[m];
+          double w = std::exp(exponent[m]) * std::sqrt(q[m]);
+          if (prior_.critical < INFINITY) w *= below_fold(f[m], v, variance, base_[m]);
           out.mass[m] += w;
-          out.force[m] += w * f;
-          out.spread[m] += w * (f * f + v);
+          out.force[m] += w * f[m];
+          out.spread[m] += w * (f[m] * f[m] + v);
           if (w > best) {
             best = w;
-            level_ = s, out.noise = frame_.levels[s].factor;
-            out.misfit = free[s] - f * (2.0 * told[s][m] - square[s][m] * f);
+            level_ = s, out.noise = readings_.levels[s].factor;
+            out.misfit = of.free - f[m] * (2.0 * of.told[m] - of.square[m] * f[m]);
           }
         }
       }
     }
     double total = 0.0;
-    for (int m = 0; m < count; ++m) {
+    for (std::size_t m = 0; m < count; ++m) {
       if (out.mass[m] <= 0.0) continue;
       total += out.mass[m];
       out.force[m] /= out.mass[m];
@@ -265,86 +366,11 @@ class OneContactGrid {
     if (!(total > 0.0)) return false;
     out.top =
         static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
-    out.log_evidence = top + std::log(total * out.width / (window * scales));
+    const double scales = static_cast<double>(prior_.scales.size());
+    out.log_evidence = top + std::log(total * out.width / scales);
     for (double& mass : out.mass) mass /= total;
     return true;
   }
-
-  // Log likelihood that each column adds at most to that of the likeliest place, whichever place
-  // that then is, at the noise that suits the place or at less of it.
-  Row gains(const Levers& levers, const Matrix& columns) const {
-    const int n = frame_.size(), count = levers.sensor.columns;
-    Matrix white(n, count);
-    const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-    Row precision = prior_deviations(prior_, levers.largest, widest);
-    for (double& value : precision) value = 1.0 / (value * value);
-    Row told(count), square(count), along(count), out(columns.rows, -INFINITY);
-    double plain = -INFINITY;
-    for (std::size_t s = 0; s < white_.size(); ++s) {
-      if (frame_.levels[s].factor > frame_.levels[level_].factor) continue;
-      const Row& read = read_[s];
-      white_[s](levers.sensor, white);
-      products(white, read, told.data(), square.data());
-      const double constant = white_[s].log_det - 0.5 * Whitener::dot(read.data(), read.data(), n);
-      double best = 0.0;
-      for (int m = 0; m < count; ++m) {
-        square[m] += precision[m];
-        best = std::max(best, told[m] * told[m] / square[m]);
-      }
-      plain = std::max(plain, constant + 0.5 * best);
-      for (int e = 0; e < columns.rows; ++e) {
-        const Beside beside(white_[s].column(columns[e]), read);
-        beside.along(white, along.data());
-        best = 0.0;
-        for (int m = 0; m < count; ++m) {
-          const double b = told[m] - along[m] * beside.told, g = square[m] - along[m] * along[m];
-          const double gain = b * b / g;
-          best = gain > best ? gain : best;
-        }
-        out[e] = std::max(out[e], constant + beside.gain + 0.5 * best);
-      }
-    }
-    for (double& gain : out) gain -= plain;
-    return out;
-  }
-
- private:
-  static constexpr double kNothing = 25.0;  // nats below the likeliest place that weigh nothing
-
-  // Products of each whitened lever with the readings and with itself.
-  static void products(const Matrix& white, const Row& read, double* told, double* square) {
-    std::fill(told, told + white.columns, 0.0);
-    std::fill(square, square + white.columns, 0.0);
-    for (int i = 0; i < white.rows; ++i) {
-      const double* row = white[i];
-      for (int m = 0; m < white.columns; ++m) {
-        told[m] += row[m] * read[i];
-        square[m] += row[m] * row[m];
-      }
-    }
-  }
-
-  // One more column of the covariance: a rank-one change of every product. `told` and `along` are
-  // products with the column, scaled so that their own products are what is taken away.
-  struct Beside {
-    Whitener::Column column;
-    double scale, told, gain;
-    Beside(Whitener::Column&& whitened, const Row& read) : column(std::move(whitened)) {
-      const double* value = column.value.data();
-      const double c = 1.0 + Whitener::dot(value, value, column.count);
-      scale = 1.0 / std::sqrt(c);
-      told = scale * Whitener::dot(value, read.data() + column.from, column.count);
-      gain = 0.5 * (told * told - std::log(c));
-    }
-    void along(const Matrix& white, double* out) const {
-      std::fill(out, out + white.columns, 0.0);
-      for (int i = 0; i < column.count; ++i) {
-        const double share = scale * column.value[i];
-        const double* row = white[column.from + i];
-        for (int m = 0; m < white.columns; ++m) out[m] += row[m] * share;
-      }
-    }
-  };
 
   // Share of the force's posterior, over that of its prior, that does not fold the base.
   double below_fold(double mean, double variance, double prior, double lever) const {
@@ -359,29 +385,22 @@ class OneContactGrid {
     return share;
   }
 
-  const Frame& frame_;
+  const Whitened& readings_;
   const ForcePrior& prior_;
-  std::vector<Whitener> white_;
-  std::vector<Row> read_;
-  int level_ = 0;
+  std::vector<Products> products_;
+  Row base_, unit_;  // levers at the base; prior variances for a largest moment of one
+  Row along_;
+  std::size_t level_ = 0;
 };
 
-inline Row middles(Window window, int cells) {
-  Row place(cells);
-  for (int m = 0; m < cells; ++m) {
-    place[m] = window.near + (m + 0.5) * (window.far - window.near) / cells;
-  }
-  return place;
-}
-
-// One contact in a window of the body; and beside rivals, those that are worth weighing.
-inline OneContact one_contact(const Frame& frame, const Matrix& shared, const ForcePrior& prior,
-                              Window window, int cells, double half, const Nodes& start,
-                              const Rivals* rivals = nullptr,
+// One contact anywhere on the body; and beside rivals, those that are worth weighing.
+inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior, int cells,
+                              double half, const Nodes& start, const Rivals* rivals = nullptr,
                               std::vector<RivalContact>* beside = nullptr) {
-  OneContactGrid grid(frame, shared, prior);
+  const Frame& frame = *readings.frame;
+  OneContactGrid grid(readings, prior);
   OneContact out;
-  Window part = window;
+  Window part{0.0, 1.0};
   out.curvature = start;
   bool straight = turn_of(start) < prior.straight;
   std::optional<Shape> shape;
@@ -389,8 +408,7 @@ inline OneContact one_contact(const Frame& frame, const Matrix& shared, const Fo
     out.place = middles(part, cells);
     out.width = (part.far - part.near) / cells;
     if (!straight) shape.emplace(out.curvature);
-    const Levers levers = levers_at(frame, shape, out.place, half);
-    if (!grid.weigh(levers, window.far - window.near, nullptr, out)) break;
+    if (!grid.weigh(levers_at(frame, shape, out.place, half), out)) break;
     Nodes bent = frame.rest;
     const double arc = out.place[out.top], force = out.force[out.top];
     if (straight) {
@@ -414,180 +432,230 @@ inline OneContact one_contact(const Frame& frame, const Matrix& shared, const Fo
       continue;
     }
     if (!rivals) return out;
-    const Row gain = grid.gains(levers, rivals->column);
+    const Row gain = grid.gains(rivals->column);
     const double least = std::max(rivals->best, out.log_evidence) + rivals->hopeless;
-    for (int e = 0; e < rivals->column.rows; ++e) {
+    for (int e = 0; e < rivals->column.size(); ++e) {
       if (out.log_evidence + gain[e] + rivals->log_odds[e] < least) continue;
       OneContact other = out;
-      if (grid.weigh(levers, window.far - window.near, rivals->column[e], other)) {
-        beside->push_back({e, std::move(other)});
-      }
+      if (grid.weigh_beside(rivals->column[e], other)) beside->push_back({e, std::move(other)});
     }
     return out;
   }
   return out;
 }
 
-// Two or three contacts, base to tip, over M cells each.
-struct SeveralContacts {
+// Posterior of two or three contacts, base to tip, each in a window of its own.
+struct SeveralContacts : Fit {
   std::vector<Row> place, mass;  // of each contact's cells; marginal mass of sum one
   Row width;                     // of each contact's cells
   Row best, force, spread;       // the likeliest set of places; its mean forces, deviations
-  Nodes curvature;               // of the body that it bends
-  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
 };
 
+// Weighs all sets of places, one of each contact's cells, by eliminating one contact after another
+// (Gauss): each adds to the gain, to the log determinant, and to the mean moment at the base.
 class SetsGrid {
  public:
-  SetsGrid(int count, int cells) : count_(count), cells_(cells) {}
+  // Of the columns of all contacts: whitened levers' products with each other, above the diagonal,
+  // and with the readings; levers at the base. Less what the contacts that are placed explain.
+  struct Products {
+    Matrix gram;
+    Row diagonal, told, base;
+  };
 
-  Row place, precision, base;  // (k M,) of all columns
-  Matrix gram;                 // (k M, k M) products of whitened levers
-  Row told;                    // (k M,) and with the readings
-  std::vector<Row> mass;       // (k, M)
-  Row best, force, spread;     // (k,)
-  double total = 0.0, misfit = INFINITY, noise = 1.0, top = -INFINITY;
-  double factor = 1.0;  // of the noise that is weighed
+  SetsGrid(int count, int cells) : count_(count), cells_(cells), at_(count), left_(count) {}
+
+  Row place, width;       // (k M,) of all columns; (k,)
+  std::vector<Row> mass;  // (k, M)
+  std::vector<int> best;  // (k,) columns of the likeliest set
+  std::size_t level = 0;  // of the noise and scale of the forces that suit it
+  double scale = 0.0, total = 0.0, top = -INFINITY;
 
   void clear() {
     mass.assign(count_, Row(cells_, 0.0));
-    best.assign(count_, 0.0);
-    force = spread = best;
-    total = 0.0, misfit = INFINITY, top = -INFINITY, peak_ = -1.0;
+    best.assign(count_, 0);
+    place.clear(), width.clear();
+    total = 0.0, top = -INFINITY, peak_ = -1.0;
   }
 
-  // Adds the weights of all sets at one level of noise and one prior of the forces.
-  void weigh(double log_scale, double free, double critical, double gap) {
-    for (int m = 0; m < cells_; ++m) {
-      const double a = gram[m][m] + precision[m], u = told[m];
-      for (int n = cells_; n < 2 * cells_; ++n) {
-        if (place[n] - place[m] < gap) continue;
-        const double b = gram[n][n] + precision[n], v = told[n], c = gram[m][n];
-        const double pair = a * b - c * c;
-        const double volume = pair / (precision[m] * precision[n]);
-        if (count_ == 2) {
-          const double x = (u * b - v * c) / pair, y = (v * a - u * c) / pair;
-          const double moment = x * base[m] + y * base[n];
-          const std::array<int, 3> at{m, n, 0};
-          add(log_scale, u * x + v * y, volume, free, moment, critical, at, {x, y, 0.0},
-              {b / pair, a / pair, 0.0});
-          continue;
-        }
-        for (int o = 2 * cells_; o < 3 * cells_; ++o) {
-          if (place[o] - place[n] < gap) continue;
-          const double d = gram[o][o] + precision[o], w = told[o];
-          const double e = gram[m][o], f = gram[n][o];
-          // Cofactors of [[a c e] [c b f] [e f d]].
-          const double aa = b * d - f * f, ac = e * f - c * d, ae = c * f - b * e;
-          const double bb = a * d - e * e, bf = c * e - a * f;
-          const double det = a * aa + c * ac + e * ae;
-          const double x = (aa * u + ac * v + ae * w) / det;
-          const double y = (ac * u + bb * v + bf * w) / det;
-          const double z = (ae * u + bf * v + pair * w) / det;
-          const double moment = x * base[m] + y * base[n] + z * base[o];
-          const double all = det / (precision[m] * precision[n] * precision[o]);
-          add(log_scale, u * x + v * y + w * z, all, free, moment, critical, {m, n, o}, {x, y, z},
-              {aa / det, bb / det, pair / det});
-        }
+  // At one level of noise.
+  void set(const Matrix& white, const Row& read, const Row& base) {
+    Products& to = left_[0];
+    to.gram = Matrix(white.columns, white.columns);
+    to.told.assign(white.columns, 0.0);
+    to.base = base;
+    for (int i = 0; i < white.rows; ++i) {
+      const double *row = white[i], value = read[i];
+      for (int k = 0; k < white.columns; ++k) {
+        to.told[k] += row[k] * value;
+        double* gram = to.gram[k];
+        for (int l = k; l < white.columns; ++l) gram[l] += row[k] * row[l];
       }
     }
+  }
+
+  // Adds the weights of all sets at that level and one prior of the forces.
+  void weigh(const Row& precision, double constant, double critical, std::size_t at_level,
+             double at_scale) {
+    gap_ = *std::min_element(width.begin(), width.end()) * 0.5;
+    critical_ = critical, level_ = at_level, scale_ = at_scale;
+    left_[0].diagonal = precision_ = precision;
+    for (std::size_t k = 0; k < precision.size(); ++k) {
+      left_[0].diagonal[k] += left_[0].gram[k][k];
+    }
+    for (Products& next : left_) {
+      if (&next != left_.data()) next = left_[0];
+    }
+    place_contact(0, {constant, 1.0, 0.0});
   }
 
  private:
-  void add(double log_scale, double gain, double volume, double free, double moment,
-           double critical, std::array<int, 3> at, std::array<double, 3> f,
-           std::array<double, 3> variance) {
-    const double exponent = log_scale + 0.5 * gain;
-    if (exponent < top - 25.0 || std::abs(moment) > critical) return;
-    if (exponent > top + 25.0) {  // what was added so far is small beside this
-      const double shrink = std::exp(top - exponent);
-      for (Row& row : mass) {
-        for (double& value : row) value *= shrink;
-      }
-      total *= shrink, peak_ *= shrink, top = exponent;
+  struct Sum {
+    double exponent, volume, moment;
+  };
+
+  void place_contact(int contact, Sum sum) {
+    if (contact + 1 == count_) return add(sum);
+    const Products& left = left_[contact];
+    const int first = contact * cells_, end = first + cells_;
+    for (int m = first; m < end; ++m) {
+      if (contact > 0 && place[m] - place[at_[contact - 1]] < gap_) continue;
+      const double pivot = left.diagonal[m], told = left.told[m], base = left.base[m];
+      at_[contact] = m;
+      eliminate(left, m, end, left_[contact + 1]);
+      place_contact(contact + 1,
+                    {sum.exponent + 0.5 * told * told / pivot, sum.volume * pivot / precision_[m],
+                     sum.moment + told * base / pivot});
     }
-    const double weight = std::exp(exponent - top) / std::sqrt(volume);
-    for (int j = 0; j < count_; ++j) mass[j][at[j] - j * cells_] += weight;
-    total += weight;
-    if (weight > peak_) {
-      peak_ = weight, misfit = free - gain, noise = factor;
-      for (int j = 0; j < count_; ++j) {
-        best[j] = place[at[j]], force[j] = f[j], spread[j] = std::sqrt(variance[j]);
+  }
+
+  // Take the contact in column m out of those from `end` on.
+  void eliminate(const Products& from, int m, int end, Products& to) const {
+    const int wide = count_ * cells_;
+    const double pivot = from.diagonal[m], told = from.told[m], base = from.base[m];
+    const double* row = from.gram[m];
+    for (int k = end; k < wide; ++k) {
+      const double share = row[k] / pivot;
+      to.told[k] = from.told[k] - share * told;
+      to.base[k] = from.base[k] - share * base;
+      to.diagonal[k] = from.diagonal[k] - share * row[k];
+    }
+    for (int k = end; k < wide - cells_; ++k) {
+      const double share = row[k] / pivot, *old = from.gram[k];
+      double* fresh = to.gram[k];
+      for (int l = wide - cells_; l < wide; ++l) fresh[l] = old[l] - share * row[l];
+    }
+  }
+
+  // The last contact at each of its places.
+  void add(Sum sum) {
+    const Products& left = left_.back();
+    const int first = (count_ - 1) * cells_;
+    const double *told = left.told.data() + first, *pivot = left.diagonal.data() + first;
+    exponent_.resize(cells_);
+    for (int m = 0; m < cells_; ++m) {
+      exponent_[m] = sum.exponent + 0.5 * told[m] * told[m] / pivot[m];
+    }
+    for (int m = 0; m < cells_; ++m) {
+      const int k = first + m;
+      const double exponent = exponent_[m];
+      if (exponent < top - kNothing || place[k] - place[at_[count_ - 2]] < gap_) continue;
+      const double moment = sum.moment + told[m] * left.base[k] / pivot[m];
+      if (std::abs(moment) > critical_) continue;
+      if (exponent > top + kNothing) {  // what was added so far is small beside this
+        const double shrink = std::exp(top - exponent);
+        for (Row& row : mass) {
+          for (double& value : row) value *= shrink;
+        }
+        total *= shrink, peak_ *= shrink, top = exponent;
       }
+      const double volume = sum.volume * pivot[m] / precision_[k];
+      const double weight = std::exp(exponent - top) / std::sqrt(volume);
+      at_[count_ - 1] = k;
+      for (int j = 0; j < count_; ++j) mass[j][at_[j] - j * cells_] += weight;
+      total += weight;
+      if (weight > peak_) peak_ = weight, level = level_, scale = scale_, best = at_;
     }
   }
 
   int count_, cells_;
-  double peak_ = -1.0;
+  std::vector<int> at_;         // columns of the set that is being weighed
+  std::vector<Products> left_;  // by how many contacts are placed
+  Row precision_, exponent_;
+  double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
+  std::size_t level_ = 0;
 };
 
-inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared,
-                                        const ForcePrior& prior, int count, int cells,
-                                        const Nodes& start) {
-  const int n = frame.size(), wide = count * cells;
+// The likeliest set of a grid: forces, misfit, and the body that it bends. Returns that body.
+inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, const SetsGrid& sets,
+                           const Levers& levers, const Shape& shape, SeveralContacts& out) {
+  const Frame& frame = *readings.frame;
+  const int n = frame.size(), count = static_cast<int>(sets.best.size());
+  const Row unit = prior_deviations(prior, levers.largest);
+  Matrix loads(count, n);
+  Row deviation;
+  for (int j = 0; j < count; ++j) {
+    deviation.push_back(sets.scale * unit[sets.best[j]]);
+    for (int i = 0; i < n; ++i) loads[j][i] = deviation[j] * levers.sensor[i][sets.best[j]];
+  }
+  const Whitened::At& at = readings.levels[sets.level];
+  const Solution found = solve(at, loads);
+  out.noise = at.factor, out.misfit = at.square - found.gain;
+  Nodes bent = frame.rest;
+  for (int j = 0; j < count; ++j) {
+    out.best[j] = sets.place[sets.best[j]];
+    out.force[j] = found.mean[j] * deviation[j];
+    out.spread[j] = found.deviation[j] * deviation[j];
+    shape.add_moment(shape.at(out.best[j]), out.force[j], bent);
+  }
+  out.loads = std::move(loads);
+  return bent;
+}
+
+inline SeveralContacts several_contacts(const Whitened& readings, const ForcePrior& prior,
+                                        int count, int cells, const Nodes& start) {
+  const Frame& frame = *readings.frame;
+  const int wide = count * cells;
   SeveralContacts out;
+  out.best = out.force = out.spread = Row(count);
   std::vector<Window> window(count, Window{0.0, 1.0});
   out.curvature = start;
   bool straight = turn_of(start) < prior.straight;
   std::optional<Shape> shape;
   SetsGrid sets(count, cells);
-  Matrix white(n, wide);
+  Matrix white;
+  Row precision(wide);
   for (int turn = 0; turn < kMostTurns; ++turn) {
-    sets.place.clear();
-    out.width.clear();
-    double log_volume = 0.0, gap = 1.0;
+    sets.clear();
+    double log_volume = 0.0;
     for (int j = 0; j < count; ++j) {
       const Row part = middles(window[j], cells);
       sets.place.insert(sets.place.end(), part.begin(), part.end());
-      out.width.push_back((window[j].far - window[j].near) / cells);
-      log_volume += std::log((j + 1.0) * out.width[j]);
-      gap = std::min(gap, 0.5 * out.width[j]);
+      sets.width.push_back((window[j].far - window[j].near) / cells);
+      log_volume += std::log((j + 1.0) * sets.width[j]);
     }
     if (!straight) shape.emplace(out.curvature);
     const Levers levers = levers_at(frame, shape, sets.place, 0.0);
-    sets.base = levers.base;
-    sets.clear();
-    for (const Level& level : frame.levels) {
-      const Whitener by(frame, level, shared);
-      const Row read = by(frame.excess.data());
-      by(levers.sensor, white);
-      sets.factor = level.factor;
-      sets.gram = Matrix(wide, wide);
-      sets.told.assign(wide, 0.0);
-      for (int i = 0; i < n; ++i) {
-        const double* row = white[i];
-        for (int k = 0; k < wide; ++k) {
-          sets.told[k] += row[k] * read[i];
-          double* to = sets.gram[k];
-          for (int l = k; l < wide; ++l) to[l] += row[k] * row[l];
-        }
-      }
-      const double free = Whitener::dot(read.data(), read.data(), n);
+    const Row unit = prior_deviations(prior, levers.largest);
+    for (std::size_t s = 0; s < readings.levels.size(); ++s) {
+      const Whitened::At& at = readings.levels[s];
+      at.by(levers.sensor, white);
+      sets.set(white, at.read, levers.base);
       for (const double scale : prior.scales) {
-        const Row deviation = prior_deviations(prior, levers.largest, scale);
-        sets.precision.resize(wide);
-        for (int k = 0; k < wide; ++k) {
-          sets.precision[k] = 1.0 / (deviation[k] * deviation[k]);
-        }
-        sets.weigh(by.log_det - 0.5 * free, free, prior.critical, gap);
+        for (int k = 0; k < wide; ++k) precision[k] = 1.0 / (scale * scale * unit[k] * unit[k]);
+        sets.weigh(precision, at.log_density, prior.critical, s, scale);
       }
     }
     if (!(sets.total > 0.0)) return out;
-    out.best = sets.best, out.force = sets.force, out.spread = sets.spread;
-    out.misfit = sets.misfit, out.noise = sets.noise;
-    const double weights = static_cast<double>(prior.scales.size());
-    out.log_evidence = sets.top + std::log(sets.total / weights) + log_volume;
+    const double scales = static_cast<double>(prior.scales.size());
+    out.log_evidence = sets.top + std::log(sets.total / scales) + log_volume;
     out.place.clear();
     for (int j = 0; j < count; ++j) {
       for (double& mass : sets.mass[j]) mass /= sets.total;
       out.place.emplace_back(sets.place.begin() + j * cells, sets.place.begin() + (j + 1) * cells);
     }
-    out.mass = sets.mass;
-    Nodes bent = frame.rest;
-    const Shape levered = shape.value_or(Shape(Nodes{}));
-    for (int j = 0; j < count; ++j) {
-      levered.add_moment(levered.at(out.best[j]), out.force[j], bent);
-    }
+    out.mass = sets.mass, out.width = sets.width;
+    const Nodes bent =
+        likeliest_set(readings, prior, sets, levers, shape.value_or(Shape(Nodes{})), out);
     bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
     if (straight) {
       straight = turn_of(bent) < prior.straight;
@@ -611,65 +679,53 @@ inline SeveralContacts several_contacts(const Frame& frame, const Matrix& shared
 }
 
 // A load on the end of the body: normal and tangential force and a couple there.
-struct EndWrench {
+struct EndWrench : Fit {
   std::array<double, 3> load{}, spread{};  // normal and tangential force, couple
-  Nodes curvature;                         // of the body that it bends
-  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
 };
 
 // `radius`: of the tube, the longest arm of a tangential force, unless something `held` the end.
 // Then the couple is free and the tangential force may pull as well.
-inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const ForcePrior& prior,
-                            double radius, bool held, const Nodes& start) {
+inline EndWrench end_wrench(const Whitened& readings, const ForcePrior& prior, double radius,
+                            bool held, const Nodes& start) {
+  const Frame& frame = *readings.frame;
   const int n = frame.size();
   EndWrench out;
   out.curvature = start;
+  Levers normal(n, 1), along(n, 1);
+  Matrix loads(3, n);
+  Row each;
   for (int turn = 0; turn < kMostPasses; ++turn) {
     const Shape shape(out.curvature);
-    Levers normal(n, 1), along(n, 1);
     bent_levers(shape, {1.0}, frame.low, frame.high, normal);
     bent_levers(shape, {1.0}, frame.low, frame.high, along, true);
     const double arm = std::max({normal.largest[0], along.largest[0], 1e-6});
-    Row each;
     double best = -INFINITY;
-    for (const Level& level : frame.levels) {
-      const Whitener by(frame, level, shared);
-      const Row read = by(frame.excess.data());
-      const double free = Whitener::dot(read.data(), read.data(), n);
-      for (const double scale : prior.scales) {
-        const double force = scale / arm, couple = held ? scale : force * radius;
-        const std::array<double, 3> unit{force, force, couple};
-        Row column[3] = {Row(n), Row(n), Row(n, couple)};
-        for (int i = 0; i < n; ++i) {
-          column[0][i] = force * normal.sensor[i][0];
-          column[1][i] = force * along.sensor[i][0];
-        }
-        const Solution found({by(column[0].data()), by(column[1].data()), by(column[2].data())},
-                             read);
-        double log_weight = by.log_det - 0.5 * free + 0.5 * found.gain - 0.5 * found.log_volume;
+    each.clear();
+    for (const double scale : prior.scales) {
+      const double force = scale / arm, couple = held ? scale : force * radius;
+      const std::array<double, 3> unit{force, force, couple};
+      for (int i = 0; i < n; ++i) {
+        loads[0][i] = force * normal.sensor[i][0];
+        loads[1][i] = force * along.sensor[i][0];
+        loads[2][i] = couple;
+      }
+      for (const Whitened::At& at : readings.levels) {
+        const Solution found = solve(at, loads);
+        double log_weight = at.log_density + 0.5 * found.gain - 0.5 * found.log_volume;
         if (!held) {  // a peg pushes the end back, and never pulls it
           const double pushed =
               std::erfc(-found.mean[1] / (std::numbers::sqrt2 * found.deviation[1]));
           log_weight += std::log(std::max(pushed, 1e-300));
         }
         each.push_back(log_weight);
-        if (log_weight > best) {
-          best = log_weight;
-          out.noise = level.factor;
-          for (int j = 0; j < 3; ++j) {
-            out.load[j] = found.mean[j] * unit[j];
-            out.spread[j] = found.deviation[j] * unit[j];
-          }
-          const Row r = by([&] {
-            Row rest(n);
-            for (int i = 0; i < n; ++i) {
-              rest[i] = frame.excess[i] - found.mean[0] * column[0][i] -
-                        found.mean[1] * column[1][i] - found.mean[2] * column[2][i];
-            }
-            return rest;
-          }()
-                               .data());
-          out.misfit = Whitener::dot(r.data(), r.data(), n);
+        if (log_weight <= best) continue;
+        best = log_weight;
+        out.noise = at.factor, out.loads = loads;
+        out.misfit = at.square - found.gain;
+        for (int j = 0; j < 3; ++j) {
+          out.load[j] = found.mean[j] * unit[j];
+          out.spread[j] = found.deviation[j] * unit[j];
+          out.misfit -= found.mean[j] * found.mean[j];
         }
       }
     }
@@ -687,70 +743,68 @@ inline EndWrench end_wrench(const Frame& frame, const Matrix& shared, const Forc
 
 // A contact that has folded the base: its moment there is the critical one, and the fold's angle
 // has its sign.
-struct FoldedContact {
+struct FoldedContact : Fit {
   Row place, mass, force, angle;  // (M,)
-  Nodes curvature;
-  double log_evidence = -INFINITY, misfit = INFINITY, noise = 1.0;
   int top = 0;
 };
 
-// `fold` (N,): what a fold of one radian adds to each reading. `tolerance`: relative standard error
-// of the critical moment. `spread`: prior standard deviation of the fold's angle.
-inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
-                                    const ForcePrior& prior, double critical, double tolerance,
-                                    const Row& fold, double spread, int cells, const Nodes& start) {
+// `fold` (N,): what a fold of one prior standard deviation adds to each reading. `tolerance`:
+// relative standard error of the critical moment.
+inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& prior,
+                                    double tolerance, const Row& fold, int cells,
+                                    const Nodes& start) {
+  const Frame& frame = *readings.frame;
   const int n = frame.size();
   FoldedContact out;
   out.curvature = start;
   out.place = middles({0.0, 1.0}, cells);
-  std::vector<Whitener> white;
-  for (const Level& level : frame.levels) white.emplace_back(frame, level, shared);
+  out.force = out.angle = Row(cells);
+  Matrix white;
   for (int turn = 0; turn < kMostPasses; ++turn) {
     const std::optional<Shape> shape(out.curvature);
     const Levers levers = levers_at(frame, shape, out.place, 0.0);
-    Row log_mass(cells, -INFINITY);
-    out.force.assign(cells, 0.0);
-    out.angle.assign(cells, 0.0);
+    std::vector<Row> each(cells);
+    Row top(cells, -INFINITY);
     double best = -INFINITY;
-    for (int m = 0; m < cells; ++m) {
-      const double lever = levers.base[m];
-      if (std::abs(lever) < 0.02) continue;
-      Row each;
-      double top = -INFINITY;
-      for (std::size_t s = 0; s < white.size(); ++s) {
-        const Whitener& by = white[s];
+    for (const Whitened::At& at : readings.levels) {
+      at.by(levers.sensor, white);
+      const Row kink = at.by(fold);
+      const double bent = Whitener::dot(kink.data(), kink.data(), n);
+      const double seen = Whitener::dot(kink.data(), at.read.data(), n);
+      for (int m = 0; m < cells; ++m) {
+        const double lever = levers.base[m];
+        if (std::abs(lever) < 0.02) continue;
+        double square = 0.0, told = 0.0, both = 0.0;
+        for (int i = 0; i < n; ++i) {
+          square += white[i][m] * white[i][m];
+          told += white[i][m] * at.read[i];
+          both += white[i][m] * kink[i];
+        }
         for (const double sign : {-1.0, 1.0}) {
-          const double mean = sign * critical / std::abs(lever);
-          Row contact(n), column(n), rest(n);
-          for (int i = 0; i < n; ++i) {
-            rest[i] = frame.excess[i] - mean * levers.sensor[i][m];
-            contact[i] = tolerance * mean * levers.sensor[i][m];
-            column[i] = spread * fold[i];
-          }
-          const Row read = by(rest.data());
-          const Solution found({by(contact.data()), by(column.data())}, read);
+          const double mean = sign * prior.critical / std::abs(lever), unit = tolerance * mean;
+          const Solution found(2, {{{unit * unit * square}, {unit * both, bent}}},
+                               {unit * (told - mean * square), seen - mean * both});
           // The prior of the angle is one-sided: its sign is the moment's.
           const double own = lever > 0.0 ? sign : -sign;
           const double z = -own * found.mean[1] / found.deviation[1];
           const double share = std::erfc(z / std::numbers::sqrt2);
-          const double free = Whitener::dot(read.data(), read.data(), n);
-          const double log_weight = by.log_det - 0.5 * free + 0.5 * found.gain -
+          const double free = at.square - mean * (2.0 * told - mean * square);
+          const double log_weight = at.by.log_det - 0.5 * free + 0.5 * found.gain -
                                     0.5 * found.log_volume + std::log(std::max(share, 1e-300));
-          each.push_back(log_weight);
-          if (log_weight > top) {
-            top = log_weight;
-            out.force[m] = mean * (1.0 + tolerance * found.mean[0]);
-            out.angle[m] = spread * found.mean[1];
-            if (log_weight > best) {
-              best = log_weight;
-              out.top = m;
-              out.noise = frame.levels[s].factor;
-              out.misfit = free - found.gain;
-            }
-          }
+          each[m].push_back(log_weight);
+          if (log_weight <= top[m]) continue;
+          top[m] = log_weight;
+          out.force[m] = mean * (1.0 + tolerance * found.mean[0]);
+          out.angle[m] = found.mean[1];
+          if (log_weight <= best) continue;
+          best = log_weight;
+          out.top = m, out.noise = at.factor, out.misfit = free - found.gain;
         }
       }
-      log_mass[m] = log_sum_exp(each) - std::log(2.0);  // of either sign
+    }
+    Row log_mass(cells, -INFINITY);
+    for (int m = 0; m < cells; ++m) {  // of either sign
+      if (!each[m].empty()) log_mass[m] = log_sum_exp(each[m]) - std::log(2.0);
     }
     out.log_evidence = log_sum_exp(log_mass) - std::log(static_cast<double>(cells));
     out.mass.assign(cells, 0.0);
@@ -761,6 +815,11 @@ inline FoldedContact folded_contact(const Frame& frame, const Matrix& shared,
     for (double& mass : out.mass) mass /= total;
     Nodes bent = frame.rest;
     shape->add_moment(shape->at(out.place[out.top]), out.force[out.top], bent);
+    out.known.resize(n), out.loads = Matrix(2, n);
+    for (int i = 0; i < n; ++i) {
+      out.known[i] = out.force[out.top] * levers.sensor[i][out.top];
+      out.loads[0][i] = tolerance * out.known[i], out.loads[1][i] = fold[i];
+    }
     const bool rests = largest_change(bent, out.curvature) < prior.rests;
     out.curvature = bent;
     if (rests) break;

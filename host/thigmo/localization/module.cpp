@@ -60,9 +60,11 @@ constexpr const char* kLoads[] = {"free body",
                                   "three contacts",
                                   "end wrench, folded base"};
 
-nb::str name_of(const Hypothesis& of) {
-  const std::string name = kLoads[static_cast<int>(of.load)];
-  return nb::str((of.bad < 0 ? name : name + ", one bad reading").c_str());
+// Hypotheses of one key have one name.
+int key_of(const Hypothesis& of) { return 2 * static_cast<int>(of.load) + (of.bad >= 0); }
+nb::str name_of(int key) {
+  const std::string name = kLoads[key / 2];
+  return nb::str((key % 2 == 0 ? name : name + ", one bad reading").c_str());
 }
 
 // Plain numbers of many answers, one row each.
@@ -116,7 +118,7 @@ Answer answer_by_method(const Input& input, const Priors& priors, const Settings
 NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
-    const auto numbers = [&](const char* name) { return row(nb::cast<Numbers>(values[name])); };
+    const auto numbers = [&](const char* name) { return nb::cast<Row>(values[name]); };
     new (self) Priors{numbers("moments"),      numbers("half_widths"),  numbers("noise_levels"),
                       number("least_lever"),   number("contact"),       number("end"),
                       number("end_straight"),  number("held"),          number("another"),
@@ -178,15 +180,20 @@ NB_MODULE(_posterior, m) {
                      }
                      return out;
                    })
-      .def_prop_ro("hypothesis", [](const Answer& a) { return name_of(a.hypotheses[a.best]); })
+      .def_prop_ro("hypothesis",
+                   [](const Answer& a) { return name_of(key_of(a.hypotheses[a.best])); })
       .def_prop_ro("hypotheses",
                    [](const Answer& a) {
-                     nb::dict out;
+                     std::vector<std::pair<int, double>> total;  // in the order of weighing
                      for (std::size_t k = 0; k < a.hypotheses.size(); ++k) {
-                       const nb::str name = name_of(a.hypotheses[k]);
-                       const double before = out.contains(name) ? nb::cast<double>(out[name]) : 0.0;
-                       out[name] = before + a.probability[k];
+                       const int key = key_of(a.hypotheses[k]);
+                       const auto has = [key](const auto& each) { return each.first == key; };
+                       auto at = std::find_if(total.begin(), total.end(), has);
+                       if (at == total.end()) at = total.insert(at, {key, 0.0});
+                       at->second += a.probability[k];
                      }
+                     nb::dict out;
+                     for (const auto& [key, probability] : total) out[name_of(key)] = probability;
                      return out;
                    })
       // Further numbers of the likeliest one, in the caller's unit.

@@ -8,16 +8,14 @@ an edit here counts at once.
 from __future__ import annotations
 
 import math
-from operator import is_, itemgetter
-
-import numpy as np
+from operator import itemgetter
 
 from thigmo.localization import _posterior
 
 # Standard deviations of a contact's largest moment: a touch, a push, a lean; equally likely. For a
 # body of 53 cm they are 0.003, 0.011 and 0.045 1/cm: unactuated contacts stay below the moment that
 # folds the base, 0.011 1/cm, and actuated ones seldom pass the free curvature.
-MOMENTS = np.array([0.15, 0.6, 2.4])
+MOMENTS = (0.15, 0.6, 2.4)
 # Nearer to the base than this share of the body the prior of the force no longer widens.
 LEAST_LEVER = 0.02
 
@@ -45,7 +43,7 @@ BAD_DEVIATION = 0.5
 # Standard deviation of a fold's or a hinge's angle (rad).
 ANGLE = 0.5
 # Half widths of a contact that is spread out.
-HALF_WIDTHS = np.array([0.05, 0.12])
+HALF_WIDTHS = (0.05, 0.12)
 
 # Relative standard error of the critical moment, where the caller does not say.
 CRITICAL_ERROR = 0.1
@@ -88,14 +86,14 @@ TRUST = 5e-4
 NOISE_FACTOR = 2.0
 NOISE_ODDS = 0.05
 # Where the noise is unknown, its levels: shares of the readings' root mean square.
-NOISE_LEVELS = 1.3 * 0.6 ** np.arange(9)
+NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
 
 def compiled() -> _posterior.Priors:
     """All of them, as the compiled code takes them; made anew when one was changed."""
     global _kept
     now = _of(globals())
-    if _kept is None or not all(map(is_, _kept[0], now)):
+    if _kept is None or _kept[0] != now:
         _kept = (now, _posterior.Priors(dict(zip(_NAMES, now, strict=True))))
     return _kept[1]
 

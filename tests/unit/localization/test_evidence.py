@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 import thigmo
 from thigmo.localization import _posterior, localize_batch, priors
-from thigmo.localization.estimate import Options, options_of
+from thigmo.localization.estimate import options_of
 from thigmo.mechanics.spans import phi
 
 LENGTH, SPAN, NOISE = 53.0, 5.5, 6e-4
@@ -19,7 +19,7 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 def weighed(curvature, free, **options):
     """{(load, bad reading): log weight} of one frame."""
-    sensors, settings = options_of(POSITION, len(POSITION), LENGTH, Options(SPAN, NOISE, **options))
+    sensors, settings = options_of(POSITION, len(POSITION), LENGTH, SPAN, NOISE, **options)
     own = np.full(1, free)
     found = _posterior.localize(curvature, own, own, sensors, settings, priors.compiled())
     assert found.problem == 0

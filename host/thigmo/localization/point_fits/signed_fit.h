@@ -19,7 +19,7 @@ constexpr double kSmall = 1e-12;        // entries of a scaled tableau below thi
 using Weights = std::array<double, kColumns>;
 
 // Readings that take part, and what a weight of one adds to each.
-struct Columns {
+struct Hull {
   Row reading;
   std::array<Row, kColumns> column;
 };
@@ -47,7 +47,7 @@ inline double product(const Row& a, const Row& b) {
 }
 
 // What multipliers of the residuals cost for each unit of the limit.
-inline double dual_penalty(const Columns& of, const Row& multiplier) {
+inline double dual_penalty(const Hull& of, const Row& multiplier) {
   double total = 0.0;
   for (int first = 0; first < kColumns; first += kEach) {
     double worst = 0.0;
@@ -60,7 +60,7 @@ inline double dual_penalty(const Columns& of, const Row& multiplier) {
 }
 
 // Factors that bring each column's largest entry to 1.
-inline Weights column_scales(const Columns& of) {
+inline Weights column_scales(const Hull& of) {
   Weights scale;
   for (int r = 0; r < kColumns; ++r) {
     double largest = 0.0;
@@ -71,7 +71,7 @@ inline Weights column_scales(const Columns& of) {
 }
 
 // Weights of least sum |reading - weights x columns|, and a proven lower bound of that sum.
-inline SignedFit fit_signed_l1(const Columns& of, double limit) {
+inline SignedFit fit_signed_l1(const Hull& of, double limit) {
   const int n = static_cast<int>(of.reading.size()), rows = n + 2;
   const Weights scale = column_scales(of);
   Matrix table(rows, kColumns + 1);
@@ -139,7 +139,7 @@ inline SignedFit fit_signed_l1(const Columns& of, double limit) {
 constexpr int kConditions = kColumns + 2;
 
 // Gradients and room up to the limits, against weights, multipliers, the covering variable.
-inline Matrix complementarity(const Columns& of, double limit, const Weights& scale) {
+inline Matrix complementarity(const Hull& of, double limit, const Weights& scale) {
   Matrix table(kConditions, kConditions + 2);
   for (int r = 0; r < kConditions; ++r) {
     table[r][kConditions] = 1.0;
@@ -157,7 +157,7 @@ inline Matrix complementarity(const Columns& of, double limit, const Weights& sc
 }
 
 // Weights of least sum (reading - weights x columns)^2, and a proven lower bound of that sum.
-inline SignedFit fit_signed_l2(const Columns& of, double limit) {
+inline SignedFit fit_signed_l2(const Hull& of, double limit) {
   constexpr int kCovering = kConditions, kLast = kConditions + 1, kSteps = 60;
   const Weights scale = column_scales(of);
   Matrix table = complementarity(of, limit, scale);

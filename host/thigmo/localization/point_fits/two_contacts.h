@@ -105,7 +105,7 @@ class PairSearch {
 
   // Lower bound over a box, exact if it is a point; and the end of a span deepest inside it.
   SignedFit bound(const Box& box, Cut& cut) const {
-    Columns hull;
+    Hull hull;
     hull.reading.reserve(frame_.size());
     for (Row& column : hull.column) column.reserve(frame_.size());
     double unreached = 0.0;

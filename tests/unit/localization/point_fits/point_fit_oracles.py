@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from thigmo.localization import _posterior, priors
-from thigmo.localization.estimate import Options, options_of
+from thigmo.localization.estimate import options_of
 
 Floats = NDArray[np.float64]
 
@@ -35,8 +35,8 @@ class PointFit:
 
 def fit(y: Floats, low: Floats, high: Floats, contacts: int, norm: str) -> PointFit:
     """The compiled fit of readings above a free curvature of 0."""
-    options = Options(high - low, tube_radius=1e-6, contacts=contacts, method=norm)
-    sensors, settings = options_of(0.5 * (low + high), len(y), 1.0, options)
+    options = {"tube_radius": 1e-6, "contacts": contacts, "method": norm}
+    sensors, settings = options_of(0.5 * (low + high), len(y), 1.0, high - low, **options)
     # Readings that are all the same are refused of a body that nothing bends.
     free = np.full(1, 0.5 if np.ptp(y) == 0.0 else 0.0)
     found = _posterior.localize(y + free, free, free, sensors, settings, priors.compiled())
