@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from thigmo.localization import (
         BatchResult,
         Contact,
+        ContactFilter,
         Identifiability,
         LocalizeResult,
         arc_bounds,
         identifiability,
         localize,
         localize_batch,
-        localize_obstacle,
     )
     from thigmo.record import (
         MapContact,
@@ -46,6 +46,7 @@ __version__ = "0.2.0"
 _HOME = {
     "BatchResult": "thigmo.localization",
     "Contact": "thigmo.localization",
+    "ContactFilter": "thigmo.localization",
     "ExplorationResult": "thigmo.exploration",
     "Identifiability": "thigmo.localization",
     "LocalizeResult": "thigmo.localization",
@@ -62,7 +63,6 @@ _HOME = {
     "identifiability": "thigmo.localization",
     "localize": "thigmo.localization",
     "localize_batch": "thigmo.localization",
-    "localize_obstacle": "thigmo.localization",
     "open_run": "thigmo.exploration",
     "read_obstacles": "thigmo.record",
     "read_readings": "thigmo.record",
@@ -73,6 +73,7 @@ _HOME = {
 __all__ = [
     "BatchResult",
     "Contact",
+    "ContactFilter",
     "ExplorationResult",
     "Identifiability",
     "LocalizeResult",
@@ -90,7 +91,6 @@ __all__ = [
     "identifiability",
     "localize",
     "localize_batch",
-    "localize_obstacle",
     "open_run",
     "read_obstacles",
     "read_readings",

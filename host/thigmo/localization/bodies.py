@@ -1,10 +1,10 @@
-"""Bodies bent into a peg, for every place of the room that the body reaches in an inflation.
+"""Bodies bent into a peg, for every place of the room that a body reaches as it bends.
 
 A peg's place is told by where on the outline of the body it is first touched (along the side, round
 the corner, across the face of the end) and at which free curvature. From that touch the
-large-deflection rod is followed through the frames. `obstacle` compares the tables with readings;
-they depend on the body and on the inflation only, so they are kept for the next trial. Peg on the
-left, lengths those of a body of 53 cm.
+large-deflection rod is followed to the most that the body bends. `obstacle` compares the tables
+with readings; they depend on the body and its sensors only, so they are kept for the next sweep.
+Peg on the left, lengths those of a body of 53 cm.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -22,55 +21,66 @@ from thigmo.mechanics import Peg, Rod, Solution, Tube
 Array = npt.NDArray[np.float64]
 
 LENGTH = 53.0
-_CELL = 0.25  # of the tables of heading
 _SIDE = np.linspace(8.0, LENGTH, 37)
 _CORNER = 5  # places round the corner of the end, and across half of its face
-_TOUCHES = 28  # least number of free curvatures of touch
-# Nodes of a sensor's place, in deviations.
-SHIFTS = np.linspace(-3.0, 3.0, 13)
+_TOUCHES = 28  # free curvatures of touch
+_BENDS = 9  # from the touch to the most bend
+_LEAST_BEND = 1e-3  # first of the touches, over the most bend
+_MESH = 2.0  # of the rod: 1e-8 1/cm on its curvature
 
 
 @dataclass(frozen=True, slots=True)
-class Inflation:
-    """A body and the free curvatures (T,) that an inflation takes it through, all positive."""
+class Body:
+    """A body that bends to the left, and the peg's size.
 
-    free: tuple[float, ...]
+    Attributes:
+        most: free curvature that it reaches.
+        radius, peg: of the tube and the peg.
+        critical: moment at which the base folds, or None.
+        low, high: (N,) ends of the sensors.
+        shift: by which the sensors are displaced to learn what an error of their places does.
+    """
+
+    most: float
     radius: float
     peg: float
     critical: float | None
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    shift: float
 
-    def bend(self, centre: Array, touch: float) -> Rod:
+    def at_touch(self, centre: Array, touch: float) -> Rod:
         """The body where a peg at `centre` is about to touch it, at the free curvature `touch`."""
         peg = Peg(float(centre[0]), float(centre[1]), self.peg)
-        rod = Rod(Tube(2.0 * self.radius, self.critical), [peg])
+        rod = Rod(Tube(2.0 * self.radius, self.critical), [peg], cell_cm=_MESH)
         rod.assume_free(touch * (1.0 - 1e-6), LENGTH)
         return rod
 
-    def last(self, centre: Array, touch: float) -> Solution:
-        """The body in the last frame, bent into a peg at `centre`."""
-        rod = self.bend(centre, touch)
-        for free in self.free:
-            if free > touch:
-                rod.step(free, LENGTH)
+    def against(self, centre: Array, touch: float, free: float) -> Solution:
+        """The body bent into a peg at `centre`, up to a free curvature beyond the touch."""
+        rod = self.at_touch(centre, touch)
+        for bend in np.linspace(touch, free, _BENDS)[1:]:
+            rod.step(float(bend), LENGTH)
         return rod.solution()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """A places along the outline, G free curvatures of touch.
+    """A places along the outline, G free curvatures of touch, U bends from there to the most.
 
     Attributes:
         touch: (G,).
         peg: (A, G, 2) centres.
         weight: (A, G) area of the room over a step of both.
-        heading: (A, G, T, M) in each frame, over arcs a cell apart.
-        arc: (A, G) of the contact in the last frame; NaN where there is none.
+        held: (A, G, U, 3, N) what the sensors read above the free body, where they are and
+            displaced back and forth.
+        arc: (A, G, U) of the contact; NaN where there is none.
     """
 
     touch: Array
     peg: Array
     weight: Array
-    heading: Array
+    held: Array
     arc: Array
 
 
@@ -89,23 +99,11 @@ def _outline(radius: float, peg: float) -> Array:
     return np.concatenate([side, corner, face])
 
 
-def _touches(free: Array) -> Array:
-    """(G,) ascending; the frames' own curvatures are among them, for readings have a kink there."""
-    ends = np.unique(np.concatenate([[1e-3 * free.max()], free[free > 2e-3 * free.max()]]))
-    step = free.max() / _TOUCHES
-    parts = [
-        np.linspace(low, high, 1 + max(1, round((high - low) / step)))[:-1]
-        for low, high in pairwise(ends)
-    ]
-    return np.concatenate([*parts, ends[-1:]])
-
-
 @lru_cache(maxsize=8)
-def bodies(inflation: Inflation) -> Bodies:
-    """The table of an inflation (seconds, then kept)."""
-    free = np.array(inflation.free)
-    outline = _outline(inflation.radius, inflation.peg)
-    touch = _touches(free)
+def bodies(body: Body) -> Bodies:
+    """The table of a body (seconds, then kept)."""
+    outline = _outline(body.radius, body.peg)
+    touch = body.most * np.linspace(_LEAST_BEND, 1.0 - 0.5 / _TOUCHES, _TOUCHES)
     heading = touch * outline[:, :1]
     x = np.sin(heading) / touch
     x += outline[:, 1:2] * np.cos(heading) - outline[:, 2:] * np.sin(heading)
@@ -115,65 +113,21 @@ def bodies(inflation: Inflation) -> Bodies:
     onward = np.gradient(x, axis=1), np.gradient(y, axis=1)
     # Where the skin recedes as the body bends, it meets nothing.
     weight = np.maximum(along[0] * onward[1] - along[1] * onward[0], 0.0)
-    cells = round(LENGTH / _CELL)
-    centres: Array = np.linspace(0.5 * _CELL, LENGTH - 0.5 * _CELL, cells)
-    spans = np.full(cells, _CELL)
-    table = np.zeros((*x.shape, len(free), cells + 1))
-    arc = np.full(x.shape, np.nan)
-    mean = np.empty(cells)
+    low, high = np.array(body.low), np.array(body.high)
+    shift = body.shift * np.array([0.0, -1.0, 1.0])[:, None]
+    span = high - low
+    centre = np.clip(0.5 * (low + high) + shift, 0.5 * span, LENGTH - 0.5 * span).ravel()
+    spans = np.broadcast_to(span, (3, span.size)).ravel().copy()
+    held = np.zeros((*x.shape, _BENDS, centre.size))
+    arc = np.full((*x.shape, _BENDS), np.nan)
+    arc[..., 0] = outline[:, :1]
     peg = np.stack([x, y], axis=-1)
-    for a, g in np.ndindex(x.shape):
-        rod = inflation.bend(peg[a, g], float(touch[g]))
-        for frame, curvature in enumerate(inflation.free):
-            if curvature <= touch[g]:
-                mean[:] = curvature
-            else:
-                rod.step(curvature, LENGTH)
-                rod.averages_into(centres, spans, mean)
-            np.cumsum(mean * _CELL, out=table[a, g, frame, 1:])
-        if inflation.free[-1] <= touch[g]:
-            arc[a, g] = outline[a, 0]
-        elif rod.touching and not rod.approximate:
-            arc[a, g] = rod.contacts()[-1].arc
-    return Bodies(touch, peg, weight, table, arc)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What N sensors would read of the bodies, each displaced by each of D shifts.
-
-    Attributes:
-        mean: (A, G, T, N, D) average curvature.
-        blur: (A, G, N, D) its variance between a shift and the next.
-    """
-
-    mean: Array
-    blur: Array
-
-
-@lru_cache(maxsize=8)
-def seen(
-    inflation: Inflation, low: tuple[float, ...], high: tuple[float, ...], place: float
-) -> Seen:
-    """The readings of sensors from `low` to `high` whose places are known to `place`."""
-    shifts = SHIFTS * place if place > 0.0 else np.zeros(1)
-    heading = bodies(inflation).heading
-    mean = np.stack(
-        [_means(heading, a, b, shifts) for a, b in zip(low, high, strict=True)], axis=-2
-    )
-    step = np.gradient(mean, axis=-1) if len(shifts) > 1 else np.zeros_like(mean)
-    return Seen(mean, (step**2).mean(axis=2) / 12.0)
-
-
-def _means(heading: Array, low: float, high: float, shifts: Array) -> Array:
-    span = max(high - low, 2.0 * _CELL)
-    middle = 0.5 * (high + low)
-    # A sensor stays on the body.
-    at = np.clip(middle + shifts, min(span / 2, middle), LENGTH - min(span / 2, LENGTH - middle))
-    near, far = np.maximum(at - span / 2, 0.0), np.minimum(at + span / 2, LENGTH)
-    ends = []
-    for end in (near, far):
-        cell = np.minimum((end / _CELL).astype(np.int64), heading.shape[-1] - 2)
-        share = end / _CELL - cell
-        ends.append((1.0 - share) * heading[..., cell] + share * heading[..., cell + 1])
-    return np.asarray((ends[1] - ends[0]) / (far - near))
+    for a, g in np.argwhere(weight > 0.0):
+        rod = body.at_touch(peg[a, g], float(touch[g]))
+        for u, bend in enumerate(np.linspace(touch[g], body.most, _BENDS)[1:], start=1):
+            rod.step(float(bend), LENGTH)
+            rod.averages_into(centre, spans, held[a, g, u])
+            held[a, g, u] -= bend
+            if rod.touching and not rod.approximate:
+                arc[a, g, u] = rod.contacts()[-1].arc
+    return Bodies(touch, peg, weight, held.reshape(*x.shape, _BENDS, 3, -1), arc)

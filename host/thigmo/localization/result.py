@@ -87,7 +87,8 @@ class LocalizeResult:
         objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only.
         optimum_set: for each contact the arcs at which that minimum is attained.
         length: of the body.
-        bent: arcs, and curvature above the free one there, where `bend` is not the posterior's.
+        bent: arcs, and curvature above the free one there, where a filter over frames answers.
+        cells: edges of cells of the arc, and the posterior mass in each, likewise.
     """
 
     status: Status
@@ -103,6 +104,7 @@ class LocalizeResult:
     optimum_set: tuple[tuple[Range, ...], ...] = ()
     length: float = 1.0
     bent: tuple[Array, Array] | None = None
+    cells: tuple[Array, Array] | None = None
     _answer: _posterior.Answer | None = None
 
     def __repr__(self) -> str:
@@ -136,6 +138,8 @@ class LocalizeResult:
     @property
     def edges(self) -> Array:
         """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
+        if self.cells is not None:
+            return self.cells[0]
         return np.zeros(0) if self._answer is None else self._answer.edges * self.length
 
     @property
@@ -146,6 +150,8 @@ class LocalizeResult:
     @property
     def probability(self) -> Array:
         """(M,) posterior mass in each of `places`."""
+        if self.cells is not None:
+            return self.cells[1]
         return np.zeros(0) if self._answer is None else self._answer.mass
 
     @property

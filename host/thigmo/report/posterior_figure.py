@@ -20,7 +20,7 @@ def draw_posterior(found: LocalizeResult, axes: Axes | None = None, *, unit: str
     """Draw the most distal contact's posterior, and every contact with its 95 % interval.
 
     Args:
-        found: what `localize` or `localize_obstacle` answered.
+        found: what `localize` or a `ContactFilter` answered.
         axes: where to; None makes a new figure.
         unit: name of the unit of length, for the labels; the localizer knows none.
     """

@@ -8,7 +8,7 @@ from scipy.integrate import solve_bvp
 from shooting_rod import CRITICAL, PEG, TUBE, Pressed, room, touched
 
 import thigmo
-from thigmo.localization import localize_obstacle, priors
+from thigmo.localization import ContactFilter, priors
 
 SIGMA = 6e-4
 FREES = np.array([0.01, 0.016, 0.022, 0.028, 0.034, 0.04])
@@ -107,9 +107,9 @@ def test_one_frame(rooms) -> None:
 @pytest.mark.ci
 def test_one_obstacle_at_rest(rooms) -> None:
     def obstacle(readings, position, frees, options):
-        return localize_obstacle(
-            readings, position, free_curvature=frees, peg_radius=PEG, **options
-        )
+        felt = ContactFilter(position, most_curvature=frees[-1], peg_radius=PEG, **options)
+        felt.update(readings, frees)
+        return felt.result()
 
     _check(rooms, obstacle, mean_error=3.0, found=0.95)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
-from thigmo.localization import LocalizeResult, localize, localize_obstacle
+from thigmo.localization import ContactFilter, LocalizeResult, localize
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Trial
@@ -76,23 +76,22 @@ def ours(trial: Trial) -> Answer:
     """
     if trial.passed is None:
         return alone(trial)
-    frames = np.vstack([trial.passed.curvature, trial.curvature])
-    return _answer(
-        localize_obstacle(
-            frames / trial.gain,
-            trial.position,
-            length=trial.length_cm,
-            span=trial.span,
-            free_curvature=np.append(trial.passed.free, trial.free),
-            noise=max(trial.noise, 1e-9),
-            gain_error=trial.passed.gain_sigma,
-            place_error=trial.passed.place_cm,
-            offset_error=trial.offset_sigma,
-            critical_curvature=trial.critical,
-            tube_radius=trial.radius_cm,
-            peg_radius=trial.dowel_cm,
-        )
+    felt = ContactFilter(
+        trial.position,
+        length=trial.length_cm,
+        most_curvature=trial.free,
+        span=trial.span,
+        noise=max(trial.noise, 1e-9),
+        gain_error=trial.passed.gain_sigma,
+        place_error=trial.passed.place_cm,
+        offset_error=trial.offset_sigma,
+        critical_curvature=trial.critical,
+        tube_radius=trial.radius_cm,
+        peg_radius=trial.dowel_cm,
     )
+    felt.update(trial.passed.curvature / trial.gain, trial.passed.free)
+    felt.update(trial.curvature / trial.gain, trial.free)
+    return _answer(felt.result())
 
 
 def alone(trial: Trial) -> Answer:

@@ -1,0 +1,453 @@
+"""Frames together: one round obstacle at rest, felt by a body that bends into it.
+
+A frame of a few readings cannot tell a force on the face of the end from one on the side farther
+back: either bends the body alike. Over an inflation they part, for the peg stands still: where the
+body first met it says how hard, and where along its skin, it must bear at every later curvature. So
+the unknown is the peg's place in the room, two numbers for all frames together, and what the frames
+share besides: errors of gains, zeros and places of the sensors, of the map, of the body's
+stiffness. For each place of a grid (`bodies`) readings are linear in these, and in how far the peg
+is from the place. So each frame adds to the normal equations of a linear model, one for each place,
+and the evidence of a place is that of LOCALIZER's linear models in closed form, after any frame.
+Frames before the touch are those of the free body at every place: they teach what the frames share.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import logsumexp, ndtr
+
+from thigmo.errors import DataError
+from thigmo.localization import priors
+from thigmo.localization.bodies import LENGTH, Body, bodies
+from thigmo.localization.readings import everted_length, positive, vector
+from thigmo.localization.result import Contact, LocalizeResult, Status
+
+Array = npt.NDArray[np.float64]
+
+# Readings are trusted to no less than what the places resolve, 1/cm of a body of 53 cm; nor is any
+# error that they share known better than this share of its column.
+_LEAST_NOISE = 1e-4
+_LEAST_ERROR = 1e-6
+# Radius of a peg over that of the tube, where the caller gives none.
+_PEG_RADIUS = 0.6
+# Relative standard errors of what a contact does to a body of this model: of all of it (friction,
+# stiffness), and of what each sensor feels of it (stiffness along the body).
+_LOAD_ERROR, _LOCAL_LOAD_ERROR = 0.1, 0.1
+# A peg lies within its cell of the grid: normal, with this deviation in cells. Their sum is flat.
+_WITHIN_CELL = 0.5
+# Odds that a given sensor is bad through all frames, where the caller does not say. Many frames
+# tell it more surely than one does, and so distrust costs less than in one frame.
+_BAD_SENSOR = 0.02
+# One sigma of a bad sensor's gain. Its zero is that of `priors.BAD_DEVIATION`.
+_BAD_GAIN = 1.0
+_BINS = 106  # of the posterior over the arc
+_NEGLIGIBLE = 1e-6  # posterior of a place that changes no answer
+_MOST_BEYOND = 1.05  # free curvature over the most that was announced
+# Columns of a sensor's own errors (gain, zero, place, load), and of those that all share (offset,
+# map, load, where the peg is in its cell: along the outline, and of the touch).
+_OWN, _SHARED = 4, 5
+
+
+class ContactFilter:
+    """Posterior of the one obstacle that a body bends into, frame by frame.
+
+    Lengths in any one unit, curvature in its inverse, as in `localize`. A frame costs milliseconds,
+    an answer tens of them; the first filter of a body computes its tables, for a few seconds.
+
+    Args:
+        position: (N,) sensor centres.
+        length: everted length, the same in all frames.
+        most_curvature: free curvature that the inflation reaches; its sign tells the side.
+        span: scalar or (N,) sensor lengths.
+        noise: standard deviation of a reading, scalar or (N,), independent between frames.
+        gain_error: relative standard error of the sensors' gains, scalar or (N,). This error and
+            all that follow stay the same through all frames.
+        zero_error: standard error of each sensor's zero, scalar or (N,).
+        offset_error: of an error that all readings share.
+        map_error: relative standard error of the free curvature.
+        place_error: standard error of the sensors' places.
+        bad_sensor_odds: prior odds that a given sensor is bad, scalar or (N,).
+        critical_curvature: as in `localize`; None for a base that does not fold.
+        tube_radius: 1.75/53 of the length if not given.
+        peg_radius: of the obstacle; 0.6 tube radii if not given.
+        width_limit: as in `localize`.
+
+    Raises:
+        DataError: as `localize`; `most_curvature` is zero.
+    """
+
+    def __init__(
+        self,
+        position: npt.ArrayLike,
+        *,
+        length: float,
+        most_curvature: float,
+        noise: npt.ArrayLike,
+        span: npt.ArrayLike = 0.0,
+        gain_error: npt.ArrayLike = 0.0,
+        zero_error: npt.ArrayLike = 0.0,
+        offset_error: float = 0.0,
+        map_error: float = 0.0,
+        place_error: float = 0.0,
+        bad_sensor_odds: npt.ArrayLike = _BAD_SENSOR,
+        critical_curvature: float | None = None,
+        tube_radius: float | None = None,
+        peg_radius: float | None = None,
+        width_limit: float | None = None,
+    ) -> None:
+        x = vector(position, "position")
+        count, total = x.size, everted_length(length)
+        half = 0.5 * np.broadcast_to(vector(span, "span", count), count)
+        if not ((x >= 0.0) & (x <= total)).all() or not (half >= 0.0).all():
+            raise DataError("a sensor is off the body", "check positions, spans and units")
+        most = float(most_curvature)
+        if not math.isfinite(most) or most == 0.0:
+            raise DataError(f"most_curvature is {most:g}", "give the most that the body will bend")
+        self._scale = scale = total / LENGTH
+        self._way = math.copysign(1.0, most)
+        radius = priors.TUBE_RADIUS * LENGTH if tube_radius is None else tube_radius / scale
+        self._body = Body(
+            abs(most) * scale,
+            radius,
+            _PEG_RADIUS * radius if peg_radius is None else peg_radius / scale,
+            None if critical_curvature is None else critical_curvature * scale,
+            tuple(((x - half) / scale).tolist()),
+            tuple(((x + half) / scale).tolist()),
+            positive(place_error, "place_error") / scale,
+        )
+        self._table = bodies(self._body)
+        self._limit = priors.WIDTH_SHARE if width_limit is None else width_limit / total
+
+        def each(value: npt.ArrayLike, name: str, unit: float = 1.0) -> Array:
+            return np.array(np.broadcast_to(vector(value, name, count), count) * unit)
+
+        self._noise = np.maximum(each(noise, "noise", scale), _LEAST_NOISE)
+        own = np.ones((count, _OWN))
+        own[:, 0] = each(gain_error, "gain_error")
+        own[:, 1] = each(zero_error, "zero_error", scale)
+        own[:, 3] = _LOCAL_LOAD_ERROR
+        bad = own.copy()
+        bad[:, 0] = _BAD_GAIN
+        bad[:, 1] = priors.BAD_DEVIATION / LENGTH
+        self._good, self._bad = _precision(own), _precision(bad)
+        self._shared = _precision(np.array([
+            positive(offset_error, "offset_error") * scale, positive(map_error, "map_error"),
+            _LOAD_ERROR, _WITHIN_CELL, _WITHIN_CELL,
+        ]))  # fmt: skip
+        odds = each(bad_sensor_odds, "bad_sensor_odds")
+        self._log_bad = np.log(np.maximum(odds, 1e-300) / 2.0)
+        # Normal equations of each sensor at each place, and at none (the last).
+        places = self._table.weight.size + 1
+        size = _OWN + _SHARED
+        self._information = np.zeros((places, count, size, size))
+        self._told = np.zeros((places, count, size))
+        self._power = np.zeros((places, count))
+        # Of readings that tell nothing: squares, and twice the log of how wide they spread.
+        self._erratic = np.zeros((count, 2))
+        self._free = 0.0
+        self.frames = 0
+
+    def update(self, curvature: npt.ArrayLike, free_curvature: npt.ArrayLike) -> None:
+        """Take a frame, or several.
+
+        Args:
+            curvature: (N,) or (T, N) readings, also of frames before the touch; NaN marks a missing
+                one.
+            free_curvature: scalar or (T,) that actuation alone would cause, of the side announced.
+
+        Raises:
+            DataError: another number of readings or of frames, an infinite reading, or a free
+                curvature that is not between zero and the most that was announced. No frame is
+                taken then.
+        """
+        readings = np.atleast_2d(np.asarray(curvature, dtype=np.float64)) * self._way * self._scale
+        bends = vector(free_curvature, "free_curvature") * self._way * self._scale
+        if readings.shape != (bends.size, self._noise.size) or np.isinf(readings).any():
+            raise DataError(
+                f"frames have shape {readings.shape}, or infinite readings",
+                "give one reading a sensor, NaN where one is missing, and one free_curvature each",
+            )
+        if not ((bends >= 0.0) & (bends <= _MOST_BEYOND * self._body.most)).all():
+            raise DataError(
+                "a free curvature is none that was announced",
+                "give most_curvature with its sign, and frames of one side",
+            )
+        for frame, bend in zip(readings, bends, strict=True):
+            self._take(frame, float(bend))
+
+    def _take(self, readings: Array, free: float) -> None:
+        there = np.isfinite(readings)
+        held, follows, _ = self._at(free)
+        above = held[..., 0, :]
+        displaced = 0.5 * (held[..., 2, :] - held[..., 1, :])
+        columns = np.zeros((*above.shape, _OWN + _SHARED))
+        columns[..., 0] = free + above
+        columns[..., 1] = columns[..., 4] = 1.0
+        columns[..., 2] = displaced
+        columns[..., 3] = columns[..., 6] = above
+        columns[..., 5] = free * (1.0 + follows)
+        columns[..., 7] = np.gradient(above, axis=0)
+        columns[..., 8] = np.gradient(above, axis=1)
+        flat = columns.reshape(-1, *columns.shape[2:])
+        nowhere = np.zeros((1, *flat.shape[1:]))
+        nowhere[..., [0, 5]] = free
+        nowhere[..., [1, 4]] = 1.0
+        design = np.concatenate([flat, nowhere])[:, there] / self._noise[there, None]
+        excess = np.where(there, readings, 0.0) - free
+        left = excess - np.concatenate([above.reshape(-1, len(there)), np.zeros((1, len(there)))])
+        left = left[:, there] / self._noise[there]
+        self._information[:, there] += design[..., :, None] * design[..., None, :]
+        self._told[:, there] += design * left[..., None]
+        self._power[:, there] += left**2
+        wide = np.hypot(priors.BAD_DEVIATION / LENGTH, free)
+        spread = np.stack([(excess / wide) ** 2, 2.0 * np.log(wide / self._noise)], axis=1)
+        self._erratic += np.where(there[:, None], spread, 0.0)
+        self._free = free
+        self.frames += 1
+
+    def _at(self, free: float) -> tuple[Array, Array, Array]:
+        """At a free curvature: (A, G, 3, N) readings above it, (A, G, N) their slope, (A, G) arcs.
+
+        Zero, and no arc of a contact, where the peg is not yet touched.
+        """
+        table = self._table
+        rest = (self._body.most - table.touch) / (table.held.shape[2] - 1)
+        along = np.maximum(free - table.touch, 0.0) / rest
+        cell = np.minimum(along.astype(np.int64), table.held.shape[2] - 2)
+        share = along - cell
+        g = np.arange(len(table.touch))
+        near, far = table.held[:, g, cell], table.held[:, g, cell + 1]
+        touched = (free > table.touch)[:, None]
+        held = near + share[:, None, None] * (far - near)
+        follows = np.where(touched, (far - near)[..., 0, :] / rest[:, None], 0.0)
+        arc = table.arc[:, g, cell]
+        arc = np.where(touched[:, 0], arc + share * (table.arc[:, g, cell + 1] - arc), np.nan)
+        return held, follows, arc
+
+    def _weigh(self) -> _Weighed:
+        """Evidence of each place under each hypothesis of the sensors' health."""
+        good = self._summed(self._good)
+        bad = self._summed(self._bad)
+        whole = [each.sum(axis=1) for each in good]
+        sums = [whole]
+        for n in range(len(self._noise)):
+            without = [all_ - each[:, n] for all_, each in zip(whole, good, strict=True)]
+            sums.append([rest + each[:, n] for rest, each in zip(without, bad, strict=True)])
+            # Or its readings tell nothing at all.
+            without[2] = without[2] - 0.5 * self._erratic[n].sum()
+            without[3] = without[3] + self._erratic[n, 0]
+            sums.append(without)
+        information, told, log, square = (np.stack(each) for each in zip(*sums, strict=True))
+        information = information + np.diag(self._shared)
+        solved = np.linalg.solve(information, told[..., None])[..., 0]
+        gain = (told * solved).sum(axis=-1)
+        log = log + 0.5 * (gain + np.log(self._shared).sum() - np.linalg.slogdet(information)[1])
+        log += np.concatenate([[0.0], np.repeat(self._log_bad, 2)])[:, None]
+        covariance = np.linalg.inv(information)
+        # A place stands for those of its cell and the next, where readings are linear.
+        deviation = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)[..., -2:])
+        mean = solved[..., -2:]
+        inside = ndtr((1.0 - mean) / deviation) - ndtr((-1.0 - mean) / deviation)
+        log += np.log(np.maximum(inside, 1e-300)).sum(axis=-1)
+        return _Weighed(log, square - gain, solved, covariance)
+
+    def _summed(self, precision: Array) -> tuple[Array, Array, Array, Array]:
+        """Each sensor's own errors integrated out: normal equations of the shared ones.
+
+        Returns:
+            (K, N, 5, 5) information, (K, N, 5) products, (K, N) log evidence, and the squares left.
+        """
+        own = self._information[..., :_OWN, :_OWN] + precision[:, None] * np.eye(_OWN)
+        cross = self._information[..., :_OWN, _OWN:]
+        right = np.concatenate([cross, self._told[..., :_OWN, None]], axis=-1)
+        solved = np.linalg.solve(own, right)
+        gain = (self._told[..., :_OWN] * solved[..., -1]).sum(axis=-1)
+        information = (
+            self._information[..., _OWN:, _OWN:] - np.swapaxes(cross, -1, -2) @ (solved[..., :-1])
+        )
+        told = self._told[..., _OWN:] - (np.swapaxes(cross, -1, -2) @ solved[..., -1:])[..., 0]
+        volume = np.log(precision).sum(axis=-1) - np.linalg.slogdet(own)[1]
+        square = self._power - gain
+        return information, told, 0.5 * (volume - square), square
+
+    def result(self) -> LocalizeResult:
+        """What all frames so far tell of the contact in the last one.
+
+        Returns:
+            The contact; the peg's centre in `parameters` (`peg_x`, `peg_y`: base at the origin,
+            straight body along x); a sensor that is bad in all frames in `discarded`.
+
+        Raises:
+            DataError: no frame yet.
+        """
+        if self.frames == 0:
+            raise DataError("there is no frame", "give at least one")
+        weighed = self._weigh()
+        # A model that leaves more than the noise is believed by so much less.
+        seen = max(float(np.count_nonzero(self._power[-1])) * self.frames, 1.0)
+        worse = max(1.0, float(weighed.square.min()) / seen)
+        table, (*_, arc) = self._table, self._at(self._free)
+        weight = table.weight.ravel()
+        log = weighed.log / worse
+        with np.errstate(divide="ignore"):
+            log[:, :-1] += priors.CONTACT + np.log(weight / weight.sum())
+        mass = np.exp(log - logsumexp(log))
+        return self._answer(mass, arc.ravel(), weighed, worse)
+
+    def _answer(self, mass: Array, arc: Array, weighed: _Weighed, worse: float) -> LocalizeResult:
+        touching = np.append(np.isfinite(arc), False)
+        probability = float(mass[:, touching].sum())
+        log_odds = math.log(max(probability, 1e-300) / max(1.0 - probability, 1e-300))
+        health = mass.sum(axis=1)
+        count = len(self._noise)
+        bad = health[1:].reshape(count, 2).sum(axis=1)
+        name = f"one obstacle at rest over {self.frames} frames"
+        hypotheses = {name: float(health[0])}
+        hypotheses |= {f"{name}, sensor {n} bad": float(bad[n]) for n in range(count)}
+        worst = int(bad.argmax())
+        discarded = (worst,) if bad[worst] > health[0] else ()
+        noise = float(self._noise.mean()) / self._scale
+        tail = "; a sensor looks bad in all frames (see `discarded`)" if discarded else ""
+        if worse > 2.0:
+            tail += f"; what is left of the readings is {math.sqrt(worse):.1f} times their noise"
+        if probability < 0.5:
+            hint = probability >= 2.0 * priors.EXCLUDED
+            status: Status = "below detection" if hint else "no contact"
+            return LocalizeResult(
+                status, (), name, f"no obstacle is certain{tail}", noise, log_odds, hypotheses,
+                discarded, length=LENGTH * self._scale,
+            )  # fmt: skip
+        table = self._table
+        where = _Where.of(mass, arc, weighed, (len(table.arc), len(table.touch)), touching)
+        share = where.density()
+        edges = np.linspace(0.0, 1.0, _BINS + 1)
+        order = np.argsort(-share, kind="stable")
+        kept = np.sort(order[: int(np.searchsorted(np.cumsum(share[order]), priors.LEVEL)) + 1])
+        runs = np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1)
+        scale = self._scale
+        pieces = tuple(
+            (float(edges[run[0]]) * LENGTH * scale, float(edges[run[-1] + 1]) * LENGTH * scale)
+            for run in runs
+        )
+        interval = pieces[0][0], pieces[-1][1]
+        sure = probability > 1.0 - priors.EXCLUDED and (
+            interval[1] - interval[0] <= self._limit * LENGTH * scale
+        )
+        status = "localized" if sure else "ambiguous"
+        arc_found = LENGTH * float(np.interp(0.5, np.append(0.0, np.cumsum(share)), edges))
+        peg, touch = where.typical(arc_found, table.peg, table.touch)
+        body = self._body.against(peg, touch, self._free)
+        # Where the body slips off that very peg, its nearest point.
+        contact = body.contacts[-1] if body.contacts else None
+        at = contact.arc if contact else arc_found
+        end = None
+        if contact and contact.kind != "side":
+            x, y, heading = body.pose(LENGTH)
+            across = (contact.y - y) * math.cos(heading) - (contact.x - x) * math.sin(heading)
+            end = self._way * across * scale
+        felt = Contact(
+            at * scale, self._way * (contact.normal if contact else 0.0) / scale**2, interval,
+            status, pieces, probability=probability, end_offset=end,
+        )  # fmt: skip
+        return LocalizeResult(
+            status, (felt,), name, f"one place of the room explains all frames{tail}", noise,
+            log_odds, hypotheses, discarded,
+            parameters={
+                "peg_x": float(peg[0]) * scale,
+                "peg_y": self._way * float(peg[1]) * scale,
+                "fold_angle": self._way * body.fold_angle,
+            },
+            length=LENGTH * scale,
+            bent=(body.s * scale, self._way * (body.curvature - self._free) / scale),
+            cells=(edges * LENGTH * scale, share),
+        )  # fmt: skip
+
+
+def _precision(deviation: Array) -> Array:
+    return 1.0 / np.maximum(deviation, _LEAST_ERROR) ** 2
+
+
+class _Weighed(NamedTuple):
+    """Of H hypotheses of the sensors' health and K places, the last of which is none.
+
+    Attributes:
+        log: (H, K) log evidence with the odds of health.
+        square: (H, K) squared deviates that are left.
+        mean: (H, K, 5) shared errors.
+        covariance: (H, K, 5, 5) of them.
+    """
+
+    log: Array
+    square: Array
+    mean: Array
+    covariance: Array
+
+
+class _Where(NamedTuple):
+    """Places that the readings leave, J of them, each with a normal density in its cell.
+
+    Attributes:
+        mass: (J,) posterior.
+        place: (J,) index of the place on the grid of `shape`.
+        shift: (J, 2) mean in cells, along the outline and of the touch.
+        arc, deviation: (J,) of the contact.
+        shape: (A, G).
+    """
+
+    mass: Array
+    place: npt.NDArray[np.int64]
+    shift: Array
+    arc: Array
+    deviation: Array
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls, mass: Array, arc: Array, weighed: _Weighed, shape: tuple[int, int], use: Array
+    ) -> _Where:
+        kept = mass * use
+        health, place = np.nonzero(kept > _NEGLIGIBLE * kept.max())
+        along, onward = np.gradient(arc.reshape(shape), axis=(0, 1))
+        slope = np.stack([along, onward], axis=-1).reshape(-1, 2)[place]
+        slope = np.nan_to_num(slope)
+        shift = weighed.mean[health, place, -2:]
+        covariance = weighed.covariance[health, place][:, -2:, -2:]
+        variance = np.einsum("ji,jik,jk->j", slope, covariance, slope)
+        return cls(
+            kept[health, place] / kept[health, place].sum(), place, shift,
+            np.minimum(arc[place] + (slope * shift).sum(axis=1), LENGTH),
+            np.sqrt(np.maximum(variance, 0.0)), shape,
+        )  # fmt: skip
+
+    def density(self) -> Array:
+        """Mass in even bins from the base to the end, of which no contact is beyond."""
+        edges = np.linspace(0.0, LENGTH, _BINS + 1)
+        edges[0], edges[-1] = -np.inf, np.inf
+        below = ndtr((edges - self.arc[:, None]) / np.maximum(self.deviation, 1e-3)[:, None])
+        share = self.mass @ np.diff(below, axis=1)
+        return np.asarray(share / share.sum())
+
+    def typical(self, arc: float, peg: Array, touch: Array) -> tuple[Array, float]:
+        """Mean peg, and curvature of touch, of the places whose contact is near an arc."""
+        on_end = self.arc >= LENGTH * (1.0 - 1e-9)
+        near = np.abs(self.arc - arc) < 1.5 * LENGTH / _BINS + self.deviation
+        if (self.mass * near * on_end).sum() > 0.5 * (self.mass * near).sum():
+            near = on_end
+        elif (near & ~on_end).any():
+            near &= ~on_end
+        mass = np.where(near, self.mass, 0.0)
+        mass = mass / mass.sum()
+
+        def mean(values: Array) -> Array:
+            along, onward = np.gradient(values, axis=(0, 1))
+            steps = np.stack([along, onward], axis=2)
+            flat = values.reshape(-1, values.shape[-1])[self.place]
+            steps = steps.reshape(-1, 2, values.shape[-1])[self.place]
+            return np.asarray(mass @ (flat + (self.shift[..., None] * steps).sum(axis=1)))
+
+        touches = np.broadcast_to(touch, self.shape)[..., None]
+        return mean(peg), float(mean(touches)[0])
