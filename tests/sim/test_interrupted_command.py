@@ -84,6 +84,17 @@ def test_after_its_end_it_ends_without_a_word(number: signal.Signals) -> None:
     assert done.stdout.startswith("thigmo ")
 
 
+def test_a_robot_that_a_thread_still_holds_at_the_end_is_not_told_of() -> None:
+    script = (
+        "import threading, thigmo; robot = thigmo.connect('emulator://empty', seed=1)\n"
+        "threading.Thread(target=lambda: (robot, threading.Event().wait()), daemon=True).start()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+
+
 def ended(program: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
     program.send_signal(number)
     _, said = program.communicate()

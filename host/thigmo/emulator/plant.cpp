@@ -224,6 +224,9 @@ struct FlexSensor {
 }  // namespace
 
 NB_MODULE(_plant, m) {
+  // At exit nanobind lists what is still held, as by a daemon thread that serves a robot: no leak,
+  // and an operator who ends a program shall read one line.
+  nb::set_leak_warnings(false);
   m.doc() = "The emulated plant's parts.";
   m.attr("STEP_S") = kStepS;
   using D = double;
