@@ -271,3 +271,21 @@ def test_an_unwritable_folder_is_said_before_anything_moves(tmp_path: Path) -> N
     (tmp_path / "runs").write_text("a file")
     with pytest.raises(Exception, match="choose another with --out"):
         explore("emulator://empty", out=tmp_path / "runs")
+
+
+def test_what_is_told_of_a_run_fits_80_columns(
+    default: ExplorationResult,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(default.folder, "run")
+    for command in (["info", "run"], ["replay", "run"], ["export", "run", "--csv", "tables"]):
+        monkeypatch.setattr(sys, "argv", ["thigmo", *command])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code
+        told = capsys.readouterr().out
+        assert 0 < max(map(len, told.splitlines())) <= 90
+        assert "…" not in told

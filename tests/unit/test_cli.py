@@ -219,6 +219,8 @@ def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
         (["calibrate", "status", "--folder", "empty"], "empty is no calibration folder"),
         (["calibrate", "flex"], "no robot is named"),
         (["calibrate", "flex", "--csv", "none.csv"], "none.csv"),
+        (["calibrate", "flex", "--csv", "r.csv"], "no column"),
+        (["calibrate", "encoder", "--csv", "r.csv"], "columns of encoder: counts, length_cm"),
         (["bench", "magic"], "no study 'magic'"),
         (["bench", "faults", "--scale", "huge"], "--scale is 'huge'"),
         (["camera", "locate", "none.png"], "none.png"),
@@ -278,6 +280,23 @@ def test_parameters_have_their_whole_names_in_80_columns(thigmo) -> None:  # typ
     assert max(map(len, lines)) <= 80
     first = {line.split()[0] for line in lines if line.strip()}
     assert set(wire.PARAMETERS) <= first
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", "--robot", "emulator://default"],
+        ["localize", "example", "--length", "53", "--span", "5.5"],
+        ["bench", "list"],
+        ["params", "--robot", "emulator://default", "settle_ms"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_tables_fit_80_columns_with_whole_words(thigmo, arguments: list[str]) -> None:  # type: ignore[no-untyped-def]
+    ran = thigmo(*arguments)
+    assert ran.code == 0
+    assert max(map(len, ran.out.splitlines())) <= 80
+    assert "…" not in ran.out
 
 
 def test_the_version_is_said(thigmo) -> None:  # type: ignore[no-untyped-def]

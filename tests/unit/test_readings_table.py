@@ -45,6 +45,11 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("position,curvature\n5,0.01\n15,\n", "line 3: curvature is nan"),
         ("position,curvature\n" + "5,0.01\n" * 3000, "more than 2000 rows"),
         ("position,Position,curvature\n5,5,0.01\n", "'position' appears twice"),
+        ("position|curvature\n5|0.01\n", "by bars"),
+        ("position,curvature\n5,0.01,7\n", "line 2: 3 cells for 2 columns"),
+        ('position,curvature\n5,"0.01\n15,0.02\n25,0.03\n', r"'0.01\n15,0.02"),
+        ("position,curvature\n5,0x1F\n", "'0x1F', not a number"),
+        ("# only a comment\n", "is empty"),
     ],
 )
 def test_a_bad_table_is_named_in_one_line(tmp_path: Path, text: str, named: str) -> None:
@@ -53,6 +58,15 @@ def test_a_bad_table_is_named_in_one_line(tmp_path: Path, text: str, named: str)
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "; " in str(caught.value)  # what to do next
+
+
+def test_what_spreadsheets_add_does_no_harm(tmp_path: Path) -> None:
+    """A byte order mark, lines that end in CR LF, quotation marks, empty lines at the end."""
+    file = tmp_path / "r.csv"
+    file.write_bytes(b'\xef\xbb\xbfposition,curvature\r\n"5","0.01"\r\n15,-2e-2\r\n,\r\n\r\n')
+    table = read_readings(file)
+    assert table.position.tolist() == [5, 15]
+    assert table.curvature.tolist() == [0.01, -0.02]
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
@@ -64,8 +78,9 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
-    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(DataError, match="not a text file"):
-        read_readings(tmp_path / "b.csv")
+    for data in (b"\xff\xfe\x00\x80", "position,kr\u00fcmmung\n".encode("latin-1")):
+        (tmp_path / "b.csv").write_bytes(data)
+        with pytest.raises(DataError, match="not a text file"):
+            read_readings(tmp_path / "b.csv")
     with pytest.raises(DataError, match="cannot read"):
         read_readings(tmp_path / "none.csv")

@@ -90,6 +90,7 @@ def calibrate(
     `--csv FILE` fits readings that a lab already has; a file that lacks a column
     is told all of them. Try it without a robot: `--robot emulator://empty`.
     """
+    from thigmo.calibrate.from_csv import fit_csv
     from thigmo.calibrate.guided import STEPS
     from thigmo.calibrate.session import Session, blank
     from thigmo.config import RobotConfig
@@ -101,7 +102,10 @@ def calibrate(
     if csv is not None:
         if not csv.is_file():
             raise DataError(f"there is no file {csv}", "give the CSV of a lab's readings")
-        _fit_file(step, csv, Session(folder, start), as_json)
+        held = folder / "robot.toml"
+        known = RobotConfig.load(held) if held.exists() else start or RobotConfig()
+        result = fit_csv(step, csv, known)  # before a folder is made: a bad file leaves none
+        _keep(step, result, Session(folder, start), as_json)
         return
     if step == "status":
         if not (folder / "robot.toml").exists():
@@ -154,10 +158,7 @@ def _say(text: str) -> None:
     typer.echo(text)
 
 
-def _fit_file(step: str, csv: Path, session: Session, as_json: bool) -> None:
-    from thigmo.calibrate.from_csv import fit_csv
-
-    result = fit_csv(step, csv, session.config)
+def _keep(step: str, result: StepResult, session: Session, as_json: bool) -> None:
     backup = session.keep(step, result)
     if as_json:
         print_json(result.as_data())

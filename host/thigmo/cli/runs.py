@@ -31,21 +31,17 @@ def replay(
     if as_json:
         print_json(result.as_json())
         return
-    from rich.console import Console
-
-    console = Console()
     if result.missing:
-        console.print(f"{run}: {result.missing}", highlight=False)
+        typer.echo(f"{run}: {result.missing}")
     for contact in result.document.contacts:
         low, high = contact.interval_cm
-        console.print(
+        typer.echo(
             f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
-            f"({low:.1f} to {high:.1f}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm",
-            highlight=False,
+            f"({low:.1f} to {high:.1f}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm"
         )
     if not result.document.contacts:
-        console.print("no contact in what is left" if result.missing else "no contact")
-    console.print(f"{result.sweeps} sweeps; {run / 'replay.json'}", highlight=False)
+        typer.echo("no contact in what is left" if result.missing else "no contact")
+    typer.echo(f"{result.sweeps} sweeps; {run / 'replay.json'}")
 
 
 def info(

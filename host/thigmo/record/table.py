@@ -98,7 +98,8 @@ class Table:
             except ValueError as error:
                 comma = cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdecimal()
                 raise DataError(
-                    f"{self.name}, line {self.lines[number]}: {column} is '{cell}', not a number",
+                    f"{self.name}, line {self.lines[number]}: {column} is {_short(cell)}, not a "
+                    "number",
                     "export it with points in numbers, not commas" if comma
                     else "correct it, or leave that row out",
                 ) from error  # fmt: skip
@@ -164,6 +165,11 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[obj
         raise DataError(
             f"cannot write {path}: {error.strerror}", "choose another folder"
         ) from error
+
+
+def _short(cell: str) -> str:
+    """A cell on one line; an unclosed quotation mark makes one of all that follows."""
+    return repr(cell if len(cell) <= 40 else f"{cell[:37]}...")
 
 
 def _check_header(path: str | os.PathLike[str], header: Sequence[str]) -> None:
