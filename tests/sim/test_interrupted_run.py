@@ -121,7 +121,6 @@ def test_an_interrupt_during_growth_stops_the_motor_and_leaves_a_readable_folder
     room.start_length_cm = 12.0  # it must grow before it may sweep
     served = serve(room)
     with explore(served, tmp_path, room) as host:
-        served.slow_motion()
         _await(host, lambda: served.board.motor != 0, "the spool never turned")
         host.send_signal(signal.SIGINT)
         assert served.off_within(LIMIT_S), "the motor still runs"

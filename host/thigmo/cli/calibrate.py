@@ -103,8 +103,8 @@ def calibrate(
         if not csv.is_file():
             raise DataError(f"there is no file {csv}", "give the CSV of a lab's readings")
         held = folder / "robot.toml"
-        known = RobotConfig.load(held) if held.exists() else start or RobotConfig()
-        result = fit_csv(step, csv, known)  # before a folder is made: a bad file leaves none
+        base = RobotConfig.load(held) if held.exists() else start or RobotConfig()
+        result = fit_csv(step, csv, base)  # before a folder is made: a bad file leaves none
         _keep(step, result, Session(folder, start), as_json)
         return
     if step == "status":

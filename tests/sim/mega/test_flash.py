@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from pty_mega import PtyMega
+from served import EVER_S
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
@@ -20,6 +21,7 @@ from thigmo.errors import (
     PortError,
     SchemaMismatchError,
 )
+from thigmo.link import client as client_module
 from thigmo.link import flash as flasher
 from thigmo.link import protocol as wire
 from thigmo.link.image import MAGIC, read_image
@@ -59,8 +61,17 @@ def test_the_image_says_what_it_is(image: Path) -> None:
     assert 20_000 < content.size < 130_000
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits in the computer's time for a chip whose own time may pass far more slowly."""
+    monkeypatch.setattr(flasher, "_DEADLINE_S", 10 * flasher._DEADLINE_S)
+    monkeypatch.setattr(client_module, "SILENCE_S", EVER_S)  # an announce ends it
+    monkeypatch.setattr(wire.Hello, "DEADLINE_S", EVER_S)
+
+
 @pytest.mark.realtime
 @needs_avrdude
+@pytest.mark.usefixtures("patient")
 def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> None:
     with PtyMega() as mega:
         result = CliRunner().invoke(
