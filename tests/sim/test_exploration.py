@@ -20,6 +20,7 @@ from thigmo.exploration import ExplorationResult, explore, replay
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
+from thigmo.studies.rooms import explored
 
 FOUND = ("localized", "ambiguous")
 
@@ -49,6 +50,13 @@ def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
     (true,) = document.truth.contacts
     assert contact.interval_cm[0] <= true.arc_cm <= contact.interval_cm[1] + 0.1
     assert [round(s.everted_length_cm) for s in document.stages] == [10, 20, 30, 40, 50, 53]
+
+
+def test_studies_explore_as_users_do(default: ExplorationResult, tmp_path: Path) -> None:
+    document = explored("emulator://default", tmp_path, 1).document
+    assert document.contacts == default.document.contacts
+    assert document.truth == default.document.truth
+    assert document.robot_time_s == pytest.approx(default.document.robot_time_s, abs=0.1)
 
 
 def test_the_run_folder_is_whole(default: ExplorationResult) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from thigmo.exploration import explore
-from thigmo.studies.map import judge, room
+from thigmo.studies.maps import judge, room
+from thigmo.studies.rooms import explored
 
 
 @pytest.mark.parametrize("scene", ["two_pegs", "wall", "room 4"])
@@ -17,7 +17,7 @@ def test_no_cell_inside_a_felt_peg_is_free(tmp_path: Path, scene: str) -> None:
         seed = int(scene.split()[1])
         room(seed).save(tmp_path / "room.toml")
         url = f"emulator://{tmp_path / 'room.toml'}"
-    document = explore(url, seed=seed, out=tmp_path).document
+    document = explored(url, tmp_path, seed).document
     judged, bold = judge(document, seed), judge(document, seed, sigmas=0.0)
     print(judged)
     assert judged.felt_cells > 0

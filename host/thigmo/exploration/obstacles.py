@@ -34,7 +34,7 @@ _RESOLUTION_CM = 0.5
 _MARGIN_CM = 3.0
 _SIGMA_95 = 2.4477
 # Standard errors of a swept shape beyond which a cell is free: one in a thousand is not. Over 200
-# random rooms so few cells inside pegs that were felt are free (`thigmo bench map`).
+# random rooms so few cells inside pegs that were felt are free (`thigmo bench exploration`).
 SIGMAS = 3.1
 _BITS = 4  # fractions of a cell in OpenCV's drawing
 

@@ -16,7 +16,7 @@ from thigmo.errors import DataError
 from thigmo.localization.readings import Array, everted_length, positive, vector
 from thigmo.mechanics.spans import phi
 
-# Signal over noise from which one contact is reported nine times in ten (studies/calibration.py).
+# Signal over noise from which one contact is reported nine times in ten (studies/accuracy.py).
 DETECTABLE = 4.5
 _SINGULAR = 1e-11  # pivot of an information matrix of unit diagonal
 _STEP = 1e-6  # of the length: half of the difference that takes the slope of a lever

@@ -12,14 +12,13 @@ from thigmo.studies.engine import Context, Outcome, Study
 
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
-    "stability": "error and failures as conditions get harder",
+    "stability": "error and failures of each method as conditions get harder",
     "accuracy": "coverage and wrong answers, each error told and not told",
-    "calibration": "false contacts, and two contacts told apart",
+    "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "scaling": "time of `localize` and of batches, over sensors and rows",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
-    "map": "free space that a planner is told, and the pegs in it",
-    "exploration": "pegs found and empty rooms silent, as calibrated and not",
+    "exploration": "pegs found, empty rooms silent, maps right; calibrated or not",
     "faults": "single failures: what notices them, how soon, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",

@@ -74,3 +74,9 @@ def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:
     answered = errors[np.isfinite(errors)]
     mean = float(answered.mean()) if answered.size else float("nan")
     return mean, float(np.mean(~(errors <= FAILURE_CM)))
+
+
+def mean_over(mine: np.ndarray, other: np.ndarray) -> float:
+    """Mean error of one method over another's, on the cases that both answered; NaN of none."""
+    both = np.isfinite(mine) & np.isfinite(other)
+    return float(mine[both].mean() / other[both].mean()) if both.any() else float("nan")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,10 +112,20 @@ def cells(
     return drawn
 
 
-def named(axis: Axes, points: Sequence[tuple[float, float]], names: Sequence[str]) -> None:
-    """Write each point's name beside it, where it covers no point and no other name.
+def named(
+    axis: Axes,
+    points: Sequence[tuple[float, float]],
+    names: Sequence[str],
+    stairs: Sequence[tuple[float, float]] = (),
+) -> None:
+    """Write each point's name beside it, where it covers no point, no other name and no stairs.
 
     The panel's limits and scales must be set. A name that finds no room stands at the right.
+
+    Args:
+        axis: to write on.
+        points, names: as many of each.
+        stairs: points of a line that is drawn in steps, each after its point.
     """
     from matplotlib.transforms import Bbox
 
@@ -126,6 +137,9 @@ def named(axis: Axes, points: Sequence[tuple[float, float]], names: Sequence[str
     spots = axis.transData.transform(np.asarray(points, dtype=np.float64))
     frame = axis.get_window_extent()
     taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in spots]
+    steps = axis.transData.transform(np.asarray(stairs, dtype=np.float64).reshape(-1, 2))
+    for (x0, y0), (x1, y1) in pairwise(steps):
+        taken += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
     for name, (x, y), point in zip(names, spots, points, strict=True):
         width, height = 3.7 * len(name) * pixels_per_point, 7.5 * pixels_per_point
         places = [

@@ -68,11 +68,11 @@ class Claim:
         """As plain data, for JSON."""
         return {
             "claim": self.text,
-            "value": self.value,
-            "limit": self.limit,
+            "value": float(self.value),  # numpy's own types are none of JSON's
+            "limit": float(self.limit),
             "at_most": self.at_most,
             "unit": self.unit,
-            "holds": self.holds,
+            "holds": bool(self.holds),
         }
 
     def __str__(self) -> str:

@@ -3,7 +3,7 @@
 Each peg is drawn where the noise-free plant says that some sweep must feel it (`emulator.reach`),
 and a robot explores that room: the default scene's, or one whose body or sensors are off what
 robot.toml says without a word of it. Empty rooms are explored as well; whatever is reported there
-is a false contact.
+is a false contact. The map for planners of every room with pegs is held against the room (`maps`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,17 +21,18 @@ from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
-from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
 from thigmo.record import RunDocument
 from thigmo.report.axes import GREEN, ORANGE, RED
-from thigmo.studies import charts
+from thigmo.studies import charts, maps
 from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.rooms import explored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RADII_CM = (0.25, 2.5)
+ROUND = 3  # rooms of each kind, after which all that is known is written
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 
 
@@ -45,6 +46,7 @@ class Kind:
         gains: relative standard deviation of the sensors' gains, of which robot.toml knows nothing.
         noise: multiple of the scene's noise and calibration errors.
         peg: whether a peg stands in the room.
+        more: whether up to two more do, for the map.
     """
 
     scene: str = "default"
@@ -52,11 +54,13 @@ class Kind:
     gains: float = 0.0
     noise: float = 1.0
     peg: bool = True
+    more: bool = False
 
 
 TRUE = "as calibrated"
 KINDS: dict[str, Kind] = {
     TRUE: Kind(),
+    "one to three pegs": Kind(more=True),
     "bends 10 % less": Kind(bend=0.9),
     "bends 5 % less": Kind(bend=0.95),
     "bends 5 % more": Kind(bend=1.05),
@@ -78,7 +82,7 @@ class Explored:
         kind, seed: of the room.
         x_cm, y_cm, radius_cm: of its peg; NaN without one.
         status: of the best contact, "silent", or why the run was aborted.
-        missed: nothing on the map is at the peg.
+        missed: nothing on the map is at a peg.
         false: contacts on the map that are not in the room.
         wrong: the best contact is localized, and its interval does not hold the true arc.
         error_x_cm, error_cm, width_cm: of the best contact; NaN without one.
@@ -100,8 +104,8 @@ class Explored:
     robot_time_s: float = 0.0
 
 
-def visit(room: tuple[str, int]) -> Explored:
-    """Explore a room of a kind and seed."""
+def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
+    """Explore a room of a kind and seed, and judge its map at every level."""
     name, seed = room
     kind = KINDS[name]
     scene = Scene.load(kind.scene)
@@ -119,7 +123,9 @@ def visit(room: tuple[str, int]) -> Explored:
             sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
     scene.pegs = []
     place = nan, nan, nan
-    if kind.peg:
+    if kind.more:
+        scene.pegs = maps.room(seed).pegs
+    elif kind.peg:
         peg, _ = random_peg(scene.robot, rng, radius=RADII_CM)
         place = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
@@ -127,10 +133,12 @@ def visit(room: tuple[str, int]) -> Explored:
         file = Path(folder) / "room.toml"
         scene.save(file)
         try:
-            result = explore(f"emulator://{file}", config=known, seed=seed, out=folder)
+            result = explored(f"emulator://{file}", folder, seed, config=known)
         except ThigmoError as error:
-            return Explored(name, seed, *place, status=f"aborted: {error.what}")
-    return _judged(name, seed, place, result.document)
+            return Explored(name, seed, *place, status=f"aborted: {error.what}"), []
+    levels = maps.LEVELS if kind.peg else ()
+    mapped = [maps.judge(result.document, seed, sigmas) for sigmas in levels]
+    return _judged(name, seed, place, result.document), mapped
 
 
 def _judged(
@@ -164,15 +172,28 @@ def run(context: Context) -> Outcome:
     """Rooms of every kind, and what is promised of them."""
     seeds = context.rng(0x0E).integers(0, 2**31, context.count(1, 30)).tolist()
     found: list[Explored] = []
+    mapped: list[maps.Mapped] = []
     outcome = Outcome()
-    for name in KINDS:
-        found += context.map(visit, [(name, seed) for seed in seeds], name)
-        outcome.tables = [Table.of("runs", found), _by_kind(found)]
+    for start in range(0, len(seeds), ROUND):
+        some = seeds[start : start + ROUND]
+        part = f"rooms {start + 1} to {start + len(some)} of {len(seeds)} of each kind"
+        for one, levels in context.map(visit, [(k, seed) for seed in some for k in KINDS], part):
+            found.append(one)
+            mapped += levels
+        outcome = _outcome(found, mapped)
         context.save(outcome)
-    outcome.summary = outcome.tables[1]
-    outcome.figures["explorations"] = _figure(found)
-    outcome.claims = _claims(found)
     return outcome
+
+
+def _outcome(found: list[Explored], mapped: list[maps.Mapped]) -> Outcome:
+    levels = maps.summary(mapped)
+    return Outcome(
+        [Table.of("runs", found), _by_kind(found), levels],
+        {"explorations": _figure(found), "map": maps.figure(levels)},
+        _claims(found) + maps.claims(levels),
+        maps.notes(levels),
+        _by_kind(found),
+    )
 
 
 def _share(flags: Sequence[bool | int]) -> float:
@@ -181,7 +202,7 @@ def _share(flags: Sequence[bool | int]) -> float:
 
 def _by_kind(found: list[Explored]) -> Table:
     lines = []
-    for kind in dict.fromkeys(one.kind for one in found):
+    for kind in KINDS:
         mine = [one for one in found if one.kind == kind]
         errors = [one.error_x_cm for one in mine if not np.isnan(one.error_x_cm)]
         lines.append({
@@ -194,12 +215,12 @@ def _by_kind(found: list[Explored]) -> Table:
             "aborted": sum(one.status.startswith("aborted") for one in mine),
             "median_error_x_cm": float(np.median(errors)) if errors else nan,
         })  # fmt: skip
-    return Table.of("kinds", lines)
+    return Table.of("rows", lines)
 
 
 def _claims(found: list[Explored]) -> list[Claim]:
     true = [one for one in found if one.kind == TRUE]
-    off = [one for one in found if one.kind != TRUE]
+    off = [one for one in found if one.kind != TRUE and not KINDS[one.kind].more]
     errors = [one.error_x_cm for one in true if not np.isnan(one.error_x_cm)]
     claims = [
         Claim("as calibrated: median |x error|", float(np.median(errors)) if errors else nan, 3.0,
@@ -221,19 +242,20 @@ def _claims(found: list[Explored]) -> list[Claim]:
 
 def _figure(found: list[Explored]) -> Figure:
     """Where pegs were found, and what went wrong by kind."""
-    figure, (left, right) = charts.panels(1, 2, size=(6.5, 4.5), title="Explorations")
-    pegs = [one for one in found if KINDS[one.kind].peg]
+    figure, (left, right) = charts.panels(1, 2, size=(6.5, 5.5))
+    legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
+    pegs = [one for one in found if KINDS[one.kind].peg and not KINDS[one.kind].more]
     for label, marker, color, those in (
         ("found", "o", GREEN, [e for e in pegs if not e.missed and not e.wrong]),
         ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.wrong]),
         ("missed", "X", RED, [e for e in pegs if e.missed]),
     ):
         x, y = [e.x_cm for e in those], [e.y_cm for e in those]
-        left.scatter(x, y, marker=marker, color=color, label=f"{label} ({len(those)})")
-    left.axhspan(-1.75, 1.75, color="0.85", label="straight robot")
+        left.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
+    left.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
     left.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
-    left.legend(fontsize=7, loc="upper left")
-    kinds = list(dict.fromkeys(one.kind for one in found))
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", **legend)
+    kinds = list(KINDS)
     at = np.arange(len(kinds))
     for shift, (label, color, what) in enumerate((
         ("missed", RED, "missed"),
@@ -249,6 +271,6 @@ def _figure(found: list[Explored]) -> Figure:
         right.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
     right.set_yticks(at, kinds, fontsize=8)
     right.invert_yaxis()
-    right.set(xlabel="share of the rooms (%)")
-    right.legend(fontsize=8)
+    right.set(xlabel=f"share of {len(found) // len(kinds)} rooms each (%)", xlim=(0, None))
+    figure.legend(*right.get_legend_handles_labels(), loc="outside lower right", **legend)
     return figure

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.exploration import explore
 from thigmo.exploration.replay import recorded_sweeps
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report.axes import BLUE, ORANGE, RED
@@ -23,6 +22,7 @@ from thigmo.studies import charts
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.engine import Claim, Context, Outcome, Table
 from thigmo.studies.experiments import schematics, thesis
+from thigmo.studies.rooms import explored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,11 +76,11 @@ def thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
 def run_seed(seed: int) -> Run:
     """Explore the default room by both protocols."""
     with tempfile.TemporaryDirectory() as folder:
-        theirs = explore(_URL, seed=seed, out=folder, name="thesis", protocol="thesis")
+        theirs = explored(_URL, folder, seed, protocol="thesis", frames=True)
         assert theirs.document.truth is not None  # the emulator's room knows itself
         (peg,) = theirs.document.truth.pegs
         solver = thesis_solver(RunFolder(theirs.folder), peg.x_cm)
-        mine = explore(_URL, seed=seed, out=folder, name="measure", protocol="measure").document
+        mine = explored(_URL, folder, seed).document
     return Run(
         seed,
         solver,
@@ -148,7 +148,7 @@ def stages(seed: int) -> Figure:
     from matplotlib.patches import Circle
 
     with tempfile.TemporaryDirectory() as folder:
-        found = explore(_URL, seed=seed, out=folder, name="stages", protocol="thesis").document
+        found = explored(_URL, folder, seed, protocol="thesis").document
     shown = [stage for stage in found.stages if stage.shapes]
     error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
     figure, axes = charts.panels(

@@ -110,9 +110,10 @@ def _figure(means: dict[str, Floats]) -> Figure:
             for name, mean in means.items()
         }
         charts.curves(
-            axis, series, legend=r == 0, yscale="log", xlabel="number of sensors",
+            axis, series, legend=False, yscale="log", xlabel="number of sensors",
             title=f"noise {noise:g} 1/cm",
         )  # fmt: skip
         axis.axvline(5, color="gray", linestyle=":", linewidth=1)
     axes[0].set_ylabel("mean error of the arc (cm)")
+    charts.legend_below(figure)
     return figure

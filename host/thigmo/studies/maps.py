@@ -1,35 +1,33 @@
 """The map for planners against the room: cells inside pegs that it calls free, and what that costs.
 
-Robots as calibrated explore random rooms of one to three pegs, each of which alone would be felt.
-The map is then drawn at several levels of certainty: how many of the cells inside pegs are free,
-apart for pegs that were felt and those that were missed, and how much space is free at all.
+A run's map is drawn at several levels of certainty: how many of the cells inside pegs are free,
+apart for pegs that were felt and those that were missed, and how much space is free at all. Used by
+the study of explorations.
 """
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
-from thigmo.exploration import explore
 from thigmo.exploration.missed import felt_pegs
 from thigmo.exploration.obstacles import SIGMAS, occupancy
 from thigmo.record import RunDocument
 from thigmo.record.occupancy import FREE
 from thigmo.report.axes import GREEN, RED
 from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LEVELS = (0.0, 1.0, 2.0, SIGMAS, 4.0)
+LEVELS = (0.0, 1.0, 2.0, SIGMAS, 4.0)
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
 _BETWEEN_CM = 0.5  # pegs stand at least so far apart
@@ -57,7 +55,7 @@ class Mapped:
 
 
 def room(seed: int) -> Scene:
-    """A random room for the robot of the default scene."""
+    """A random room of one to three pegs, each of which alone would be felt."""
     scene = Scene.load("default")
     rng = np.random.default_rng([seed, 0x3A9])
     scene.pegs = []
@@ -67,15 +65,6 @@ def room(seed: int) -> Scene:
         if all(gap > _BETWEEN_CM for gap in gaps):
             scene.pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))
     return scene
-
-
-def visit(seed: int) -> list[Mapped]:
-    """Explore a room, and judge its map at every level."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "room.toml"
-        room(seed).save(file)
-        document = explore(f"emulator://{file}", seed=seed, out=folder).document
-    return [judge(document, seed, sigmas) for sigmas in _LEVELS]
 
 
 def judge(
@@ -95,34 +84,42 @@ def judge(
     return Mapped(seed, sigmas, felt_all, felt_free, missed_all, missed_free, area)
 
 
-def run(context: Context) -> Outcome:
-    """Random rooms, and what is promised of their maps."""
-    seeds = context.rng(0x3A).integers(0, 2**31, context.count(8, 200)).tolist()
-    found = [one for rows in context.map(visit, seeds, "rooms") for one in rows]
-    summary = Table.of("levels", [_level(found, sigmas) for sigmas in _LEVELS])
-    (chosen,) = (row for row in summary.records() if row["sigmas"] == SIGMAS)
-    return Outcome(
-        tables=[Table.of("rooms", found), summary],
-        figures={"map": _figure(summary)},
-        claims=[
-            Claim("cells inside pegs that were felt and are free", float(chosen["felt_free_%"]),
-                  0.1, unit="%")
-        ],
-        notes=[
-            f"cells inside pegs that were missed and are free: {chosen['missed_free_%']:.2g} % of "
-            f"{chosen['missed_cells']}",
-            f"free space kept of what the sweeps seem to cover: {chosen['kept_%']:.0f} %",
-        ],
-        summary=summary,
-    )  # fmt: skip
+def summary(found: Sequence[Mapped]) -> Table:
+    """All rooms together, a line a level."""
+    return Table.of("levels", [_level(found, sigmas) for sigmas in LEVELS])
 
 
-def _level(found: list[Mapped], sigmas: float) -> dict[str, float | int]:
+def claims(levels: Table) -> list[Claim]:
+    """What is promised of the maps that a run writes."""
+    (chosen,) = (row for row in levels.records() if row["sigmas"] == SIGMAS)
+    return [
+        Claim(
+            f"maps of {chosen['rooms']} rooms with pegs: of {chosen['felt_cells']} cells inside "
+            "pegs that were felt, free",
+            float(chosen["felt_free_%"]),
+            0.1,
+            unit="%",
+        )
+    ]
+
+
+def notes(levels: Table) -> list[str]:
+    """What that costs, and what is not promised."""
+    (chosen,) = (row for row in levels.records() if row["sigmas"] == SIGMAS)
+    return [
+        f"maps: cells inside pegs that were missed and are free: {chosen['missed_free_%']:.2g} % "
+        f"of {chosen['missed_cells']}",
+        f"maps: free space kept of what the sweeps seem to cover: {chosen['kept_%']:.0f} %",
+    ]
+
+
+def _level(found: Sequence[Mapped], sigmas: float) -> dict[str, float | int]:
     mine = [one for one in found if one.sigmas == sigmas]
     felt, missed = sum(one.felt_cells for one in mine), sum(one.missed_cells for one in mine)
     seen = sum(one.free_cm2 for one in found if one.sigmas == 0.0)
     return {
         "sigmas": sigmas,
+        "rooms": len(mine),
         "felt_cells": felt,
         "felt_free_%": 100 * sum(one.felt_free for one in mine) / max(felt, 1),
         "rooms_with_one": sum(one.felt_free > 0 for one in mine),
@@ -132,9 +129,9 @@ def _level(found: list[Mapped], sigmas: float) -> dict[str, float | int]:
     }
 
 
-def _figure(levels: Table) -> Figure:
+def figure(levels: Table) -> Figure:
     """What a level saves and what it costs."""
-    figure, (left, right) = charts.panels(1, 2, size=(5.0, 3.6), title="The map for planners")
+    drawn, (left, right) = charts.panels(1, 2, size=(5.0, 3.6), title="The map for planners")
     rows = levels.records()
     sigmas = [float(row["sigmas"]) for row in rows]
     for label, color, what in (
@@ -145,10 +142,10 @@ def _figure(levels: Table) -> Figure:
     left.axhline(0.1, color="0.6", linestyle=":", label="promised")
     left.set_yscale("symlog", linthresh=0.1)
     left.set(ylabel="of the cells inside, free (%)", ylim=(0, None))
-    left.legend(fontsize=8)
     right.plot(sigmas, [float(row["kept_%"]) for row in rows], "o-")
     right.set(ylabel="free space kept (%)", ylim=(0, 105))
     for axis in (left, right):
         axis.axvline(SIGMAS, color="0.85", linewidth=5, zorder=0)
         axis.set(xlabel="standard errors kept from the edge")
-    return figure
+    charts.legend_below(drawn)
+    return drawn

@@ -1,0 +1,86 @@
+"""The study of loads: its scenes are what they say, and its counts count what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thigmo.studies import loads, misfit
+from thigmo.studies.loads import FEW, GROUPS, ROD_CM, SEEN_KINK, STANDS_OUT, Seen
+from thigmo.studies.scenes import BOTH, LENGTH, SIGMA
+
+PLAIN = Seen(
+    found=1, likely=1, localized=True, ambiguous=False, none=0.0, held=1, wrong=False, off_cm=0.5,
+    hinge=False, open=True, stands_out=0.0, fits=True,
+)  # fmt: skip
+
+
+def test_one_contact_explains_its_own_readings_and_noise_only() -> None:
+    rng = np.random.default_rng(1)
+    scenes = loads.one(rng, 200)
+    clean = misfit.of_one_contact(scenes.curvature, BOTH, scenes.free)
+    assert clean.max() < 1.0  # places a centimetre apart
+    frames = scenes.curvature + SIGMA * rng.standard_normal(scenes.curvature.shape)
+    left = misfit.of_one_contact(frames, BOTH, scenes.free)
+    assert left.mean() == pytest.approx(8.0, abs=1.0)  # ten readings less place and force
+    opposed = GROUPS["two opposed, straight"].draw(rng, 50)
+    assert np.median(misfit.of_one_contact(opposed.curvature, BOTH, opposed.free)) > chi2.isf(
+        0.01, 8
+    )
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_scenes_have_what_their_bodies_read(name: str) -> None:
+    scenes = GROUPS[name].draw(np.random.default_rng(2), 4)
+    assert scenes.curvature.shape == (4, scenes.position.size)
+    assert np.isfinite(scenes.curvature).all()
+    assert scenes.free.shape == (4,)
+    length = ROD_CM if name.startswith("rod") else LENGTH
+    assert np.all((scenes.arcs > 0.0) & (scenes.arcs <= length))
+    contacts = 0 if name.startswith(("free", "kink,")) else 1
+    assert scenes.arcs.shape[1] == (2 if "two" in name or "cm apart" in name else contacts)
+
+
+def test_a_rod_that_is_held_turns_by_no_more_than_100_degrees() -> None:
+    for seed in range(5):
+        rods = GROUPS["rod held at its end"].draw(np.random.default_rng(seed), 10)
+        turns = rods.curvature.mean(axis=1) * ROD_CM
+        assert np.rad2deg(np.abs(turns)).max() < 103.0  # the mean of few points is no integral
+        assert 4 <= rods.position.size <= 23
+
+
+def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
+    bad = {
+        "noise known: false contacts": ("free, 2 readings, noise known", {}),
+        "near the base, 5": ("near the base, bent, odds 0.05", {"found": 0, "stands_out": 99.0}),
+        "of these, P(no": ("near the base, straight, odds 0.001", {"none": 0.2, "stands_out": 30}),
+        "two on one side, one": ("two on one side, straight", {"wrong": True}),
+        "rod held at its end: localized": ("rod held at its end", {"off_cm": 3.0}),
+        "kinks of 3": ("kink, bent", {"stands_out": SEEN_KINK}),
+    }
+    free = replace(PLAIN, found=0, likely=0, localized=False, held=0)
+    good = {name: [free if name.startswith("free") else PLAIN] * 50 for name in GROUPS}
+    for name in GROUPS:
+        if name.startswith("near"):
+            good[name] = [replace(PLAIN, stands_out=STANDS_OUT)] * 50
+        if name.startswith(("two opposed", "18.5", "13 cm")):
+            good[name] = [replace(PLAIN, found=2, likely=2, held=2)] * 50
+        if name.startswith("kink"):
+            good[name] = [replace(PLAIN, hinge=True, stands_out=v) for v in (0.0, 99.0)] * 25
+    assert [c.text for c in loads._claims(good) if not c.holds] == []
+    for start, (group, change) in bad.items():
+        spoilt = {**good, group: [*good[group][:40], *[replace(PLAIN, **change)] * 10]}
+        missed = [c.text for c in loads._claims(spoilt) if not c.holds]
+        assert len(missed) == 1, start
+        assert missed[0].startswith(start)
+
+
+def test_a_group_is_answered_frame_by_frame() -> None:
+    name = f"free, {FEW[0]} readings, noise known"
+    seen = loads.see((name, (0, 1), 5))
+    assert [f.found for f in seen] == [0] * 5
+    (contact, *_) = loads.see(("one contact, noise known", (0, 2), 3))
+    assert (contact.likely, contact.wrong, contact.held) == (1, False, 1)
