@@ -41,7 +41,7 @@ class Mixture {
   Row edges, mass, force, variance;
 
   Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
-    edges = {within.near, within.far};
+    edges = {within.near};
     const Marginal* before = nullptr;
     for (const auto& [weight, part] : parts) {
       if (before && part->place == before->place) continue;
@@ -49,7 +49,8 @@ class Mixture {
       add_edge(part->place.back() + 0.5 * part->width, within);
       before = part;
     }
-    std::sort(edges.begin(), edges.end());
+    edges.push_back(within.far);
+    if (!std::is_sorted(edges.begin(), edges.end())) std::sort(edges.begin(), edges.end());
     edges.erase(
         std::unique(edges.begin(), edges.end(), [](double a, double b) { return b - a < 1e-9; }),
         edges.end());
@@ -64,8 +65,8 @@ class Mixture {
       const int last = static_cast<int>(part->place.size()) - 1;
       for (std::size_t c = 0; c < cells; ++c) {
         const double middle = 0.5 * (edges[c] + edges[c + 1]);
-        const int m = static_cast<int>(std::floor((middle - near) / part->width));
-        if (m < 0 || m > last) continue;
+        const int m = static_cast<int>((middle - near) / part->width);
+        if (middle < near || m > last) continue;
         const double share = weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
         mass[c] += share;
         force[c] += share * part->force[m];
@@ -107,11 +108,14 @@ class Mixture {
     std::iota(order.begin(), order.end(), 0);
     Row density = mass;
     for (const int c : order) density[c] /= edges[c + 1] - edges[c];
-    std::sort(order.begin(), order.end(), [&](int a, int b) { return density[a] > density[b]; });
-    double held = 0.0;
-    std::size_t count = 0;
-    while (count < order.size() && held < share * (1.0 - 1e-12)) held += mass[order[count++]];
-    order.resize(count);
+    const auto less = [&](int a, int b) { return density[a] < density[b]; };
+    std::make_heap(order.begin(), order.end(), less);
+    auto rest = order.end();  // the densest are behind it
+    for (double held = 0.0; rest != order.begin() && held < share * (1.0 - 1e-12);) {
+      std::pop_heap(order.begin(), rest--, less);
+      held += mass[*rest];
+    }
+    order.erase(order.begin(), rest);
     std::sort(order.begin(), order.end());
     std::vector<std::pair<double, double>> pieces;
     for (const int c : order) {

@@ -69,6 +69,7 @@ class Weighing {
         prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
                priors.shape_rests},
         white_(frame_, frame_.shared) {
+    found.reserve(2 * frame_.size() + 8);
     for (int i = 0; i < frame_.size(); ++i) bad_.add(i, {readings.bad[i]});
     double share = 0.0;
     for (const double moment : priors.moments) {
@@ -121,8 +122,9 @@ class Weighing {
   // An explanation that leaves a misfit, and how to weigh it beside a bad reading.
   struct Doubt {
     double log_weight;
-    Frame left;    // of the readings, without what the loads' prior means explain
-    Matrix loads;  // that were fitted
+    double log_odds;  // prior odds against one contact
+    Frame left;       // of the readings, without what the loads' prior means explain
+    Matrix loads;     // that were fitted
     std::function<void(int)> weigh;
   };
 
@@ -133,14 +135,15 @@ class Weighing {
   }
 
   // Bad readings that may bring an explanation within reach of the best, the likeliest first: by
-  // what they add where its loads change in proportion only, or beside what was weighed already.
+  // what they add where its loads change in proportion only, or added to what was weighed already.
   std::vector<int> suspects(const Doubt& doubt) const {
     const Whitened white(doubt.left, stacked(frame_.shared, doubt.loads));
     Row weight = white.log_densities(bad_);
     const double plain = doubt.log_weight - white.log_density();
     for (int i = 0; i < frame_.size(); ++i) weight[i] += plain + readings.log_bad[i];
     for (const Hypothesis& other : found) {
-      if (other.bad >= 0) weight[other.bad] = std::max(weight[other.bad], other.log_weight);
+      if (other.bad < 0) continue;
+      weight[other.bad] = std::max(weight[other.bad], other.log_weight + doubt.log_odds);
     }
     const double least = best() + priors_.hopeless;
     std::vector<int> out;
@@ -152,9 +155,10 @@ class Weighing {
     return out;
   }
 
-  void doubt(const Hypothesis& of, const Fit& fit, std::function<void(int)> weigh) {
+  void doubt(const Hypothesis& of, const Fit& fit, double log_odds,
+             std::function<void(int)> weigh) {
     if (of.misfit < limit_) return;
-    doubts_.push_back({of.log_weight, frame_, fit.loads, std::move(weigh)});
+    doubts_.push_back({of.log_weight, log_odds, frame_, fit.loads, std::move(weigh)});
     for (std::size_t i = 0; i < fit.known.size(); ++i)
       doubts_.back().left.excess[i] -= fit.known[i];
   }
@@ -257,9 +261,10 @@ class Weighing {
     if (!held) weight += bends ? priors_.end : priors_.end_straight;
     if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
     const EndWrench fit = add_end(white_, start, held, weight, -1);
-    doubt(found.back(), fit, [this, shape = fit.curvature, held, weight](int i) {
-      add_end(with(bad_, i), shape, held, weight, i);
-    });
+    doubt(found.back(), fit, weight - priors_.contact,
+          [this, shape = fit.curvature, held, weight](int i) {
+            add_end(with(bad_, i), shape, held, weight, i);
+          });
   }
 
   // What a fold of one radian, spread over one diameter from the base, adds to each reading.
@@ -288,7 +293,8 @@ class Weighing {
     }
     const FoldedContact fit = add_fold(share, start, -1);
     if (!(fit.log_evidence > -INFINITY)) return;
-    doubt(found.back(), fit, [this, share, start](int i) { add_fold(share, start, i); });
+    doubt(found.back(), fit, std::log(std::max(1.0 - unfolded_, 1e-12)),
+          [this, share, start](int i) { add_fold(share, start, i); });
   }
 
   FoldedContact add_fold(const Row& share, const Nodes& start, int bad) {
@@ -404,7 +410,7 @@ class Weighing {
                               Row(cells, fit.spread[j])});
     }
     if (count == 2 && bad < 0) {
-      doubt(out, fit, [this](int i) { add_several(2, kPairCells, i); });
+      doubt(out, fit, priors_.another, [this](int i) { add_several(2, kPairCells, i); });
     }
     return fit.misfit;
   }

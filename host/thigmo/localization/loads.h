@@ -8,6 +8,9 @@
 // refined together, until the shape rests and no cell of the grid holds most of the mass.
 #pragma once
 
+#include <bit>
+#include <cstdint>
+#include <numeric>
 #include <optional>
 
 #include "errors.h"
@@ -28,9 +31,40 @@ struct Window {
 
 constexpr int kMostPasses = 9;
 constexpr int kMostTurns = 24;
-constexpr double kResolved = 0.35;  // mass of a cell above which the grid is too coarse
-constexpr double kOutside = 1e-6;   // mass of a cell below which the grid may leave it out
-constexpr double kNothing = 25.0;   // nats below the likeliest place that weigh nothing
+constexpr double kResolved = 0.35;          // mass of a cell above which the grid is too coarse
+constexpr double kOutside = 1e-6;           // mass of a cell below which the grid may leave it out
+constexpr double kNothing = 25.0;           // nats below the likeliest place that weigh nothing
+constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
+
+// e^x for x up to 700; what is below e^-200 counts as that. Without branches or calls, so that
+// loops over places become vector code, and the same on every machine.
+inline double exponential(double x) {
+  constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
+  x = x > -200.0 ? x : -200.0;
+  const double shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
+  // The rest, at most ln(2) / 2, by Taylor's series.
+  const double r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
+  constexpr std::array<double, 13> kTerms = [] {
+    std::array<double, 13> terms{1.0};
+    for (int k = 1; k < 13; ++k) terms[k] = terms[k - 1] / k;
+    return terms;
+  }();
+  double sum = kTerms[12];
+  for (int k = 11; k >= 0; --k) sum = sum * r + kTerms[k];
+  const auto bits = std::bit_cast<std::uint64_t>(shifted) + 1023;
+  return sum * std::bit_cast<double>(bits << 52);
+}
+
+// Four at a time, as a processor does.
+inline double largest(const double* value, int count) {
+  std::array<double, 4> top;
+  top.fill(-INFINITY);
+  for (; count >= 4; count -= 4, value += 4) {
+    for (int j = 0; j < 4; ++j) top[j] = value[j] > top[j] ? value[j] : top[j];
+  }
+  for (int j = 0; j < count; ++j) top[j] = value[j] > top[j] ? value[j] : top[j];
+  return std::max(std::max(top[0], top[1]), std::max(top[2], top[3]));
+}
 
 // Probability that a normal number lies within plus and minus a limit.
 inline double probability_within(double mean, double variance, double limit) {
@@ -266,7 +300,8 @@ class OneContactGrid {
         square[m] += 1.0 / (widest * widest * unit_[m]);
         ratio[m] = of.told[m] * of.told[m] / square[m];
       }
-      plain = std::max(plain, of.constant + 0.5 * *std::max_element(ratio.begin(), ratio.end()));
+      const int count = static_cast<int>(ratio.size());
+      plain = std::max(plain, of.constant + 0.5 * largest(ratio.data(), count));
       for (int e = 0; e < columns.size(); ++e) {
         const Beside beside(columns[e], at);
         beside.along(of.white, along_);
@@ -274,7 +309,7 @@ class OneContactGrid {
           const double b = of.told[m] - along_[m] * beside.told;
           ratio[m] = b * b / (square[m] - along_[m] * along_[m]);
         }
-        const double most = *std::max_element(ratio.begin(), ratio.end());
+        const double most = largest(ratio.data(), count);
         out[e] = std::max(out[e], of.constant + beside.gain + 0.5 * most);
       }
     }
@@ -313,16 +348,16 @@ class OneContactGrid {
   };
 
   bool mix(const std::vector<Products>& products, OneContact& out) {
-    const std::size_t count = unit_.size();
+    const int count = static_cast<int>(unit_.size());
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-    Row best_of(products.size()), q(count), f(count), exponent(count);
+    Row best_of(products.size()), weight(count), force(count), left(count);
     double top = -INFINITY, best = 0.0;
     for (std::size_t s = 0; s < products.size(); ++s) {
       const Products& of = products[s];
-      for (std::size_t m = 0; m < count; ++m) {
-        exponent[m] = of.told[m] * of.told[m] / (of.square[m] + 1.0 / (widest * widest * unit_[m]));
+      for (int m = 0; m < count; ++m) {
+        weight[m] = of.told[m] * of.told[m] / (of.square[m] + 1.0 / (widest * widest * unit_[m]));
       }
-      best_of[s] = of.constant + 0.5 * *std::max_element(exponent.begin(), exponent.end());
+      best_of[s] = of.constant + 0.5 * largest(weight.data(), count);
       top = std::max(top, best_of[s]);
     }
     out.mass.assign(count, 0.0);
@@ -333,35 +368,37 @@ class OneContactGrid {
       const Products& of = products[s];
       for (const double scale : prior_.scales) {
         const double power = scale * scale, constant = of.constant - top;
-        for (std::size_t m = 0; m < count; ++m) {
-          const double variance = power * unit_[m];
-          q[m] = 1.0 / (1.0 + of.square[m] * variance);
-          f[m] = of.told[m] * variance * q[m];
-          exponent[m] = constant + 0.5 * of.told[m] * f[m];
+        for (int m = 0; m < count; ++m) {
+          const double variance = power * unit_[m], share = 1.0 / (1.0 + of.square[m] * variance);
+          left[m] = variance * share;
+          force[m] = of.told[m] * left[m];
+          weight[m] = exponential(constant + 0.5 * of.told[m] * force[m]) * std::sqrt(share);
         }
-        for (std::size_t m = 0; m < count; ++m) {
-          if (exponent[m] < -kNothing) continue;
-          const double variance = power * unit_[m], v = variance * q[m];
-          double w = std::exp(exponent[m]) * std::sqrt(q[m]);
-          if (prior_.critical < INFINITY) w *= below_fold(f[m], v, variance, base_[m]);
-          out.mass[m] += w;
-          out.force[m] += w * f[m];
-          out.spread[m] += w * (f[m] * f[m] + v);
-          if (w > best) {
-            best = w;
-            level_ = s, out.noise = readings_.levels[s].factor;
-            out.misfit = of.free - f[m] * (2.0 * of.told[m] - of.square[m] * f[m]);
+        if (prior_.critical < INFINITY) {
+          for (int m = 0; m < count; ++m) {
+            const bool nothing = weight[m] < kNearlyNothing;
+            weight[m] *= nothing ? 0.0 : below_fold(force[m], left[m], power * unit_[m], base_[m]);
           }
         }
+        for (int m = 0; m < count; ++m) {
+          out.mass[m] += weight[m];
+          out.force[m] += weight[m] * force[m];
+          out.spread[m] += weight[m] * (force[m] * force[m] + left[m]);
+        }
+        const double most = largest(weight.data(), count);
+        if (most <= best) continue;
+        best = most;
+        const auto m = std::find(weight.begin(), weight.end(), most) - weight.begin();
+        level_ = s, out.noise = readings_.levels[s].factor;
+        out.misfit = of.free - force[m] * (2.0 * of.told[m] - of.square[m] * force[m]);
       }
     }
     double total = 0.0;
-    for (std::size_t m = 0; m < count; ++m) {
-      if (out.mass[m] <= 0.0) continue;
+    for (int m = 0; m < count; ++m) {
+      const double mass = std::max(out.mass[m], 1e-300);
       total += out.mass[m];
-      out.force[m] /= out.mass[m];
-      out.spread[m] = out.spread[m] / out.mass[m] - out.force[m] * out.force[m];
-      out.spread[m] = std::sqrt(std::max(out.spread[m], 0.0));
+      out.force[m] /= mass;
+      out.spread[m] = std::sqrt(std::max(out.spread[m] / mass - out.force[m] * out.force[m], 0.0));
     }
     if (!(total > 0.0)) return false;
     out.top =
@@ -479,16 +516,22 @@ class SetsGrid {
 
   // At one level of noise.
   void set(const Matrix& white, const Row& read, const Row& base) {
+    const int wide = white.columns;
+    for (Products& each : left_) {
+      each.gram.resize(wide, wide);
+      each.diagonal.assign(wide, 0.0);
+      each.told = each.diagonal, each.base = base;
+    }
     Products& to = left_[0];
-    to.gram = Matrix(white.columns, white.columns);
-    to.told.assign(white.columns, 0.0);
-    to.base = base;
+    std::fill(to.gram.value.begin(), to.gram.value.end(), 0.0);
     for (int i = 0; i < white.rows; ++i) {
       const double *row = white[i], value = read[i];
-      for (int k = 0; k < white.columns; ++k) {
+      for (int k = 0; k < wide; ++k) {
         to.told[k] += row[k] * value;
         double* gram = to.gram[k];
-        for (int l = k; l < white.columns; ++l) gram[l] += row[k] * row[l];
+        gram[k] += row[k] * row[k];
+        // Two places of one contact are never weighed together.
+        for (int l = (k / cells_ + 1) * cells_; l < wide; ++l) gram[l] += row[k] * row[l];
       }
     }
   }
@@ -501,9 +544,6 @@ class SetsGrid {
     left_[0].diagonal = precision_ = precision;
     for (std::size_t k = 0; k < precision.size(); ++k) {
       left_[0].diagonal[k] += left_[0].gram[k][k];
-    }
-    for (Products& next : left_) {
-      if (&next != left_.data()) next = left_[0];
     }
     place_contact(0, {constant, 1.0, 0.0});
   }
@@ -531,16 +571,15 @@ class SetsGrid {
   // Take the contact in column m out of those from `end` on.
   void eliminate(const Products& from, int m, int end, Products& to) const {
     const int wide = count_ * cells_;
-    const double pivot = from.diagonal[m], told = from.told[m], base = from.base[m];
+    const double inverse = 1.0 / from.diagonal[m], told = from.told[m], base = from.base[m];
     const double* row = from.gram[m];
+    for (int k = end; k < wide; ++k) to.told[k] = from.told[k] - inverse * told * row[k];
+    for (int k = end; k < wide; ++k) to.base[k] = from.base[k] - inverse * base * row[k];
     for (int k = end; k < wide; ++k) {
-      const double share = row[k] / pivot;
-      to.told[k] = from.told[k] - share * told;
-      to.base[k] = from.base[k] - share * base;
-      to.diagonal[k] = from.diagonal[k] - share * row[k];
+      to.diagonal[k] = from.diagonal[k] - inverse * row[k] * row[k];
     }
     for (int k = end; k < wide - cells_; ++k) {
-      const double share = row[k] / pivot, *old = from.gram[k];
+      const double share = row[k] * inverse, *old = from.gram[k];
       double* fresh = to.gram[k];
       for (int l = wide - cells_; l < wide; ++l) fresh[l] = old[l] - share * row[l];
     }
@@ -549,65 +588,85 @@ class SetsGrid {
   // The last contact at each of its places.
   void add(Sum sum) {
     const Products& left = left_.back();
-    const int first = (count_ - 1) * cells_;
+    const int first = (count_ - 1) * cells_, before = at_[count_ - 2];
     const double *told = left.told.data() + first, *pivot = left.diagonal.data() + first;
-    exponent_.resize(cells_);
-    for (int m = 0; m < cells_; ++m) {
-      exponent_[m] = sum.exponent + 0.5 * told[m] * told[m] / pivot[m];
+    const double *base = left.base.data() + first, *precision = precision_.data() + first;
+    int from = 0;
+    while (from < cells_ && place[first + from] - place[before] < gap_) ++from;
+    exponent_.resize(cells_), weight_.resize(cells_);
+    double *exponent = exponent_.data(), *weight = weight_.data();
+    for (int m = from; m < cells_; ++m) {
+      exponent[m] = sum.exponent + 0.5 * told[m] * told[m] / pivot[m];
     }
-    for (int m = 0; m < cells_; ++m) {
-      const int k = first + m;
-      const double exponent = exponent_[m];
-      if (exponent < top - kNothing || place[k] - place[at_[count_ - 2]] < gap_) continue;
-      const double moment = sum.moment + told[m] * left.base[k] / pivot[m];
-      if (std::abs(moment) > critical_) continue;
-      if (exponent > top + kNothing) {  // what was added so far is small beside this
-        const double shrink = std::exp(top - exponent);
-        for (Row& row : mass) {
-          for (double& value : row) value *= shrink;
-        }
-        total *= shrink, peak_ *= shrink, top = exponent;
+    for (int m = from; m < cells_ && critical_ < INFINITY; ++m) {
+      if (std::abs(sum.moment + told[m] * base[m] / pivot[m]) > critical_) exponent[m] = -INFINITY;
+    }
+    const double highest = largest(exponent + from, cells_ - from);
+    if (!(highest >= top - kNothing && highest > -INFINITY)) return;
+    if (highest > top + kNothing) {  // what was added so far is small beside this
+      const double shrink = std::exp(top - highest);
+      for (Row& row : mass) {
+        for (double& value : row) value *= shrink;
       }
-      const double volume = sum.volume * pivot[m] / precision_[k];
-      const double weight = std::exp(exponent - top) / std::sqrt(volume);
-      at_[count_ - 1] = k;
-      for (int j = 0; j < count_; ++j) mass[j][at_[j] - j * cells_] += weight;
-      total += weight;
-      if (weight > peak_) peak_ = weight, level = level_, scale = scale_, best = at_;
+      total *= shrink, peak_ *= shrink, top = highest;
     }
+    double* last = mass[count_ - 1].data();
+    for (int m = from; m < cells_; ++m) {
+      weight[m] =
+          exponential(exponent[m] - top) * std::sqrt(precision[m] / (sum.volume * pivot[m]));
+      last[m] += weight[m];
+    }
+    const double all = std::accumulate(weight + from, weight + cells_, 0.0);
+    total += all;
+    for (int j = 0; j + 1 < count_; ++j) mass[j][at_[j] - j * cells_] += all;
+    const double most = largest(weight + from, cells_ - from);
+    if (most <= peak_) return;
+    at_[count_ - 1] =
+        first + static_cast<int>(std::find(weight + from, weight + cells_, most) - weight);
+    peak_ = most, level = level_, scale = scale_, best = at_;
   }
 
   int count_, cells_;
   std::vector<int> at_;         // columns of the set that is being weighed
   std::vector<Products> left_;  // by how many contacts are placed
-  Row precision_, exponent_;
+  Row precision_, exponent_, weight_;
   double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
   std::size_t level_ = 0;
 };
 
-// The likeliest set of a grid: forces, misfit, and the body that it bends. Returns that body.
+// The likeliest set of a grid: forces, misfit, and the body at rest under them, from a shape near
+// it. Returns that body. `unit`: prior deviations of the forces for a largest moment of one.
 inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, const SetsGrid& sets,
-                           const Levers& levers, const Shape& shape, SeveralContacts& out) {
+                           const Row& unit, const Nodes& start, SeveralContacts& out) {
   const Frame& frame = *readings.frame;
   const int n = frame.size(), count = static_cast<int>(sets.best.size());
-  const Row unit = prior_deviations(prior, levers.largest);
-  Matrix loads(count, n);
-  Row deviation;
-  for (int j = 0; j < count; ++j) {
-    deviation.push_back(sets.scale * unit[sets.best[j]]);
-    for (int i = 0; i < n; ++i) loads[j][i] = deviation[j] * levers.sensor[i][sets.best[j]];
-  }
   const Whitened::At& at = readings.levels[sets.level];
-  const Solution found = solve(at, loads);
-  out.noise = at.factor, out.misfit = at.square - found.gain;
-  Nodes bent = frame.rest;
-  for (int j = 0; j < count; ++j) {
-    out.best[j] = sets.place[sets.best[j]];
-    out.force[j] = found.mean[j] * deviation[j];
-    out.spread[j] = found.deviation[j] * deviation[j];
-    shape.add_moment(shape.at(out.best[j]), out.force[j], bent);
+  for (int j = 0; j < count; ++j) out.best[j] = sets.place[sets.best[j]];
+  out.loads.resize(count, n);
+  Nodes curvature = start, bent = start;
+  for (int turn = 0; turn < kMostPasses; ++turn) {
+    const bool straight = turn_of(curvature) < prior.straight;
+    const Shape shape(straight ? Nodes{} : curvature);
+    const Levers levers =
+        levers_at(frame, straight ? std::nullopt : std::optional(shape), out.best, 0.0);
+    for (int j = 0; j < count; ++j) {
+      const double deviation = sets.scale * unit[sets.best[j]];
+      for (int i = 0; i < n; ++i) out.loads[j][i] = deviation * levers.sensor[i][j];
+    }
+    const Solution found = solve(at, out.loads);
+    out.noise = at.factor, out.misfit = at.square - found.gain;
+    bent = frame.rest;
+    for (int j = 0; j < count; ++j) {
+      const double deviation = sets.scale * unit[sets.best[j]];
+      out.force[j] = found.mean[j] * deviation;
+      out.spread[j] = found.deviation[j] * deviation;
+      shape.add_moment(shape.at(out.best[j]), out.force[j], bent);
+    }
+    const bool rests =
+        straight ? turn_of(bent) < prior.straight : largest_change(bent, curvature) < prior.rests;
+    if (rests) break;
+    curvature = bent;
   }
-  out.loads = std::move(loads);
   return bent;
 }
 
@@ -654,8 +713,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       out.place.emplace_back(sets.place.begin() + j * cells, sets.place.begin() + (j + 1) * cells);
     }
     out.mass = sets.mass, out.width = sets.width;
-    const Nodes bent =
-        likeliest_set(readings, prior, sets, levers, shape.value_or(Shape(Nodes{})), out);
+    const Nodes bent = likeliest_set(readings, prior, sets, unit, out.curvature, out);
     bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
     if (straight) {
       straight = turn_of(bent) < prior.straight;

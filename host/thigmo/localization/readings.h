@@ -156,18 +156,20 @@ inline Readings normalised(const Input& in, const Priors& priors) {
     frame.noise.push_back(in.noise.empty() ? 1.0 : pick(in.noise, i) * length);
     frame.gain.push_back(pick(in.gain, i) * in.curvature[i] * length);
     free.push_back(g * length);
-    out.bad.push_back(std::hypot(priors.bad_deviation, g * length));
+    out.bad.push_back(
+        std::sqrt(priors.bad_deviation * priors.bad_deviation + g * g * length * length));
     out.log_bad.push_back(std::log(std::max(pick(in.bad_odds, i), 1e-300)));
     most = std::max({most, std::abs(excess), std::abs(g * length)});
     out.turn = std::max(out.turn, std::abs(g * length));
     square += excess * excess;
   }
   const int n = frame.size();
-  for (double& gain : frame.gain) gain = std::hypot(gain, priors.trust * most);
+  const double trust = priors.trust * most;
+  for (double& gain : frame.gain) gain = std::sqrt(gain * gain + trust * trust);
   out.known = !in.noise.empty();
   frame.levels = {{1.0, 0.0}};
   if (!out.known) {
-    const double scale = std::max(std::sqrt(square / n), priors.trust * most);
+    const double scale = std::max(std::sqrt(square / n), trust);
     frame.levels.clear();
     const double odds = -std::log(static_cast<double>(priors.noise_levels.size()));
     for (const double level : priors.noise_levels) frame.levels.push_back({level * scale, odds});

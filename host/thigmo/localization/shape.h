@@ -27,6 +27,11 @@ struct Matrix {
   Row value;
   Matrix() = default;
   Matrix(int n, int m) : rows(n), columns(m), value(static_cast<std::size_t>(n) * m) {}
+  // What it holds then is of no use.
+  void resize(int n, int m) {
+    rows = n, columns = m;
+    value.resize(static_cast<std::size_t>(n) * m);
+  }
   double* operator[](int row) { return value.data() + static_cast<std::size_t>(row) * columns; }
   const double* operator[](int row) const {
     return value.data() + static_cast<std::size_t>(row) * columns;
