@@ -1,0 +1,197 @@
+"""One frame against all frames of an inflation: `localize` of the last, and `ContactFilter`.
+
+Truth is the independent rod bent into a peg at rest (`pegs`), of a size that nobody is told. Errors
+stay the same through an inflation: those of gains, map and zeros are told; a bad sensor is not. A
+localized contact whose 95 % interval does not hold the place is wrong; shares are of all rooms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from thigmo.localization import ContactFilter, LocalizeResult, localize
+from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.pegs import Rooms, rooms
+from thigmo.studies.rod import Floats
+from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, SIGMA, SPAN
+
+MOST = 0.05  # free curvature (1/cm) that an inflation can reach
+FRAMES = 8
+BATCH = 20  # rooms that a process takes at a time
+GAIN, MAP, ZERO = 0.05, 0.05, 1e-3  # standard errors that are told
+BODY: dict[str, Any] = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS}
+
+
+class Inflation(NamedTuple):
+    """Readings (T, N) of one body, free curvatures (T,) as believed, and what is told of errors."""
+
+    curvature: Floats
+    free: Floats
+    told: dict[str, float]
+
+
+def _gains(rng: np.random.Generator, seen: Inflation) -> Inflation:
+    gains = 1.0 + GAIN * rng.standard_normal(COLUMN.size)
+    return Inflation(seen.curvature * gains, seen.free, {"gain_error": GAIN})
+
+
+def _map(rng: np.random.Generator, seen: Inflation) -> Inflation:
+    return Inflation(
+        seen.curvature, seen.free * (1.0 + MAP * rng.standard_normal()), {"map_error": MAP}
+    )
+
+
+def _zeros(rng: np.random.Generator, seen: Inflation) -> Inflation:
+    zeros = ZERO * rng.standard_normal(COLUMN.size)
+    return Inflation(seen.curvature + zeros, seen.free, {"zero_error": ZERO})
+
+
+def _offset(size: float) -> Callable[[np.random.Generator, Inflation], Inflation]:
+    def spoil(rng: np.random.Generator, seen: Inflation) -> Inflation:
+        curvature = seen.curvature.copy()
+        curvature[:, rng.integers(COLUMN.size)] += size * rng.choice([-1.0, 1.0])
+        return seen._replace(curvature=curvature)
+
+    return spoil
+
+
+def _stuck(rng: np.random.Generator, seen: Inflation) -> Inflation:
+    curvature = seen.curvature.copy()
+    curvature[:, rng.integers(COLUMN.size)] = 0.0
+    return seen._replace(curvature=curvature)
+
+
+def _more_noise(rng: np.random.Generator, seen: Inflation) -> Inflation:
+    more = np.sqrt(3.0) * SIGMA * rng.standard_normal(seen.curvature.shape)
+    return seen._replace(curvature=seen.curvature + more)
+
+
+BAD = {
+    "a sensor off by 2e-3 1/cm": _offset(2e-3),
+    "a sensor off by 8e-3 1/cm": _offset(8e-3),
+    "a sensor stuck at zero": _stuck,
+}
+OTHER_NOISE = "twice the noise, not told"
+TOLD: dict[str, Callable[[np.random.Generator, Inflation], Inflation]] = {
+    "none": lambda rng, seen: seen,
+    "gains 5 % off": _gains,
+    "map 5 % off": _map,
+    "zeros 1e-3 1/cm off": _zeros,
+}
+ERRORS = {**TOLD, **BAD, OTHER_NOISE: _more_noise}
+
+
+class Task(NamedTuple):
+    """A batch of rooms under one error."""
+
+    seed: int
+    error: str
+    number: int
+    size: int
+
+
+@cache
+def _rooms(seed: int, number: int, size: int) -> tuple[Rooms, Floats]:
+    """Pegs, and (S, T, N) what the sensors read without noise: the same for every error."""
+    there = rooms(
+        np.random.default_rng([seed, 0x5E, number]), size, length=LENGTH, most=MOST, frames=FRAMES
+    )
+    read = [there.bodies(frame).readings(COLUMN, SPAN) for frame in range(FRAMES)]
+    return there, np.stack(read, axis=1)
+
+
+def _last(seen: Inflation) -> LocalizeResult:
+    told = {name: error for name, error in seen.told.items() if name != "zero_error"}
+    if "zero_error" in seen.told:
+        told["shared_errors"] = seen.told["zero_error"] * np.eye(COLUMN.size)
+    return localize(seen.curvature[-1], COLUMN, free_curvature=seen.free[-1], **BODY, **told)
+
+
+def _all(seen: Inflation) -> LocalizeResult:
+    felt = ContactFilter(COLUMN, most_curvature=1.25 * MOST, **BODY, **seen.told)
+    felt.update(seen.curvature, seen.free)
+    return felt.result()
+
+
+METHODS = {"last frame": _last, "all frames": _all}
+
+
+def judge(task: Task) -> dict[str, Floats]:
+    """(size, 5) of each method: listed, covered, localized, absolute error, width of interval."""
+    there, clean = _rooms(task.seed, task.number, task.size)
+    rng = np.random.default_rng([task.seed, 0x5F, list(ERRORS).index(task.error), task.number])
+    rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in METHODS}
+    for room in range(task.size):
+        noise = SIGMA * rng.standard_normal(clean[room].shape)
+        seen = Inflation(clean[room], there.free[:, room], {})
+        seen = ERRORS[task.error](rng, seen)
+        seen = seen._replace(curvature=seen.curvature + noise)
+        for name, method in METHODS.items():
+            result = method(seen)
+            if not result.contacts:
+                rows[name].append((0.0, np.nan, 0.0, np.nan, np.nan))
+                continue
+            arc = there.arc[-1, room]
+            best = min(result.contacts, key=lambda contact: abs(contact.arc - arc))
+            low, high = best.interval
+            rows[name].append((
+                1.0, low - 1e-6 <= arc <= high + 1e-6, result.status == "localized",
+                abs(best.arc - arc), high - low,
+            ))  # fmt: skip
+    return {name: np.array(some, dtype=np.float64) for name, some in rows.items()}
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method under one error; shares are of all rooms, `covered` of those listed."""
+
+    error: str
+    method: str
+    rooms: int
+    listed: float
+    covered: float
+    localized: float
+    wrong: float
+    mean_error_cm: float
+    median_width_cm: float
+
+    @classmethod
+    def of(cls, error: str, method: str, rows: Floats) -> Score:
+        """From the rows of `judge`."""
+        listed, covered, localized, off, width = rows.T
+        return cls(
+            error, method, len(rows), float(listed.mean()), float(np.nanmean(covered)),
+            float(localized.mean()), float(np.nansum(localized * (1.0 - covered)) / len(rows)),
+            float(np.nanmean(off)), float(np.nanmedian(width)),
+        )  # fmt: skip
+
+
+def run(context: Context) -> Outcome:
+    """The study: every error, by the last frame and by all."""
+    count = context.count(BATCH, 240)
+    parts = [(k, min(BATCH, count - BATCH * k)) for k in range(-(-count // BATCH))]
+    scores: dict[tuple[str, str], Score] = {}
+    for error in ERRORS:
+        got = context.map(judge, [Task(context.seed, error, *part) for part in parts], error)
+        for method in METHODS:
+            rows = np.concatenate([some[method] for some in got])
+            scores[error, method] = Score.of(error, method, rows)
+    whole = {error: scores[error, "all frames"] for error in ERRORS}
+    claims = [
+        Claim("errors told: least coverage", min(whole[e].covered for e in TOLD), 0.93, False),
+        Claim("errors told: localized and wrong, most", max(whole[e].wrong for e in TOLD), 0.03),
+        Claim("a bad sensor: localized and wrong, most", max(whole[e].wrong for e in BAD), 0.03),
+        Claim("twice the noise: coverage", whole[OTHER_NOISE].covered, 0.9, at_most=False),
+        Claim("twice the noise: localized and wrong", whole[OTHER_NOISE].wrong, 0.05),
+        Claim(
+            "width of the interval, over that of the last frame",
+            whole["none"].median_width_cm / scores["none", "last frame"].median_width_cm, 1.0,
+        ),
+    ]  # fmt: skip
+    table = Table.of("rows", (asdict(score) for score in scores.values()))
+    return Outcome(tables=[table], claims=claims, summary=table)
