@@ -243,11 +243,11 @@ class ContactFilter:
             sums.append(without)
         information, told, log, square = (np.stack(each) for each in zip(*sums, strict=True))
         information = information + np.diag(self._shared)
-        solved = np.linalg.solve(information, told[..., None])[..., 0]
+        covariance = np.linalg.inv(information)
+        solved = (covariance @ told[..., None])[..., 0]
         gain = (told * solved).sum(axis=-1)
         log = log + 0.5 * (gain + np.log(self._shared).sum() - np.linalg.slogdet(information)[1])
         log += np.concatenate([[0.0], np.repeat(self._log_bad, 2)])[:, None]
-        covariance = np.linalg.inv(information)
         # A place stands for those of its cell and the next, where readings are linear.
         deviation = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)[..., -2:])
         mean = solved[..., -2:]

@@ -17,7 +17,6 @@ STUDIES: dict[str, str] = {
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "scaling": "time of `localize` and of batches, over sensors and rows",
     "sweeps": "one frame against all frames of an inflation, and sensors bad throughout",
-    "scaling": "time of `localize` and `localize_batch`, over sensors and rows",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
     "exploration": "pegs found, empty rooms silent, maps right; calibrated or not",
