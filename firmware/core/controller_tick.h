@@ -161,7 +161,8 @@ inline void Controller::spool_step() {
                          ? test_.level
                          : static_cast<int16_t>(0);
   }
-  slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts);
+  slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts) ||
+              (winding() && spool_.overrun());
 }
 
 inline void Controller::finish_spool(bool arrived) {

@@ -9,6 +9,7 @@
 #include <stdint.h>
 
 #include "../board.h"
+#include "../control/fixed_point.h"
 
 namespace thigmo {
 
@@ -26,6 +27,7 @@ constexpr int16_t kGuessedMap[protocol::kMapPoints] THIGMO_PROGMEM = {
 // A host that dies while the body grows is noticed after heartbeat_ms; what follows until the spool
 // stands still (a control step, the output, the braked motor's run-out) takes no longer than this.
 constexpr int32_t kReactionMs = 100;
+constexpr int32_t kWatchdogMs = 250;  // after which a board restarts a program that hangs
 // The farthest that the body may grow after its host has died. The promise is 2 cm; the rest is for
 // a loop that overshoots its speed and for a tail that pulls.
 constexpr int32_t kOrphanUm = 17000;
@@ -97,9 +99,10 @@ struct Configuration {
     return -1;
   }
 
-  // The fastest tip whose host may die: speed x (heartbeat + reaction) stays within kOrphanUm.
+  // The fastest tip whose host or firmware may die: speed x (time until that is noticed + reaction)
+  // stays within kOrphanUm.
   static int32_t top_speed_um_s(int32_t heartbeat_ms) {
-    return kOrphanUm * 1000 / (heartbeat_ms + kReactionMs);
+    return kOrphanUm * 1000 / (greater<int32_t>(heartbeat_ms, kWatchdogMs) + kReactionMs);
   }
 
   // Index of the first parameter that contradicts another, or -1.

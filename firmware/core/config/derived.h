@@ -15,6 +15,8 @@ constexpr int32_t kControlHz = 200;
 // The transducer is never driven further above the highest set point, by its map: room for the
 // loop's corrections, whatever a sensor claims.
 constexpr int32_t kDriveMarginCpsi = 100;
+// The tip is never driven further ahead of its profile, whatever the gains.
+constexpr int32_t kLeadUm = 1000;
 constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 
 // A gain below 1 as 16 bits and a shift: gain = mantissa / 2^(16 + shift). Products then take two
@@ -51,9 +53,10 @@ struct Derived {
   uint32_t counts_per_um_q24;             // and the other way
   uint32_t step_per_um_s_q32;             // counts in a control step at a tip speed
   int32_t accel_q16;                      // counts per control step and step, in 1/65536
-  int32_t top_speed_um_s;                 // the fastest tip whose host may die
+  int32_t top_speed_um_s;                 // the fastest tip whose host or firmware may die
   int32_t slip_counts;
   int32_t tolerance_counts;
+  int32_t lead_counts;
   int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
   uint16_t stuck_steps;
   uint16_t stall_steps;
@@ -171,6 +174,7 @@ struct Derived {
   void update_distances(const Configuration& c) {
     slip_counts = greater<int32_t>(counts(c.get(Param::kSlipUm)), 2);
     tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
+    lead_counts = greater<int32_t>(counts(kLeadUm), 1);
   }
 
   void update_drive(const Configuration& c) {

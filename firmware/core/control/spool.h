@@ -34,12 +34,14 @@ class SpoolLoop {
     rest_steps_ = 0;
     brake_steps_ = 0;
     duty_ = 0;
+    overrun_ = false;
     for (uint8_t i = 0; i < kSpeedSteps; ++i) past_[i] = from_counts;
     oldest_ = 0;
   }
 
   // One control step; duty() then holds the motor's duty.
   Outcome step(int32_t counts, const Configuration& c, const Derived& d) {
+    overrun_ = false;
     const int32_t goal = profile_.step();
     const int32_t way = profile_.forward() ? 1 : -1;
     const int32_t error = limited<int32_t>(goal - counts, -2000, 2000);
@@ -73,10 +75,17 @@ class SpoolLoop {
       sum_ = limited<int32_t>(sum_ + c.get(Param::kSpoolKi) * error, -kLimit, kLimit);
     }
     duty_ = static_cast<int16_t>(way * limited<int32_t>(way * duty, 0, top));
+    // Whatever the gains are, the motor drives nothing beyond the profile: a dead host's cost is
+    // counted by it. What runs on though it is braked slips.
+    const int32_t lead = way * (counts - goal);
+    if (lead > d.lead_counts) duty_ = 0;
+    overrun_ = lead > d.lead_counts + d.slip_counts;
     return Outcome::kMoving;
   }
 
   int16_t duty() const { return duty_; }
+  // The tail is further ahead of the profile than a brake that holds would let it.
+  bool overrun() const { return overrun_; }
 
  private:
   static constexpr uint8_t kSpeedSteps = 4;
@@ -113,6 +122,7 @@ class SpoolLoop {
   uint8_t oldest_ = 0;
   uint8_t rest_steps_ = 0;
   uint8_t brake_steps_ = 0;
+  bool overrun_ = false;
 };
 
 // Movement while the motor is off: the body's air pulls the tail out.

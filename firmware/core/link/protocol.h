@@ -154,8 +154,8 @@ enum class Fault : uint8_t {
                     // robot.toml, then clear.
   kSpoolStall = 6,  // The motor is driven but the encoder stands still; free the spool or the tail,
                     // then clear and confirm the length.
-  kSpoolSlip = 7,   // The spool turned while its motor was off; shut the body air, check the brake,
-                    // then clear and confirm the length.
+  kSpoolSlip = 7,   // The spool turned while its motor was off, or ran ahead of it; shut the body
+                    // air, check the brake, then clear and confirm the length.
   kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
   kBadConfig = 10,  // No valid configuration is stored; configure and save (`thigmo params --robot
@@ -472,7 +472,8 @@ struct GrowTo {
   static constexpr uint8_t kSize = 8;
   int32_t length_um;    // Target everted length. (um)
   uint32_t speed_um_s;  // Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so
-                        // that a dead host costs no more than 2 cm. (um/s)
+                        // that a dead host costs no more than 2 cm; a heartbeat_ms below the
+                        // watchdog's 250 ms counts as 250 ms. (um/s)
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(length_um));
     detail::put32(out + 4, static_cast<uint32_t>(speed_um_s));
@@ -1412,7 +1413,8 @@ enum class Param : uint16_t {
   kSlipUm = 84,             // Movement with the motor off that is a slip. (um)
   kHomeSpeedUmS = 85,       // Tip speed of homing. (um/s)
   kHeartbeatMs = 86,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
-                      // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm. (ms)
+                      // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
+                      // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
   kSupplyMinMv = 87,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
                       // that is 10 % off. (mV)
   kReferenceMv = 88,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured

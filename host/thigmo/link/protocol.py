@@ -246,8 +246,8 @@ class Fault(Documented):
     SPOOL_SLIP = (
         7,
         (
-            "The spool turned while its motor was off; shut the body air, check the brake, "
-            "then clear and confirm the length."
+            "The spool turned while its motor was off, or ran ahead of it; shut the body air,"
+            " check the brake, then clear and confirm the length."
         ),
     )
     BROWN_OUT = 8, "The supply sagged below its limit; check the power supply, then clear."
@@ -1357,7 +1357,8 @@ class GrowTo(Command[Ack]):
     """Target everted length. [um]"""
     speed_um_s: int
     """Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so that a dead host
-    costs no more than 2 cm. [um/s]
+    costs no more than 2 cm; a heartbeat_ms below the watchdog's 250 ms counts as 250 ms.
+    [um/s]
     """
 
     def pack(self) -> bytes:
@@ -2450,7 +2451,8 @@ PARAMETERS: dict[str, Parameter] = {
             (500,),
             (
                 "Host silence, while armed, that is a fault. Bounds spool_speed_um_s and "
-                "home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm."
+                "home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where the "
+                "watchdog's 250 ms count if heartbeat_ms is less."
             ),
         ),
         Parameter(

@@ -361,6 +361,38 @@ TEST(a_jammed_spool_is_a_stall_and_a_pulled_one_is_braked) {
   CHECK(outcome == SpoolLoop::Outcome::kArrived);
 }
 
+TEST(gains_that_are_wrong_do_not_outrun_the_profile) {
+  Settings s;
+  s.set(Param::kSpoolKp, 0);
+  s.set(Param::kSpoolKff, 32767);
+  SpoolLoop spool;
+  Motor motor;
+  spool.start(0, s.d.counts(100000), s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
+  const double profile_counts_s = 0.02 * 2 * 7600;
+  for (int i = 1; i <= 400; ++i) {
+    CHECK(spool.step(motor.read(), s.c, s.d) == SpoolLoop::Outcome::kMoving);
+    CHECK(!spool.overrun());
+    motor.step(spool.duty());
+    CHECK(motor.counts < i * 0.005 * profile_counts_s + 2 * s.d.lead_counts);
+  }
+}
+
+TEST(a_tail_that_no_brake_holds_slips_while_the_spool_pays_out) {
+  Settings s;
+  SpoolLoop spool;
+  spool.start(0, s.d.counts(100000), s.d.speed_q16(5000), s.d.accel_q16, kMotorFull);
+  int32_t counts = 0;
+  int32_t ahead = 0;
+  while (!spool.overrun() && counts < 10000) {
+    CHECK(spool.step(counts, s.c, s.d) == SpoolLoop::Outcome::kMoving);
+    if (counts > 60) CHECK_EQUAL(spool.duty(), 0);
+    ahead = counts;
+    counts += 3;
+  }
+  CHECK(ahead > s.d.lead_counts + s.d.slip_counts);
+  CHECK(ahead < 2 * (s.d.lead_counts + s.d.slip_counts));
+}
+
 TEST(a_spool_that_turns_the_wrong_way_is_a_stall) {
   Settings s;
   SpoolLoop spool;
