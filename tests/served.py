@@ -129,6 +129,11 @@ class ServedRobot:
         """Whether no valve is driven and the motor is braked."""
         return not self.energised and self.board.motor == 0 and self.board.braked
 
+    @property
+    def off_for_s(self) -> float:
+        """For how long it has been off, of its own time."""
+        return self.lockstep.t_s - self._live_until_s
+
     def alone(self) -> None:
         """From now on its hosts may fall silent."""
         self._server.patient = False

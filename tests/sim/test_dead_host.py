@@ -1,4 +1,4 @@
-"""A host that dies or stalls in mid-sweep, in real time over a pseudo-terminal.
+"""A host that dies or stalls in mid-sweep or growth, in real time over a pseudo-terminal.
 
 The real firmware core in the emulated body, zeroed in virtual time, is then served on a port; a
 host in a process of its own arms it and starts a sweep.
@@ -50,6 +50,19 @@ while True:
         print(error.reason, flush=True)
 """
 )
+GROW = """
+import sys
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
+client = Client(open_transport(sys.argv[1]))
+while not client.request(wire.GetStatus()).conditions & wire.Condition.HOST_ALIVE.mask:
+    client.poll(0.01)
+client.request(wire.Arm())
+client.request(wire.GrowTo(530_000, 0))
+print("growing", flush=True)
+client.wait_for(lambda: False, 600.0)
+"""
 STALL = (
     SWEEP
     + """
@@ -69,7 +82,7 @@ def robot() -> Iterator[ServedRobot]:
 
 @pytest.fixture
 def start(robot: ServedRobot) -> Iterator[Start]:
-    """Starts a host, in a process group of its own, and waits for its sweep."""
+    """Starts a host, in a process group of its own, and waits for its sweep or growth."""
     hosts: list[Host] = []
 
     def start(source: str) -> Host:
@@ -80,8 +93,10 @@ def start(robot: ServedRobot) -> Iterator[Start]:
                 start_new_session=True,
             )
         )
-        assert line_of(hosts[-1]) == "sweeping"
-        assert comes(lambda: robot.energised), "the sweep never reached the live zero"
+        said = line_of(hosts[-1])
+        assert said in ("sweeping", "growing")
+        if said == "sweeping":
+            assert comes(lambda: robot.energised), "the sweep never reached the live zero"
         return hosts[-1]
 
     yield start
@@ -166,6 +181,25 @@ def test_a_run_that_hangs_for_longer_than_its_lease_does_not_carry_on(
     host.send_signal(signal.SIGCONT)
     assert refused_for(host, wire.Reason.FAULT_LATCHED)
     assert not robot.energised
+
+
+def test_a_run_that_hangs_while_the_body_grows_costs_two_centimetres_at_most(
+    robot: ServedRobot, start: Start
+) -> None:
+    robot.slow_motion()  # what is limited is the way, not this computer's haste
+    host = start(GROW)
+    assert comes(lambda: robot.board.motor > 0)
+    host.send_signal(signal.SIGSTOP)
+    begun_cm = robot.plant.line_cm
+    assert comes(lambda: robot.off_for_s > 1.0)
+    assert (robot.plant.line_cm - begun_cm) / 2 <= 2.0
+    host.send_signal(signal.SIGCONT)
+
+
+def test_a_run_that_is_well_grows_for_as_long_as_it_takes(robot: ServedRobot, start: Start) -> None:
+    start(GROW)
+    assert comes(lambda: robot.plant.length_cm > 24.0)
+    assert not robot.off
 
 
 def refused_for(host: Host, reason: wire.Reason) -> bool:

@@ -8,8 +8,9 @@ talks over its standard streams (`pipe`).
 The heart beats only while somebody is there to mind the robot: it stops when the host dies (its
 stream ends, or this process has another parent) and when the host's main thread has not touched
 the lease for 30 s; the next touch starts it again. Either is a dead host, and an armed robot is
-then stopped (`stop`), so that a run that wakes up does not carry on. The heart holds while the
-board is mute, which may mean that its boot loader is listening.
+then stopped (`stop`), so that a run that wakes up does not carry on. While the body grows, 30 s are
+half a metre: there the lease ends with 12 mm of growth. The heart holds while the board is mute,
+which may mean that its boot loader is listening.
 
 Stops also come from outside the host, which may hang: by Ctrl-C at its terminal (this process is
 in the terminal's foreground group, as the host is), by a termination, and over a socket
@@ -36,10 +37,13 @@ from thigmo.link import stop_socket
 from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Heart
 from thigmo.link.pipe import BEAT, START, Kind, read_packet, write_packet
-from thigmo.link.protocol import State, Telemetry
+from thigmo.link.protocol import Activity, State, Telemetry
 from thigmo.link.stop import CONFIRM_S, StopCall
 
 LEASE_S = 30.0
+# Of the 2 cm that a dead host may cost; the rest is for the way of the stop, some 50 ms, and for
+# the run-out of a spool at the highest speed that the board allows, 49 mm/s.
+LEASE_UM = 12_000
 _READ_S = 0.02
 _READ_BYTES = 4096
 _BACKLOG_BYTES = 4 << 20  # five minutes of telemetry for a host that does not read
@@ -124,6 +128,7 @@ class PortProcess:
         self._heart: Heart | None = None
         self._lease_s = time.monotonic()
         self._lease_ended = False
+        self._touched_um: int | None = None  # length at the last touch, while the body grows
         self._decoder = Decoder()
         self._heard_s = float("-inf")
         self._state: tuple[float, int] | None = None  # when told, and what
@@ -227,12 +232,23 @@ class PortProcess:
             call.heard(self._heard_s)
         for frame in self._decoder.feed(data):
             if frame.id == Telemetry.ID and len(frame.payload) == Telemetry.SIZE:
-                state = Telemetry.unpack(frame.payload).state_activity >> 4
-                self._state = (self._heard_s, state)
+                row = Telemetry.unpack(frame.payload)
+                self._state = (self._heard_s, row.state_activity >> 4)
+                self._watch_growth(row)
             elif call is not None:
                 call.take(frame)
                 if call.confirmed:
                     self._confirmed.set()
+
+    def _watch_growth(self, row: Telemetry) -> None:
+        """Stop a robot that grows on while its host hangs."""
+        if row.state_activity & 0xF != Activity.GROWING or math.isinf(self._lease_s):
+            self._touched_um = None
+        elif (touched_um := self._touched_um) is None:
+            self._touched_um = row.length_um
+        elif row.length_um - touched_um > LEASE_UM:
+            self._touched_um = None
+            self.call_stop()
 
     def _orphaned(self) -> bool:
         return os.getppid() != self._parent
@@ -271,6 +287,7 @@ class PortProcess:
                 self._end.set()
                 return
             self._lease_s = math.inf if packet.kind == Kind.ATTENDED else time.monotonic()
+            self._touched_um = None
             if packet.kind == Kind.WRITE:
                 self._send(packet.data)
             elif packet.kind == Kind.START:

@@ -22,7 +22,7 @@ from thigmo.link.heart import Beat
 from thigmo.link.pipe import BEAT, START, Kind, Packet, read_packet, write_packet
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
-_TOUCH_S = 0.5
+_TOUCH_S = 0.1
 _OPERATORS_LINE = -1  # instead of an errno: the text is an error's line already
 _QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
 _PACKAGES = str(Path(__file__).resolve().parents[2])
