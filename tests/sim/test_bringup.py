@@ -53,6 +53,17 @@ def test_a_robot_that_is_wired_right_passes(change: Callable[[Scene], None]) -> 
     assert len([f for f in found if f.stage == "flex"]) == 10
 
 
+@pytest.mark.parametrize("psi", [-1.2, 0.6, 1.2])
+def test_a_pressure_sensor_within_its_error_band_is_zeroed_and_passes(psi: float) -> None:
+    robot = new_robot(fault(kind="pressure_offset", value=psi))
+    found = BringUp(robot, robot.operator).run()  # type: ignore[arg-type]
+    assert [f for f in found if not f.good] == []
+    (left,) = [f for f in found if f.subject == "pressure left"]
+    assert "stored as its zero" in left.what
+    assert robot.read(0.3).left_psi == pytest.approx(0.0, abs=0.1)
+    assert robot.status().config_generation == 2  # after the defaults
+
+
 WRONG = {
     "supply": (fault(kind="brown_out", value=4000.0), "supply", "5 V", "USB cable"),
     "e-stop wire broken": (fault(kind="estop"), "estop", "emergency stop", "pin 22"),

@@ -23,6 +23,7 @@ STAGES = ("board", "supply", "estop", "pressure", "flex", "valves", "motor", "ho
 _A_SIDE = SENSORS // 2
 _ESTOP_S = 1.0
 _EMPTY_PSI = 1.5  # a sensor's error before its zero is calibrated
+_ZERO_PSI = 0.1  # less is left to `thigmo calibrate pressure`
 _BROKEN_PSI = -4.0  # an input at 0 V reads 0 - 10 % of 75 psi
 _FLAT_OHM = (5e3, 6e4)  # 10 or 25 kOhm +- 30 %, bent or not
 _TEST_MA = 4.2  # just above the live zero: 2.7 psi of a 2..60 psi transducer
@@ -158,8 +159,13 @@ class BringUp:
     def _pressure(self) -> Iterator[tuple[str, str, str]]:
         self._attendant.ready("Shut the air off (V1): muscles and body are empty")
         self._robot.clear_faults()
-        reading = self._robot.read(0.3, despite_faults=True)
-        for side, psi in zip(SIDES, (reading.left_psi, reading.right_psi), strict=True):
+        robot = self._robot
+        reading = robot.read(0.3, despite_faults=True)
+        zero, span = robot.parameter("pressure_zero"), robot.parameter("pressure_span")
+        full_psi = robot.parameter("pressure_full_cpsi")[0] / 100
+        off = False
+        for index, psi in enumerate((reading.left_psi, reading.right_psi)):
+            side = SIDES[index]
             plug = "J8" if side == "left" else "J9"
             if psi < _BROKEN_PSI:
                 yield f"pressure {side}", "no signal", f"plug it in, check {plug}.1 (5 V), {plug}.2"
@@ -168,8 +174,17 @@ class BringUp:
                     f"pressure {side}", f"{psi:.1f} psi with the air off",
                     f"empty the muscle; else check {plug}, or the sensor is none of 0..60 psi",
                 )  # fmt: skip
+            elif abs(psi) > _ZERO_PSI:
+                # A sensor's error may be more than a muscle that counts as empty may hold.
+                zero[index] += round(psi / full_psi * span[index])
+                off = True
+                yield f"pressure {side}", f"{psi:+.2f} psi, empty: stored as its zero", ""
             else:
                 yield f"pressure {side}", f"{psi:+.2f} psi, empty", ""
+        if off:
+            robot.set_parameter("pressure_zero", zero)
+            robot.save()
+            robot.clear_faults()
 
     def _flex(self) -> Iterator[tuple[str, str, str]]:
         robot = self._robot

@@ -166,6 +166,7 @@ class Supervised(Connected):
             if self.now() > end:
                 raise CommandTimeoutError(
                     f"a muscle still holds pressure {_VENT_S:.0f} s after venting",
-                    "check the exhaust of its transducer",
+                    "check the exhaust of its transducer; if it is empty, its sensor's zero: "
+                    "`thigmo bringup --robot PORT --from pressure`",
                 )
             self.wait(0.2)
