@@ -7,9 +7,8 @@ import os
 import threading
 import time
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
+from thigmo.closing import Closing
 from thigmo.record import MapContact
 from thigmo.stream import (
     BodyShape,
@@ -41,7 +40,7 @@ CONTACT = MapContact(
 )
 
 
-class ScriptedRun:
+class ScriptedRun(Closing):
     """A run with a hub and a socket, and nothing behind them. A context manager.
 
     Attributes:
@@ -57,18 +56,7 @@ class ScriptedRun:
         hello = Hello(*self._now(), "emulator://scripted", name, folder, os.getpid(), "0", virtual)
         self._server = Server(self.hub, hello, self._command)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.end()
-
-    def end(self) -> None:
+    def close(self) -> None:
         """End it; may be called twice."""
         self._server.close()
         self.hub.close()

@@ -26,7 +26,7 @@ def test_key_stops_wherever_the_focus_is(looking: Looking, serve_page: ServePage
         page.locator("#pause").focus()
         page.keyboard.press(key)
         assert run.heard.wait(60)
-        run.end()
+        run.close()
         expect(page.locator("#stop")).to_have_text("Stoppedthe board has confirmed")
         assert run.asked == ["stop"]
 
@@ -40,7 +40,7 @@ def test_press_of_the_button_stops_before_it_is_let_go(
         page.mouse.down()
         assert run.heard.wait(60)
         page.mouse.up()
-        run.end()
+        run.close()
         expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
         assert run.asked == ["stop"]
 

@@ -46,7 +46,7 @@ def test_another_site_can_neither_stop_nor_look(
         own.keyboard.press("Escape")  # the first and only stop that arrives
         assert run.heard.wait(60)
         assert run.asked == ["stop"]
-        run.end()
+        run.close()
         expect(own.locator("#stop")).to_have_attribute("data-state", "stopped")
 
 
@@ -67,5 +67,5 @@ def test_another_interface_asks_for_the_token_once(looking: Looking, serve_page:
         expect(page.locator("#doing")).to_have_text("sweeping left and right")
         page.keyboard.press("Escape")
         assert run.heard.wait(60)
-        run.end()
+        run.close()
         expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")

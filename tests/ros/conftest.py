@@ -11,10 +11,11 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import pytest
+
+from thigmo.closing import Closing
 
 HERE = Path(__file__).parent
 ROS_PYTHON = HERE.parents[1] / ".venv-ros" / "bin" / "python"
@@ -23,7 +24,7 @@ Told = dict[str, Any]
 _DOMAINS = 100
 
 
-class Program:
+class Program(Closing):
     """A program that prints one JSON object a line, or words. A context manager.
 
     Attributes:
@@ -65,15 +66,7 @@ class Program:
         """Objects of a topic so far."""
         return [each for each in self.told if each["topic"] == topic]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         self._process.kill()
         self._process.wait()
         self._reader.join()

@@ -15,9 +15,9 @@ import secrets
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Literal, Self, TypeVar, cast
+from typing import Literal, TypeVar, cast
 
+from thigmo.closing import Closing
 from thigmo.errors import LinkError
 from thigmo.link import failures
 from thigmo.link import protocol as wire
@@ -64,7 +64,7 @@ class _Outstanding:
     refused_by: int | None = None  # hash of the schema that the board speaks instead
 
 
-class Client(Inbox):
+class Client(Inbox, Closing):
     """A conversation over a transport. A context manager: leaving it closes the transport.
 
     Attributes:
@@ -121,17 +121,6 @@ class Client(Inbox):
             self.connect()
 
     # Life.
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the heart and close the transport. Commands nothing: the board's own limit acts."""

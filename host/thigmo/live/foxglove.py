@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 import foxglove
 from foxglove import Channel, Context, MessageSchema, Schema, Service, ServiceRequest, ServiceSchema
 from foxglove.websocket import ChannelView, Client, ServerListener
 
+from thigmo.closing import Closing
 from thigmo.errors import PortError
 from thigmo.live.relay import Facts
 from thigmo.stream import RETAINED, Message
@@ -28,7 +27,7 @@ STATUS = "/thigmo/status"
 _ENCODING = "protobuf"
 
 
-class FoxgloveServer(ServerListener):
+class FoxgloveServer(ServerListener, Closing):
     """Serves what it is told to all who connect. A context manager.
 
     Args:
@@ -103,17 +102,6 @@ class FoxgloveServer(ServerListener):
     def close(self) -> None:
         """End the server."""
         self._server.stop()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _log(self, topic: str, source: str, message: Message, data: bytes) -> None:
         at_ns = round(message.epoch_s * 1e9)

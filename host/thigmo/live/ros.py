@@ -23,8 +23,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from cyclonedds.core import DDSException, Listener, Policy, Qos
@@ -35,6 +34,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
+from thigmo.closing import Closing
 from thigmo.errors import DataError, LinkError
 from thigmo.live import ros_messages as made
 from thigmo.live import ros_types as ros
@@ -49,7 +49,7 @@ _RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
 _LOCAL_PARTICIPANTS = 32
 
 
-class RosNode:
+class RosNode(Closing):
     """The topics. A context manager.
 
     Args:
@@ -119,17 +119,6 @@ class RosNode:
         """Leave the domain."""
         del self._stops, self._map, self._contacts, self._body, self._joints
         del self._tf, self._tf_static, self._diagnostics, self._participant, self._domain
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _writer(
         self, topic: str, kind: type[IdlStruct], depth: int, *, latched: bool = False

@@ -13,9 +13,9 @@ import json
 from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
+from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.record.mcap_file import McapContents, read_mcap
 
@@ -98,7 +98,7 @@ class _Output:
             self._stream.flush()
 
 
-class LogWriter:
+class LogWriter(Closing):
     """Writes `run.mcap`. A context manager; `close` may be called twice.
 
     Args:
@@ -179,17 +179,6 @@ class LogWriter:
         self._closed = True
         self._writer.finish()
         self._stream.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def epoch_of(found: McapContents) -> int:

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from thigmo.closing import Closing
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, LinkError
 from thigmo.link import protocol as wire
@@ -43,7 +43,7 @@ _STREAM_S = 0.1
 _UNKNOWN_ZONE = 255
 
 
-class Connected:
+class Connected(Closing):
     """A connected robot. A context manager: leaving it vents, brakes and closes the link.
 
     Attributes:
@@ -73,16 +73,8 @@ class Connected:
 
     # Life.
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is not None and issubclass(kind, KeyboardInterrupt):
+    def __exit__(self, *error: object) -> None:
+        if isinstance(error[1], KeyboardInterrupt):
             self.make_safe(interrupted=True)
         self.close()
 

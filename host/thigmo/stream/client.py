@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Connection
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from thigmo.closing import Closing
 from thigmo.errors import LinkError
 from thigmo.stream.messages import Hello, Message, from_json
 from thigmo.stream.server import Command, folder, pipe_prefix
@@ -27,7 +26,7 @@ class Watchable:
     hello: Hello
 
 
-class RemoteRun:
+class RemoteRun(Closing):
     """The stream of a run in another process. A context manager and an iterator, which ends when
     the run does.
 
@@ -80,17 +79,6 @@ class RemoteRun:
                 return
             if message is not None:
                 yield message
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def attach(address: str) -> RemoteRun:

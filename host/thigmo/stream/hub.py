@@ -9,9 +9,9 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import Generic, TypeVar
 
+from thigmo.closing import Closing
 from thigmo.stream.messages import CHANNELS, RETAINED, Event, Message
 
 T = TypeVar("T")
@@ -72,7 +72,7 @@ class Bounded(Generic[T]):
             self._changed.notify_all()
 
 
-class Subscription:
+class Subscription(Closing):
     """Messages for one listener, oldest first. A context manager and an iterator, which ends when
     the subscription or the hub is closed.
     """
@@ -99,17 +99,6 @@ class Subscription:
     def __iter__(self) -> Iterator[Message]:
         while (message := self.get()) is not None:
             yield message
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class Hub:

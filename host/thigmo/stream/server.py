@@ -18,9 +18,9 @@ import time
 from collections.abc import Callable
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
+from thigmo.closing import Closing
 from thigmo.errors import PortError
 from thigmo.link import stop_socket
 from thigmo.stream.hub import QUEUE, Bounded, Hub
@@ -61,7 +61,7 @@ def _new_address(name: str) -> str:
     return path
 
 
-class Server:
+class Server(Closing):
     """Serves one run's hub. A context manager.
 
     Args:
@@ -109,17 +109,6 @@ class Server:
         until = time.monotonic() + _LAST_S
         for client in clients:
             client.join(max(until - time.monotonic(), 0.0))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _accept(self) -> None:
         """Thread: new clients."""
