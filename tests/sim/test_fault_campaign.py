@@ -1,11 +1,12 @@
-"""The fault campaign on the virtual board: every single failure, in three states of the robot."""
+"""The fault campaign on the virtual board: every single failure, in three states of the robot, and
+while one grows whose body and muscles valves can empty."""
 
 from __future__ import annotations
 
 import pytest
 
 from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.faults import FAILURES, QUICK, Case, Failure, outcome, run, visit
+from thigmo.studies.faults import EMPTIED_CM, FAILURES, QUICK, Case, Failure, outcome, run, visit
 
 pytestmark = pytest.mark.ci
 
@@ -20,8 +21,9 @@ def test_every_promise_of_the_campaign_holds(campaign: Outcome) -> None:
 
 
 def test_every_failure_is_noticed_somewhere_or_has_its_cover(campaign: Outcome) -> None:
-    (table,) = campaign.tables
+    table, fitted = campaign.tables
     assert len(table.rows) == len(FAILURES) * len(QUICK)
+    assert len(fitted.rows) == len(FAILURES)
     for failure in FAILURES:
         mine = [row for row in table.rows if row[0] == failure.name]
         assert any(row[2] != "not noticed" for row in mine) or failure.covered, failure.name
@@ -39,9 +41,19 @@ def test_every_failure_is_noticed_somewhere_or_has_its_cover(campaign: Outcome) 
     ],
 )
 def test_failures_have_their_names(campaign: Outcome, name: str, state: str, noticed: str) -> None:
-    (table,) = campaign.tables
+    table, _ = campaign.tables
     (row,) = [row for row in table.rows if row[:2] == (name, state)]
     assert noticed in str(row[2])
+
+
+def test_valves_end_what_no_output_of_the_board_ends() -> None:
+    """A driver that is shorted pays out the whole tail; a body without air stays where it is."""
+    (short,) = [failure for failure in FAILURES if failure.kind == "motor_shorted"]
+    (stuck,) = [failure for failure in FAILURES if failure.kind == "over_pressure"]
+    without, with_valves = (visit(Case(short, "growing", has)) for has in (False, True))
+    assert without.moved_cm > 25.0
+    assert with_valves.moved_cm < EMPTIED_CM
+    assert visit(Case(stuck, "pressing", True)).steady_psi < 0.5
 
 
 def test_a_failure_that_nothing_covers_breaks_the_promise() -> None:
