@@ -1,4 +1,4 @@
-// Every pin of the robot, in one table. WIRING.md says what hangs on each.
+// Every pin of the robot, in one table. docs/hardware/wiring.md says what hangs on each.
 //
 // clang-format off
 // | Arduino pin | AVR       | signal                     | direction | idle (reset, boot loader)      |
@@ -15,8 +15,8 @@
 // | 2           | PE4 INT4  | encoder A                  | input     | pull-up (internal)             |
 // | 3           | PE5 INT5  | encoder B                  | input     | pull-up (internal)             |
 // | 22          | PA0       | emergency stop             | input     | pull-up; closed to GND = run   |
-// | 24          | PA2       | air enable of the muscles  | output    | floats: the charge pump holds  |
-// | 26          | PA4       | air enable of the body     | output    | nothing; toggled = on          |
+// | 24          | PA2       | air enable of the muscles  | output    | floats, and still: valves fall |
+// | 26          | PA4       | air enable of the body     | output    | the same; toggled = air on     |
 // | 0, 1        | RXD0 TXD0 | USB bridge                 | serial    |                                |
 // clang-format on
 //

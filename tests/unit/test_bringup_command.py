@@ -55,6 +55,15 @@ def test_json_says_what_was_found(
     assert {finding["stage"] for finding in found["findings"]} >= {"estop", "valves", "home"}
 
 
+def test_a_later_stage_can_be_tried_on_the_emulator_whose_board_is_new_each_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "bringup", "--robot", "emulator://empty", "--from", "motor") == 0
+    out = capsys.readouterr().out
+    assert "valves" not in out
+    assert "good  home: home: the spool stalls twice at one place; length 0.0 cm" in out
+
+
 def test_what_is_wrong_ends_with_1_and_the_way_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -77,7 +86,7 @@ def test_what_is_wrong_ends_with_1_and_the_way_on(
         (("jog", "--robot", "emulator://empty"), "needs one direction; give --out CM or --in CM"),
         (("jog", "--robot", "emulator://empty", "--out", "6"), "give more than 0 and at most 5 cm"),
         (("press", "--robot", "emulator://empty", "up", "3"), "no side 'up'; give left or right"),
-        (("press", "--robot", "emulator://empty", "left", "6"), "give at most 5 psi and 60 s"),
+        (("press", "--robot", "emulator://empty", "left", "6"), "at most 5 psi and 60 s"),
     ],
 )
 def test_a_bad_request_is_one_line(

@@ -296,4 +296,5 @@ class BringUp:
         robot = self._robot
         robot.arm(body_air=False)
         robot.home()
-        yield "home", "the spool stalls at the base: length 0", ""
+        length_cm = robot.status().length_cm
+        yield "home", f"the spool stalls twice at one place; length {length_cm:.1f} cm", ""

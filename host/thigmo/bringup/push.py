@@ -119,7 +119,7 @@ def press(
     if not 0 < psi <= PRESS_PSI or not 0 < seconds <= PRESS_S:
         raise ConfigError(
             f"a press of {psi:g} psi for {seconds:g} s",
-            f"give at most {PRESS_PSI:g} psi and {PRESS_S:g} s",
+            f"give more than 0, and at most {PRESS_PSI:g} psi and {PRESS_S:g} s",
         )
     low, high = (robot.parameter(f"drive_{n}ma_cpsi")[0] / 100 for n in (4, 20))
     level = duty_of(max(4.0 + 16.0 * (psi - low) / (high - low), 0.0))

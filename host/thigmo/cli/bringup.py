@@ -102,6 +102,8 @@ def bringup(
     with console.interruptible(), connect(robot, seed=seed, operator=operator) as machine:
         if config is not None:
             machine.configure(RobotConfig.load(config))
+        if first != STAGES[0]:
+            _cured(machine)
         findings = BringUp(machine, _attendant(machine, console), tell).run(first)
     good = all(finding.good for finding in findings)
     if as_json:
