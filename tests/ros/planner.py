@@ -2,7 +2,8 @@
 
 It prints what it receives, one JSON object a line. Given a line, it publishes stops until the
 diagnostics tell of one: DDS may lose what is published while reader and writer are still getting to
-know each other. Arguments: the namespace.
+know each other. Given "stop, latched" it says it once, from a publisher that nobody knows yet.
+Arguments: the namespace.
 """
 
 import json
@@ -93,15 +94,20 @@ def main() -> None:
             Empty, f"/{namespace}/stop", qos_profile_sensor_data
         ),
     }
-    threading.Thread(target=obey, args=(stops,), daemon=True).start()
+    threading.Thread(target=obey, args=(node, namespace, stops), daemon=True).start()
     tell("ready")
     while rclpy.ok():
         rclpy.spin_once(node, timeout_sec=0.1)
 
 
-def obey(stops: dict[str, Any]) -> None:
+def obey(node: Node, namespace: str, stops: dict[str, Any]) -> None:
     """Thread: stops."""
     for line in sys.stdin:
+        if line == "stop, latched\n":
+            stops["latched"] = node.create_publisher(Empty, f"/{namespace}/stop", latched(1))
+            stops["latched"].publish(Empty())
+            tell("said")
+            continue
         while not STOPPED.wait(0.1):
             stops[line.strip()].publish(Empty())
 

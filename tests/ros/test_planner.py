@@ -133,6 +133,22 @@ def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: st
     assert told["level"] == 2
 
 
+def test_planner_s_latched_stop_is_heard_that_was_said_once_before_anybody_listened(
+    ros: Any, url: str, tmp_path: Path
+) -> None:
+    planner = ros.planner()
+    planner.say("stop, latched")
+    planner.hears(lambda told: told["topic"] == "said")
+    bridges: list[Any] = []
+
+    def progress(doing: str, done: float) -> None:
+        if doing.startswith("sweeping") and not bridges:
+            bridges.append(ros.bridge())
+
+    with pytest.raises(StoppedByViewerError):
+        thigmo.explore(url, seed=1, out=tmp_path, progress=progress, realtime=True)
+
+
 @pytest.mark.realtime
 def test_planner_s_stop_reaches_the_board_while_the_program_on_its_port_hangs(ros: Any) -> None:
     planner, bridge = ros.planner(), ros.bridge()

@@ -12,7 +12,7 @@ services do not interoperate between the vendors' layers, so stop is a topic.
 | joint_states | sensor_msgs/JointState | everted length and the turn of each tenth |
 | /tf, /tf_static | tf2_msgs/TFMessage | thigmo_base to thigmo_tip; map to thigmo_base |
 | /diagnostics | diagnostic_msgs/DiagnosticArray | each second |
-| stop | std_msgs/Empty | any message stops the robot |
+| stop | std_msgs/Empty | any message stops the robot, also one that was latched before |
 
 Contacts are poses with covariances because that is what estimators and planners take; markers are
 for eyes and carry no covariance.
@@ -136,18 +136,24 @@ class RosNode(Closing):
         )
 
     def _stop_readers(self, topic: str, on_stop: Callable[[], None]) -> list[DataReader[Any]]:
-        """A reliable reader, and one for publishers that promise no delivery, which DDS does not
-        connect with a reliable reader.
+        """A reader for each quality that publishers may offer: DDS connects none with a reader that
+        wants more. Those that keep their last message for late listeners deliver also what they
+        said before the two knew each other.
         """
+        offered = (
+            (_RELIABLE, Policy.Durability.TransientLocal),
+            (_RELIABLE, Policy.Durability.Volatile),
+            (Policy.Reliability.BestEffort, Policy.Durability.Volatile),
+        )
         named = Topic(self._participant, topic, ros.Empty)
         return [
             DataReader(
                 self._participant,
                 named,
-                qos=Qos(reliability, Policy.History.KeepLast(10), _WIRE),
+                qos=Qos(*quality, Policy.History.KeepLast(10), _WIRE),
                 listener=_Stops(on_stop),
             )
-            for reliability in (_RELIABLE, Policy.Reliability.BestEffort)
+            for quality in offered
         ]
 
 
@@ -165,7 +171,11 @@ class _Stops(Listener):
 
 
 def _configuration(interface: str | None) -> str:
-    """Cyclone DDS's configuration: this machine alone, or one network interface."""
+    """Cyclone DDS's configuration: this machine alone, or one network interface.
+
+    It sends on that one only, and binds what it receives with to all of them: version 11.0 knows no
+    other way (its ddsi_udp.c).
+    """
     if interface is not None:
         which = "address" if interface[:1].isdigit() else "name"
         general = f"<Interfaces><NetworkInterface {which}={quoteattr(interface)}/></Interfaces>"
