@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from browsing import Looking, Served
 from playwright.sync_api import Page, expect
+from scripted import ScriptedRun
 
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult, explore
@@ -56,6 +57,30 @@ def test_player_shows_any_moment_of_a_finished_run(
     page.keyboard.press("End")
     expect(page.locator("#contact-rows tr")).to_have_count(1)
     assert _shown_s(page) == end_s
+
+
+def test_run_that_begins_while_a_record_plays_is_shown_alone(
+    looking: Looking, serve_page: ServePage, finished: ExplorationResult
+) -> None:
+    with ScriptedRun(name="first", folder=str(finished.folder)) as first:
+        page = looking.open(serve_page().address)
+        first.state()
+        first.read(20)
+        expect(page.locator("#run-name")).to_have_text("first")
+    page.locator("#open-record").click()
+    expect(page.locator("#contact-rows tr")).to_have_count(1)  # all of it is loaded
+    page.keyboard.press("Home")
+    page.keyboard.press("p")
+    with ScriptedRun(name="second") as second:
+        second.state()
+        expect(page.locator("#run-name")).to_have_text("second")
+        second.read(40)
+        expect(page.locator("#clock")).to_have_text("0.2")
+        expect(page.locator("#play")).to_have_text("Play")  # no longer
+        for _ in range(3):
+            page.evaluate("new Promise(requestAnimationFrame)")
+            assert _shown_s(page) == pytest.approx(0.2)
+        expect(page.locator("#contacts-empty")).to_be_visible()
 
 
 def test_readings_on_the_page_are_those_of_the_record(

@@ -145,6 +145,34 @@ def test_reloaded_page_has_the_run_again_and_still_operates(
         expect(page.locator("#pause")).to_be_enabled()
 
 
+LOSE = """() => new Promise((lost) => {
+  const send = WebSocket.prototype.send;
+  WebSocket.prototype.send = function () {
+    WebSocket.prototype.send = send;
+    this.addEventListener("close", lost);
+    this.close();
+  };
+})"""
+
+
+def test_page_whose_connection_breaks_has_the_run_again_once(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    with ScriptedRun() as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        run.event("armed", "info", "The board is armed.")
+        run.read(20)
+        run.feel()
+        _read(run, [page], 400)
+        page.evaluate(LOSE)
+        run.read(20)
+        expect(page.locator("#clock")).to_have_text("2.2")
+        expect(page.locator("#events li")).to_have_count(1)
+        expect(page.locator("#contact-rows tr")).to_have_count(1)
+        assert page.evaluate("thigmo.store.columns[0][0]") == pytest.approx(0.005)
+
+
 def test_second_page_looks_while_the_first_operates_and_takes_over_when_it_has_gone(
     looking: Looking, serve_page: ServePage
 ) -> None:

@@ -16,7 +16,7 @@ from foxglove.websocket import ChannelView, Client, ServerListener
 from thigmo.closing import Closing
 from thigmo.errors import PortError
 from thigmo.live.relay import Facts
-from thigmo.stream import RETAINED, Message
+from thigmo.stream import RETAINED, Hello, Message
 from thigmo.stream.foxglove import VIEWS, views
 from thigmo.stream.protobuf import descriptor_set, schema, to_protobuf
 from thigmo.stream.recorded import RECORDED
@@ -53,6 +53,7 @@ class FoxgloveServer(ServerListener, Closing):
         self._status = Channel(STATUS, message_encoding="json", context=context)
         # Whoever subscribes later gets the last of each channel that seldom speaks.
         self._last: dict[str, dict[str, tuple[bytes, int]]] = {}
+        self._run: Hello | None = None
         try:
             self._server = foxglove.start_server(
                 name="thigmo",
@@ -85,6 +86,9 @@ class FoxgloveServer(ServerListener, Closing):
 
     def tell(self, facts: Facts) -> None:
         """Say whether stop is connected, and what the last one came to."""
+        if facts.run is not self._run:
+            self._run = facts.run
+            self._last.clear()  # is of another run
         told = {
             "run": facts.run.name if facts.run else "",
             "under_way": facts.under_way,
@@ -96,8 +100,12 @@ class FoxgloveServer(ServerListener, Closing):
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Called by the server: somebody looks at a channel. For the others, who get it again, it
         changes nothing."""
-        for data, at_ns in list(self._last.get(channel.topic, {}).values()):
+        for data, at_ns in self.late_comers_get(channel.topic):
             self._channels[channel.topic].log(data, log_time=at_ns)
+
+    def late_comers_get(self, topic: str) -> list[tuple[bytes, int]]:
+        """What a channel says to whoever subscribes now: data, and their times in ns."""
+        return list(self._last.get(topic, {}).values())
 
     def close(self) -> None:
         """End the server."""

@@ -30,7 +30,7 @@ class Facts:
         under_way: it has not ended.
         state, board: last heard of it.
         stop: why a stop would not reach the robot; empty if it would.
-        stopped: what the last stop came to; empty before the first.
+        stopped: what the last stop of this run came to; empty before the first.
     """
 
     run: Hello | None = None
@@ -75,10 +75,13 @@ class Relay:
         """Pass on what has come; whether there was anything."""
         taken = self._watched.take()
         facts = self.facts
-        if taken.run is not facts.run:
-            facts = Facts(taken.run)
+        begins = taken.run is not facts.run
+        if begins:
+            facts, self._stopped = Facts(taken.run), ""
         facts.under_way = taken.run is not None and not taken.ended
         self.facts = facts
+        if begins:
+            view.tell(facts)  # before any message of its own
         for message in taken.messages:
             if isinstance(message, Telemetry):
                 facts.board = message

@@ -164,6 +164,8 @@ class PageServer:
         self._history_s = float("-inf")
         self._seen.clear()
         self._looked_back = None
+        if self._started is not None and not self._started.runs:
+            self._started = None  # it was another one, and so was its failure
         for viewer in self._viewers.values():
             viewer.looks_back = False  # who looks at a robot that moves must be able to stop it
             viewer.forget()

@@ -12,6 +12,7 @@ import { $, add, addRows, reset, store } from "./store.js";
 import { drawWords, forget as forgetWords } from "./words.js";
 
 let lost = false, asked = false, spent = 0;
+let again = false; // the server is about to tell all of it once more
 // For tests, pictures and the benchmark: what the page knows; how old the newest reading was each
 // time that one was drawn, if they are to be kept; and whether the page is to stand still.
 const hooks = (window.thigmo = { store, ages_s: [], keep: false, still: false });
@@ -45,21 +46,22 @@ function ask() {
 function forget() { forgetBody(); forgetRoom(); forgetWords(); }
 
 function takePage(message) {
-  const before = store.page;
+  const before = store.page, same = before?.run?.id === message.run?.id;
   store.page = message;
   document.body.dataset.mode = message.mode;
   $("player").hidden = message.mode !== "record";
   $("truth-legend").hidden = !message.truth?.length;
-  if (before && before.run?.id !== message.run?.id || message.mode !== before?.mode) {
+  if (!same || message.mode !== before?.mode || again && message.mode === "live") {
     if (message.mode === "live" || message.mode === "record") {
       reset();
       store.page = message;
       store.origin = message.run?.t_s ?? null;
       forget();
     }
-    if (message.mode === "live") runsAgain();
+    if (message.mode === "live" && !same) runsAgain();
     if (message.mode === "record") loadRecord().then(ask);
   }
+  again = false;
   stopReaches(message.stop);
 }
 
@@ -77,6 +79,7 @@ function batch(messages) {
 }
 
 const { send } = listen({
+  opened: () => { again = true; },
   batch,
   lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("offline"); ask(); },
 });

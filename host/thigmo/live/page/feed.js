@@ -4,13 +4,14 @@
 const RETRY_MS = 700;
 const SILENT_MS = 1500; // the server speaks four times a second
 
-export function listen({ batch, lost }) {
+export function listen({ opened, batch, lost }) {
   let socket = null, heard = performance.now(), down = false;
   const url = new URL("stream", location.href);
   url.protocol = url.protocol.replace("http", "ws");
 
   function open() {
     const mine = (socket = new WebSocket(url));
+    mine.onopen = opened;
     mine.onmessage = (event) => {
       heard = performance.now();
       down = false;

@@ -5,13 +5,17 @@ import { $, COLUMN, COLUMNS, add, hold, reset, store, time, under } from "./stor
 import { make } from "./svg.js";
 
 const CHANNELS = ["state", "shape", "posterior", "contacts", "grid"];
-let messages = [], slow = {}, boards = [], end = 0, playing = null;
+let messages = [], slow = {}, boards = [], end = 0, playing = null, loads = 0;
+
+export const shown = () => document.body.dataset.mode === "record";
 
 export async function loadRecord() {
-  const [facts, rows] = await Promise.all([
-    fetch("record.json").then((answer) => answer.json()),
-    fetch("record.f32").then((answer) => answer.arrayBuffer()),
-  ]);
+  const mine = ++loads;
+  end = 0;
+  const answers = await Promise.all([fetch("record.json"), fetch("record.f32")]);
+  if (!answers.every((answer) => answer.ok)) return; // another run has begun, and the server tells so
+  const facts = await answers[0].json(), rows = await answers[1].arrayBuffer();
+  if (mine !== loads || !shown()) return;
   const page = store.page;
   reset();
   store.page = page;
@@ -114,6 +118,7 @@ export function connectPlayer(changed) {
   let before_ms = 0;
   function run(at_ms) {
     if (playing === null) return;
+    if (!shown() || !loaded()) return halt();
     const on = store.now + (at_ms - before_ms) / 1000 * Number($("speed").value);
     before_ms = at_ms;
     show(on);
@@ -135,7 +140,7 @@ export function connectPlayer(changed) {
   $("play").addEventListener("click", toggle);
   $("scrub").addEventListener("input", () => { show(Number($("scrub").value)); });
   window.addEventListener("keydown", (event) => {
-    if (document.body.dataset.mode !== "record" || !loaded() || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!shown() || !loaded() || event.ctrlKey || event.metaKey || event.altKey) return;
     const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[event.key];
     if (event.key === "p" || event.key === "P") toggle();
     else if (event.key === "Home") show(0);

@@ -1,0 +1,81 @@
+"""What the views of ROS 2 and Foxglove are told when one run follows another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from test_ros_messages import RUN, STATE
+
+from thigmo.live import relay
+from thigmo.live.foxglove import FoxgloveServer
+from thigmo.live.relay import Facts, Relay
+from thigmo.live.stopping import Stopped
+from thigmo.live.watched import Taken
+from thigmo.stream import Grid, Hello, Message
+
+GRID = Grid(1.0, 5.0, 0.5, (0.0, 0.0, 0.0), 1, 1, (0,))
+NEXT = replace(RUN, name="next")
+
+
+class FakeWatched:
+    """Gives what a test puts in."""
+
+    def __init__(self) -> None:
+        self.taken = Taken(None, True, [])
+
+    def take(self) -> Taken:
+        return self.taken
+
+    def close(self) -> None:
+        pass
+
+
+class Log:
+    """A view that keeps what it is told, in order."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, str]] = []
+
+    def publish(self, message: Message) -> None:
+        self.told.append((message.CHANNEL, ""))
+
+    def tell(self, facts: Facts) -> None:
+        self.told.append((facts.run.name if facts.run else "", facts.stopped))
+
+
+@pytest.fixture
+def watched() -> FakeWatched:
+    return FakeWatched()
+
+
+def _passed(watched: FakeWatched, passing: Relay, run: Hello) -> list[tuple[str, str]]:
+    view = Log()
+    watched.taken = Taken(run, False, [STATE])
+    passing.pass_on(view)
+    return view.told
+
+
+def test_view_is_told_of_a_new_run_before_its_messages_and_of_no_stop_of_the_last_one(
+    watched: FakeWatched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(relay, "way_to", lambda run: "port")
+    monkeypatch.setattr(relay, "stop_port", lambda run: Stopped([RUN.url]))
+    passing = Relay(watched)  # type: ignore[arg-type]
+    assert _passed(watched, passing, RUN)[:2] == [("n", ""), ("state", "")]
+    assert passing.stop() == f"stopped {RUN.url}"
+    assert ("n", f"stopped {RUN.url}") in _passed(watched, passing, RUN)
+    told = _passed(watched, passing, NEXT)
+    assert told[0] == ("next", "")
+    assert all(not stopped for _, stopped in told)
+
+
+def test_foxglove_gives_late_comers_nothing_of_the_run_before() -> None:
+    with FoxgloveServer(lambda: "", port=0) as server:
+        server.tell(Facts(RUN))
+        server.publish(GRID)
+        assert server.late_comers_get("/grid")
+        server.tell(Facts(RUN))
+        assert server.late_comers_get("/grid")
+        server.tell(Facts(NEXT))
+        assert not server.late_comers_get("/grid")
