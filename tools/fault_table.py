@@ -36,6 +36,14 @@ empty muscles and body as soon as the board stops ([air](hardware/air.md)).
 The passive brake (shorted windings and friction) holds a pull of 6 N on the line [G: `holding_n`];
 a stronger one is slowed, not held, and becomes `spool_slip`.
 
+Two failures at once are beyond the firmware where a sensor that lies hides what it ought to show.
+Hardware alone covers these:
+
+- A pressure sensor that is frozen, and a valve that sticks open: the supply regulator and the
+  relief valve bound the pressure.
+- A dead encoder, and a brake that slips or a driver that is shorted while the robot stands: a
+  power-off brake, or the emergency stop, which empties the body.
+
 """
 TITLES = ("Without valves, as in the thesis", "With the valves that empty muscles and body")
 

@@ -64,6 +64,19 @@ def test_a_later_stage_can_be_tried_on_the_emulator_whose_board_is_new_each_time
     assert "good  home: home: the spool stalls twice at one place; length 0.0 cm" in out
 
 
+def test_it_ends_with_what_is_built(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = ("bringup", "--robot", "emulator://empty")
+    assert run(monkeypatch, *robot, "--to", "estop") == 0
+    out = capsys.readouterr().out
+    assert "emergency stop: seen pressed and released" in out
+    assert "good  pressure" not in out
+    assert out.endswith("Next: thigmo bringup --robot emulator://empty --from pressure\n")
+    assert run(monkeypatch, *robot, "--from", "flex", "--to", "estop") == 1
+    assert "stage estop comes before flex; the order is board, supply" in capsys.readouterr().err
+
+
 def test_what_is_wrong_ends_with_1_and_the_way_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -78,14 +78,15 @@ class BringUp:
         self._attendant = attendant
         self._tell = tell
 
-    def run(self, first: str = STAGES[0]) -> list[Finding]:
+    def run(self, first: str = STAGES[0], last: str = STAGES[-1]) -> list[Finding]:
         """Check stage after stage, up to the first in which something is wrong.
 
         Args:
             first: stage to begin with; those before it were good at another time.
+            last: stage to end with, `first` or one after it; what the others need is not built yet.
         """
         found: list[Finding] = []
-        for stage in STAGES[STAGES.index(first) :]:
+        for stage in STAGES[STAGES.index(first) : STAGES.index(last) + 1]:
             for finding in self._stage(stage):
                 self._tell(finding)
                 found.append(finding)

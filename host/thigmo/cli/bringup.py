@@ -65,6 +65,9 @@ def bringup(
         str,
         typer.Option("--from", help="Stage to begin with; those before it were good."),
     ] = "board",
+    last: Annotated[
+        str, typer.Option("--to", help="Stage to end with; what others need is not built yet.")
+    ] = "home",
     config: Annotated[
         Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
     ] = None,
@@ -75,7 +78,7 @@ def bringup(
 
     Stages: board, supply, estop, pressure, flex, valves, motor, home. It asks for one thing after
     the other, and stops after the first stage in which something is wrong; `--from STAGE` goes on
-    from there. A board without a configuration gets the defaults.
+    from there, `--to STAGE` ends with that one. A board without a configuration gets the defaults.
 
     Before it: docs/hardware, "Before the first power".
     """
@@ -85,8 +88,11 @@ def bringup(
     from thigmo.errors import ConfigError
     from thigmo.robot import connect
 
-    if first not in STAGES:
-        raise ConfigError(f"there is no stage {first!r}", f"name one of {', '.join(STAGES)}")
+    for stage in (first, last):
+        if stage not in STAGES:
+            raise ConfigError(f"there is no stage {stage!r}", f"name one of {', '.join(STAGES)}")
+    if STAGES.index(last) < STAGES.index(first):
+        raise ConfigError(f"stage {last} comes before {first}", f"the order is {', '.join(STAGES)}")
     console = Console(quiet=as_json)
 
     def tell(finding: Finding) -> None:
@@ -104,16 +110,21 @@ def bringup(
             machine.configure(RobotConfig.load(config))
         if first != STAGES[0]:
             _cured(machine)
-        findings = BringUp(machine, _attendant(machine, console), tell).run(first)
+        findings = BringUp(machine, _attendant(machine, console), tell).run(first, last)
     good = all(finding.good for finding in findings)
     if as_json:
         print_json({"good": good, "findings": [finding.as_data() for finding in findings]})
     else:
         stage = findings[-1].stage
+        if not good:
+            on = f"Put it right, then: thigmo bringup --robot {robot} --from {stage}"
+        elif stage == STAGES[-1]:
+            on = f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
+        else:
+            following = STAGES[STAGES.index(stage) + 1]
+            on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
         console.out.print(
-            f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
-            if good
-            else f"Put it right, then: thigmo bringup --robot {robot} --from {stage}",
+            on,
             highlight=False,
             soft_wrap=True,
         )

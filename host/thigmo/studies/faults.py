@@ -85,7 +85,7 @@ FAILURES = (
     Failure("motor unpowered, windings open", "motor_lost", covered=BRAKE),
     Failure("motor jammed", "spool_stall", covered=NO_DRIVE),
     Failure("motor driver short, full speed out", "motor_shorted", {"value": 800}, spool=True,
-            covered="the e-stop drops the motor's power; power-off brake"),
+            covered="the e-stop empties the body; a power-off brake"),
     Failure("encoder dead", "encoder_lost", covered=NO_DRIVE),
     Failure("brake slips, 2 cm/s of line", "spool_slip", spool=True, covered=BRAKE),
     Failure("supply dip, 3.8 V", "brown_out"),
