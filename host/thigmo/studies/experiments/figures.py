@@ -58,7 +58,9 @@ def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
                 linewidth=2, label="Cramer-Rao bound (mean absolute error)" if at == 0 else None,
             )  # fmt: skip
     axis.set_xticks(range(len(groups)), [name for name, _ in groups])
-    axis.set(ylabel="|x error| in the workspace (cm)", ylim=(0, None))
+    # Of all panels that share the axis: the one drawn last has the tallest box of all.
+    top = max(one.dataLim.y1 for one in axis.get_shared_y_axes().get_siblings(axis))
+    axis.set(ylabel="|x error| in the workspace (cm)", ylim=(0, 1.05 * top))
 
 
 def _readings(axis: Axes, one: Solved, title: str) -> None:
