@@ -257,6 +257,14 @@ async def _stall(
             await socket.send_str('{"ack":1}')
 
 
+# Labels of both drawings that are cut off at their card's edge.
+BEYOND = """[...document.querySelectorAll("#room text, #body text")].filter((label) => {
+  const words = label.getBoundingClientRect();
+  const card = label.closest(".card").getBoundingClientRect();
+  return words.left < card.left || words.right > card.right;
+}).map((label) => label.textContent)"""
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_page_fits_a_phone(looking: Looking, serve_page: ServePage, scheme: str) -> None:
     with ScriptedRun() as run:
@@ -272,6 +280,8 @@ def test_page_fits_a_phone(looking: Looking, serve_page: ServePage, scheme: str)
         run.read(200)
         expect(page.locator("#contact-rows")).to_contain_text("31.2")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        expect(page.locator("#body")).to_contain_text("left muscle: localized")
+        assert page.evaluate(BEYOND) == []
         box = page.locator("#stop").bounding_box()
         assert box is not None
         assert box["width"] > 340

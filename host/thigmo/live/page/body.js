@@ -8,6 +8,7 @@ import { percent } from "./words.js";
 const svg = $("body");
 const layer = make("g", {}, svg);
 const PAD = { left: 56, right: 14, top: 22, bottom: 34, between: 30 };
+const NARROW = 450; // px: a phone
 let least = .02;
 let drawn = "";
 
@@ -60,7 +61,8 @@ function drawDensity({ y0, y1 }, X) {
       text(layer, PAD.left - 8, Y(value) + 4, +value.toPrecision(3), { "text-anchor": "end", fill: "var(--faint)" });
     }
     const certain = posterior.contact_probability === null ? "" : `, ${percent(posterior.contact_probability)}`;
-    words = `probability density of a contact${posterior.sweeping ? " so far" : ""}, ${side} muscle: ${posterior.status}${certain}`;
+    const what = svg.clientWidth < NARROW ? "contact" : "probability density of a contact";
+    words = `${what}${posterior.sweeping ? " so far" : ""}, ${side} muscle: ${posterior.status}${certain}`;
   } else if (posterior) {
     words = posterior.status;
   }
