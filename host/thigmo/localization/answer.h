@@ -60,13 +60,19 @@ class Mixture {
     force.assign(cells, 0.0);
     variance.assign(cells, 0.0);
     double total = 0.0;
+    std::vector<int> at(cells);  // of each cell among the part's
+    before = nullptr;
     for (const auto& [weight, part] : parts) {
       const double near = part->place.front() - 0.5 * part->width;
       const int last = static_cast<int>(part->place.size()) - 1;
-      for (std::size_t c = 0; c < cells; ++c) {
+      for (std::size_t c = 0; c < cells && !(before && part->place == before->place); ++c) {
         const double middle = 0.5 * (edges[c] + edges[c + 1]);
-        const int m = static_cast<int>((middle - near) / part->width);
-        if (middle < near || m > last) continue;
+        at[c] = middle < near ? -1 : static_cast<int>((middle - near) / part->width);
+      }
+      before = part;
+      for (std::size_t c = 0; c < cells; ++c) {
+        const int m = at[c];
+        if (m < 0 || m > last) continue;
         const double share = weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
         mass[c] += share;
         force[c] += share * part->force[m];

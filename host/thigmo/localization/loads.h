@@ -350,7 +350,7 @@ class OneContactGrid {
   bool mix(const std::vector<Products>& products, OneContact& out) {
     const int count = static_cast<int>(unit_.size());
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-    Row best_of(products.size()), weight(count), force(count), left(count);
+    Row best_of(products.size()), weight(count), force(count), left(count), share(count);
     double top = -INFINITY, best = 0.0;
     for (std::size_t s = 0; s < products.size(); ++s) {
       const Products& of = products[s];
@@ -363,16 +363,22 @@ class OneContactGrid {
     out.mass.assign(count, 0.0);
     out.force.assign(count, 0.0);
     out.spread.assign(count, 0.0);
+    double *mass = out.mass.data(), *first = out.force.data(), *second = out.spread.data();
     for (std::size_t s = 0; s < products.size(); ++s) {
       if (best_of[s] < top - kNothing) continue;
       const Products& of = products[s];
+      const double *told = of.told.data(), *square = of.square.data(), *unit = unit_.data();
       for (const double scale : prior_.scales) {
         const double power = scale * scale, constant = of.constant - top;
         for (int m = 0; m < count; ++m) {
-          const double variance = power * unit_[m], share = 1.0 / (1.0 + of.square[m] * variance);
-          left[m] = variance * share;
-          force[m] = of.told[m] * left[m];
-          weight[m] = exponential(constant + 0.5 * of.told[m] * force[m]) * std::sqrt(share);
+          const double variance = power * unit[m];
+          share[m] = 1.0 / (1.0 + square[m] * variance);
+          left[m] = variance * share[m];
+          force[m] = told[m] * left[m];
+          weight[m] = constant + 0.5 * told[m] * force[m];
+        }
+        for (int m = 0; m < count; ++m) {
+          weight[m] = exponential(weight[m]) * std::sqrt(share[m]);
         }
         if (prior_.critical < INFINITY) {
           for (int m = 0; m < count; ++m) {
@@ -381,16 +387,16 @@ class OneContactGrid {
           }
         }
         for (int m = 0; m < count; ++m) {
-          out.mass[m] += weight[m];
-          out.force[m] += weight[m] * force[m];
-          out.spread[m] += weight[m] * (force[m] * force[m] + left[m]);
+          mass[m] += weight[m];
+          first[m] += weight[m] * force[m];
+          second[m] += weight[m] * (force[m] * force[m] + left[m]);
         }
         const double most = largest(weight.data(), count);
         if (most <= best) continue;
         best = most;
         const auto m = std::find(weight.begin(), weight.end(), most) - weight.begin();
         level_ = s, out.noise = readings_.levels[s].factor;
-        out.misfit = of.free - force[m] * (2.0 * of.told[m] - of.square[m] * force[m]);
+        out.misfit = of.free - force[m] * (2.0 * told[m] - square[m] * force[m]);
       }
     }
     double total = 0.0;
@@ -610,12 +616,14 @@ class SetsGrid {
       }
       total *= shrink, peak_ *= shrink, top = highest;
     }
-    double* last = mass[count_ - 1].data();
-    for (int m = from; m < cells_; ++m) {
+    const double reference = top;  // a local number, for vector code
+    const int cells = cells_;
+    for (int m = from; m < cells; ++m) {
       weight[m] =
-          exponential(exponent[m] - top) * std::sqrt(precision[m] / (sum.volume * pivot[m]));
-      last[m] += weight[m];
+          exponential(exponent[m] - reference) * std::sqrt(precision[m] / (sum.volume * pivot[m]));
     }
+    double* last = mass[count_ - 1].data();
+    for (int m = from; m < cells; ++m) last[m] += weight[m];
     const double all = std::accumulate(weight + from, weight + cells_, 0.0);
     total += all;
     for (int j = 0; j + 1 < count_; ++j) mass[j][at_[j] - j * cells_] += all;

@@ -114,15 +114,17 @@ struct Levers {
 inline void straight_levers(const Row& place, const Row& low, const Row& high, Levers& out) {
   const int count = static_cast<int>(place.size());
   out.largest = out.base = place;
+  const double* arc = place.data();
+  const auto beyond = [](double arc, double end) { return arc > end ? arc - end : 0.0; };
   for (int i = 0; i < out.sensor.rows; ++i) {
     double* row = out.sensor[i];
     const double near = low[i], far = high[i], span = far - near;
     if (span < kPoint) {
-      for (int m = 0; m < count; ++m) row[m] = std::max(place[m] - near, 0.0);
+      for (int m = 0; m < count; ++m) row[m] = beyond(arc[m], near);
     } else {
       const double share = 0.5 / span;
       for (int m = 0; m < count; ++m) {
-        const double a = std::max(place[m] - near, 0.0), b = std::max(place[m] - far, 0.0);
+        const double a = beyond(arc[m], near), b = beyond(arc[m], far);
         row[m] = (a * a - b * b) * share;
       }
     }
