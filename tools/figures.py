@@ -169,6 +169,20 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
     ]
 
 
+def _sweeps(found: list[dict[str, Any]]) -> list[Row]:
+    (study,) = found
+    return _claims(found) + [
+        (
+            f"{row['error']}, {row['method']}: mean error",
+            f"{row['mean_error_cm']:.2f} cm",
+            f"coverage {row['covered']:.3f}, localized {100 * row['localized']:.1f} %, "
+            f"wrong {100 * row['wrong']:.1f} %, listed {100 * row['listed']:.0f} % "
+            f"of {row['rooms']} rooms",
+        )
+        for row in study["rows"]
+    ]
+
+
 def _stability(found: list[dict[str, Any]]) -> list[Row]:
     """A row a map: the default's mean error and failures, then those of the other methods."""
     (study,) = found
@@ -211,11 +225,12 @@ def _number(value: float | None) -> str:
 
 THIGMO = ".venv/bin/thigmo"
 # Studies of minutes: on two processes.
-LONG = ("speed-accuracy", "stability", "accuracy", "loads", "exploration", "camera")
+LONG = ("speed-accuracy", "stability", "accuracy", "loads", "sweeps", "exploration", "camera")
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
     "accuracy": _accuracy,
     "loads": _loads,
+    "sweeps": _sweeps,
     "stability": _stability,
 }
 SOURCES: dict[str, Source] = {
@@ -245,6 +260,7 @@ SOURCES: dict[str, Source] = {
             "cold": {},
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
+            "sweeps": {},
             "exploration": {
                 "exploration-explorations.png": "explorations.png",
                 "exploration-map.png": "planner.png",
