@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from command import Thigmo, thigmo_command
 from hypothesis import settings
 
 from thigmo.emulator._board import VirtualBoard
@@ -85,6 +86,12 @@ def own_sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
     yield
     shutil.rmtree(folder)
+
+
+@pytest.fixture
+def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Thigmo:
+    """The command line."""
+    return thigmo_command(monkeypatch, capsys)
 
 
 @pytest.fixture

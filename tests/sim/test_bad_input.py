@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from command import Ran, Thigmo
 from served import ServedRobot, comes
 
-from thigmo.cli.main import main
 from thigmo.config import RobotConfig
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
@@ -34,33 +34,6 @@ from thigmo.record import RunFolder
 LINE = r"thigmo: [^\n]+; [^\n]+"  # what happened; what to do
 GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
 THIGMO = [sys.executable, "-m", "thigmo"]
-
-
-@dataclass(frozen=True)
-class Ran:
-    """What a command printed, and how it ended."""
-
-    code: int
-    out: str
-    err: str
-
-
-Thigmo = Callable[..., Ran]
-
-
-@pytest.fixture
-def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Thigmo:
-    def run(*arguments: str | Path) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["thigmo", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-        captured = capsys.readouterr()
-        return Ran(code, captured.out, captured.err)
-
-    return run
 
 
 def one_line(ran: Ran, named: str) -> None:

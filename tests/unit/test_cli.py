@@ -9,35 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from command import Thigmo
 
-from thigmo.cli.main import main
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 
 BENT = "position,curvature\n5,0.021\n15,0.0223\n25,0.0244\n35,0.0268\n45,0.0285\n"
 GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
-
-
-class Ran:
-    """What a command printed, and how it ended."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-@pytest.fixture
-def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):  # type: ignore[no-untyped-def]
-    def run(*arguments: str | Path) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["thigmo", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-        captured = capsys.readouterr()
-        return Ran(code, captured.out, captured.err)
-
-    return run
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -52,7 +30,7 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_localize_prints_one_object(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_localize_prints_one_object(tmp_path: Path, thigmo: Thigmo) -> None:
     (tmp_path / "r.csv").write_text(GOOD)
     ran = thigmo("localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json")
     assert ran.code == 0
@@ -66,7 +44,7 @@ def test_localize_prints_one_object(tmp_path: Path, thigmo) -> None:  # type: ig
     assert "localized" in shown.out
 
 
-def test_the_free_curvature_is_taken_off(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_the_free_curvature_is_taken_off(tmp_path: Path, thigmo: Thigmo) -> None:
     rows = "".join(f"{x},{0.03 + x * 1e-6}\n" for x in (5, 15, 25, 35, 45))
     (tmp_path / "r.csv").write_text("position,curvature\n" + rows)
     ran = thigmo(
@@ -76,7 +54,9 @@ def test_the_free_curvature_is_taken_off(tmp_path: Path, thigmo) -> None:  # typ
     assert json.loads(ran.out) | {"contacts": [], "status": "no contact"} == json.loads(ran.out)
 
 
-def test_every_error_can_be_told_by_a_flag_and_widens_the_answer(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_every_error_can_be_told_by_a_flag_and_widens_the_answer(
+    tmp_path: Path, thigmo: Thigmo
+) -> None:
     (tmp_path / "r.csv").write_text(BENT)
     told = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
     told += ["--free-curvature", 0.03, "--noise", 6e-4]
@@ -96,7 +76,9 @@ def test_every_error_can_be_told_by_a_flag_and_widens_the_answer(tmp_path: Path,
         assert width(*flags) > 1.1 * sharp, flags
 
 
-def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
+    tmp_path: Path, thigmo: Thigmo
+) -> None:
     robot = RobotConfig()
     robot.body.critical_curvature_se = 0.1 * robot.body.critical_curvature
     robot.actuators.left.offset_se = 2e-4
@@ -128,7 +110,7 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(tmp_path: Path
     assert "no sensor at 28 cm" in off.err
 
 
-def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thigmo) -> None:
     rows = [(x, 2.2e-4 * (50 - x) * (x < 50)) for x in range(2, 50, 4)]
     rows[5] = (rows[5][0], -0.05)
     (tmp_path / "r.csv").write_text("position,curvature\n" + "".join(f"{x},{k}\n" for x, k in rows))
@@ -164,8 +146,8 @@ def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo) -> N
         (GOOD + GOOD.partition("\n")[2] * 1000, "more than 2000 rows"),
     ],
 )
-def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
-    tmp_path: Path, thigmo, text: str, named: str
+def test_a_bad_csv_is_one_line_and_status_1(
+    tmp_path: Path, thigmo: Thigmo, text: str, named: str
 ) -> None:
     (tmp_path / "r.csv").write_text(text)
     ran = thigmo("localize", tmp_path / "r.csv", "--length", 53, "--json")
@@ -236,8 +218,12 @@ def test_a_bad_csv_is_one_line_and_status_1(  # type: ignore[no-untyped-def]
         (["experiment", "single-contact", "--recorded", "empty"], "robot.toml"),
     ],
 )
-def test_every_bad_argument_is_one_clear_line(  # type: ignore[no-untyped-def]
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thigmo, arguments: list[str], named: str
+def test_every_bad_argument_is_one_clear_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    thigmo: Thigmo,
+    arguments: list[str],
+    named: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "r.csv").write_text(GOOD)
@@ -266,8 +252,8 @@ def test_every_bad_argument_is_one_clear_line(  # type: ignore[no-untyped-def]
         (["info", "a", "b"], r"unexpected extra argument.*b"),
     ],
 )
-def test_every_wrong_usage_is_one_line_and_status_2(  # type: ignore[no-untyped-def]
-    thigmo, arguments: list[str], named: str
+def test_every_wrong_usage_is_one_line_and_status_2(
+    thigmo: Thigmo, arguments: list[str], named: str
 ) -> None:
     ran = thigmo(*arguments)
     assert (ran.code, ran.out) == (2, "")
@@ -275,7 +261,7 @@ def test_every_wrong_usage_is_one_line_and_status_2(  # type: ignore[no-untyped-
     assert re.search(named, ran.err), ran.err
 
 
-def test_parameters_have_their_whole_names_in_80_columns(thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_parameters_have_their_whole_names_in_80_columns(thigmo: Thigmo) -> None:
     lines = thigmo("params", "--robot", "emulator://default").out.splitlines()
     assert max(map(len, lines)) <= 80
     first = {line.split()[0] for line in lines if line.strip()}
@@ -292,12 +278,12 @@ def test_parameters_have_their_whole_names_in_80_columns(thigmo) -> None:  # typ
     ],
     ids=lambda arguments: arguments[0],
 )
-def test_tables_fit_80_columns_with_whole_words(thigmo, arguments: list[str]) -> None:  # type: ignore[no-untyped-def]
+def test_tables_fit_80_columns_with_whole_words(thigmo: Thigmo, arguments: list[str]) -> None:
     ran = thigmo(*arguments)
     assert ran.code == 0
     assert max(map(len, ran.out.splitlines())) <= 80
     assert "…" not in ran.out
 
 
-def test_the_version_is_said(thigmo) -> None:  # type: ignore[no-untyped-def]
+def test_the_version_is_said(thigmo: Thigmo) -> None:
     assert re.fullmatch(r"thigmo \d+\.\d+\.\d+\s*", thigmo("--version").out)

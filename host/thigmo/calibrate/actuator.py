@@ -6,13 +6,11 @@ straight), which is fitted as an offset for each trial, and its spread becomes `
 common error that the localizer marginalises and re-estimates from frames without contact. A muscle
 also bends the body a little more or less in every trial: that spread, with the fit's own error, is
 the map's `scale_se`. Errors that rows of a trial share are told from trial to trial.
-`at_body_pressure` interpolates maps.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -25,7 +23,7 @@ from thigmo.calibrate.lag import Lag
 from thigmo.calibrate.verdict import Verdict, listed
 from thigmo.config import RobotConfig, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
-from thigmo.record.table import Table, write_table
+from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 Branch = Literal["inflate", "deflate"]
@@ -107,22 +105,6 @@ class BendReadings:
                         cls("left" if s == "left" else "right", pressure, p, k, e, names, t)
                     )
         return found
-
-    @staticmethod
-    def write_all(path: str | os.PathLike[str], many: Sequence[BendReadings]) -> None:
-        """To a CSV that `read_all` takes."""
-        write_table(
-            path,
-            {
-                "side": [r.side for r in many for _ in r.trial],
-                "body_pressure_psi": [r.body_pressure_psi for r in many for _ in r.trial],
-                "pressure_psi": [float(v) for r in many for v in r.pressure_psi],
-                "curvature": [float(v) for r in many for v in r.curvature],
-                "curvature_se": [float(v) for r in many for v in r.curvature_se],
-                "branch": [b for r in many for b in r.branch],
-                "trial": [int(v) for r in many for v in r.trial],
-            },
-        )
 
 
 @dataclass(frozen=True)
@@ -391,56 +373,4 @@ def _verdict(
         )
     return Verdict(
         True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)", tuple(notes)
-    )
-
-
-def at_body_pressure(maps: Sequence[ZoneMap], body_pressure_psi: float) -> ZoneMap:
-    """Map at a body pressure between measured ones (linear in the curves' values).
-
-    Raises:
-        DataError: no maps, or a pressure more than 20 % outside the measured range.
-    """
-    known = sorted(maps, key=lambda m: m.body_pressure_psi)
-    if not known:
-        raise DataError("no maps to interpolate", "calibrate one body pressure first")
-    pressures = np.array([m.body_pressure_psi for m in known])
-    if not 0.8 * pressures[0] <= body_pressure_psi <= 1.2 * pressures[-1]:
-        raise DataError(
-            f"{body_pressure_psi:g} psi lies outside the measured body pressures",
-            "measure a map at that pressure",
-        )
-    if len(known) == 1:
-        return known[0].model_copy(update={"body_pressure_psi": body_pressure_psi}, deep=True)
-    upper = int(np.clip(np.searchsorted(pressures, body_pressure_psi), 1, len(known) - 1))
-    low, high = known[upper - 1], known[upper]
-    share = (body_pressure_psi - low.body_pressure_psi) / (
-        high.body_pressure_psi - low.body_pressure_psi
-    )
-    grid = np.linspace(0.0, 20.0, 41)
-
-    def between(a: TanhMap, b: TanhMap) -> TanhMap:
-        values = np.array(
-            [(1 - share) * a.curvature(float(p)) + share * b.curvature(float(p)) for p in grid]
-        )
-        start = [
-            np.log((1 - share) * a.amplitude + share * b.amplitude),
-            np.log((1 - share) * a.scale_psi + share * b.scale_psi),
-            (1 - share) * a.offset_psi + share * b.offset_psi,
-        ]
-
-        def misfit(x: Array) -> Array:
-            return np.asarray(_map_values(grid, x) - values)
-
-        fit = least_squares(misfit, start, x_scale="jac")
-        return TanhMap(
-            amplitude=float(np.exp(fit.x[0])),
-            scale_psi=float(np.exp(fit.x[1])),
-            offset_psi=float(fit.x[2]),
-        )
-
-    return ZoneMap(
-        body_pressure_psi=body_pressure_psi,
-        scale_se=max(low.scale_se, high.scale_se),
-        inflate=between(low.inflate, high.inflate),
-        deflate=between(low.deflate, high.deflate),
     )

@@ -133,10 +133,6 @@ class Sheet(Model):
         card = self.marker_ids()[marker]
         return place(self.local_corners(marker - card.first_id), card)
 
-    def all_corners(self) -> dict[int, Points]:
-        """Corners of every workspace marker, by id."""
-        return {marker: self.corners(marker) for marker in self.marker_ids()}
-
 
 def _square(side: float) -> Points:
     half = side / 2

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from calibration_truth import DEFLATE, INFLATE, bends
 
-from thigmo.calibrate.actuator import BendReadings, at_body_pressure, fit_actuator
+from thigmo.calibrate.actuator import BendReadings, fit_actuator
 from thigmo.calibrate.figures import draw
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
 from thigmo.config import RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
+from thigmo.record.table import write_table
 
 GRID = np.linspace(0.0, 18.0, 19)
 
@@ -154,17 +155,6 @@ def test_a_ramp_without_a_bend_has_no_lag():
         fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), zone, "left")
 
 
-def test_maps_interpolate_over_body_pressure():
-    low = ZoneMap(body_pressure_psi=0.5, inflate=INFLATE, deflate=DEFLATE)
-    softer = INFLATE.model_copy(update={"amplitude": 0.02})
-    high = ZoneMap(body_pressure_psi=1.5, inflate=softer, deflate=DEFLATE)
-    middle = at_body_pressure([low, high], 1.0)
-    expected = [(INFLATE.curvature(p) + softer.curvature(p)) / 2 for p in GRID]
-    assert [middle.inflate.curvature(p) for p in GRID] == pytest.approx(expected, abs=1e-4)
-    with pytest.raises(DataError, match="outside"):
-        at_body_pressure([low, high], 3.0)
-
-
 def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
     result = fit_actuator(bends(6, "right"))
     made = result.apply(RobotConfig())
@@ -177,9 +167,17 @@ def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
         fit_actuator(elsewhere).apply(RobotConfig())
 
 
-def test_csv_round_trip(tmp_path):
+def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
     both = [bends(7, "left"), bends(8, "right")]
-    BendReadings.write_all(tmp_path / "bends.csv", both)
+    columns = {
+        "side": [r.side for r in both for _ in r.trial],
+        "body_pressure_psi": [r.body_pressure_psi for r in both for _ in r.trial],
+        **{
+            name: [value for r in both for value in getattr(r, name)]
+            for name in ("pressure_psi", "curvature", "curvature_se", "branch", "trial")
+        },
+    }
+    write_table(tmp_path / "bends.csv", columns)
     again = BendReadings.read_all(tmp_path / "bends.csv")
     assert [r.side for r in again] == ["left", "right"]
     one, two = fit_actuator(both[1]), fit_actuator(again[1])

@@ -32,11 +32,10 @@ from thigmo.studies.camera import axis_of
 
 def corners_seen(camera: TrueCamera, sheet: Sheet, rng: np.random.Generator) -> dict:
     """Every card's corners as that camera sees them, 0.1 px of noise."""
-    card_of = sheet.marker_ids()
     return {
-        marker: camera.project(np.column_stack([flat, np.full(4, card_of[marker].z_cm)]))
+        marker: camera.project(np.column_stack([sheet.corners(marker), np.full(4, card.z_cm)]))
         + rng.normal(0, 0.1, (4, 2))
-        for marker, flat in sheet.all_corners().items()
+        for marker, card in sheet.marker_ids().items()
     }
 
 

@@ -1,0 +1,40 @@
+"""The command line, run in this process."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from thigmo.cli.main import main
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command printed, and how it ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Thigmo = Callable[..., Ran]
+
+
+def thigmo_command(patch: pytest.MonkeyPatch, captured: pytest.CaptureFixture[str]) -> Thigmo:
+    """A function that runs `thigmo` with the given words."""
+
+    def run(*arguments: str | Path | float) -> Ran:
+        patch.setattr(sys, "argv", ["thigmo", *map(str, arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        said = captured.readouterr()
+        return Ran(code, said.out, said.err)
+
+    return run
