@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from command import Thigmo, thigmo_command
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
@@ -27,6 +28,10 @@ TIERS = frozenset({"unit", "protocol", "sim", "mega", "bench", "browser", "ros"}
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=30)
 settings.register_profile("nightly", settings.get_profile("repeatable"), max_examples=1000)
 settings.register_profile("random", deadline=None, print_blob=True)
+
+# Hypothesis also draws constants from whatever modules of ours are loaded by then: examples would
+# depend on which tests this worker ran before. It has no setting against that.
+pytest.MonkeyPatch().setattr(providers, "is_local_module_file", lambda path: False)
 
 NIGHTLY_TIMES = 20  # as many cases of `many`
 
