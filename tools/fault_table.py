@@ -44,6 +44,8 @@ Hardware alone covers these:
 - A dead encoder, and a brake that slips or a driver that is shorted while the robot stands: a
   power-off brake, or the emergency stop, which empties the body.
 
+The promises, over all rows of both tables:
+
 """
 TITLES = ("Without valves, as in the thesis", "With the valves that empty muscles and body")
 
