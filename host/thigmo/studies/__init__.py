@@ -16,7 +16,7 @@ STUDIES: dict[str, str] = {
     "accuracy": "coverage and wrong answers, each error told and not told",
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "scaling": "time of `localize` and of batches, over sensors and rows",
-    "sweeps": "one frame against all frames of an inflation; sensors bad throughout",
+    "sweeps": "one frame against all of its inflation; bad sensors",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
     "exploration": "pegs found, empty rooms silent, maps right; calibrated or not",
