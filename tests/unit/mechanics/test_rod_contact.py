@@ -46,12 +46,12 @@ def test_contact_touches_where_it_says(peg: Peg, g: float, kind: str) -> None:
     found = solve(g, 53.0, pegs=[peg])
     (contact,) = found.contacts
     assert contact.kind == kind
-    assert distance_to_skin(found, peg) == pytest.approx(0.0, abs=1e-3)
-    assert hypot(contact.x - peg.x, contact.y - peg.y) == pytest.approx(peg.radius, abs=1e-6)
+    assert distance_to_skin(found, peg) == pytest.approx(0.0, abs=1e-4)
+    assert hypot(contact.x - peg.x, contact.y - peg.y) == pytest.approx(peg.radius, abs=1e-7)
     # The force points from the peg's centre to the contact: it pushes, and without friction.
     out = np.array([contact.x - peg.x, contact.y - peg.y])
     force = np.array([contact.force_x, contact.force_y])
-    assert float(force @ out) == pytest.approx(peg.radius * float(np.hypot(*force)), rel=1e-6)
+    assert float(force @ out) == pytest.approx(peg.radius * float(np.hypot(*force)), rel=1e-7)
     if kind == "side":
         assert contact.tangential == 0.0
         assert np.sign(contact.normal) == -np.sign(peg.y)
@@ -159,7 +159,7 @@ def test_fold_is_spread_over_one_diameter_in_shape_and_sensors() -> None:
     assert psi < 0
     base = found.averages([5.0], 5.5)[0]
     smooth = np.interp(np.linspace(2.25, 7.75, 2001), found.s, found.curvature).mean()
-    assert base - smooth == pytest.approx(psi * fold_share([5.0], 5.5, 3.5)[0], abs=2e-6)
+    assert base - smooth == pytest.approx(psi * fold_share([5.0], 5.5, 3.5)[0], abs=2e-7)
     assert fold_share([5.0], 5.5, 3.5)[0] == pytest.approx(1.25 / 5.5 / 3.5)
     turn = found.pose(3.5)[2] - np.trapezoid(
         np.interp(np.linspace(0, 3.5, 500), found.s, found.curvature), np.linspace(0, 3.5, 500)
@@ -213,8 +213,8 @@ def test_growth_keeps_contacts_where_they_are_in_the_room() -> None:
         rod.step(0.03, float(length))
     after = rod.solution()
     assert len(before.contacts) == len(after.contacts) == 1
-    assert after.contacts[0].arc == pytest.approx(before.contacts[0].arc, abs=1e-6)
-    assert after.contacts[0].normal == pytest.approx(before.contacts[0].normal, rel=1e-6)
+    assert after.contacts[0].arc == pytest.approx(before.contacts[0].arc, abs=1e-8)
+    assert after.contacts[0].normal == pytest.approx(before.contacts[0].normal, rel=1e-8)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-6, 0.3, -1.2])
