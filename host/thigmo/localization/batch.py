@@ -115,7 +115,7 @@ def localize_batch(
         found["force"],
         found["low"],
         found["high"],
-        found["localized"].astype(np.bool_),
+        found["localized"] == 1.0,
         found["probability"],
         found["log_odds"],
         found["discarded"].astype(np.int64),

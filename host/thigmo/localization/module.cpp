@@ -67,47 +67,31 @@ nb::str name_of(int key) {
   return nb::str((key % 2 == 0 ? name : name + ", one bad reading").c_str());
 }
 
-// Plain numbers of many answers, one row each.
-struct Rows {
-  static constexpr std::size_t kContacts = 3;
-  std::size_t count;
-  Row status, contacts, problem, shows, probability, log_odds, discarded, objective;
-  Row arc, force, low, high, localized;
-  explicit Rows(std::size_t m)
-      : count(m),
-        status(m),
-        contacts(m),
-        problem(m),
-        shows(m),
-        probability(m),
-        log_odds(m),
-        discarded(m),
-        objective(m),
-        arc(m * kContacts, NAN),
-        force(arc),
-        low(arc),
-        high(arc),
-        localized(m * kContacts, 0.0) {}
+// Numbers of many answers: for each row eight, and five of each of three contacts.
+constexpr std::size_t kContacts = 3;
+constexpr std::array kOfRow{"status",      "contacts", "problem",   "shows",
+                            "probability", "log_odds", "discarded", "objective"};
+constexpr std::array kOfContact{"arc", "force", "low", "high", "localized"};
 
-  void set(std::size_t at, const Answer& from, double length) {
-    status[at] = static_cast<double>(from.status);
-    problem[at] = static_cast<double>(from.problem);
-    shows[at] = from.shows;
-    if (from.problem != Problem::none) return;
-    contacts[at] = static_cast<double>(from.contacts.size());
-    probability[at] = 1.0 - from.number[0];
-    log_odds[at] = from.log_odds;
-    discarded[at] = from.discarded;
-    objective[at] = from.objective;
-    for (std::size_t j = 0; j < from.contacts.size(); ++j) {
-      const FeltContact& felt = from.contacts[j];
-      const std::size_t to = at * kContacts + j;
-      arc[to] = felt.arc * length, force[to] = felt.force / (length * length);
-      low[to] = felt.low * length, high[to] = felt.high * length;
-      localized[to] = felt.localized;
+// Write them into tables: (8, M), and (5, M, 3), as they are laid out in memory.
+void write(const Answer& from, double length, std::size_t at, std::size_t count, Row& rows,
+           Row& contacts) {
+  const bool good = from.problem == Problem::none;
+  const std::array of_row{
+      static_cast<double>(from.status),    static_cast<double>(from.contacts.size()),
+      static_cast<double>(from.problem),   from.shows,
+      good ? 1.0 - from.number[0] : 0.0,   from.log_odds,
+      static_cast<double>(from.discarded), from.objective};
+  for (std::size_t k = 0; k < of_row.size(); ++k) rows[k * count + at] = of_row[k];
+  for (std::size_t j = 0; j < from.contacts.size(); ++j) {
+    const FeltContact& felt = from.contacts[j];
+    const std::array of_contact{felt.arc * length, felt.force / (length * length),
+                                felt.low * length, felt.high * length, felt.localized ? 1.0 : 0.0};
+    for (std::size_t k = 0; k < of_contact.size(); ++k) {
+      contacts[(k * count + at) * kContacts + j] = of_contact[k];
     }
   }
-};
+}
 
 Answer answer_by_method(const Input& input, const Priors& priors, const Settings& settings) {
   return settings.norm == 0 ? answer(input, priors, settings) : point_fit(input, settings);
@@ -256,7 +240,7 @@ NB_MODULE(_posterior, m) {
     if (free.shape(0) != count && free.shape(0) != 1) {
       throw nb::value_error("free needs one row, or one for each row");
     }
-    Rows out(count);
+    Row rows(kOfRow.size() * count), contacts(kOfContact.size() * count * kContacts, NAN);
     {
       nb::gil_scoped_release released;
       for (std::size_t m = 0; m < count; ++m) {
@@ -264,20 +248,18 @@ NB_MODULE(_posterior, m) {
         const std::size_t from = free.shape(0) == 1 ? 0 : m;
         std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
         input.body = input.free;
-        out.set(m, answer_by_method(input, priors, settings), input.length);
+        write(answer_by_method(input, priors, settings), input.length, m, count, rows, contacts);
       }
     }
     nb::dict table;
-    const auto one = [&](const char* name, const Row& values) { table[name] = array(values); };
-    one("status", out.status), one("contacts", out.contacts), one("problem", out.problem);
-    one("shows", out.shows);
-    one("probability", out.probability), one("log_odds", out.log_odds);
-    one("discarded", out.discarded), one("objective", out.objective);
-    const auto three = [&](const char* name, const Row& values) {
-      table[name] = array<2>(values, {count, Rows::kContacts});
-    };
-    three("arc", out.arc), three("force", out.force), three("low", out.low);
-    three("high", out.high), three("localized", out.localized);
+    for (std::size_t k = 0; k < kOfRow.size(); ++k) {
+      const auto from = rows.begin() + k * count;
+      table[kOfRow[k]] = array<1>({from, from + count}, {count});
+    }
+    for (std::size_t k = 0; k < kOfContact.size(); ++k) {
+      const auto from = contacts.begin() + k * count * kContacts;
+      table[kOfContact[k]] = array<2>({from, from + count * kContacts}, {count, kContacts});
+    }
     return table;
   });
 }

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from thigmo.localization import localize
+from thigmo.localization import arc_bounds, localize
 from thigmo.studies import misfit
 from thigmo.studies.engine import Claim, Context, Outcome, Table
-from thigmo.studies.information import arc_deviations
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
 from thigmo.studies.touches import MOST_FREE
@@ -245,7 +244,7 @@ def _groups() -> dict[str, Group]:
             for moments in PAIRS:
                 arcs = np.array([LENGTH - gap, LENGTH])
                 where = np.tile(first + 10.0 * np.arange(5), 2)
-                bound = arc_deviations(arcs, moments / arcs, where, SPAN, SIGMA, LENGTH).max()
+                bound = arc_bounds(arcs, moments / arcs, where, SPAN, SIGMA, LENGTH).max()
                 if gap == TOO_CLOSE_CM or bound < PLACED_CM:
                     name = f"{gap:g} cm apart, first sensor at {first:g} cm, {moments[1]:g} 1/cm"
                     groups[name] = Group(partial(pair, gap, first, moments), 200)

@@ -94,6 +94,7 @@ def test_a_batch_is_localize_row_by_row(jobs):
         one = thigmo.localize(row, POSITION, length=LENGTH, free_curvature=g, **options)
         assert (batch.status[m], batch.contacts[m]) == (one.status, len(one.contacts))
         assert batch.log_odds[m] == one.log_odds
+        assert not batch.localized[m, len(one.contacts) :].any()
         for j, contact in enumerate(one.contacts):
             assert (batch.arc[m, j], batch.force[m, j]) == (contact.arc, contact.force)
             assert (batch.low[m, j], batch.high[m, j]) == contact.interval

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
-from thigmo.localization import ContactFilter, LocalizeResult, localize
+from thigmo.localization import ContactFilter, LocalizeResult, arc_bounds, localize
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Trial
-from thigmo.studies.information import arc_deviations
 
 Floats = NDArray[np.float64]
 
@@ -202,7 +201,7 @@ def bound_cm(trial: Trial) -> Floats:
         return np.full(len(trial.arcs_cm), np.nan)
     arcs, forces, noise = map(np.array, (trial.arcs_cm, trial.forces, trial.spread))
     told = np.maximum(noise, 1e-9)
-    deviation = arc_deviations(arcs, forces, trial.position, trial.span, told, trial.length_cm)
+    deviation = arc_bounds(arcs, forces, trial.position, trial.span, told, trial.length_cm)
     return np.asarray(np.sqrt(2 / np.pi) * deviation)
 
 
