@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from time import perf_counter
+from time import process_time
 
 
 @contextmanager
@@ -23,11 +23,14 @@ def one_core() -> Iterator[None]:
 
 
 def least_us(call: Callable[[], object], repeats: int) -> float:
-    """Least time of a call (microseconds), after a first one that loads and warms."""
+    """Least time of the processor for a call (microseconds), after a first one that warms.
+
+    That is the time on a core of its own, whatever else the computer does.
+    """
     call()
     times = []
     for _ in range(repeats):
-        start = perf_counter()
+        start = process_time()
         call()
-        times.append(perf_counter() - start)
+        times.append(process_time() - start)
     return min(times) * 1e6
