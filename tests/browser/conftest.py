@@ -26,8 +26,10 @@ def alone(own_sockets: None) -> None:
     """Pages see this test's runs only."""
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
+    """A browser. While it is open, this thread has an event loop, and other tests may run none of
+    theirs: it must not stay open for them."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM)
         yield browser
