@@ -42,6 +42,7 @@ def late_room(tmp_path: Path) -> Path:
     """The default room, of which only the last two stages are explored."""
     scene = Scene.load("default")
     scene.start_length_cm = 50.0
+    scene.robot.sensors.settle_s = 0.2
     scene.save(tmp_path / "late.toml")
     return tmp_path / "late.toml"
 
@@ -80,6 +81,20 @@ def test_exploration_from_start_to_map(
     page.locator("#start").click()  # a robot that moves is shown live, with its stop
     expect(page.locator("#player")).to_be_hidden()
     expect(page.locator("#stop")).to_be_visible()
+    page.keyboard.press("Space")
+    expect(page.locator("#stop")).to_contain_text("the board has confirmed")
+
+
+def test_posterior_moves_with_the_body_in_mid_sweep(
+    looking: Looking, serve_page: ServePage, late_room: Path, tmp_path: Path
+) -> None:
+    options = ("--out", str(tmp_path / "runs"))
+    page = looking.open(serve_page(url=f"emulator://{late_room}", explore=options).address)
+    page.locator("#start").click()  # in real time
+    page.wait_for_function("() => thigmo.store.last.posterior?.sweeping")
+    expect(page.locator("#doing")).to_contain_text("sweeping")
+    expect(page.locator("#body")).to_contain_text("probability density of a contact so far")
+    expect(page.locator('#room [data-layer="posterior"] path')).not_to_have_count(0)
     page.keyboard.press("Space")
     expect(page.locator("#stop")).to_contain_text("the board has confirmed")
 

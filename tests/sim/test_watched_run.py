@@ -162,6 +162,28 @@ def test_what_a_run_publishes_tells_it_from_its_states_to_its_map(run: Watched) 
     assert "contact" in [event.name for event in seen.of(Event)]
 
 
+def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_place_is_known(
+    run: Watched,
+) -> None:
+    seen = run.seen
+    measured = [posterior for posterior in seen.of(Posterior) if not posterior.sweeping]
+    so_far = [posterior for posterior in seen.of(Posterior) if posterior.sweeping]
+    assert len(so_far) > 5
+    steps = np.diff([posterior.t_s for posterior in so_far])
+    assert np.median(steps) == pytest.approx(0.1, abs=0.05)
+    states = seen.of(RunState)
+    for posterior in so_far:
+        now = [state for state in states if state.t_s <= posterior.t_s][-1]
+        assert now.state in ("SWEEP", "MEASURE")
+        assert posterior.length_cm == pytest.approx(now.stage_cm, abs=0.2)
+        assert 0.0 <= posterior.contact_probability <= 1.0
+    (contact,) = run.watched.contacts
+    last = so_far[-1]
+    middle = np.dot(last.places_cm, last.probability)
+    assert middle == pytest.approx(contact.arc_cm, abs=5.0)
+    assert measured[-1].contact_probability > 0.99
+
+
 def test_the_record_gives_back_what_was_published(run: Watched) -> None:
     recorded = [to_json(message) for message in read_messages(run.watched.folder)]
     published = [to_json(message) for message in run.seen.messages]

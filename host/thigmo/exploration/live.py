@@ -18,6 +18,9 @@ from thigmo.robot import Robot
 from thigmo.stream import Command, Contacts, Event, Grid, Log, Posterior, RunState
 from thigmo.stream.messages import Severity
 
+_SWEEPING_S = (
+    0.095  # a viewer draws no faster, and a shape of the body comes each tenth of a second
+)
 _NOTHING_FELT = "nothing was felt at this stage"
 
 
@@ -30,6 +33,7 @@ class Live:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
+        self._felt_s = float("-inf")
 
     def _now(self) -> tuple[float, float]:
         t_s = self._robot.now()
@@ -60,12 +64,18 @@ class Live:
                 Posterior(*now, "", length_cm, (), (), "no contact", "", _NOTHING_FELT)
             )
 
+    @property
+    def due(self) -> bool:
+        """Whether it is time for another posterior of mid-sweep: there are ten a second."""
+        return self._robot.now() - self._felt_s >= _SWEEPING_S
+
     def feels(self, length_cm: float, feeling: Feeling, *, sweeping: bool = False) -> None:
         """What the sweep of one side told; `sweeping` while it goes on."""
-        result = feeling.result
+        now, result = self._now(), feeling.result
+        self._felt_s = now[0]
         self._robot.hub.publish(
             Posterior(
-                *self._now(),
+                *now,
                 feeling.shape.side,
                 length_cm,
                 tuple(result.places.tolist()),

@@ -28,7 +28,7 @@ from thigmo.exploration.missed import judged, met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
 from thigmo.exploration.prior import PriorMap
-from thigmo.exploration.stage import Interpreter, stage_entry
+from thigmo.exploration.stage import Interpreter, placed, stage_entry
 from thigmo.exploration.states import State, next_state
 from thigmo.record import LogWriter, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
@@ -316,10 +316,19 @@ class Exploration:
         held = held_now(so_far.frames, side)
         if held <= TRIGGER_PER_CM:
             return False
-        if self.interpreter.known(so_far, self.zone):
+        feeling = self.interpreter.so_far(so_far, self.zone)
+        if feeling is not None and self.live.due:
+            self.live.feels(self.length_cm, feeling, sweeping=True)
+        if feeling is not None and placed(feeling):
             self._known.add(side)
             return True
         return pressed_enough(held, self.config, self.zone)
+
+    def _tell_feeling(self, so_far: SweepResult) -> bool:
+        """Tell viewers what a measurement feels so far; it goes on to its end."""
+        if self.live.due and (feeling := self.interpreter.so_far(so_far, self.zone)) is not None:
+            self.live.feels(self.length_cm, feeling, sweeping=True)
+        return False
 
     def _rest(self) -> str:
         """Let the young sensors stand still until what they rest at is known well enough."""
@@ -355,6 +364,7 @@ class Exploration:
             right_psi=right,
             period_s=sweep_period_s(self.config, self.zone, top_psi=max(left, right)),
             rising_only=True,
+            enough=self._tell_feeling,
         )
         return "measured"
 

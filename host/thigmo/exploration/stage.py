@@ -90,18 +90,17 @@ class Interpreter:
                 self._swept.remember(peak.side, peak.length_cm, peak.free_curvature)
         return feelings
 
-    def known(self, so_far: SweepResult, zone: int) -> bool:
-        """Whether a sweep that is on its way up has told a contact's place well enough."""
+    def so_far(self, so_far: SweepResult, zone: int) -> Feeling | None:
+        """What a sweep that is on its way up tells; None where no sensor is out and well."""
         peak = so_far.peaks[-1]
         if not SensorTable.of(self._config).usable(peak.side, peak.sensors).any():
-            return False
+            return None
         nearest = self._nearest(so_far, peak)
         response = self._response.copy()
         touch = touch_curvature(so_far.frames, peak.side)
         if touch is not None:
             response.learn(so_far, peak.side, zone, abs(touch) - _TOUCH_MARGIN)
-        told = feel(peak, self._config, zone, response, nearest, self._prior)
-        return len(told.felt) == 1 and _narrow(told.felt[0].contact)
+        return feel(peak, self._config, zone, response, nearest, self._prior)
 
     def _learn_before_touch(
         self, sweep: SweepResult, measuring: SweepResult | None, side: Side, zone: int
@@ -118,6 +117,11 @@ class Interpreter:
         if touch is None:
             return 0.0
         return self._swept.nearest_arc(peak.side, peak.length_cm, touch)
+
+
+def placed(feeling: Feeling) -> bool:
+    """Whether it tells one contact's place well enough."""
+    return len(feeling.felt) == 1 and _narrow(feeling.felt[0].contact)
 
 
 def _narrow(contact: Contact) -> bool:
