@@ -3,8 +3,8 @@
     .venv/bin/python tools/pictures.py
 
 explores a room with two pegs on the emulator, with the page open in Chromium (`apt-get install
-chromium`; with `fonts-inter` they look as they do in the repository), and keeps a moment after the
-first contact was measured, in light, dark and on a phone, and the finished run with its player.
+chromium`; with `fonts-inter` they look as they do in the repository), and keeps a moment of a sweep
+that measures a contact, in light, dark and on a phone, and the finished run with its player.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ LOOKS = {
         "color_scheme": "light",
     },
 }
-# A contact was measured, and the robot grows on.
-MEASURED = """() => thigmo.store.last.contacts?.contacts.length && thigmo.store.touched
-  && thigmo.store.last.state?.stage_cm >= 50
-  && ["GROW", "SETTLE"].includes(thigmo.store.last.state?.state)"""
+# One contact is on the map, and a sweep measures again: its posterior lies on the moving body.
+MEASURES = """() => {
+  const { last, now, origin } = thigmo.store;
+  return last.contacts?.contacts.length && last.state?.state === "MEASURE"
+    && last.state.stage_cm >= 50 && last.posterior?.sweeping && last.posterior.places_cm.length
+    && now - (last.posterior.t_s - origin) < .2;
+}"""
 DRAWN = "() => new Promise((go) => setTimeout(go, 600))"
 
 
@@ -80,7 +83,7 @@ def main() -> None:
         first = pages["watch"]
         first.locator("#pace").select_option("fast")
         first.locator("#start").click()
-        first.wait_for_function(MEASURED)
+        first.wait_for_function(MEASURES)
         # All three at one moment, however long a picture takes.
         run = int(first.evaluate("thigmo.store.page.run.id").split()[0])
         os.kill(run, signal.SIGSTOP)
