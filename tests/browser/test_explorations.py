@@ -68,6 +68,7 @@ def test_exploration_from_start_to_map(
     (folder,) = runs.iterdir()
     assert page.evaluate("thigmo.store.page.run.folder") == str(folder)
     assert (folder / "map.yaml").exists()
+    expect(page.locator("#open-record")).to_be_visible()
     page.evaluate("thigmo.still = true")  # nothing is drawn until the record's first moment is
     page.locator("#open-record").click()
     expect(page.locator("#player")).to_be_visible()
