@@ -149,6 +149,7 @@ class ContactFilter:
         # Of readings that tell nothing: squares, and twice the log of how wide they spread.
         self._erratic = np.zeros((count, 2))
         self._free = 0.0
+        self._seen = 0  # readings
         self.frames = 0
 
     def update(self, curvature: npt.ArrayLike, free_curvature: npt.ArrayLike) -> None:
@@ -207,6 +208,7 @@ class ContactFilter:
         spread = np.stack([(excess / wide) ** 2, 2.0 * np.log(wide / self._noise)], axis=1)
         self._erratic += np.where(there[:, None], spread, 0.0)
         self._free = free
+        self._seen += int(there.sum())
         self.frames += 1
 
     def _at(self, free: float) -> tuple[Array, Array, Array]:
@@ -279,7 +281,8 @@ class ContactFilter:
 
         Returns:
             The contact; the peg's centre in `parameters` (`peg_x`, `peg_y`: base at the origin,
-            straight body along x); a sensor that is bad in all frames in `discarded`.
+            straight body along x); a sensor that is bad in all frames in `discarded`. `noise` is
+            that which was told.
 
         Raises:
             DataError: no frame yet.
@@ -288,8 +291,7 @@ class ContactFilter:
             raise DataError("there is no frame", "give at least one")
         weighed = self._weigh()
         # A model that leaves more than the noise is believed by so much less.
-        seen = max(float(np.count_nonzero(self._power[-1])) * self.frames, 1.0)
-        worse = max(1.0, float(weighed.square.min()) / seen)
+        worse = max(1.0, float(weighed.square.min()) / max(self._seen, 1))
         table, (*_, arc) = self._table, self._at(self._free)
         weight = table.weight.ravel()
         log = weighed.log / worse
@@ -302,14 +304,19 @@ class ContactFilter:
         touching = np.append(np.isfinite(arc), False)
         probability = float(mass[:, touching].sum())
         log_odds = math.log(max(probability, 1e-300) / max(1.0 - probability, 1e-300))
-        health = mass.sum(axis=1)
-        count = len(self._noise)
-        bad = health[1:].reshape(count, 2).sum(axis=1)
-        name = f"one obstacle at rest over {self.frames} frames"
-        hypotheses = {name: float(health[0])}
-        hypotheses |= {f"{name}, sensor {n} bad": float(bad[n]) for n in range(count)}
-        worst = int(bad.argmax())
-        discarded = (worst,) if bad[worst] > health[0] else ()
+        # Of each sensor: bad in one of two ways, with an obstacle or without.
+        parts = np.stack([mass[:, -1], mass[:, :-1].sum(axis=1)], axis=1)
+        bad = parts[1:].reshape(len(self._noise), 2, 2).sum(axis=1)
+        kinds = ("free body", f"one obstacle at rest over {self.frames} frames")
+        hypotheses = dict(zip(kinds, parts[0].tolist(), strict=True))
+        for sensor, each in enumerate(bad.tolist()):
+            hypotheses |= {
+                f"{kind}, sensor {sensor} bad": share
+                for kind, share in zip(kinds, each, strict=True)
+            }
+        name = max(hypotheses, key=hypotheses.__getitem__)
+        worst = int(bad.sum(axis=1).argmax())
+        discarded = (worst,) if bad[worst].sum() > parts[0].sum() else ()
         noise = float(self._noise.mean()) / self._scale
         tail = "; a sensor looks bad in all frames (see `discarded`)" if discarded else ""
         if worse > 2.0:

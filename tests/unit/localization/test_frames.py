@@ -77,6 +77,7 @@ def test_sides_are_mirrored_and_units_scale() -> None:
 def test_a_free_body_touches_nothing() -> None:
     result = answer(None, 4e-4)
     assert not result.contacts
+    assert result.hypothesis == "free body"
     assert result.status in ("no contact", "below detection")
 
 
@@ -141,6 +142,8 @@ def test_an_answer_is_there_after_any_frame() -> None:
         found = felt.result()
         assert found.status in ("no contact", "below detection", "ambiguous", "localized")
     assert found.contacts
+    assert found.hypothesis == "one obstacle at rest over 3 frames"
+    assert sum(found.hypotheses.values()) == pytest.approx(1.0)
     assert found.probability.sum() == pytest.approx(1.0)
     assert found.edges[-1] == pytest.approx(53.0)
 
