@@ -22,7 +22,7 @@ from thigmo.record import RunDocument
 from thigmo.record.occupancy import FREE
 from thigmo.report.axes import GREEN, RED
 from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Table
+from thigmo.studies.engine import Cell, Claim, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,12 +90,12 @@ def summary(found: Sequence[Mapped]) -> Table:
 
 
 def claims(levels: Table) -> list[Claim]:
-    """What is promised of the maps that a run writes."""
-    (chosen,) = (row for row in levels.records() if row["sigmas"] == SIGMAS)
+    """What is promised of the maps that a run of a calibrated robot writes."""
+    chosen = _written(levels)
     return [
         Claim(
-            f"maps of {chosen['rooms']} rooms with pegs: of {chosen['felt_cells']} cells inside "
-            "pegs that were felt, free",
+            f"maps of robots as calibrated, {chosen['rooms']} rooms: of {chosen['felt_cells']} "
+            "cells inside pegs that were felt, free",
             float(chosen["felt_free_%"]),
             0.1,
             unit="%",
@@ -103,14 +103,22 @@ def claims(levels: Table) -> list[Claim]:
     ]
 
 
-def notes(levels: Table) -> list[str]:
-    """What that costs, and what is not promised."""
-    (chosen,) = (row for row in levels.records() if row["sigmas"] == SIGMAS)
+def notes(whose: str, levels: Table) -> list[str]:
+    """What maps cost, and what is not promised."""
+    chosen = _written(levels)
     return [
-        f"maps: cells inside pegs that were missed and are free: {chosen['missed_free_%']:.2g} % "
-        f"of {chosen['missed_cells']}",
-        f"maps: free space kept of what the sweeps seem to cover: {chosen['kept_%']:.0f} %",
+        f"{whose}, {chosen['rooms']} rooms: of {chosen['felt_cells']} cells inside pegs that were "
+        f"felt, free: {chosen['felt_free_%']:.2g} %",
+        f"{whose}: of {chosen['missed_cells']} cells inside pegs that were missed, free: "
+        f"{chosen['missed_free_%']:.2g} %",
+        f"{whose}: free space kept of what the sweeps seem to cover: {chosen['kept_%']:.0f} %",
     ]
+
+
+def _written(levels: Table) -> dict[str, Cell]:
+    """At the level of the maps that runs write."""
+    (chosen,) = (row for row in levels.records() if row["sigmas"] == SIGMAS)
+    return chosen
 
 
 def _level(found: Sequence[Mapped], sigmas: float) -> dict[str, float | int]:
@@ -125,7 +133,7 @@ def _level(found: Sequence[Mapped], sigmas: float) -> dict[str, float | int]:
         "rooms_with_one": sum(one.felt_free > 0 for one in mine),
         "missed_cells": missed,
         "missed_free_%": 100 * sum(one.missed_free for one in mine) / max(missed, 1),
-        "kept_%": 100 * sum(one.free_cm2 for one in mine) / seen,
+        "kept_%": 100 * sum(one.free_cm2 for one in mine) / max(seen, 1e-9),
     }
 
 
