@@ -1,11 +1,11 @@
 """Speed against accuracy: every method on the same readings, in one run.
 
-A method's time is the median of single calls from Python on one core, and times are compared only
-within the run, as ratios, because machines are noisy. Its error is |arc - true arc|, contacts
-ordered along the body; an answer without a contact, or more than 10 cm off, is a failure. The scene
-that claims rest on has more cases, for errors have long tails: 200 left a ratio of means 7 % of
-doubt. Methods that take up to a second a call see every fifth case, and the default method is held
-against each on the cases that both saw.
+A method's time is the median of single calls from Python, in processor time of one core, and times
+are compared only within the run, as ratios, because machines are noisy. Its error is |arc - true
+arc|, contacts ordered along the body; an answer without a contact, or more than 10 cm off, is a
+failure. The scene that claims rest on has more cases, for errors have long tails: 400 leave a ratio
+of means about 5 % of doubt. Methods that take up to a second a call see every fifth case, and the
+default method is held against each on the cases that both saw.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def run(context: Context) -> Outcome:
     scores: list[Score] = []
     outcome = Outcome()
     for scene in SCENES:
-        scores += score(context, scene, context.count(12, 1000 if scene == CLAIMED else 200))
+        scores += score(context, scene, context.count(12, 400 if scene == CLAIMED else 150))
         outcome.tables = [Table.of("methods", scores)]
         context.save(outcome)
     outcome.figures["chart"] = chart(scores)
