@@ -151,10 +151,10 @@ def _claims(scores: dict[tuple[str, str, bool], Score]) -> list[Claim]:
     clean = {group: scores[group, "none", False] for group in ERRORS["none"].groups}
     limits = {"pressed": 1.15, "bent": 1.2, "peg": 1.2, "corner": 1.0}
     claims = [Claim(f"{g}: RMSE over bound", clean[g].ratio, most) for g, most in limits.items()]
-    claims += [
-        Claim("bent: contacts found", clean["bent"].found, 0.85, at_most=False),
-        Claim("peg: contacts found", clean["peg"].found, 0.9, at_most=False),
-    ]
+    for group, share in (("bent", 0.85), ("peg", 0.9)):
+        least = share - 2.0 * np.sqrt(share * (1.0 - share) / clean[group].count)
+        text = f"{group}: contacts found ({share:g} within two standard errors)"
+        claims.append(Claim(text, clean[group].found, least, at_most=False))
     told = [
         score
         for (group, error, is_told), score in scores.items()
