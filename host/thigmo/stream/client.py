@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import sys
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Connection
 from pathlib import Path
@@ -16,6 +18,7 @@ from thigmo.stream.messages import Hello, Message, from_json
 from thigmo.stream.server import Command, folder, pipe_prefix
 
 _PATIENCE_S = 2.0  # for a server's hello
+_BEGINS_WITHIN_S = 60.0  # from a socket's name to its listening, on a computer that is busy
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +111,7 @@ def _attached(address: str) -> RemoteRun | None:
     try:
         connection = Client(address)
     except ConnectionRefusedError:
-        Path(address).unlink(missing_ok=True)  # of a run that was killed
+        _remove_old(Path(address))
         return None
     except OSError:
         return None
@@ -120,6 +123,13 @@ def _attached(address: str) -> RemoteRun | None:
         connection.close()
         return None
     return RemoteRun(connection, address, hello)
+
+
+def _remove_old(socket: Path) -> None:
+    """Remove what a killed run left; a run that just begins has a socket before it listens."""
+    with suppress(FileNotFoundError):
+        if time.time() - socket.stat().st_mtime > _BEGINS_WITHIN_S:
+            socket.unlink()
 
 
 def _addresses() -> list[str]:
