@@ -48,7 +48,7 @@ class Watch:
 
         Args:
             seconds: at most.
-            until: asked ten times a second, after the events; true ends it.
+            until: asked whenever messages came, and ten times a second at least; true ends it.
 
         Raises:
             RobotFaultError: the board latched a fault.
