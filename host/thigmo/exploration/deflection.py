@@ -18,7 +18,7 @@ from thigmo.robot.readings import Floats
 
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
 # held bent; what is left of an eversion's creep is less.
-_SIGMAS = 4.0
+_SIGMAS = 5.0
 # A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
 # that moved alone.
 _EXPLAINED = 0.8
