@@ -240,7 +240,7 @@ SOURCES: dict[str, Source] = {
         {"map.png": "map.png"},
     ),
     "experiments": Source(
-        (THIGMO, "experiment", "all", "--jobs", "2", "--json"),
+        (THIGMO, "experiment", "all", "--robots", "10", "--jobs", "2", "--json"),
         _experiments_and_claims,
         {
             "two-contacts-errors.png": "two-contacts.png",

@@ -149,7 +149,8 @@ def figure(levels: Table) -> Figure:
         left.plot(sigmas, [float(row[what]) for row in rows], "o-", color=color, label=label)
     left.axhline(0.1, color="0.6", linestyle=":", label="promised")
     left.set_yscale("symlog", linthresh=0.1)
-    left.set(ylabel="of the cells inside, free (%)", ylim=(0, None))
+    left.set(ylabel="of the cells inside, free (%)", ylim=(0, 100))
+    left.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
     right.plot(sigmas, [float(row["kept_%"]) for row in rows], "o-")
     right.set(ylabel="free space kept (%)", ylim=(0, 105))
     for axis in (left, right):

@@ -248,7 +248,7 @@ def _lines(stress: Stress, errors: Floats, title: str) -> Figure:
 
 def run(context: Context) -> Outcome:
     """The study: all stresses, all mapped methods."""
-    cases = context.count(2, 40)
+    cases = context.count(2, 20)
     outcome = Outcome()
     lines: list[dict[str, str | float | int]] = []
     for stress in STRESSES:
