@@ -97,11 +97,17 @@ def _claims(found: list[dict[str, Any]]) -> list[Row]:
             rows.append(
                 (
                     claim["claim"].replace("|", "\\|"),
-                    f"{_number(claim['value'])} {claim['unit']}".strip(),
+                    f"{_told(claim)} {claim['unit']}".strip(),
                     f"promised {sign} {_number(claim['limit'])}{verdict}",
                 )
             )
     return rows
+
+
+def _told(claim: dict[str, Any]) -> str:
+    """A claim's value, with one more digit where a miss would look like a hit."""
+    shown = _number(claim["value"])
+    return shown if claim["holds"] or shown != _number(claim["limit"]) else f"{claim['value']:.4g}"
 
 
 def _explorations(found: list[dict[str, Any]]) -> list[Row]:
@@ -190,7 +196,9 @@ def _stability(found: list[dict[str, Any]]) -> list[Row]:
     for stress in dict.fromkeys(row["stress"] for row in study["rows"]):
         mine, *others = (row for row in study["rows"] if row["stress"] == stress)
         rest = ", ".join(
-            f"{row['method']} {_number(row['mean_cm'])} ({100 * row['failures']:.0f} %)"
+            f"{row['method']} "
+            + ("" if row["mean_cm"] is None else f"{_number(row['mean_cm'])} ")
+            + f"({100 * row['failures']:.0f} %)"
             for row in others
         )
         rows.append(
