@@ -276,6 +276,7 @@ SOURCES: dict[str, Source] = {
             "plant-models": {},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},
+            "watch": {},
         }.items()
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
