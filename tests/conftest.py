@@ -47,11 +47,20 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        slow = {"unit"} if item.get_closest_marker("ci") else set()  # `unit` takes seconds in all
+        # `unit` takes a minute in all: what is marked to take longer is none of it.
+        longer = any(item.get_closest_marker(marker) for marker in ("ci", "sim"))
+        slow = {"unit"} if longer else set()
         for folder in (TIERS - slow).intersection(item.path.relative_to(HERE).parts):
             item.add_marker(folder)
         if "many" in getattr(item, "fixturenames", ()) or item.get_closest_marker("hypothesis"):
             item.add_marker("scaled")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """`-m unit` does not even read the other folders."""
+    if config.option.markexpr != "unit" or collection_path.parent != HERE:
+        return None
+    return True if collection_path.name in TIERS - {"unit"} else None
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -61,6 +61,7 @@ def _watched(
     return watch, creep * np.exp(-(until_s + 4.0 - everted_s) / tau_s) + offset
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("until_s", [8.0, 14.0])
 def test_the_rest_is_foretold_within_its_standard_error(until_s: float) -> None:
     pulls = []

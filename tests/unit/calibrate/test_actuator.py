@@ -16,6 +16,8 @@ from thigmo.config import RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import write_table
 
+pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
+
 GRID = np.linspace(0.0, 18.0, 19)
 
 

@@ -17,6 +17,8 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
 
+pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
+
 
 def errors(result: FlexResult, lab: Lab) -> np.ndarray:
     """Relative errors of the scales; nan for sensors given up."""

@@ -54,6 +54,7 @@ def test_critical_curvature_within_three_percent_and_within_its_error():
     assert 0.5 < np.mean(np.square(misses)) < 2.2  # five trials: Student's t
 
 
+@pytest.mark.sim
 def test_known_tip_beats_the_thesis_regression():
     config = RobotConfig()
     error = {
@@ -165,6 +166,7 @@ def axis(ratio: float, y: float, rng: np.random.Generator, se: float = 0.02) -> 
     return AxisPoints(points + rng.normal(0, se, points.shape), LENGTH)
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("ratio", [1.0, 1.3])
 def test_stiffness_ratio_is_found(ratio):
     rng = np.random.default_rng(7)
@@ -301,6 +303,7 @@ def test_check_names_each_fault():
     assert "a leak" in leak.verdict.reason
 
 
+@pytest.mark.sim
 def test_every_result_draws_its_figure_and_makes_plain_data(tmp_path):
     config = RobotConfig()
     rng = np.random.default_rng(6)

@@ -136,6 +136,7 @@ def test_camera_file_round_trip_and_damage(tmp_path):
         CameraModel.load(tmp_path / "none.json")
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("constant", [True, False])
 def test_axis_fit_tells_curvature_within_its_errors(constant):
     misses = []

@@ -380,6 +380,7 @@ def test_same_seed_same_levels_and_another_seed_others() -> None:
     assert levels(3) != levels(4)
 
 
+@pytest.mark.sim
 @given(
     commands=st.lists(
         st.tuples(

@@ -64,6 +64,7 @@ def test_false_contacts_stay_below_one_in_a_hundred(many):
         assert false <= 0.01 * many(scenes) + 3.0 * np.sqrt(0.01 * many(scenes))
 
 
+@pytest.mark.sim
 def test_false_second_contacts_stay_below_one_in_twenty(many):
     rng = np.random.default_rng(12)
     counts = Counter()
@@ -76,6 +77,7 @@ def test_false_second_contacts_stay_below_one_in_twenty(many):
     assert counts[0] / counts.total() <= 0.05
 
 
+@pytest.mark.sim
 def test_intervals_cover_what_they_claim_and_the_estimate_is_efficient(many):
     """Scenes of a stated prior; errors against the Cramer-Rao bound inside the body."""
     rng = np.random.default_rng(13)

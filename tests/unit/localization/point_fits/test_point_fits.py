@@ -44,6 +44,7 @@ def check(y: Floats, low: Floats, high: Floats, norm: Norm, found: PointFit) -> 
     return slack
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("norm", BOTH)
 @pytest.mark.parametrize(("contacts", "frames", "most"), [(1, 25, 10), (2, 10, 6)])
 def test_no_grid_does_better(norm: Norm, contacts: int, frames: int, most: int, many: Many) -> None:
@@ -92,6 +93,7 @@ def test_the_optimum_set_of_one_contact_is_where_the_profile_is_least(many: Many
     assert flat > 10
 
 
+@pytest.mark.sim
 def test_the_optimum_sets_of_two_contacts_attain_the_minimum_at_their_ends(many: Many) -> None:
     rng = np.random.default_rng(80)
     flat = 0
