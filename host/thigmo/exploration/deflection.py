@@ -18,12 +18,10 @@ from thigmo.robot.readings import Floats
 
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
 # held bent; what is left of an eversion's creep is less.
-_SIGMAS = 5.0
+_SIGMAS = 4.0
 # A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
 # that moved alone.
 _EXPLAINED = 0.8
-# Two that moved, each alone, look like levers too often.
-_LEAST_SENSORS = 3
 _SMOOTH = 5  # frames of a running median, a quarter of a second
 # The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
 # on its way from the near face to the middle: up to a peg's radius before, which is not known.
@@ -70,7 +68,7 @@ def deflection(
     for way in (1, -1):
         use = known & ((table.direction == 0) | (table.direction == way))
         count = int(use.sum())
-        if count < _LEAST_SENSORS:
+        if count == 0:
             continue
         together = way * float((moved[use] / table.noise[use]).sum()) / np.sqrt(count)
         if together < _SIGMAS:
