@@ -18,9 +18,8 @@ from thigmo.robot import Robot
 from thigmo.stream import Command, Contacts, Event, Grid, Log, Posterior, RunState
 from thigmo.stream.messages import Severity
 
-_SWEEPING_S = (
-    0.095  # a viewer draws no faster, and a shape of the body comes each tenth of a second
-)
+# A viewer draws no faster, and a shape of the body comes each tenth of a second.
+_SWEEPING_S = 0.095
 _NOTHING_FELT = "nothing was felt at this stage"
 
 

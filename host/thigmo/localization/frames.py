@@ -191,8 +191,7 @@ class ContactFilter:
         columns[..., 2] = displaced
         columns[..., 3] = columns[..., 6] = above
         columns[..., 5] = free * (1.0 + follows)
-        columns[..., 7] = np.gradient(above, axis=0)
-        columns[..., 8] = np.gradient(above, axis=1)
+        columns[..., 7:] = _slopes(above)
         flat = columns.reshape(-1, *columns.shape[2:])
         nowhere = np.zeros((1, *flat.shape[1:]))
         nowhere[..., [0, 5]] = free
@@ -378,6 +377,12 @@ def _precision(deviation: Array) -> Array:
     return 1.0 / np.maximum(deviation, _LEAST_ERROR) ** 2
 
 
+def _slopes(values: Array) -> Array:
+    """(A, G, .., 2) of a table (A, G, ..): by a cell along the outline, and of the touch."""
+    along, onward = np.gradient(values, axis=(0, 1))
+    return np.stack([along, onward], axis=-1)
+
+
 class _Weighed(NamedTuple):
     """Of H hypotheses of the sensors' health and K places, the last of which is none.
 
@@ -418,9 +423,7 @@ class _Where(NamedTuple):
     ) -> _Where:
         kept = mass * use
         health, place = np.nonzero(kept > _NEGLIGIBLE * kept.max())
-        along, onward = np.gradient(arc.reshape(shape), axis=(0, 1))
-        slope = np.stack([along, onward], axis=-1).reshape(-1, 2)[place]
-        slope = np.nan_to_num(slope)
+        slope = np.nan_to_num(_slopes(arc.reshape(shape)).reshape(-1, 2)[place])
         shift = weighed.mean[health, place, -2:]
         covariance = weighed.covariance[health, place][:, -2:, -2:]
         variance = np.einsum("ji,jik,jk->j", slope, covariance, slope)
@@ -450,11 +453,9 @@ class _Where(NamedTuple):
         mass = mass / mass.sum()
 
         def mean(values: Array) -> Array:
-            along, onward = np.gradient(values, axis=(0, 1))
-            steps = np.stack([along, onward], axis=2)
             flat = values.reshape(-1, values.shape[-1])[self.place]
-            steps = steps.reshape(-1, 2, values.shape[-1])[self.place]
-            return np.asarray(mass @ (flat + (self.shift[..., None] * steps).sum(axis=1)))
+            steps = _slopes(values).reshape(-1, values.shape[-1], 2)[self.place]
+            return np.asarray(mass @ (flat + (steps * self.shift[:, None]).sum(axis=-1)))
 
         touches = np.broadcast_to(touch, self.shape)[..., None]
         return mean(peg), float(mean(touches)[0])
