@@ -5,8 +5,9 @@ BIN    := $(VENV)/bin
 # Rebuild the extensions when their sources, the schema or the packaging change.
 CORE   := $(shell find firmware/core firmware/virtual host/thigmo -name '*.h' -o -name '*.cpp') CMakeLists.txt pyproject.toml
 
-# Tests run on this many cores; those in real time run alone, one after the other.
-WORKERS ?= 2
+# Tests run on this many cores. Those in real time mostly wait for it: more of them run at once.
+WORKERS  ?= 2
+WAITING  ?= 6
 PYTEST  := $(BIN)/pytest -q
 FAST    := not (bench or browser or ros or ci or nightly)
 
@@ -63,11 +64,11 @@ lint: install
 
 test: lint
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "$(FAST) and not realtime"
-	$(PYTEST) -m "$(FAST) and realtime"
+	$(PYTEST) -n $(WAITING) --dist worksteal -m "$(FAST) and realtime"
 
 ci: lint .stamps/ros
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
-	$(PYTEST) -m "realtime and not nightly"
+	$(PYTEST) -n $(WAITING) --dist worksteal -m "realtime and not nightly"
 	$(MAKE) docs
 	$(BIN)/python tools/release.py
 

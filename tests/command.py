@@ -1,7 +1,8 @@
-"""The command line, run in this process."""
+"""The command line, run in this process; and scripts in a process of their own."""
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,3 +39,11 @@ def thigmo_command(patch: pytest.MonkeyPatch, captured: pytest.CaptureFixture[st
         return Ran(code, said.out, said.err)
 
     return run
+
+
+def run_python(script: str, *words: str) -> Ran:
+    """Run a script to its end."""
+    done = subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, check=False
+    )
+    return Ran(done.returncode, done.stdout, done.stderr)

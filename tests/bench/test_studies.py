@@ -18,8 +18,7 @@ from thigmo.studies.attempt import attempt
 from thigmo.studies.engine import Claim, Table, write
 from thigmo.studies.exploration import visit
 from thigmo.studies.rod import readings
-from thigmo.studies.scenes import SCENES
-from thigmo.studies.speed_accuracy import Score, pareto
+from thigmo.studies.speed_accuracy import SCENES, Score, pareto
 from thigmo.studies.stability import DEFAULT, STRESSES
 
 

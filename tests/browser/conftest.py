@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 from browsing import PATIENCE_MS, Looking, Served
-from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from scripted import ScriptedRun
 
 from thigmo.live.server import WatchOptions
 
@@ -57,3 +58,25 @@ def looking(chromium: Browser, serve_page: object) -> Iterator[Looking]:
     eyes.close()
     assert eyes.outside == []
     assert eyes.errors == []
+
+
+@pytest.fixture
+def run() -> Iterator[ScriptedRun]:
+    """A run that says what a test has it say."""
+    with ScriptedRun() as scripted:
+        yield scripted
+
+
+@pytest.fixture
+def served(serve_page: Callable[..., Served]) -> Served:
+    """The page's server, with no options."""
+    return serve_page()
+
+
+@pytest.fixture
+def page(looking: Looking, served: Served, run: ScriptedRun) -> Page:
+    """A page that shows this run, and may stop it."""
+    opened = looking.open(served.address)
+    run.state()
+    expect(opened.locator("#stop")).to_have_attribute("data-state", "ready")
+    return opened

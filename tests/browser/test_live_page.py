@@ -5,15 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Callable
 
 import aiohttp
 import pytest
 from browsing import Looking, Served
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
-
-ServePage = Callable[..., Served]
 
 
 def _rows(page: Page) -> int:
@@ -36,31 +33,26 @@ def _read(run: ScriptedRun, pages: list[Page], count: int) -> None:
             _until_rows(page, rows + 40)
 
 
-def test_page_shows_state_readings_contact_and_events(
-    looking: Looking, serve_page: ServePage
-) -> None:
-    with ScriptedRun() as run:
-        page = looking.open(serve_page().address)
-        run.state()
-        run.event("armed", "info", "The board is armed.")
-        run.feel()
-        run.read(400)
-        expect(page.locator("#run-name")).to_have_text("scripted")
-        expect(page.locator("#doing")).to_have_text("sweeping left and right")
-        expect(page.locator("#clock")).to_have_text("2.0")
-        expect(page.locator("#contact-rows")).to_contain_text("31.2 29.8 to 32.7 of 40")
-        expect(page.locator("#contact-rows")).to_contain_text("27.5, 11.6")
-        expect(page.locator("#events")).to_contain_text("The board is armed.")
-        expect(page.locator("#room")).to_contain_text("95 %: 29.8 to 32.7 cm")
-        expect(page.locator("#body")).to_contain_text("probability density of a contact")
-        # Each chart has an axis in the unit that its title names.
-        units = page.locator("#charts .unit").all_inner_texts()
-        assert units == ["psi", "1/cm", "1/cm", "mA", "cm", "share of full duty"]
-        shown = page.evaluate(
-            "import('./store.js').then(({ store, latest, COLUMN }) => "
-            "[latest(COLUMN.length), latest(COLUMN.curvature + 4)])"
-        )
-        assert shown == [40.0, None]
+def test_page_shows_state_readings_contact_and_events(page: Page, run: ScriptedRun) -> None:
+    run.event("armed", "info", "The board is armed.")
+    run.feel()
+    run.read(400)
+    expect(page.locator("#run-name")).to_have_text("scripted")
+    expect(page.locator("#doing")).to_have_text("sweeping left and right")
+    expect(page.locator("#clock")).to_have_text("2.0")
+    expect(page.locator("#contact-rows")).to_contain_text("31.2 29.8 to 32.7 of 40")
+    expect(page.locator("#contact-rows")).to_contain_text("27.5, 11.6")
+    expect(page.locator("#events")).to_contain_text("The board is armed.")
+    expect(page.locator("#room")).to_contain_text("95 %: 29.8 to 32.7 cm")
+    expect(page.locator("#body")).to_contain_text("probability density of a contact")
+    # Each chart has an axis in the unit that its title names.
+    units = page.locator("#charts .unit").all_inner_texts()
+    assert units == ["psi", "1/cm", "1/cm", "mA", "cm", "share of full duty"]
+    shown = page.evaluate(
+        "import('./store.js').then(({ store, latest, COLUMN }) => "
+        "[latest(COLUMN.length), latest(COLUMN.curvature + 4)])"
+    )
+    assert shown == [40.0, None]
 
 
 def _ribbon(page: Page) -> str:
@@ -76,73 +68,59 @@ def _drawn_otherwise(page: Page, before: str) -> None:
 
 
 def test_posterior_of_mid_sweep_moves_with_the_body_until_the_contact_is_measured(
-    looking: Looking, serve_page: ServePage
+    page: Page, run: ScriptedRun
 ) -> None:
-    with ScriptedRun() as run:
-        page = looking.open(serve_page().address)
-        run.state()
-        run.read(20)
-        run.bend(0.006)
-        run.believe(sweeping=True)
-        density = page.locator("#body")
-        expect(density).to_contain_text("contact so far, left muscle: localized, 97.0 %")
-        _drawn_otherwise(page, "")
-        first = _ribbon(page)
-        assert "dash" not in first
-        run.read(20)
-        run.bend(0.009)  # the posterior is still the same one
-        _drawn_otherwise(page, first)
-        second = _ribbon(page)
-        assert "dash" not in second
-        run.read(200)  # the robot has gone on for a second, and the posterior has not
-        _drawn_otherwise(page, second)
-        assert "dash" in _ribbon(page)
-        run.bend(0.014)
-        run.believe(sweeping=False)
-        expect(density).to_contain_text("contact, left muscle: localized, 97.0 %")
+    run.read(20)
+    run.bend(0.006)
+    run.believe(sweeping=True)
+    density = page.locator("#body")
+    expect(density).to_contain_text("contact so far, left muscle: localized, 97.0 %")
+    _drawn_otherwise(page, "")
+    first = _ribbon(page)
+    assert "dash" not in first
+    run.read(20)
+    run.bend(0.009)  # the posterior is still the same one
+    _drawn_otherwise(page, first)
+    second = _ribbon(page)
+    assert "dash" not in second
+    run.read(200)  # the robot has gone on for a second, and the posterior has not
+    _drawn_otherwise(page, second)
+    assert "dash" in _ribbon(page)
+    run.bend(0.014)
+    run.believe(sweeping=False)
+    expect(density).to_contain_text("contact, left muscle: localized, 97.0 %")
 
 
 def test_page_that_comes_in_the_next_sweep_shows_no_posterior_of_the_last_one(
-    looking: Looking, serve_page: ServePage
+    looking: Looking, served: Served, run: ScriptedRun
 ) -> None:
-    with ScriptedRun() as run:
-        run.state()
-        run.feel()
-        run.state(stage_cm=50.0)
-        run.read(20)
-        page = looking.open(serve_page().address)
-        expect(page.locator("#body")).to_contain_text("no contact measured at this stage yet")
-        expect(page.locator("#contact-rows")).to_contain_text("31.2")
-        assert _ribbon(page) == ""
-        run.state(state="GROW", stage_cm=60.0)  # and again at rest, until the next sweep
-        expect(page.locator("#body")).to_contain_text("probability density of a contact, left")
+    run.state()
+    run.feel()
+    run.state(stage_cm=50.0)
+    run.read(20)
+    page = looking.open(served.address)
+    expect(page.locator("#body")).to_contain_text("no contact measured at this stage yet")
+    expect(page.locator("#contact-rows")).to_contain_text("31.2")
+    assert _ribbon(page) == ""
+    run.state(state="GROW", stage_cm=60.0)  # and again at rest, until the next sweep
+    expect(page.locator("#body")).to_contain_text("probability density of a contact, left")
 
 
-def test_fault_stands_at_the_top_with_what_to_do_next(
-    looking: Looking, serve_page: ServePage
-) -> None:
-    with ScriptedRun() as run:
-        page = looking.open(serve_page().address)
-        run.state()
-        run.event("flex_open", "fault", "Left sensor 2 is open.", "Look at its plug.")
-        run.read(10, faults=("flex_open",))
-        banner = page.locator(".banner.fault")
-        expect(banner).to_contain_text("Left sensor 2 is open.")
-        expect(banner).to_contain_text("Look at its plug.")
+def test_fault_stands_at_the_top_with_what_to_do_next(page: Page, run: ScriptedRun) -> None:
+    run.event("flex_open", "fault", "Left sensor 2 is open.", "Look at its plug.")
+    run.read(10, faults=("flex_open",))
+    banner = page.locator(".banner.fault")
+    expect(banner).to_contain_text("Left sensor 2 is open.")
+    expect(banner).to_contain_text("Look at its plug.")
 
 
-def test_reloaded_page_has_the_run_again_and_still_operates(
-    looking: Looking, serve_page: ServePage
-) -> None:
-    with ScriptedRun() as run:
-        page = looking.open(serve_page().address)
-        run.state()
-        run.feel()
-        _read(run, [page], 400)
-        page.reload()
-        expect(page.locator("#contact-rows")).to_contain_text("31.2")
-        _until_rows(page, 75)  # of what was before, some fifty rows a second
-        expect(page.locator("#pause")).to_be_enabled()
+def test_reloaded_page_has_the_run_again_and_still_operates(page: Page, run: ScriptedRun) -> None:
+    run.feel()
+    _read(run, [page], 400)
+    page.reload()
+    expect(page.locator("#contact-rows")).to_contain_text("31.2")
+    _until_rows(page, 75)  # of what was before, some fifty rows a second
+    expect(page.locator("#pause")).to_be_enabled()
 
 
 LOSE = """() => new Promise((lost) => {
@@ -155,81 +133,64 @@ LOSE = """() => new Promise((lost) => {
 })"""
 
 
-def test_page_whose_connection_breaks_has_the_run_again_once(
-    looking: Looking, serve_page: ServePage
-) -> None:
-    with ScriptedRun() as run:
-        page = looking.open(serve_page().address)
-        run.state()
-        run.event("armed", "info", "The board is armed.")
-        run.read(20)
-        run.feel()
-        _read(run, [page], 400)
-        page.evaluate(LOSE)
-        run.read(20)
-        expect(page.locator("#clock")).to_have_text("2.2")
-        expect(page.locator("#events li")).to_have_count(1)
-        expect(page.locator("#contact-rows tr")).to_have_count(1)
-        assert page.evaluate("thigmo.store.columns[0][0]") == pytest.approx(0.005)
+def test_page_whose_connection_breaks_has_the_run_again_once(page: Page, run: ScriptedRun) -> None:
+    run.event("armed", "info", "The board is armed.")
+    run.read(20)
+    run.feel()
+    _read(run, [page], 400)
+    page.evaluate(LOSE)
+    run.read(20)
+    expect(page.locator("#clock")).to_have_text("2.2")
+    expect(page.locator("#events li")).to_have_count(1)
+    expect(page.locator("#contact-rows tr")).to_have_count(1)
+    assert page.evaluate("thigmo.store.columns[0][0]") == pytest.approx(0.005)
 
 
 def test_second_page_looks_while_the_first_operates_and_takes_over_when_it_has_gone(
-    looking: Looking, serve_page: ServePage
+    page: Page, looking: Looking, served: Served, run: ScriptedRun
 ) -> None:
-    with ScriptedRun() as run:
-        served = serve_page()
-        first = looking.open(served.address)
-        run.state()
-        expect(first.locator("#pause")).to_be_enabled()
-        second = looking.open(served.address)
-        expect(second.locator("#pause")).to_be_disabled()
-        expect(second.locator("#take")).to_have_text("Another page operates")
-        expect(second.locator("#viewers")).to_have_text("2 pages look at this robot.")
-        _read(run, [first, second], 40)
-        first.close()
-        second.locator("#take").click()
-        expect(second.locator("#pause")).to_be_enabled()
-        second.locator("#pause").click()
-        assert run.heard.wait(60)
-        assert run.asked == ["pause"]
+    expect(page.locator("#pause")).to_be_enabled()
+    second = looking.open(served.address)
+    expect(second.locator("#pause")).to_be_disabled()
+    expect(second.locator("#take")).to_have_text("Another page operates")
+    expect(second.locator("#viewers")).to_have_text("2 pages look at this robot.")
+    _read(run, [page, second], 40)
+    page.close()
+    second.locator("#take").click()
+    expect(second.locator("#pause")).to_be_enabled()
+    second.locator("#pause").click()
+    assert run.heard.wait(60)
+    assert run.asked == ["pause"]
 
 
-def test_second_page_can_stop(looking: Looking, serve_page: ServePage) -> None:
-    with ScriptedRun() as run:
-        served = serve_page()
-        looking.open(served.address)
-        run.state()
-        second = looking.open(served.address)
-        expect(second.locator("#stop")).to_have_attribute("data-state", "ready")
-        second.keyboard.press("Space")
-        assert run.heard.wait(60)
-        assert run.asked == ["stop"]
+@pytest.mark.usefixtures("page")
+def test_second_page_can_stop(looking: Looking, served: Served, run: ScriptedRun) -> None:
+    second = looking.open(served.address)
+    expect(second.locator("#stop")).to_have_attribute("data-state", "ready")
+    second.keyboard.press("Space")
+    assert run.heard.wait(60)
+    assert run.asked == ["stop"]
 
 
 def test_page_that_stalls_is_told_what_it_missed_and_slows_no_other(
-    looking: Looking, serve_page: ServePage
+    page: Page, served: Served, run: ScriptedRun
 ) -> None:
-    with ScriptedRun() as run:
-        served = serve_page()
-        page = looking.open(served.address)
-        run.state()
-        _expect_connected(page)
-        missed: list[int] = []
-        may_go_on = threading.Event()
-        stalls = threading.Event()
-        viewer = threading.Thread(
-            target=lambda: asyncio.run(_stall(served.address, stalls, may_go_on, missed))
-        )
-        viewer.start()
-        stalls.wait()
-        # More than waits for one viewer, in pieces that the first page takes as they come.
-        _read(run, [page], 2400)
-        may_go_on.set()
-        viewer.join()
-        assert missed
-        assert missed[-1] >= 1000
-        assert page.evaluate("thigmo.store.dropped") == 0
-        assert _rows(page) == 2400
+    missed: list[int] = []
+    may_go_on = threading.Event()
+    stalls = threading.Event()
+    viewer = threading.Thread(
+        target=lambda: asyncio.run(_stall(served.address, stalls, may_go_on, missed))
+    )
+    viewer.start()
+    stalls.wait()
+    # More than waits for one viewer, in pieces that the first page takes as they come.
+    _read(run, [page], 2400)
+    may_go_on.set()
+    viewer.join()
+    assert missed
+    assert missed[-1] >= 1000
+    assert page.evaluate("thigmo.store.dropped") == 0
+    assert _rows(page) == 2400
 
 
 def _expect_connected(page: Page) -> None:
@@ -266,23 +227,22 @@ BEYOND = """[...document.querySelectorAll("#room text, #body text")].filter((lab
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_page_fits_a_phone(looking: Looking, serve_page: ServePage, scheme: str) -> None:
-    with ScriptedRun() as run:
-        page = looking.open(
-            serve_page().address,
-            viewport={"width": 390, "height": 844},
-            is_mobile=True,
-            has_touch=True,
-            color_scheme=scheme,
-        )
-        run.state()
-        run.feel()
-        run.read(200)
-        expect(page.locator("#contact-rows")).to_contain_text("31.2")
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
-        expect(page.locator("#body")).to_contain_text("left muscle: localized")
-        assert page.evaluate(BEYOND) == []
-        box = page.locator("#stop").bounding_box()
-        assert box is not None
-        assert box["width"] > 340
-        assert 844 - 100 < box["y"] < 844 - 60  # under the thumb, wherever the page is scrolled to
+def test_page_fits_a_phone(looking: Looking, served: Served, run: ScriptedRun, scheme: str) -> None:
+    page = looking.open(
+        served.address,
+        viewport={"width": 390, "height": 844},
+        is_mobile=True,
+        has_touch=True,
+        color_scheme=scheme,
+    )
+    run.state()
+    run.feel()
+    run.read(200)
+    expect(page.locator("#contact-rows")).to_contain_text("31.2")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    expect(page.locator("#body")).to_contain_text("left muscle: localized")
+    assert page.evaluate(BEYOND) == []
+    box = page.locator("#stop").bounding_box()
+    assert box is not None
+    assert box["width"] > 340
+    assert 844 - 100 < box["y"] < 844 - 60  # under the thumb, wherever the page is scrolled to

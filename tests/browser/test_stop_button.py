@@ -12,37 +12,24 @@ from scripted import ScriptedRun
 ServePage = Callable[..., Served]
 
 
-def _ready(looking: Looking, served: Served, run: ScriptedRun) -> Page:
-    page = looking.open(served.address)
-    run.state()
-    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
-    return page
-
-
 @pytest.mark.parametrize("key", ["Space", "Escape"])
-def test_key_stops_wherever_the_focus_is(looking: Looking, serve_page: ServePage, key: str) -> None:
-    with ScriptedRun() as run:
-        page = _ready(looking, serve_page(), run)
-        page.locator("#pause").focus()
-        page.keyboard.press(key)
-        assert run.heard.wait(60)
-        run.close()
-        expect(page.locator("#stop")).to_have_text("Stoppedthe board has confirmed")
-        assert run.asked == ["stop"]
+def test_key_stops_wherever_the_focus_is(page: Page, run: ScriptedRun, key: str) -> None:
+    page.locator("#pause").focus()
+    page.keyboard.press(key)
+    assert run.heard.wait(60)
+    run.close()
+    expect(page.locator("#stop")).to_have_text("Stoppedthe board has confirmed")
+    assert run.asked == ["stop"]
 
 
-def test_press_of_the_button_stops_before_it_is_let_go(
-    looking: Looking, serve_page: ServePage
-) -> None:
-    with ScriptedRun() as run:
-        page = _ready(looking, serve_page(), run)
-        page.locator("#stop").hover()
-        page.mouse.down()
-        assert run.heard.wait(60)
-        page.mouse.up()
-        run.close()
-        expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
-        assert run.asked == ["stop"]
+def test_press_of_the_button_stops_before_it_is_let_go(page: Page, run: ScriptedRun) -> None:
+    page.locator("#stop").hover()
+    page.mouse.down()
+    assert run.heard.wait(60)
+    page.mouse.up()
+    run.close()
+    expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
+    assert run.asked == ["stop"]
 
 
 def test_focused_start_does_not_take_the_space_bar(looking: Looking, serve_page: ServePage) -> None:
@@ -57,14 +44,11 @@ def test_focused_start_does_not_take_the_space_bar(looking: Looking, serve_page:
     assert page.evaluate("thigmo.store.page.starting") is False
 
 
-def test_lost_server_says_use_the_e_stop(looking: Looking, serve_page: ServePage) -> None:
-    with ScriptedRun() as run:
-        served = serve_page()
-        page = _ready(looking, served, run)
-        served.close()
-        expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
-        expect(page.locator(".banner.fault")).to_contain_text("Stop not connected: use the e-stop.")
-        looking.errors.clear()  # Chromium tells the lost connection on the console itself
+def test_lost_server_says_use_the_e_stop(page: Page, looking: Looking, served: Served) -> None:
+    served.close()
+    expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
+    expect(page.locator(".banner.fault")).to_contain_text("Stop not connected: use the e-stop.")
+    looking.errors.clear()  # Chromium tells the lost connection on the console itself
 
 
 def test_port_that_nobody_owns_says_use_the_e_stop(looking: Looking, serve_page: ServePage) -> None:
@@ -74,10 +58,6 @@ def test_port_that_nobody_owns_says_use_the_e_stop(looking: Looking, serve_page:
         expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
 
 
-def test_run_that_does_not_answer_is_not_said_to_be_stopped(
-    looking: Looking, serve_page: ServePage
-) -> None:
-    with ScriptedRun() as run:
-        page = _ready(looking, serve_page(), run)
-        page.keyboard.press("Escape")
-        expect(page.locator("#stop")).to_have_text("Not confirmeduse the e-stop")
+def test_run_that_does_not_answer_is_not_said_to_be_stopped(page: Page) -> None:
+    page.keyboard.press("Escape")
+    expect(page.locator("#stop")).to_have_text("Not confirmeduse the e-stop")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from browsing import Looking, Served
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Page, expect
 from scripted import ScriptedRun
 
 ServePage = Callable[..., Served]
@@ -25,47 +25,43 @@ TRY = """async (address) => {
 
 
 def test_another_site_can_neither_stop_nor_look(
-    chromium: Browser, serve_page: ServePage, looking: Looking
+    chromium: Browser, served: Served, page: Page, run: ScriptedRun
 ) -> None:
-    with ScriptedRun() as run:
-        served = serve_page()
-        own = looking.open(served.address)
-        run.state()
-        expect(own.locator("#stop")).to_have_attribute("data-state", "ready")
-        context = chromium.new_context()
-        site = context.new_page()
-        site.route(
-            "http://evil.example/", lambda route: route.fulfill(body="", content_type="text/html")
-        )
-        site.goto("http://evil.example/")
-        tried = site.evaluate(TRY, served.address)
-        context.close()
-        # The browser lets the request out and the answer not in; the server refuses it.
-        assert tried["stop"] in ("opaque", "refused")
-        assert (tried["read"], tried["stream"]) == ("refused", "refused")
-        own.keyboard.press("Escape")  # the first and only stop that arrives
-        assert run.heard.wait(60)
-        assert run.asked == ["stop"]
-        run.close()
-        expect(own.locator("#stop")).to_have_attribute("data-state", "stopped")
+    context = chromium.new_context()
+    site = context.new_page()
+    site.route(
+        "http://evil.example/", lambda route: route.fulfill(body="", content_type="text/html")
+    )
+    site.goto("http://evil.example/")
+    tried = site.evaluate(TRY, served.address)
+    context.close()
+    # The browser lets the request out and the answer not in; the server refuses it.
+    assert tried["stop"] in ("opaque", "refused")
+    assert (tried["read"], tried["stream"]) == ("refused", "refused")
+    page.keyboard.press("Escape")  # the first and only stop that arrives
+    assert run.heard.wait(60)
+    assert run.asked == ["stop"]
+    run.close()
+    expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
 
 
-def test_another_interface_asks_for_the_token_once(looking: Looking, serve_page: ServePage) -> None:
-    with ScriptedRun() as run:
-        address = serve_page(host="0.0.0.0").address.replace("0.0.0.0", "127.0.0.1")
-        plain, _, token = address.partition("?token=")
-        assert len(token) > 20
-        stranger = looking.open(plain, refused=True)
-        expect(stranger.locator("body")).to_contain_text("This page needs its token.")
-        guesser = looking.open(f"{plain}?token=guess", refused=True)
-        expect(guesser.locator("body")).to_contain_text("This page needs its token.")
-        page = looking.open(address)
-        run.state()
-        expect(page.locator("#doing")).to_have_text("sweeping left and right")
-        assert page.url == plain
-        page.reload()
-        expect(page.locator("#doing")).to_have_text("sweeping left and right")
-        page.keyboard.press("Escape")
-        assert run.heard.wait(60)
-        run.close()
-        expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
+def test_another_interface_asks_for_the_token_once(
+    looking: Looking, serve_page: ServePage, run: ScriptedRun
+) -> None:
+    address = serve_page(host="0.0.0.0").address.replace("0.0.0.0", "127.0.0.1")
+    plain, _, token = address.partition("?token=")
+    assert len(token) > 20
+    stranger = looking.open(plain, refused=True)
+    expect(stranger.locator("body")).to_contain_text("This page needs its token.")
+    guesser = looking.open(f"{plain}?token=guess", refused=True)
+    expect(guesser.locator("body")).to_contain_text("This page needs its token.")
+    page = looking.open(address)
+    run.state()
+    expect(page.locator("#doing")).to_have_text("sweeping left and right")
+    assert page.url == plain
+    page.reload()
+    expect(page.locator("#doing")).to_have_text("sweeping left and right")
+    page.keyboard.press("Escape")
+    assert run.heard.wait(60)
+    run.close()
+    expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")

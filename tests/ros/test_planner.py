@@ -110,6 +110,7 @@ def test_planner_that_comes_later_gets_a_finished_run_s_map(
     _contacts_are_the_run_s(planner, run)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("stop", ["stop", "stop, best effort"])
 def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: str) -> None:
     planner = ros.planner()
@@ -133,6 +134,7 @@ def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: st
     assert told["level"] == 2
 
 
+@pytest.mark.realtime
 def test_planner_s_latched_stop_is_heard_that_was_said_once_before_anybody_listened(
     ros: Any, url: str, tmp_path: Path
 ) -> None:

@@ -13,23 +13,17 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command import Ran, Thigmo
-from served import ServedRobot, comes
 
 from thigmo.config import RobotConfig
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
 from thigmo.link import client as client_module
 from thigmo.link import protocol as wire
-from thigmo.link.framing import decode, encode
-from thigmo.record import RunFolder
+from thigmo.link.framing import encode
 
 LINE = r"thigmo: [^\n]+; [^\n]+"  # what happened; what to do
 GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
@@ -242,126 +236,7 @@ def test_a_parameter_that_is_set_and_not_stored_is_said_to_be_lost(thigmo: Thigm
         assert re.fullmatch(said, ran.err.strip()), ran.err
 
 
-# Ends in the middle of a sweep, in real time.
-
-
-def full_length_robot(folder: Path) -> ServedRobot:
-    """At its full length; its configuration is in the folder."""
-    scene = Scene.load("empty")
-    scene.start_length_cm = scene.robot.body.length_cm
-    scene.robot.sensors.settle_s = 0.5
-    scene.flex.creep = 0.0
-    scene.robot.save(folder / "robot.toml")
-    return ServedRobot(Lockstep(scene, VirtualBoard(1), seed=1))
-
-
-@dataclass(frozen=True)
-class Cut:
-    """How an exploration ended that was cut short in mid-sweep.
-
-    Attributes:
-        ran: what it printed after the signal.
-        in_time: whether the robot was off within LIMIT_S of the signal, in its own time.
-        length_cm: of the robot at the signal, and at the end.
-        run: its folder.
-    """
-
-    ran: Ran
-    in_time: bool
-    length_cm: tuple[float, float]
-    run: Path
-
-
-def cut_in_mid_sweep(room: ServedRobot, folder: Path, number: signal.Signals) -> Cut:
-    """Explore with a robot on a real port, and signal the program while a muscle is energised."""
-    operator, terminal = os.openpty()
-    os.write(operator, b"53\n\n\n\n")  # the everted length; Enter when the pressure is set
-    command = [
-        *THIGMO, "explore", "--robot", room.port, "--config", str(folder / "robot.toml"),
-        "--out", str(folder / "runs"),
-    ]  # fmt: skip
-    with subprocess.Popen(
-        command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as host:
-        assert host.stdout is not None
-        assert host.stderr is not None
-        said = ""
-        for line in host.stderr:
-            said += line
-            if "sweeping" in line:
-                break
-        assert comes(lambda: room.energised), said
-        length = room.plant.length_cm
-        host.send_signal(number)
-        in_time = room.off_within(LIMIT_S)
-        out, err = host.communicate()
-    os.close(operator)
-    os.close(terminal)
-    (run,) = (folder / "runs").iterdir()
-    ran = Ran(host.returncode, out, err)
-    return Cut(ran, in_time, (length, room.plant.length_cm), run)
-
-
-SIGNALS = ("SIGINT", "SIGTERM", "SIGKILL")
-
-
-@pytest.fixture(scope="module")
-def cuts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple[Cut, ServedRobot]]]:
-    """One exploration cut short by each signal; side by side, for they take their time."""
-    folders = [tmp_path_factory.mktemp(name) for name in SIGNALS]
-    rooms = [full_length_robot(folder) for folder in folders]
-    try:
-        with ThreadPoolExecutor(len(SIGNALS)) as pool:
-            numbers = [signal.Signals[name] for name in SIGNALS]
-            done = list(pool.map(cut_in_mid_sweep, rooms, folders, numbers))
-        yield dict(zip(SIGNALS, zip(done, rooms, strict=True), strict=True))
-    finally:
-        for room in rooms:
-            room.close()
-
-
-needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
-LIMIT_S = 0.6  # of silence, and one period of the heart
-
-
-@needs_pty
-@pytest.mark.realtime
-@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGKILL", -9)])
-def test_a_host_that_is_ended_in_mid_sweep_leaves_a_safe_robot_and_a_readable_run(
-    cuts: dict[str, tuple[Cut, ServedRobot]], thigmo: Thigmo, name: str, code: int
-) -> None:
-    cut, room = cuts[name]
-    assert cut.in_time
-    assert comes(lambda: max(room.plant.muscle_psi) < 0.5)
-    assert room.off
-    assert cut.length_cm[0] == pytest.approx(cut.length_cm[1], abs=1e-3)  # never a retraction
-
-    assert cut.ran.code == code
-    assert cut.ran.out == ""
-    said = cut.ran.err.strip().splitlines()
-    if name == "SIGKILL":
-        assert said == []
-    else:
-        assert re.fullmatch(LINE, said[-1]), cut.ran.err
-        assert str(cut.run) in said[-1]
-        assert not any("Traceback" in line for line in said)
-
-    info = thigmo("info", cut.run, "--json")
-    assert info.code == 0, info.err
-    facts = json.loads(info.out)
-    assert facts["frames"] > 100
-    assert facts["outcome"].startswith("aborted: " if name != "SIGKILL" else "running")
-    assert facts["truncated"] == (name == "SIGKILL")
-    sent = [
-        decode(e.frame).id for e in RunFolder(cut.run).read_log().entries if e.direction == "tx"
-    ]
-    assert (wire.Stop.ID in sent) == (name != "SIGKILL")  # it was told, it did not just fall silent
-    replayed = thigmo("replay", cut.run, "--json")
-    assert replayed.code == 0, replayed.err
-    assert json.loads(replayed.out)["contacts"] == []
-
-
-@needs_pty
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 @pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_emulated_robot_is_served_until_it_is_told_to_end(

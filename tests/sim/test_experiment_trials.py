@@ -114,9 +114,6 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
         assert not run_trials(robot, attendant, folder, "single-contact", 1)
     assert [row["state"] for row in taken(folder.path)] == ["kept", "skipped"]
     assert len(folder.trials()) == 1
-    # As a kill in the middle of a write leaves it.
-    with (folder.path / "trials.csv").open("a") as file:
-        file.write("high force | L/2 | 1,single")
     with connect(scene, seed=2) as robot:
         said: list[str] = []
         again = TrialFolder(folder.path, folder.config)

@@ -17,6 +17,7 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import FaultTable, PegTable, Scene
 from thigmo.errors import LinkError, RobotFaultError
 from thigmo.exploration import ExplorationResult, explore, replay
+from thigmo.exploration.run import Protocol
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
@@ -52,11 +53,18 @@ def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
     assert [round(s.everted_length_cm) for s in document.stages] == [10, 20, 30, 40, 50, 53]
 
 
-def test_studies_explore_as_users_do(default: ExplorationResult, tmp_path: Path) -> None:
-    document = explored("emulator://default", tmp_path, 1).document
-    assert document.contacts == default.document.contacts
-    assert document.truth == default.document.truth
-    assert document.robot_time_s == pytest.approx(default.document.robot_time_s, abs=0.1)
+def test_the_same_seed_gives_the_same_run_and_studies_explore_as_users_do(
+    default: ExplorationResult, tmp_path: Path
+) -> None:
+    first, again = (
+        explored("emulator://default", tmp_path / name, 1).document for name in ("first", "again")
+    )
+    assert again.stages == first.stages
+    assert again.robot_time_s == first.robot_time_s
+    for document in (first, again):
+        assert document.contacts == default.document.contacts
+        assert document.truth == default.document.truth
+        assert document.robot_time_s == pytest.approx(default.document.robot_time_s, abs=0.1)
 
 
 def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
@@ -158,16 +166,9 @@ def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -
     assert again.document.missed == again.document.false == []
 
 
-def test_the_same_seed_gives_the_same_run(default: ExplorationResult, tmp_path: Path) -> None:
-    again = explore("emulator://default", seed=1, out=tmp_path)
-    assert again.document.contacts == default.document.contacts
-    assert again.document.stages == default.document.stages
-    assert again.document.robot_time_s == default.document.robot_time_s
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_empty_room_gives_no_contact(tmp_path: Path, seed: int) -> None:
-    document = explore("emulator://empty", seed=seed, out=tmp_path).document
+    document = explored("emulator://empty", tmp_path, seed).document
     assert document.outcome == "full length"
     assert document.contacts == []
     assert document.error_x_cm is None
@@ -182,7 +183,7 @@ def test_a_random_peg_is_found_at_the_first_stage_that_can_feel_it(
     peg, felt = random_peg(scene.robot, np.random.default_rng(seed))
     scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     file = _write(scene, tmp_path / "room.toml")
-    document = explore(f"emulator://{file}", seed=seed, out=tmp_path).document
+    document = explored(f"emulator://{file}", tmp_path, seed).document
     first = next(s for s in document.stages if any(t.status in FOUND for t in s.triggers))
     assert round(first.everted_length_cm) == felt.length_cm
     assert felt.side in {t.side for t in first.triggers if t.status in FOUND}
@@ -201,8 +202,9 @@ def test_the_thesis_protocol_measures_at_the_full_sweeps_peak(tmp_path: Path) ->
     scene.start_length_cm = 38.0  # one stage less to explore
     file = _write(scene, tmp_path / "room.toml")
     times = {}
-    for protocol in ("thesis", "measure"):
-        result = explore(f"emulator://{file}", seed=2, out=tmp_path, protocol=protocol)  # type: ignore[arg-type]
+    protocols: tuple[Protocol, ...] = ("thesis", "measure")
+    for protocol in protocols:
+        result = explored(f"emulator://{file}", tmp_path / protocol, 2, protocol=protocol)
         times[protocol] = result.document.robot_time_s
         pressures = [
             max(s.pressure_psi for s in stage.shapes if s.side == "right")

@@ -123,6 +123,7 @@ def test_page_is_opened_and_follows_the_run_whose_result_is_the_only_output(watc
     run.until("full length")  # the page is still there for those who look
 
 
+@pytest.mark.realtime
 def test_ctrl_c_ends_the_run_and_leaves_the_page(watched: Any) -> None:
     run = watched(20.0, "--realtime")
     run.until("aborted: interrupted by the operator", interrupt=True)

@@ -147,6 +147,7 @@ def test_foxglove_sees_a_run_and_late_comers_its_map(url: str, tmp_path: Path) -
         asyncio.run(look(address))
 
 
+@pytest.mark.realtime
 @pytest.mark.usefixtures("own_sockets")
 def test_foxglove_s_service_stops_the_run(url: str, tmp_path: Path) -> None:
     async def stop(address: str) -> None:

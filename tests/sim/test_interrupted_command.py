@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command import run_python
 from served import comes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs FIFOs and signals")
@@ -63,11 +64,8 @@ KEPT = "thigmo: interrupted; what was finished is kept\n"
     ],
 )
 def test_at_a_place(place: str, line: str, number: signal.Signals) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", AT_A_PLACE, str(int(number)), place],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (128 + number, line)
+    ran = run_python(AT_A_PLACE, str(int(number)), place)
+    assert (ran.code, ran.err) == (128 + number, line)
 
 
 @pytest.mark.parametrize("number", [number for number, _ in BOTH])
@@ -77,11 +75,9 @@ def test_after_its_end_it_ends_without_a_word(number: signal.Signals) -> None:
         f"atexit.register(signal.raise_signal, {int(number)})\n"
         "from thigmo.__main__ import run; run()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (-number, "")
-    assert done.stdout.startswith("thigmo ")
+    ran = run_python(script)
+    assert (ran.code, ran.err) == (-number, "")
+    assert ran.out.startswith("thigmo ")
 
 
 def test_a_robot_that_a_thread_still_holds_at_the_end_is_not_told_of() -> None:
@@ -89,10 +85,8 @@ def test_a_robot_that_a_thread_still_holds_at_the_end_is_not_told_of() -> None:
         "import threading, thigmo; robot = thigmo.connect('emulator://empty', seed=1)\n"
         "threading.Thread(target=lambda: (robot, threading.Event().wait()), daemon=True).start()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert done.stderr == ""
+    ran = run_python(script)
+    assert (ran.code, ran.err) == (0, "")
 
 
 def ended(program: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:

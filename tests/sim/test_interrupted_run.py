@@ -7,19 +7,25 @@ must be vented and braked, and the folder readable.
 
 from __future__ import annotations
 
+import json
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from command import Thigmo
 from served import ServedRobot, comes
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import replay
+from thigmo.link import protocol as wire
+from thigmo.link.framing import decode
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles, read_ros_map
 
 pytestmark = [
@@ -27,23 +33,6 @@ pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
 ]
 LIMIT_S = 0.6  # of silence, and one period of the heart
-
-HOST = """
-import sys
-from thigmo.cli.main import app
-from thigmo.cli import console
-
-class Operator(console.TerminalOperator):
-    def everted_length_cm(self): return float(self.length)
-    def set_body_pressure(self, pressure_psi): pass
-
-console.TerminalOperator = Operator
-from thigmo.cli.main import main
-Operator.length = sys.argv[4]
-sys.argv = ["thigmo", "explore", "--robot", sys.argv[1], "--config", sys.argv[2], "--out",
-            sys.argv[3], "--name", "cut short", "--json"]
-main()
-"""
 
 
 @pytest.fixture
@@ -72,12 +61,22 @@ def serve() -> Iterator[Serve]:
         served.close()
 
 
-def explore(served: ServedRobot, folder: Path, room: Scene) -> subprocess.Popen[bytes]:
-    """A host that explores it, in a process of its own."""
+@contextmanager
+def exploring(served: ServedRobot, folder: Path, room: Scene) -> Iterator[subprocess.Popen[str]]:
+    """A host that explores it, in a process of its own, with an operator at its terminal."""
     room.robot.save(folder / "robot.toml")
-    command = [sys.executable, "-c", HOST, served.port, str(folder / "robot.toml")]
-    command += [str(folder), str(room.start_length_cm)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    operator, terminal = os.openpty()
+    os.write(operator, f"{room.start_length_cm}\n\n\n\n".encode())  # and Enter at each pressure
+    command = [
+        sys.executable, "-m", "thigmo", "explore", "--robot", served.port,
+        "--config", str(folder / "robot.toml"), "--out", str(folder), "--name", "cut short",
+    ]  # fmt: skip
+    with subprocess.Popen(
+        command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as host:
+        yield host
+    os.close(operator)
+    os.close(terminal)
 
 
 @pytest.mark.parametrize(
@@ -88,28 +87,36 @@ def explore(served: ServedRobot, folder: Path, room: Scene) -> subprocess.Popen[
         (signal.SIGKILL, "running"),
     ],
 )
-def test_a_run_cut_short_in_mid_sweep_leaves_a_vented_robot_and_a_readable_folder(
-    tmp_path: Path, room: Scene, serve: Serve, number: signal.Signals, outcome: str
+def test_a_run_cut_short_in_mid_sweep_leaves_a_safe_robot_and_a_readable_folder(
+    tmp_path: Path, room: Scene, serve: Serve, thigmo: Thigmo, number: signal.Signals, outcome: str
 ) -> None:
     served = serve(room)
-    with explore(served, tmp_path, room) as host:
+    with exploring(served, tmp_path, room) as host:
         _await(host, lambda: served.energised, "the sweep never opened a valve")
+        length_cm = served.plant.length_cm
         host.send_signal(number)
         assert served.off_within(LIMIT_S), "a valve is still open"
-        _, said = host.communicate()
-    if number == signal.SIGKILL:
-        assert host.returncode == -signal.SIGKILL
-    else:
-        assert host.returncode == 128 + number
-        (line,) = said.decode().splitlines()
-        assert line.startswith("thigmo: interrupted; the robot is vented")
-        assert "cut-short" in line
+        out, said = host.communicate()
+    assert comes(lambda: max(served.plant.muscle_psi) < 0.5)
+    assert served.off
+    assert served.plant.length_cm == pytest.approx(length_cm, abs=1e-3)  # never a retraction
+    assert out == ""
+    killed = number == signal.SIGKILL
+    assert host.returncode == (-number if killed else 128 + number)
+    if not killed:
+        assert "cut-short" in _told(said, "thigmo: interrupted; the robot is vented")
     folder = _folder(tmp_path, outcome)
-    if number != signal.SIGKILL:
+    if not killed:
         assert read_obstacles(folder.path / OBSTACLES_FILE).outcome == outcome
         assert read_ros_map(folder.path / "map.yaml").cells.size
         assert folder.map_path.read_bytes().startswith(b"\x89PNG")
-    assert folder.read_log().truncated == (number == signal.SIGKILL)
+    log = folder.read_log()
+    assert log.truncated == killed
+    sent = {decode(entry.frame).id for entry in log.entries if entry.direction == "tx"}
+    assert (wire.Stop.ID in sent) != killed  # it was told, it did not just fall silent
+    facts = json.loads(thigmo("info", folder.path, "--json").out)
+    assert facts["outcome"].startswith(outcome)
+    assert facts["truncated"] == killed
     again = replay(folder.path)
     assert again.sweeps <= 1
     assert again.document.contacts == []
@@ -120,14 +127,13 @@ def test_an_interrupt_during_growth_stops_the_motor_and_leaves_a_readable_folder
 ) -> None:
     room.start_length_cm = 12.0  # it must grow before it may sweep
     served = serve(room)
-    with explore(served, tmp_path, room) as host:
+    with exploring(served, tmp_path, room) as host:
         _await(host, lambda: served.board.motor != 0, "the spool never turned")
         host.send_signal(signal.SIGINT)
         assert served.off_within(LIMIT_S), "the motor still runs"
         _, said = host.communicate()
     assert host.returncode == 128 + signal.SIGINT
-    (line,) = said.decode().splitlines()
-    assert line.startswith("thigmo: interrupted; the robot is vented")
+    _told(said, "thigmo: interrupted; the robot is vented")
     assert served.lockstep.plant.length_cm < 19.9
     folder = _folder(tmp_path, "aborted: interrupted by the operator")
     assert not folder.read_log().truncated
@@ -137,7 +143,7 @@ def test_a_cable_pulled_in_mid_sweep_vents_the_robot_and_leaves_a_readable_folde
     tmp_path: Path, room: Scene, serve: Serve
 ) -> None:
     served = serve(room)
-    with explore(served, tmp_path, room) as host:
+    with exploring(served, tmp_path, room) as host:
         _await(host, lambda: served.energised, "the sweep never opened a valve")
         served.close()
         assert not served.off
@@ -146,13 +152,19 @@ def test_a_cable_pulled_in_mid_sweep_vents_the_robot_and_leaves_a_readable_folde
         assert served.off
         _, said = host.communicate()
     assert host.returncode not in (0, -signal.SIGKILL)
-    (line,) = said.decode().splitlines()
-    assert line.startswith("thigmo: ")
-    assert "cable" in line
+    assert "cable" in _told(said, "thigmo: ")
     _folder(tmp_path, "aborted")
 
 
-def _await(host: subprocess.Popen[bytes], condition: Callable[[], bool], otherwise: str) -> None:
+def _told(said: str, begins: str) -> str:
+    """What ends the progress: one line."""
+    *progress, line = said.splitlines()
+    assert line.startswith(begins), said
+    assert not any(word in before for before in progress for word in ("thigmo:", "Traceback"))
+    return line
+
+
+def _await(host: subprocess.Popen[str], condition: Callable[[], bool], otherwise: str) -> None:
     assert comes(lambda: condition() or host.poll() is not None), otherwise
     assert host.poll() is None, host.stderr and host.stderr.read()
 

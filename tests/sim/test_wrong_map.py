@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.config import SIDES
 from thigmo.emulator.scene import Scene
-from thigmo.exploration import explore
+from thigmo.studies.rooms import explored
 
 
 @pytest.mark.parametrize("bend", [0.9, 1.0, 1.1])
@@ -24,7 +24,7 @@ def test_a_robot_off_its_map_places_its_contact_within_the_interval(
             zone.inflate.amplitude *= bend
             zone.deflate.amplitude *= bend
     scene.save(tmp_path / "room.toml")
-    result = explore(f"emulator://{tmp_path / 'room.toml'}", config=known, seed=1, out=tmp_path)
+    result = explored(f"emulator://{tmp_path / 'room.toml'}", tmp_path, 1, config=known)
     truth = result.document.truth
     assert truth is not None
     assert result.document.contacts

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from command import Thigmo
+from command import Thigmo, run_python
 
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
@@ -24,10 +22,7 @@ def test_help_imports_nothing_heavy() -> None:
         "print([m for m in ('numpy', 'matplotlib', 'pydantic', 'serial', 'rich.table') "
         "if m in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
+    assert run_python(script).out.strip() == "[]"
 
 
 def test_localize_prints_one_object(tmp_path: Path, thigmo: Thigmo) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from command import run_python
 
 import thigmo
 from thigmo.record import RunFolder, write_obstacles, write_ros_map
@@ -117,10 +116,7 @@ def test_importing_thigmo_imports_nothing_heavy() -> None:
         "import sys, thigmo; "
         "print([m for m in ('numpy', 'scipy', 'matplotlib', 'cv2') if m in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
+    assert run_python(script).out.strip() == "[]"
 
 
 def test_a_result_is_one_line(felt: thigmo.LocalizeResult) -> None:

@@ -72,7 +72,7 @@ class Table:
         if not header:
             raise DataError(f"{path} is empty", "give a header line and one line a reading")
         if not rows:
-            raise DataError(f"{path} has a header and no rows", "give at least one reading")
+            raise DataError(f"{path} has a header and no rows", "add a row, or delete the file")
         return cls(
             {key: [row[k] for row in rows] for k, key in enumerate(header)}, str(path), lines
         )

@@ -87,7 +87,7 @@ class Robot(Sensing):
             hold_on_contact: keep the pressure when the trigger fires, until `vent` or `stop`.
             rising_only: vent each side after its peak: what the way back would feel, the way up
                 has felt. One cycle.
-            enough: with `rising_only`, shown what a side gave so far, about ten times a second once
+            enough: with `rising_only`, shown what a side gave so far, twenty times a second once
                 its trigger has fired, with its last half second as its peak; true vents it at once.
 
         Raises:
@@ -145,10 +145,16 @@ class Robot(Sensing):
                     so_far=so_far,
                 )
 
+            shown = 0
+
             def until() -> bool:
+                nonlocal shown
                 # A trigger may come before the pressure has risen: there is nothing to judge yet.
-                if enough is None or not (watcher.triggers and watcher.frames) or watcher.peaks:
+                if enough is None or not watcher.triggers or watcher.peaks:
                     return False
+                if len(watcher.frames) == shown:
+                    return False
+                shown = len(watcher.frames)
                 watcher.stopped = enough(told(so_far=True))
                 return watcher.stopped
 

@@ -14,7 +14,16 @@ from typing import Literal
 import numpy as np
 
 from thigmo.studies.rod import Bodies, Floats, solve
-from thigmo.studies.scenes import CRITICAL, RADIUS
+from thigmo.studies.scenes import (
+    COLUMN,
+    CRITICAL,
+    FULL_CURVATURE,
+    LENGTH,
+    RADIUS,
+    SIGMA,
+    SPAN,
+    Case,
+)
 
 Part = Literal["side", "corner", "anywhere"]
 
@@ -199,3 +208,12 @@ def rooms(
         all_rows, np.cumsum([frames, frames, frames, 2]).tolist()
     )
     return Rooms(free, place, push, peg, peg_radius[0], length)
+
+
+def any_peg(rng: np.random.Generator) -> Case:
+    """One contact of the bent robot with a peg anywhere in the room, read as `scenes.actuated`."""
+    room = rooms(rng, 1, length=LENGTH, most=FULL_CURVATURE, moment=(0.3, 1.0))
+    (clean,) = room.bodies(0).readings(COLUMN, SPAN)
+    noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
+    (free,), (arc,), (push,) = room.free[0], room.arc[0], room.push[0]
+    return Case(noisy, COLUMN, float(free), (float(arc),), (-float(push),))

@@ -8,7 +8,6 @@ how hard a peg in a room bears.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,27 +95,7 @@ def actuated(rng: np.random.Generator, position: Floats = COLUMN) -> Case:
     return read(rng, (arc,), (-_moment(rng) / arc,), position=position, free=free)
 
 
-def any_peg(rng: np.random.Generator) -> Case:
-    """One contact of the bent robot with a peg anywhere in the room, read as `actuated`."""
-    from thigmo.studies.pegs import rooms  # which takes the robot's measures from here
-
-    room = rooms(rng, 1, length=LENGTH, most=FULL_CURVATURE, moment=(0.3, 1.0))
-    (clean,) = room.bodies(0).readings(COLUMN, SPAN)
-    noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
-    (free,), (arc,), (push,) = room.free[0], room.arc[0], room.push[0]
-    return Case(noisy, COLUMN, float(free), (float(arc),), (-float(push),))
-
-
 def few_sensors(rng: np.random.Generator) -> Case:
     """One contact, three readings."""
     arc = float(rng.uniform(38.0, LENGTH))
     return read(rng, (arc,), (_moment(rng) / arc,), position=COLUMN[[0, 2, 3]])
-
-
-SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
-    "one contact": one_contact,
-    "two contacts": two_contacts,
-    "actuated, on the side": actuated,
-    "actuated, any peg": any_peg,
-    "few sensors": few_sensors,
-}

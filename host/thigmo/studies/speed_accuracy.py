@@ -10,6 +10,7 @@ default method is held against each on the cases that both saw.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,8 @@ from thigmo.studies import charts
 from thigmo.studies.attempt import attempt, mean_and_failures, mean_over
 from thigmo.studies.baselines import BASELINES
 from thigmo.studies.engine import Claim, Context, Outcome, Table
-from thigmo.studies.scenes import SCENES
+from thigmo.studies.pegs import any_peg
+from thigmo.studies.scenes import Case, actuated, few_sensors, one_contact, two_contacts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +36,13 @@ EVERY = 5
 # Variants: the remedies for a folded base differ from the solver behind them only where one folds.
 _LEFT_OUT = ("clamped", "coupled", "alternating-2-norm")
 COMPARED = (*METHODS, *(name for name in BASELINES if name not in _LEFT_OUT))
+SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
+    "one contact": one_contact,
+    "two contacts": two_contacts,
+    "actuated, on the side": actuated,
+    "actuated, any peg": any_peg,
+    "few sensors": few_sensors,
+}
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Literal, Protocol, TypeVar
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError, RunFolderError
 from thigmo.record import write_whole
+from thigmo.record.table import Table
 
 Say = Callable[[str], None]
 Verdict = Literal["keep", "redo", "skip", "quit"]
@@ -77,28 +78,23 @@ class Folder:
             )
 
     def rows(self) -> dict[str, Line]:
-        """Lines so far, by key; a last line without its end was never whole and is left out.
+        """Lines so far, by key.
 
         Raises:
-            DataError: a damaged line other than the last, or another table.
+            DataError: a damaged line, or another table.
         """
         if not self.table.exists():
             return {}
-        text = self.table.read_text()
-        lines = list(csv.reader(text.splitlines()))
-        if not lines or tuple(lines[0]) not in (self.columns, self.earlier):
+        columns = Table.read(self.table).columns
+        if tuple(columns) not in (self.columns, self.earlier):
             raise DataError(
                 f"{self.table} is no table of {self.things}",
                 "move it away, or choose another --out",
             )
-        found: dict[str, Line] = {}
-        for number, line in enumerate(lines[1:] if text.endswith("\n") else lines[1:-1], start=2):
-            if len(line) != len(lines[0]):
-                raise DataError(f"{self.table}, line {number} is damaged", "mend or delete it")
-            found[line[0]] = dict.fromkeys(self.columns, "") | dict(
-                zip(lines[0], line, strict=True)
-            )
-        return found
+        lines = (
+            dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)
+        )
+        return {line["key"]: dict.fromkeys(self.columns, "") | line for line in lines}
 
     def kept(self) -> list[Line]:
         """Lines that were kept, not skipped."""
