@@ -16,8 +16,6 @@ from thigmo.localization.estimate import STATUSES, options_of
 from thigmo.localization.readings import refusal, vector
 from thigmo.localization.result import Array, Status
 
-_MOST = 3  # contacts of a row
-
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
@@ -94,30 +92,24 @@ def localize_batch(
     sensors, settings = options_of(position, width, length, method=method, **options)
     parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
-    def run(rows: npt.NDArray[np.int64]) -> dict[str, Array]:
+    def run(rows: npt.NDArray[np.int64]) -> tuple[Array, Array]:
         own = free if free.shape[0] == 1 else free[rows]
         return _posterior.localize_rows(
             table[rows], np.ascontiguousarray(own), sensors, settings, priors.compiled()
         )
 
     with ThreadPoolExecutor(len(parts)) as pool:
-        tables = list((pool.map if len(parts) > 1 else map)(run, parts))
-    found = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
-    wrong = np.flatnonzero(found["problem"])
+        found = list((pool.map if len(parts) > 1 else map)(run, parts))
+    of_row, of_contact = (np.concatenate(each) for each in zip(*found, strict=True))
+    status, contacts, problem, shows, probability, log_odds, discarded, objective = of_row.T
+    wrong = np.flatnonzero(problem)
     if wrong.size:
         row = int(wrong[0])
-        error = refusal(int(found["problem"][row]), float(found["shows"][row]), sensors.length)
+        error = refusal(int(problem[row]), float(shows[row]), sensors.length)
         raise DataError(f"row {row}: {error.what}", error.next_step)
+    arc, force, low, high, localized = np.moveaxis(of_contact, 2, 0)
     return BatchResult(
-        [STATUSES[int(status)] for status in found["status"].tolist()],
-        found["contacts"].astype(np.int64),
-        found["arc"],
-        found["force"],
-        found["low"],
-        found["high"],
-        found["localized"] == 1.0,
-        found["probability"],
-        found["log_odds"],
-        found["discarded"].astype(np.int64),
-        found["objective"],
-    )
+        [STATUSES[int(each)] for each in status.tolist()], contacts.astype(np.int64),
+        arc, force, low, high, localized == 1.0,
+        probability, log_odds, discarded.astype(np.int64), objective,
+    )  # fmt: skip

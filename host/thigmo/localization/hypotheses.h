@@ -370,9 +370,8 @@ class Weighing {
     const auto top = std::max_element(first.mass.begin(), first.mass.end()) - first.mass.begin();
     Row place = middles({0.0, 1.0}, kSecondCells);
     place.push_back(first.place[top]);
-    std::optional<Shape> shape;
-    if (turn_of(one.curvature) >= priors_.straight) shape.emplace(one.curvature);
-    const Levers levers = levers_at(frame_, shape, place, 0.0);
+    Body body(frame_, prior_, one.curvature);
+    const Levers& levers = body.levers(place);
     Frame left = frame_;
     for (int i = 0; i < n; ++i) {
       left.excess[i] -= first.force[top] * levers.sensor[i][kSecondCells];

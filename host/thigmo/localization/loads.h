@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <numeric>
 #include <optional>
+#include <utility>
 
 #include "errors.h"
 
@@ -123,41 +124,6 @@ inline Solution solve(const Whitened::At& at, const Matrix& loads) {
   return Solution(loads.rows, gram, told);
 }
 
-// Levers of normal forces on a shape, or on a straight body; of loads spread evenly over `half` to
-// either side.
-inline Levers levers_at(const Frame& frame, const std::optional<Shape>& shape, const Row& place,
-                        double half) {
-  constexpr int kPoints = 5;  // of a spread load
-  const int count = static_cast<int>(place.size());
-  Levers out(frame.size(), count);
-  const auto fill = [&](const Row& at, Levers& into) {
-    if (shape) {
-      bent_levers(*shape, at, frame.low, frame.high, into);
-    } else {
-      straight_levers(at, frame.low, frame.high, into);
-    }
-  };
-  if (half == 0.0) {
-    fill(place, out);
-    return out;
-  }
-  Levers part(frame.size(), count);
-  Row moved(count);
-  for (int p = 0; p < kPoints; ++p) {
-    for (int m = 0; m < count; ++m) {
-      moved[m] = std::clamp(place[m] + half * (2.0 * p / (kPoints - 1) - 1.0), 0.0, 1.0);
-    }
-    fill(moved, part);
-    const auto add = [](Row& to, const Row& from) {
-      for (std::size_t k = 0; k < to.size(); ++k) to[k] += from[k] / kPoints;
-    };
-    add(out.sensor.value, part.sensor.value);
-    add(out.largest, part.largest);
-    add(out.base, part.base);
-  }
-  return out;
-}
-
 // Prior standard deviations of the forces, for a largest moment of one.
 inline Row prior_deviations(const ForcePrior& prior, const Row& largest) {
   const double widest = *std::max_element(largest.begin(), largest.end());
@@ -176,11 +142,94 @@ inline double largest_change(const Nodes& a, const Nodes& b) {
 inline double turn_of(const Nodes& curvature) {
   double heading = 0.0, most = 0.0;
   for (const double value : curvature) {
-    heading += value / kNodes;
+    heading += value;
     most = std::max(most, std::abs(heading));
   }
-  return most;
+  return most / kNodes;
 }
+
+// A body on its way to rest under loads that are found on it, which bend it to another shape.
+class Body {
+ public:
+  Nodes curvature;
+
+  // `bends`: whether it is never to be taken as straight.
+  Body(const Frame& frame, const ForcePrior& prior, const Nodes& start, bool bends = false)
+      : curvature(start), frame_(frame), prior_(prior) {
+    straight_ = !bends && turn_of(start) < prior.straight;
+  }
+
+  // Of normal forces; of loads spread evenly over `half` to either side. Kept until the next call.
+  const Levers& levers(const Row& place, double half = 0.0) {
+    constexpr int kPoints = 5;  // of a spread load
+    if (!straight_) shape_ = Shape(curvature);
+    const bool first = !std::exchange(asked_, true);
+    if (first && straight_ && half == 0.0) return first_levers(place);
+    if (half == 0.0) return levers_ = point_levers(place);
+    Levers& out = levers_ = Levers(frame_.size(), static_cast<int>(place.size()));
+    for (int p = 0; p < kPoints; ++p) {
+      Row moved = place;
+      for (double& arc : moved) {
+        arc = std::clamp(arc + half * (2.0 * p / (kPoints - 1) - 1.0), 0.0, 1.0);
+      }
+      const Levers part = point_levers(moved);
+      const auto add = [](Row& to, const Row& from) {
+        for (std::size_t k = 0; k < to.size(); ++k) to[k] += from[k] / kPoints;
+      };
+      add(out.sensor.value, part.sensor.value);
+      add(out.largest, part.largest);
+      add(out.base, part.base);
+    }
+    return out;
+  }
+
+  // Its shape when levers were last asked for.
+  const Shape& shape() const { return straight_ ? straight_shape() : *shape_; }
+
+  // Bend to another curvature, as loads on that shape ask; whether it then rests.
+  bool settle(const Nodes& bent) {
+    const Nodes before = std::exchange(curvature, bent);
+    if (straight_) return straight_ = turn_of(bent) < prior_.straight;
+    return ++passes_ >= kMostPasses || largest_change(bent, before) < prior_.rests;
+  }
+
+ private:
+  static const Shape& straight_shape() {
+    static const Shape straight{Nodes{}};
+    return straight;
+  }
+
+  // Those that a straight body begins with, kept for the next frame: most have the same sensors.
+  const Levers& first_levers(const Row& place) const {
+    struct Kept {
+      Row place, low, high;
+      Levers levers{0, 0};
+    };
+    static thread_local Kept kept;
+    if (kept.place != place || kept.low != frame_.low || kept.high != frame_.high) {
+      kept = {place, frame_.low, frame_.high, point_levers(place)};
+    }
+    return kept.levers;
+  }
+
+  Levers point_levers(const Row& place) const {
+    Levers out(frame_.size(), static_cast<int>(place.size()));
+    if (straight_) {
+      straight_levers(place, frame_.low, frame_.high, out);
+    } else {
+      bent_levers(*shape_, place, frame_.low, frame_.high, out);
+    }
+    return out;
+  }
+
+  const Frame& frame_;
+  const ForcePrior& prior_;
+  bool straight_;
+  std::optional<Shape> shape_;
+  Levers levers_{0, 0};
+  bool asked_ = false;
+  int passes_ = 0;
+};
 
 inline Row middles(Window window, int cells) {
   Row place(cells);
@@ -232,6 +281,41 @@ struct RivalContact {
   int index;
   OneContact contact;
 };
+
+// Of contacts at places of a grid, with a force of prior variance `power` times `unit`: weight, and
+// mean and variance of the force.
+inline void weigh_places(int count, double constant, double power, const double* __restrict told,
+                         const double* __restrict square, const double* __restrict unit,
+                         double* __restrict weight, double* __restrict force,
+                         double* __restrict left) {
+  for (int m = 0; m < count; ++m) {
+    const double variance = power * unit[m], share = 1.0 / (1.0 + square[m] * variance);
+    left[m] = variance * share;
+    force[m] = told[m] * left[m];
+    weight[m] = exponential(constant + 0.5 * told[m] * force[m]) * std::sqrt(share);
+  }
+}
+
+// Add them to the sums over priors: of weights, forces and their squares.
+inline void add_moments(int count, const double* __restrict weight, const double* __restrict force,
+                        const double* __restrict left, double* __restrict mass,
+                        double* __restrict first, double* __restrict second) {
+  for (int m = 0; m < count; ++m) {
+    mass[m] += weight[m];
+    first[m] += weight[m] * force[m];
+    second[m] += weight[m] * (force[m] * force[m] + left[m]);
+  }
+}
+
+// Squared products with the readings over own products, less what a further column takes of both.
+inline void ratios_beside(int count, double seen, const double* __restrict told,
+                          const double* __restrict square, const double* __restrict along,
+                          double* __restrict ratio) {
+  for (int m = 0; m < count; ++m) {
+    const double left = told[m] - along[m] * seen;
+    ratio[m] = left * left / (square[m] - along[m] * along[m]);
+  }
+}
 
 // Weighs one contact at all places of a grid, over levels of noise and scales of the force.
 class OneContactGrid {
@@ -305,10 +389,8 @@ class OneContactGrid {
       for (int e = 0; e < columns.size(); ++e) {
         const Beside beside(columns[e], at);
         beside.along(of.white, along_);
-        for (std::size_t m = 0; m < square.size(); ++m) {
-          const double b = of.told[m] - along_[m] * beside.told;
-          ratio[m] = b * b / (square[m] - along_[m] * along_[m]);
-        }
+        ratios_beside(count, beside.told, of.told.data(), square.data(), along_.data(),
+                      ratio.data());
         const double most = largest(ratio.data(), count);
         out[e] = std::max(out[e], of.constant + beside.gain + 0.5 * most);
       }
@@ -338,11 +420,14 @@ class OneContactGrid {
       gain = 0.5 * (told * told - std::log(c));
     }
     void along(const Matrix& raised, Row& out) const {
-      out.assign(raised.columns, 0.0);
+      out.resize(raised.columns);
+      double* sum = out.data();
       for (int i = 0; i < column.count; ++i) {
         const double share = scale * column.value[i];
         const double* row = raised[column.from + i];
-        for (int m = 0; m < raised.columns; ++m) out[m] += row[m] * share;
+        for (int m = 0; m < raised.columns; ++m) {
+          sum[m] = i == 0 ? row[m] * share : sum[m] + row[m] * share;
+        }
       }
     }
   };
@@ -350,14 +435,15 @@ class OneContactGrid {
   bool mix(const std::vector<Products>& products, OneContact& out) {
     const int count = static_cast<int>(unit_.size());
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-    Row best_of(products.size()), weight(count), force(count), left(count), share(count);
+    Row best_of(products.size()), each(3 * count);
     double top = -INFINITY, best = 0.0;
+    double *weight = each.data(), *force = weight + count, *left = force + count;
     for (std::size_t s = 0; s < products.size(); ++s) {
       const Products& of = products[s];
       for (int m = 0; m < count; ++m) {
         weight[m] = of.told[m] * of.told[m] / (of.square[m] + 1.0 / (widest * widest * unit_[m]));
       }
-      best_of[s] = of.constant + 0.5 * largest(weight.data(), count);
+      best_of[s] = of.constant + 0.5 * largest(weight, count);
       top = std::max(top, best_of[s]);
     }
     out.mass.assign(count, 0.0);
@@ -370,31 +456,18 @@ class OneContactGrid {
       const double *told = of.told.data(), *square = of.square.data(), *unit = unit_.data();
       for (const double scale : prior_.scales) {
         const double power = scale * scale, constant = of.constant - top;
-        for (int m = 0; m < count; ++m) {
-          const double variance = power * unit[m];
-          share[m] = 1.0 / (1.0 + square[m] * variance);
-          left[m] = variance * share[m];
-          force[m] = told[m] * left[m];
-          weight[m] = constant + 0.5 * told[m] * force[m];
-        }
-        for (int m = 0; m < count; ++m) {
-          weight[m] = exponential(weight[m]) * std::sqrt(share[m]);
-        }
+        weigh_places(count, constant, power, told, square, unit, weight, force, left);
         if (prior_.critical < INFINITY) {
           for (int m = 0; m < count; ++m) {
             const bool nothing = weight[m] < kNearlyNothing;
-            weight[m] *= nothing ? 0.0 : below_fold(force[m], left[m], power * unit_[m], base_[m]);
+            weight[m] *= nothing ? 0.0 : below_fold(force[m], left[m], power * unit[m], base_[m]);
           }
         }
-        for (int m = 0; m < count; ++m) {
-          mass[m] += weight[m];
-          first[m] += weight[m] * force[m];
-          second[m] += weight[m] * (force[m] * force[m] + left[m]);
-        }
-        const double most = largest(weight.data(), count);
+        add_moments(count, weight, force, left, mass, first, second);
+        const double most = largest(weight, count);
         if (most <= best) continue;
         best = most;
-        const auto m = std::find(weight.begin(), weight.end(), most) - weight.begin();
+        const auto m = std::find(weight, weight + count, most) - weight;
         level_ = s, out.noise = readings_.levels[s].factor;
         out.misfit = of.free - force[m] * (2.0 * told[m] - square[m] * force[m]);
       }
@@ -444,28 +517,16 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
   OneContactGrid grid(readings, prior);
   OneContact out;
   Window part{0.0, 1.0};
-  out.curvature = start;
-  bool straight = turn_of(start) < prior.straight;
-  std::optional<Shape> shape;
+  Body body(frame, prior, start);
   for (int turn = 0; turn < kMostTurns; ++turn) {
     out.place = middles(part, cells);
     out.width = (part.far - part.near) / cells;
-    if (!straight) shape.emplace(out.curvature);
-    if (!grid.weigh(levers_at(frame, shape, out.place, half), out)) break;
+    const bool possible = grid.weigh(body.levers(out.place, half), out);
+    out.curvature = body.curvature;
+    if (!possible) break;
     Nodes bent = frame.rest;
-    const double arc = out.place[out.top], force = out.force[out.top];
-    if (straight) {
-      for (int k = 0; k < kNodes; ++k) {
-        bent[k] += force * std::max(arc - k / (kNodes - 1.0), 0.0);
-      }
-    } else {
-      shape->add_moment(shape->at(arc), force, bent);
-    }
-    bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
-    if (straight) {
-      straight = turn_of(bent) < prior.straight;
-      rests = straight;
-    }
+    body.shape().add_moment(body.shape().at(out.place[out.top]), out.force[out.top], bent);
+    const bool rests = body.settle(bent);
     out.curvature = bent;
     if (!rests) continue;
     const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
@@ -525,19 +586,21 @@ class SetsGrid {
     const int wide = white.columns;
     for (Products& each : left_) {
       each.gram.resize(wide, wide);
-      each.diagonal.assign(wide, 0.0);
-      each.told = each.diagonal, each.base = base;
+      each.diagonal.resize(wide), each.told.resize(wide);
+      each.base = base;
     }
     Products& to = left_[0];
-    std::fill(to.gram.value.begin(), to.gram.value.end(), 0.0);
-    for (int i = 0; i < white.rows; ++i) {
-      const double *row = white[i], value = read[i];
-      for (int k = 0; k < wide; ++k) {
-        to.told[k] += row[k] * value;
-        double* gram = to.gram[k];
-        gram[k] += row[k] * row[k];
-        // Two places of one contact are never weighed together.
-        for (int l = (k / cells_ + 1) * cells_; l < wide; ++l) gram[l] += row[k] * row[l];
+    square_.assign(wide, 0.0), to.told.assign(wide, 0.0);
+    for (int k = 0; k < wide; ++k) {
+      // Two places of one contact are never weighed together.
+      const int from = (k / cells_ + 1) * cells_;
+      double* gram = to.gram[k];
+      std::fill(gram + from, gram + wide, 0.0);
+      for (int i = 0; i < white.rows; ++i) {
+        const double *row = white[i], own = row[k];
+        to.told[k] += own * read[i];
+        square_[k] += own * own;
+        for (int l = from; l < wide; ++l) gram[l] += own * row[l];
       }
     }
   }
@@ -547,9 +610,9 @@ class SetsGrid {
              double at_scale) {
     gap_ = *std::min_element(width.begin(), width.end()) * 0.5;
     critical_ = critical, level_ = at_level, scale_ = at_scale;
-    left_[0].diagonal = precision_ = precision;
+    precision_ = precision;
     for (std::size_t k = 0; k < precision.size(); ++k) {
-      left_[0].diagonal[k] += left_[0].gram[k][k];
+      left_[0].diagonal[k] = precision[k] + square_[k];
     }
     place_contact(0, {constant, 1.0, 0.0});
   }
@@ -580,7 +643,9 @@ class SetsGrid {
     const double inverse = 1.0 / from.diagonal[m], told = from.told[m], base = from.base[m];
     const double* row = from.gram[m];
     for (int k = end; k < wide; ++k) to.told[k] = from.told[k] - inverse * told * row[k];
-    for (int k = end; k < wide; ++k) to.base[k] = from.base[k] - inverse * base * row[k];
+    for (int k = end; k < wide && critical_ < INFINITY; ++k) {
+      to.base[k] = from.base[k] - inverse * base * row[k];
+    }
     for (int k = end; k < wide; ++k) {
       to.diagonal[k] = from.diagonal[k] - inverse * row[k] * row[k];
     }
@@ -637,7 +702,7 @@ class SetsGrid {
   int count_, cells_;
   std::vector<int> at_;         // columns of the set that is being weighed
   std::vector<Products> left_;  // by how many contacts are placed
-  Row precision_, exponent_, weight_;
+  Row square_, precision_, exponent_, weight_;
   double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
   std::size_t level_ = 0;
 };
@@ -651,12 +716,10 @@ inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, co
   const Whitened::At& at = readings.levels[sets.level];
   for (int j = 0; j < count; ++j) out.best[j] = sets.place[sets.best[j]];
   out.loads.resize(count, n);
-  Nodes curvature = start, bent = start;
-  for (int turn = 0; turn < kMostPasses; ++turn) {
-    const bool straight = turn_of(curvature) < prior.straight;
-    const Shape shape(straight ? Nodes{} : curvature);
-    const Levers levers =
-        levers_at(frame, straight ? std::nullopt : std::optional(shape), out.best, 0.0);
+  Body body(frame, prior, start);
+  Nodes bent;
+  do {
+    const Levers& levers = body.levers(out.best);
     for (int j = 0; j < count; ++j) {
       const double deviation = sets.scale * unit[sets.best[j]];
       for (int i = 0; i < n; ++i) out.loads[j][i] = deviation * levers.sensor[i][j];
@@ -668,13 +731,9 @@ inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, co
       const double deviation = sets.scale * unit[sets.best[j]];
       out.force[j] = found.mean[j] * deviation;
       out.spread[j] = found.deviation[j] * deviation;
-      shape.add_moment(shape.at(out.best[j]), out.force[j], bent);
+      body.shape().add_moment(body.shape().at(out.best[j]), out.force[j], bent);
     }
-    const bool rests =
-        straight ? turn_of(bent) < prior.straight : largest_change(bent, curvature) < prior.rests;
-    if (rests) break;
-    curvature = bent;
-  }
+  } while (!body.settle(bent));
   return bent;
 }
 
@@ -685,9 +744,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
   SeveralContacts out;
   out.best = out.force = out.spread = Row(count);
   std::vector<Window> window(count, Window{0.0, 1.0});
-  out.curvature = start;
-  bool straight = turn_of(start) < prior.straight;
-  std::optional<Shape> shape;
+  Body body(frame, prior, start);
   SetsGrid sets(count, cells);
   Matrix white;
   Row precision(wide);
@@ -700,8 +757,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       sets.width.push_back((window[j].far - window[j].near) / cells);
       log_volume += std::log((j + 1.0) * sets.width[j]);
     }
-    if (!straight) shape.emplace(out.curvature);
-    const Levers levers = levers_at(frame, shape, sets.place, 0.0);
+    const Levers& levers = body.levers(sets.place);
     const Row unit = prior_deviations(prior, levers.largest);
     for (std::size_t s = 0; s < readings.levels.size(); ++s) {
       const Whitened::At& at = readings.levels[s];
@@ -721,14 +777,8 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       out.place.emplace_back(sets.place.begin() + j * cells, sets.place.begin() + (j + 1) * cells);
     }
     out.mass = sets.mass, out.width = sets.width;
-    const Nodes bent = likeliest_set(readings, prior, sets, unit, out.curvature, out);
-    bool rests = largest_change(bent, out.curvature) < prior.rests || turn >= kMostPasses;
-    if (straight) {
-      straight = turn_of(bent) < prior.straight;
-      rests = straight;
-    }
-    out.curvature = bent;
-    if (!rests) continue;
+    out.curvature = likeliest_set(readings, prior, sets, unit, body.curvature, out);
+    if (!body.settle(out.curvature)) continue;
     bool finer = false;
     for (int j = 0; j < count; ++j) {
       const Row& mass = out.mass[j];
@@ -756,13 +806,13 @@ inline EndWrench end_wrench(const Whitened& readings, const ForcePrior& prior, d
   const Frame& frame = *readings.frame;
   const int n = frame.size();
   EndWrench out;
-  out.curvature = start;
-  Levers normal(n, 1), along(n, 1);
+  Body body(frame, prior, start, true);
+  Levers along(n, 1);
   Matrix loads(3, n);
   Row each;
-  for (int turn = 0; turn < kMostPasses; ++turn) {
-    const Shape shape(out.curvature);
-    bent_levers(shape, {1.0}, frame.low, frame.high, normal);
+  do {
+    const Levers& normal = body.levers({1.0});
+    const Shape& shape = body.shape();
     bent_levers(shape, {1.0}, frame.low, frame.high, along, true);
     const double arm = std::max({normal.largest[0], along.largest[0], 1e-6});
     double best = -INFINITY;
@@ -796,14 +846,11 @@ inline EndWrench end_wrench(const Whitened& readings, const ForcePrior& prior, d
       }
     }
     out.log_evidence = log_sum_exp(each) - std::log(static_cast<double>(prior.scales.size()));
-    Nodes bent = frame.rest;
-    shape.add_moment(shape.at(1.0), out.load[0], bent);
-    shape.add_moment(shape.at(1.0).turned(), out.load[1], bent);
-    for (double& value : bent) value += out.load[2];
-    const bool rests = largest_change(bent, out.curvature) < prior.rests;
-    out.curvature = bent;
-    if (rests) break;
-  }
+    out.curvature = frame.rest;
+    shape.add_moment(shape.at(1.0), out.load[0], out.curvature);
+    shape.add_moment(shape.at(1.0).turned(), out.load[1], out.curvature);
+    for (double& value : out.curvature) value += out.load[2];
+  } while (!body.settle(out.curvature));
   return out;
 }
 
@@ -822,13 +869,12 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
   const Frame& frame = *readings.frame;
   const int n = frame.size();
   FoldedContact out;
-  out.curvature = start;
+  Body body(frame, prior, start, true);
   out.place = middles({0.0, 1.0}, cells);
   out.force = out.angle = Row(cells);
   Matrix white;
-  for (int turn = 0; turn < kMostPasses; ++turn) {
-    const std::optional<Shape> shape(out.curvature);
-    const Levers levers = levers_at(frame, shape, out.place, 0.0);
+  do {
+    const Levers& levers = body.levers(out.place);
     std::vector<Row> each(cells);
     Row top(cells, -INFINITY);
     double best = -INFINITY;
@@ -879,17 +925,14 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
       total += out.mass[m] = std::exp(log_mass[m] - out.log_evidence);
     }
     for (double& mass : out.mass) mass /= total;
-    Nodes bent = frame.rest;
-    shape->add_moment(shape->at(out.place[out.top]), out.force[out.top], bent);
+    out.curvature = frame.rest;
+    body.shape().add_moment(body.shape().at(out.place[out.top]), out.force[out.top], out.curvature);
     out.known.resize(n), out.loads = Matrix(2, n);
     for (int i = 0; i < n; ++i) {
       out.known[i] = out.force[out.top] * levers.sensor[i][out.top];
       out.loads[0][i] = tolerance * out.known[i], out.loads[1][i] = fold[i];
     }
-    const bool rests = largest_change(bent, out.curvature) < prior.rests;
-    out.curvature = bent;
-    if (rests) break;
-  }
+  } while (!body.settle(out.curvature));
   return out;
 }
 

@@ -67,29 +67,26 @@ nb::str name_of(int key) {
   return nb::str((key % 2 == 0 ? name : name + ", one bad reading").c_str());
 }
 
-// Numbers of many answers: for each row eight, and five of each of three contacts.
-constexpr std::size_t kContacts = 3;
-constexpr std::array kOfRow{"status",      "contacts", "problem",   "shows",
-                            "probability", "log_odds", "discarded", "objective"};
-constexpr std::array kOfContact{"arc", "force", "low", "high", "localized"};
+// Numbers of many answers: of each row, and of each of its contacts.
+constexpr std::size_t kOfRow = 8, kContacts = 3, kOfContact = 5;
 
-// Write them into tables: (8, M), and (5, M, 3), as they are laid out in memory.
-void write(const Answer& from, double length, std::size_t at, std::size_t count, Row& rows,
-           Row& contacts) {
-  const bool good = from.problem == Problem::none;
-  const std::array of_row{
-      static_cast<double>(from.status),    static_cast<double>(from.contacts.size()),
-      static_cast<double>(from.problem),   from.shows,
-      good ? 1.0 - from.number[0] : 0.0,   from.log_odds,
-      static_cast<double>(from.discarded), from.objective};
-  for (std::size_t k = 0; k < of_row.size(); ++k) rows[k * count + at] = of_row[k];
-  for (std::size_t j = 0; j < from.contacts.size(); ++j) {
-    const FeltContact& felt = from.contacts[j];
-    const std::array of_contact{felt.arc * length, felt.force / (length * length),
-                                felt.low * length, felt.high * length, felt.localized ? 1.0 : 0.0};
-    for (std::size_t k = 0; k < of_contact.size(); ++k) {
-      contacts[(k * count + at) * kContacts + j] = of_contact[k];
-    }
+// Write them in the order in which batch.py names them.
+void write(const Answer& from, double length, double* row, double* contact) {
+  const double touched = from.problem == Problem::none ? 1.0 - from.number[0] : 0.0;
+  const std::array of_row{static_cast<double>(from.status),
+                          static_cast<double>(from.contacts.size()),
+                          static_cast<double>(from.problem),
+                          from.shows,
+                          touched,
+                          from.log_odds,
+                          static_cast<double>(from.discarded),
+                          from.objective};
+  static_assert(of_row.size() == kOfRow);
+  std::copy(of_row.begin(), of_row.end(), row);
+  for (const FeltContact& felt : from.contacts) {
+    *contact++ = felt.arc * length, *contact++ = felt.force / (length * length);
+    *contact++ = felt.low * length, *contact++ = felt.high * length;
+    *contact++ = felt.localized;
   }
 }
 
@@ -240,7 +237,7 @@ NB_MODULE(_posterior, m) {
     if (free.shape(0) != count && free.shape(0) != 1) {
       throw nb::value_error("free needs one row, or one for each row");
     }
-    Row rows(kOfRow.size() * count), contacts(kOfContact.size() * count * kContacts, NAN);
+    Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
     {
       nb::gil_scoped_release released;
       for (std::size_t m = 0; m < count; ++m) {
@@ -248,18 +245,11 @@ NB_MODULE(_posterior, m) {
         const std::size_t from = free.shape(0) == 1 ? 0 : m;
         std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
         input.body = input.free;
-        write(answer_by_method(input, priors, settings), input.length, m, count, rows, contacts);
+        write(answer_by_method(input, priors, settings), input.length, &rows[m * kOfRow],
+              &contacts[m * kContacts * kOfContact]);
       }
     }
-    nb::dict table;
-    for (std::size_t k = 0; k < kOfRow.size(); ++k) {
-      const auto from = rows.begin() + k * count;
-      table[kOfRow[k]] = array<1>({from, from + count}, {count});
-    }
-    for (std::size_t k = 0; k < kOfContact.size(); ++k) {
-      const auto from = contacts.begin() + k * count * kContacts;
-      table[kOfContact[k]] = array<2>({from, from + count * kContacts}, {count, kContacts});
-    }
-    return table;
+    return nb::make_tuple(array<2>(std::move(rows), {count, kOfRow}),
+                          array<3>(std::move(contacts), {count, kContacts, kOfContact}));
   });
 }

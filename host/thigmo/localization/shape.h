@@ -84,7 +84,8 @@ class Shape {
   // Add the curvature that a force at `point` causes along the body.
   void add_moment(const Point& point, double force, Nodes& curvature) const {
     const double own = point.x * point.c + point.y * point.s;
-    for (int k = 0; k < kNodes && k < point.arc * (kNodes - 1); ++k) {
+    const int end = std::min(static_cast<int>(std::ceil(point.arc * (kNodes - 1))), kNodes);
+    for (int k = 0; k < end; ++k) {
       curvature[k] += force * (own - x_[k] * point.c - y_[k] * point.s);
     }
   }

@@ -4,21 +4,17 @@
 // that is taken as straight. The objective is the sum of |residual| (1-norm, the thesis's equation
 // 2.10) or of residual^2; a force may have either sign. Nothing starts from a guess.
 //
-// What is proven. One contact: every piece of the profile of the objective over the arc is
-// enumerated and minimised in closed form (2-norm: its stationary points are all found); the
-// minimum is global up to rounding, and the 1-norm's optimum set is that of the closed forms. Two
-// contacts: branch and bound, with bounds that any multipliers of the dual give; the minimum is
-// global to 1e-9 of the objective without contact, unless the search is cut short, which `gap`
-// states, over forces of at most 20 times the largest reading. That limit is part of the problem:
-// two opposed contacts that merge into a couple of endless force can fit better than any true pair.
-// The optimum set of two contacts is, by contact, the connected range around the one found: its
-// ends and the ends of spans in it attain the minimum. The 2-norm has points only.
+// What is proven. Branch and bound, with bounds that any multipliers of the dual give, finds the
+// minimum: global to 1e-9 of the objective without contact, unless the search is cut short, which
+// `gap` states. Forces of two contacts are at most 20 times the largest reading. That limit is part
+// of the problem: two opposed contacts that merge into a couple of endless force can fit better
+// than any true pair. The 1-norm's optimum set is all of it for one contact, and by contact the
+// connected range around the one found for two; the ends of ranges and the ends of spans in them
+// attain the minimum. The 2-norm has points only.
 #pragma once
 
 #include "../answer.h"
-#include "one_contact_l1.h"
-#include "one_contact_l2.h"
-#include "two_contacts.h"
+#include "search.h"
 
 namespace thigmo {
 
@@ -37,9 +33,7 @@ inline Answer point_fit(const Input& input, const Settings& settings) {
     size = std::max(size, std::abs(frame.value.back()));
   }
   for (double& value : frame.value) value /= size > 0.0 ? size : 1.0;
-  const PointFit fit = settings.contacts == 2 ? PairSearch(frame, settings.norm).fit()
-                       : settings.norm == 1   ? fit_one_l1(frame)
-                                              : fit_one_l2(frame);
+  const PointFit fit = Search(frame, settings.norm, settings.contacts == 2 ? 2 : 1).fit();
   const double unit = settings.norm == 1 ? size : size * size;
   out.objective = fit.objective * unit;
   out.gap = fit.gap * unit;

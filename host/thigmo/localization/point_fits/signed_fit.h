@@ -1,10 +1,9 @@
 // Least misfit of readings by three columns for each of two contacts, with weights of zero or more.
 //
-// The weights of a contact add up to at most a limit. `two_contacts.h` calls this for bounds over
-// boxes and for forces at given arcs. The 1-norm is a linear programme, solved by the simplex
-// method with exact line searches; the 2-norm is a quadratic one, solved as a linear
-// complementarity problem by Lemke's method (Cottle, Pang and Stone, The Linear Complementarity
-// Problem, chapter 4). Both walk one tableau by the same exchange.
+// `search.h` calls this for bounds over boxes and for forces at given arcs. The 1-norm is a linear
+// programme, solved by the simplex method with exact line searches; the 2-norm is a quadratic one,
+// solved as a linear complementarity problem by Lemke's method (Cottle, Pang and Stone, The Linear
+// Complementarity Problem, chapter 4). Both walk one tableau by the same exchange.
 //
 // What is returned as a bound is never the solver's word: it is the value of the dual at the
 // multipliers that the solver ended with, and any multipliers give a valid bound.
@@ -18,10 +17,12 @@ constexpr int kEach = 3, kColumns = 6;  // of one contact, of both
 constexpr double kSmall = 1e-12;        // entries of a scaled tableau below this are zero
 using Weights = std::array<double, kColumns>;
 
-// Readings that take part, and what a weight of one adds to each.
+// Readings that take part, and what a weight of one adds to each. The weights of a contact add up
+// to at most `limit`; none adds more than `most` to any reading.
 struct Hull {
-  Row reading;
-  std::array<Row, kColumns> column;
+  double limit, most;
+  Row reading{};
+  std::array<Row, kColumns> column{};
 };
 
 struct SignedFit {
@@ -46,19 +47,6 @@ inline double product(const Row& a, const Row& b) {
   return std::inner_product(a.begin(), a.end(), b.begin(), 0.0);
 }
 
-// What multipliers of the residuals cost for each unit of the limit.
-inline double dual_penalty(const Hull& of, const Row& multiplier) {
-  double total = 0.0;
-  for (int first = 0; first < kColumns; first += kEach) {
-    double worst = 0.0;
-    for (int r = first; r < first + kEach; ++r) {
-      worst = std::max(worst, product(of.column[r], multiplier));
-    }
-    total += worst;
-  }
-  return total;
-}
-
 // Factors that bring each column's largest entry to 1.
 inline Weights column_scales(const Hull& of) {
   Weights scale;
@@ -70,8 +58,22 @@ inline Weights column_scales(const Hull& of) {
   return scale;
 }
 
+// What multipliers of the residuals cost, by the limits.
+inline double dual_penalty(const Hull& of, const Weights& scale, const Row& multiplier) {
+  double total = 0.0;
+  for (int first = 0; first < kColumns; first += kEach) {
+    double worst = 0.0, each = 0.0;
+    for (int r = first; r < first + kEach; ++r) {
+      const double pull = std::max(product(of.column[r], multiplier), 0.0);
+      worst = std::max(worst, pull), each += scale[r] * pull;
+    }
+    total += std::min(of.limit * worst, of.most * each);
+  }
+  return total;
+}
+
 // Weights of least sum |reading - weights x columns|, and a proven lower bound of that sum.
-inline SignedFit fit_signed_l1(const Hull& of, double limit) {
+inline SignedFit fit_signed_l1(const Hull& of) {
   const int n = static_cast<int>(of.reading.size()), rows = n + 2;
   const Weights scale = column_scales(of);
   Matrix table(rows, kColumns + 1);
@@ -83,7 +85,7 @@ inline SignedFit fit_signed_l1(const Hull& of, double limit) {
     for (int r = 0; r < kColumns; ++r) {
       table[i][r] = scale[r] * (i < n ? -of.column[r][i] : r / kEach == i - n ? -1.0 : 0.0);
     }
-    table[i][kColumns] = i < n ? of.reading[i] : limit;
+    table[i][kColumns] = i < n ? of.reading[i] : of.limit;
     side[i] = table[i][kColumns] >= 0.0 ? 1.0 : -1.0;
   }
   Weights slope;
@@ -132,18 +134,18 @@ inline SignedFit fit_signed_l1(const Hull& of, double limit) {
       fit.weight[r] = std::max(table[i][kColumns], 0.0) * scale[r];
     }
   }
-  fit.bound = product(multiplier, of.reading) - limit * dual_penalty(of, multiplier);
+  fit.bound = product(multiplier, of.reading) - dual_penalty(of, scale, multiplier);
   return fit;
 }
 
 constexpr int kConditions = kColumns + 2;
 
 // Gradients and room up to the limits, against weights, multipliers, the covering variable.
-inline Matrix complementarity(const Hull& of, double limit, const Weights& scale) {
+inline Matrix complementarity(const Hull& of, const Weights& scale) {
   Matrix table(kConditions, kConditions + 2);
   for (int r = 0; r < kConditions; ++r) {
     table[r][kConditions] = 1.0;
-    table[r][kConditions + 1] = r >= kColumns ? limit : 0.0;
+    table[r][kConditions + 1] = r >= kColumns ? of.limit : 0.0;
   }
   for (int r = 0; r < kColumns; ++r) {
     const int room = kColumns + r / kEach;
@@ -157,10 +159,10 @@ inline Matrix complementarity(const Hull& of, double limit, const Weights& scale
 }
 
 // Weights of least sum (reading - weights x columns)^2, and a proven lower bound of that sum.
-inline SignedFit fit_signed_l2(const Hull& of, double limit) {
+inline SignedFit fit_signed_l2(const Hull& of) {
   constexpr int kCovering = kConditions, kLast = kConditions + 1, kSteps = 60;
   const Weights scale = column_scales(of);
-  Matrix table = complementarity(of, limit, scale);
+  Matrix table = complementarity(of, scale);
   // In rows, then columns: weights and multipliers from 0, the covering variable, their partners.
   std::array<int, 2 * kConditions + 1> name;
   int p = 0;
@@ -199,7 +201,7 @@ inline SignedFit fit_signed_l2(const Hull& of, double limit) {
     }
   }
   fit.bound = 2.0 * product(residual, of.reading) - product(residual, residual) -
-              2.0 * limit * dual_penalty(of, residual);
+              2.0 * dual_penalty(of, scale, residual);
   return fit;
 }
 

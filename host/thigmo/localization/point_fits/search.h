@@ -1,13 +1,13 @@
-// Global fit of two contacts by branch and bound, in the 1- or the 2-norm.
+// Global fit of one or two contacts by branch and bound, in the 1- or the 2-norm.
 //
-// A box holds each contact between two arcs, with the sign of its force. A sensor whose span the
-// box of a contact enters or leaves is left out. For every other one the lever is a line or a
-// quadratic of the arc within the box, so the vector of levers runs within the hull of three Bezier
-// points, and a contact contributes a combination of them with weights of one sign that add up to
-// its force: the least misfit over such weights (`signed_fit.h`) is a lower bound. It is exact
-// where no span holds a contact; elsewhere its error falls with the square of the box. Boxes are
-// split at ends of spans first, then where the hull is loosest, at the arc that the weights stand
-// for.
+// One contact is two of which the proximal is held at the base, where it bends nothing. A box holds
+// each contact between two arcs, with the sign of its force. A sensor whose span the box of a
+// contact enters or leaves is left out. For every other one the lever is a line or a quadratic of
+// the arc within the box, so the vector of levers runs within the hull of three Bezier points, and
+// a contact contributes a combination of them with weights of one sign that add up to its force:
+// the least misfit over such weights (`signed_fit.h`) is a lower bound. It is exact where no span
+// holds a contact; elsewhere its error falls with the square of the box. Boxes are split at ends of
+// spans first, then where the hull is loosest, at the arc that the weights stand for.
 #pragma once
 
 #include <queue>
@@ -33,29 +33,42 @@ struct Pair {
   double objective = INFINITY, bound = INFINITY;
 };
 
-class PairSearch {
+class Search {
  public:
-  PairSearch(const Excess& frame, int norm) : frame_(frame), norm_(norm) {
+  Search(const Excess& frame, int norm, int contacts)
+      : frame_(frame), edges_(cell_edges(frame)), norm_(norm), first_(2 - contacts) {
     for (const double value : frame.value) rest_ += misfit(value);
   }
 
   PointFit fit() const {
-    // Every arc is as good.
-    if (rest_ == 0.0) return {0.0, 0.0, {1.0, 1.0}, {0.0, 0.0}, {{{0.0, 1.0}}, {{0.0, 1.0}}}};
-    const Pair best = search({{0.0, 0.0}, {1.0, 1.0}});
+    if (rest_ == 0.0) {  // every arc is as good
+      const std::size_t count = 2 - first_;
+      return {0.0, 0.0, Row(count, 1.0), Row(count), {count, {{0.0, 1.0}}}};
+    }
+    const Box body{{0.0, 0.0}, {first_ == 0 ? 1.0 : 0.0, 1.0}};
+    Pair best = search(body);
     PointFit out{best.objective, best.objective - best.bound, {}, {}, {}};
     const double level = best.objective + kTolerance * rest_;
-    for (int c = 0; c < 2; ++c) {
-      const double arc = best.arc[c];
-      out.arc.push_back(arc);
+    for (int c = first_; c < 2; ++c) {
+      Ranges set{{best.arc[c], best.arc[c]}};
+      if (norm_ == 1 && first_ == 0) set = {range_around(body, c, best.arc[c], level)};
+      if (norm_ == 1 && first_ == 1) {
+        set.clear();
+        add_ranges(body, level, set);
+        const auto [near, far] = *std::max_element(
+            set.begin(), set.end(),
+            [](const auto& a, const auto& b) { return a.second - a.first < b.second - b.first; });
+        best = search(held(body, c, 0.5 * (near + far)));
+      }
+      out.arc.push_back(best.arc[c]);
       out.force.push_back(best.force[c]);
-      out.optimum_set.push_back({norm_ == 1 ? range_around(c, arc, level) : std::pair(arc, arc)});
+      out.optimum_set.push_back(set);
     }
     return out;
   }
 
  private:
-  static constexpr double kLimit = 20.0;      // |force| over the largest reading
+  static constexpr double kLimit = 20.0;      // |force| over the largest reading, of two contacts
   static constexpr std::size_t kRoom = 8192;  // boxes; a search that needs more is cut short
   static constexpr double kThinnest = 1e-12;  // boxes no wider are not split
   static constexpr double kSharp = 1e-6;      // an optimum that does not reach this far is a point
@@ -70,6 +83,7 @@ class PairSearch {
     const auto after = [](const Box& a, const Box& b) { return a.bound > b.bound; };
     std::priority_queue<Box, std::vector<Box>, decltype(after)> open(after);
     for (const double first : {1.0, -1.0}) {
+      if (first < 0.0 && places.far[0] == 0.0) break;  // at the base either sign does nothing
       for (const double second : {1.0, -1.0}) open.push({places.near, places.far, {first, second}});
     }
     Pair best;
@@ -105,7 +119,8 @@ class PairSearch {
 
   // Lower bound over a box, exact if it is a point; and the end of a span deepest inside it.
   SignedFit bound(const Box& box, Cut& cut) const {
-    Hull hull;
+    // The best force of one contact adds no more to a reading than that and all others are.
+    Hull hull = first_ == 0 ? Hull{kLimit, 1e300} : Hull{1e15, frame_.size() + 1.0};
     hull.reading.reserve(frame_.size());
     for (Row& column : hull.column) column.reserve(frame_.size());
     double unreached = 0.0;
@@ -136,7 +151,7 @@ class PairSearch {
         hull.column[kEach * c + 2].push_back(box.sign[c] * middle);
       }
     }
-    SignedFit fit = norm_ == 1 ? fit_signed_l1(hull, kLimit) : fit_signed_l2(hull, kLimit);
+    SignedFit fit = norm_ == 1 ? fit_signed_l1(hull) : fit_signed_l2(hull);
     fit.bound += unreached;
     return fit;
   }
@@ -166,8 +181,9 @@ class PairSearch {
     Pair here{point.near, {}, 0.0};
     for (int c = 0; c < 2; ++c) {
       const double* own = &weight[kEach * c];
-      // Rounding must not take a force past the limit.
-      here.force[c] = point.sign[c] * std::min(own[0] + own[1] + own[2], kLimit);
+      here.force[c] = point.sign[c] * (own[0] + own[1] + own[2]);
+      // Rounding must not take it past the limit.
+      if (first_ == 0) here.force[c] = std::clamp(here.force[c], -kLimit, kLimit);
     }
     for (int i = 0; i < frame_.size(); ++i) {
       double residual = frame_.value[i];
@@ -185,26 +201,45 @@ class PairSearch {
     best = here;
   }
 
-  // The connected range of a contact's arc around a place where a level is reached.
-  std::pair<double, double> range_around(int contact, double place, double level) const {
-    const Row edges = cell_edges(frame_);
-    const auto reached = [&](double arc) {
-      const Box held = contact == 0 ? Box{{arc, arc}, {arc, 1.0}} : Box{{0.0, arc}, {arc, arc}};
-      return search(held, level).objective <= level;
+  static Box held(Box places, int contact, double arc) {
+    places.near[contact] = places.far[contact] = arc;
+    places.far[0] = std::min(places.far[0], arc);
+    places.near[1] = std::max(places.near[1], arc);
+    return places;
+  }
+
+  // Ascending ranges of the distal contact's arc within places where a level is reached.
+  void add_ranges(const Box& places, double level, Ranges& out) const {
+    const Pair found = search(places, level);
+    if (found.objective > level) return;
+    const auto range = range_around(places, 1, found.arc[1], level);
+    Box rest = places;
+    rest.far[1] = range.first - kSharp;
+    if (rest.far[1] > rest.near[1]) add_ranges(rest, level, out);
+    out.push_back(range);
+    rest = places;
+    rest.near[1] = range.second + kSharp;
+    if (rest.far[1] > rest.near[1]) add_ranges(rest, level, out);
+  }
+
+  // The connected range of a contact's arc around one where a level is reached.
+  std::pair<double, double> range_around(const Box& places, int contact, double arc,
+                                         double level) const {
+    const auto reached = [&](double at) {
+      return search(held(places, contact, at), level).objective <= level;
     };
     std::array<double, 2> ends;
     for (const int side : {0, 1}) {
       const double way = side == 0 ? -1.0 : 1.0;
-      Row steps{place + way * kSharp};
-      std::copy_if(edges.begin(), edges.end(), std::back_inserter(steps),
+      Row steps{arc + way * kSharp};
+      std::copy_if(edges_.begin(), edges_.end(), std::back_inserter(steps),
                    [&](double edge) { return (edge - steps[0]) * way > 0.0; });
-      std::sort(steps.begin(), steps.end(), [&](double a, double b) { return a * way < b * way; });
-      double good = place, bad = place;
-      for (const double arc : steps) {
-        if (arc < 0.0 || arc > 1.0) continue;
-        bad = arc;
-        if (!reached(arc)) break;
-        good = arc;
+      if (side == 0) std::reverse(steps.begin() + 1, steps.end());
+      double good = arc, bad = arc;
+      for (const double step : steps) {
+        bad = std::clamp(step, places.near[contact], places.far[contact]);
+        if (!reached(bad)) break;
+        good = bad;
       }
       while (std::abs(bad - good) > kSetWidth) {
         const double middle = 0.5 * (good + bad);
@@ -216,7 +251,8 @@ class PairSearch {
   }
 
   const Excess& frame_;
-  int norm_;
+  Row edges_;
+  int norm_, first_;  // `first_`: 0 if the proximal contact is not held at the base
   double rest_ = 0.0;
 };
 
