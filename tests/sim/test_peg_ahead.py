@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from thigmo.emulator.scene import PegTable, Scene
-from thigmo.exploration import explore, replay
+from thigmo.exploration import explore, replay, run
+from thigmo.exploration.deflection import Deflection
 from thigmo.record import OBSTACLES_FILE, read_obstacles
 from thigmo.studies.rooms import explored
 
@@ -63,3 +66,32 @@ def test_a_replay_tells_the_same_peg(tmp_path: Path, peg: PegTable) -> None:
     again = replay(result.folder).document
     assert again.contacts == result.document.contacts
     assert again.error_x_cm == result.document.error_x_cm
+
+
+def test_zeros_that_moved_by_themselves_end_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def moved(*grown: Any) -> Deflection | None:
+        """What zeros that move in proportion to their levers look like, when 40 cm are out."""
+        asked.append(round(max(grown[0], default=30.0)))
+        if asked[-1] != 40:
+            return None
+        lever = np.maximum(34.0 - grown[-1].center_cm, 0.0)
+        bend = np.where(grown[-1].direction >= 0, 2e-4 * lever, np.nan)
+        return Deflection(40.0, 34.0, (33.0, 35.5), 2e-4, 3e-4, 3, bend)
+
+    monkeypatch.setattr(run, "deflection", moved)
+    scene = Scene.load("default")
+    scene.start_length_cm = 30.0
+    scene.pegs = []
+    file = tmp_path / "room.toml"
+    scene.save(file)
+    result = explore(f"emulator://{file}", seed=1, out=tmp_path)
+    assert asked.count(40) == 1  # what was refuted is not asked again
+    assert result.document.outcome == "full length"
+    assert result.document.contacts == []
+    swept = [round(stage.everted_length_cm) for stage in result.document.stages]
+    assert swept == sorted(set(swept)), "each stage once"
+    assert replay(result.folder).document.contacts == []

@@ -51,3 +51,20 @@ def test_a_straight_body_and_zeros_that_creep_are_no_lean() -> None:
 @pytest.mark.parametrize("moved", [8e-3, -8e-3])
 def test_a_zero_that_moves_alone_is_no_lean(moved: float) -> None:
     assert _grown(0.0, 34.0, alone=moved) is None
+
+
+def test_a_held_body_is_released_when_its_tip_is_clear_and_moved_zeros_are_not() -> None:
+    held = _grown(2e-4, 34.0)
+    assert held is not None
+    assert held.clear_cm < held.interval_cm[0]
+    bent = np.nan_to_num(held.bend)
+    assert held.released(bent, 1e-4 * np.ones(10))
+    assert not held.released(bent, 0.9 * bent)
+
+
+def test_a_body_is_taken_to_be_held_if_no_sensor_says_otherwise() -> None:
+    held = _grown(2e-4, 34.0)
+    assert held is not None
+    bent = np.nan_to_num(held.bend)
+    assert held.released(bent, bent)  # zeros that were not taken again
+    assert held.released(bent, np.full(10, np.nan))

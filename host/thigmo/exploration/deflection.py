@@ -4,7 +4,8 @@ A tip that meets a peg off its middle is not stopped but slides round it, and th
 leans on the peg with its side. Zeroed so, every later reading would be wrong by that bend. But a
 zero, taken of the same sensor at the last stage, moves by its noise only: those that move by more,
 each by its lever, say that the body is held bent. The encoder says where: it was bent when the tip
-passed the peg.
+passed the peg. Wound in until its tip is clear of the peg, such a body straightens and the zeros
+come back. Those that stay have moved by themselves.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _SIGMAS = 4.0
 # A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
 # that moved alone.
 _EXPLAINED = 0.8
+_CLEAR_CM = 1.0  # wound in so far behind the peg, the tip is clear of it
+_CAME_BACK = 0.5  # share of a bend
 _SMOOTH = 5  # frames of a running median, a quarter of a second
 # The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
 # on its way from the near face to the middle: up to a peg's radius before, which is not known.
@@ -39,6 +42,7 @@ class Deflection:
         force_per_cm2: of the peg, over EI; positive bends to the left.
         curvature_se: standard error of the bend, 1/cm.
         sensors: how many tell so.
+        bend: (10,) by how much the zeros moved, 1/cm; NaN where that says nothing.
     """
 
     length_cm: float
@@ -47,6 +51,25 @@ class Deflection:
     force_per_cm2: float
     curvature_se: float
     sensors: int
+    bend: Floats
+
+    @property
+    def clear_cm(self) -> float:
+        """Everted length at which the tip is clear of the peg."""
+        return max(self.interval_cm[0] - _CLEAR_CM, 0.0)
+
+    def released(self, before: Floats, after: Floats) -> bool:
+        """Whether the zeros came back when the tip was clear, as those of a held body do.
+
+        True as well where no sensor can tell: what may be a peg is not grown into.
+
+        Args:
+            before, after: (10,) the zeros before the tip was clear and after it, 1/cm.
+        """
+        back = before - after
+        told = np.isfinite(self.bend) & np.isfinite(back) & (back != 0.0)
+        bend = self.bend[told]
+        return not told.any() or float(bend @ back[told]) > _CAME_BACK * float(bend @ bend)
 
 
 def deflection(
@@ -86,7 +109,8 @@ def deflection(
             continue
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
-        return Deflection(float(length_cm[-1]), arc, (low, high), force, noise, count)
+        told = np.where(use, moved, np.nan)
+        return Deflection(float(length_cm[-1]), arc, (low, high), force, noise, count, told)
     return None
 
 

@@ -129,6 +129,7 @@ class _Reader:
         self._growing = self._peaked = False
         self.growth = GrowthWatcher()  # since the last sweep
         self.backed_off = False
+        self.zeros_ahead = self.zeros()  # before and after the growth that was backed off from
         self.sweeps: list[_Sweep] = []
         self.bad = 0
 
@@ -150,9 +151,12 @@ class _Reader:
                 elif self.sweeps:
                     self.sweeps[-1].watcher.telemetry(device_s, lambda: message)
             case wire.GrowTo():
+                if self.backed_off:
+                    self.growth, self.backed_off = GrowthWatcher(), False
                 self._growing = True
             case wire.RetractTo():
                 self.backed_off = True
+                self.zeros_ahead = self.zeros()
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
@@ -273,8 +277,10 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
         grown = reader.growth.profile(table, reader.oversample)
         if (stalled := stall(*grown, table)) is not None:
             found.add_ahead(stalled)
-        elif (leaning := deflection(*grown, *reader.zeros(), table)) is not None:
-            found.add_leaning(leaning)
+        elif (held := deflection(*grown, *reader.zeros_ahead, table)) and held.released(
+            *reader.zeros()
+        ):
+            found.add_leaning(held)
     document = _document(folder, log, found.contacts, stages)
     document = judged(document, config, prior)
     radius = config.body.radius_cm

@@ -7,6 +7,7 @@ folder is closed and readable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
@@ -111,6 +112,7 @@ class Exploration:
         self._growth = GrowthWatcher()
         self._stall: Stall | None = None
         self._deflection: Deflection | None = None
+        self._straight_cm = 0.0  # up to this length the body is known not to be held bent
         self._known: set[Side] = set()  # sides whose contact the sweep that found it has placed
         self._zero_tries = 0
         self._lengths = stage_lengths(config)
@@ -231,20 +233,25 @@ class Exploration:
         return self._growth.profile(SensorTable.of(self.config), self.robot.oversample)
 
     def _back_off(self) -> str:
-        """Put what stopped or bent the tip on the map, and wind in, to the stage before.
+        """Wind in until the tip is clear of what stopped or bent it.
 
-        There every sensor is where the encoder says, and the tip is clear of the peg.
+        There every sensor is where the encoder says. A tip that was stopped is told by the encoder,
+        and a body that is held bent by sensors only: those are asked again.
         """
         truth = self.robot.truth()
         if truth is not None:
             known = self.document.truth.contacts if self.document.truth else []
             met = met_ahead(truth.pegs, self._stall.tip_cm) if self._stall else truth.contacts
             self.document = replace(self.document, truth=Truth(truth.pegs, [*known, *met]))
+        clear = min(self._start_cm, self._deflection.clear_cm if self._deflection else math.inf)
+        self.length_cm = self.robot.retract_to(clear)
+        if self._deflection is not None:
+            return "clear of what held it"
         if self._stall is not None:
             self.map.add_ahead(self._stall)
-        if self._deflection is not None:
-            self.map.add_leaning(self._deflection)
-        self.length_cm = self.robot.retract_to(self._start_cm)
+        return self._peg_ahead()
+
+    def _peg_ahead(self) -> str:
         self.document = replace(self.document, outcome="peg ahead")
         self._judge()
         return "peg ahead"
@@ -265,11 +272,23 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
+        if self._deflection is not None:
+            return self._released(self._deflection)
         if self.swept:
             return "zeroed after sweep"
-        table = SensorTable.of(self.config)
-        self._deflection = deflection(*self._grown(), *self.robot.zeros(), table)
+        if self.stage_cm > self._straight_cm:
+            table = SensorTable.of(self.config)
+            self._deflection = deflection(*self._grown(), *self.robot.zeros(), table)
         return "zeroed after growth" if self._deflection is None else "held bent"
+
+    def _released(self, held: Deflection) -> str:
+        """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
+        self._deflection = None
+        if held.released(*self.robot.zeros()):
+            self.map.add_leaning(held)
+            return f"straight again: {self._peg_ahead()}"
+        self.swept, self._straight_cm = True, held.length_cm
+        return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
         """Zero the sensors; False after a pause if they drift."""

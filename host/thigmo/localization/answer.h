@@ -150,12 +150,11 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   const Readings& readings = weighing.readings;
   out.hypotheses = std::move(weighing.found);
   out.rest = readings.frame.rest;
-  double top = -INFINITY, total = 0.0, contact_misfit = INFINITY;
+  double top = -INFINITY, total = 0.0;
   for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
   for (const Hypothesis& h : out.hypotheses) {
     out.probability.push_back(std::exp(h.log_weight - top));
     total += out.probability.back();
-    if (!h.contacts.empty()) contact_misfit = std::min(contact_misfit, h.misfit);
   }
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     out.probability[k] /= total;
@@ -166,9 +165,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   std::size_t count = 1;
   for (std::size_t k = 2; k < 4; ++k) count = out.number[k] > out.number[count] ? k : count;
   // Likelier than not; or five standard errors off a free body whose readings are all good.
-  const bool far_off = readings.known && touched > 0.2 * priors.excluded &&
-                       out.hypotheses[0].misfit - contact_misfit > priors.five_sigma;
-  if (touched < 0.5 && !far_off) count = 0;
+  if (touched < 0.5 && weighing.explained < priors.five_sigma) count = 0;
   if (settings.contacts >= 0) count = static_cast<std::size_t>(settings.contacts);
   double most = -1.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
@@ -182,13 +179,16 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
   if (best.contacts.size() != count) count = best.contacts.size();
   // What fits as many numbers as there are good readings explains nothing.
-  double all = 0.0, open = 0.0;
+  double all = 0.0, open = 0.0, held = 0.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     const Hypothesis& h = out.hypotheses[k];
     if (h.contacts.size() != count) continue;
     all += out.probability[k];
+    if (h.held) held += out.probability[k];
     if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
   }
+  // A hand that holds the end explains what a contact beside it does.
+  if (settings.held_end == Settings::Held::perhaps) open += std::min(held, all - held);
   const bool sure = (settings.contacts >= 0 || out.number[count] > 1.0 - priors.excluded) &&
                     touched > 1.0 - priors.excluded && open <= priors.excluded * all;
   for (std::size_t j = 0; j < count; ++j) {

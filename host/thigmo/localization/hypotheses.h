@@ -46,6 +46,7 @@ struct Hypothesis {
   double noise = 1.0;                // likeliest factor of the noise
   Nodes curvature{};                 // of the body
   int bad = -1;                      // index of the bad reading
+  bool held = false;                 // whether something holds the end
   // Further numbers: fold's or hinge's angle, place of the hinge, half width of a spread contact;
   // force that pushes the end back, couple on it, where that bears left of the centreline.
   double angle = NAN, at = NAN, half_width = NAN, push = NAN, couple = NAN, offset = NAN;
@@ -60,6 +61,7 @@ class Weighing {
 
   Readings readings;
   std::vector<Hypothesis> found;
+  double explained = 0.0;  // misfit of a free body that one contact takes away, if more than half
 
   Weighing(Readings&& given, const Priors& priors, const Settings& settings)
       : readings(std::move(given)),
@@ -68,7 +70,8 @@ class Weighing {
         settings_(settings),
         prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
                priors.shape_rests},
-        white_(frame_, frame_.shared) {
+        white_(frame_, frame_.shared),
+        contact_(readings.known ? priors.contact : priors.contact_unsure) {
     found.reserve(2 * frame_.size() + 8);
     for (int i = 0; i < frame_.size(); ++i) bad_.add(i, {readings.bad[i]});
     double share = 0.0;
@@ -76,16 +79,17 @@ class Weighing {
       share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
     }
     unfolded_ = share / static_cast<double>(priors.moments.size());
-    const double freedom = std::max(frame_.size() - 2, 1), part = 2.0 / (9.0 * freedom);
-    // Chi-squared that a right explanation passes in few frames (Wilson and Hilferty).
-    limit_ = freedom * std::pow(1.0 - part + priors.misfit_deviate * std::sqrt(part), 3);
+    limit_ = misfit_at(priors.misfit_deviate);
   }
 
   void run() {
     free();
     std::size_t one = weigh_one();
     const bool misfit = readings.known && found[one].misfit > limit_;
-    if (misfit) {  // the noise may be larger than stated, too
+    if (readings.known) explained = found[0].misfit - found[one].misfit;
+    if (explained < found[one].misfit) explained = 0.0;
+    if (readings.known && found[one].misfit > misfit_at(priors_.noise_deviate)) {
+      // The noise may be larger than stated.
       readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
                                {priors_.noise_factor, std::log(priors_.noise_odds)}};
       white_ = Whitened(frame_, frame_.shared);
@@ -111,7 +115,9 @@ class Weighing {
     const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
     if (poor || strong) hinge(bent, strong);
     if (poor) spread(bent);
-    if (poor && settings_.held_end == Settings::Held::perhaps) end(bent, true);
+    // What bends a straight body so far may hold its end.
+    const bool held_perhaps = poor || (turned && readings.turn <= priors_.end_turn);
+    if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
     if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
     for (const Doubt& doubt : doubts_) {
       for (const int i : suspects(doubt)) doubt.weigh(i);
@@ -119,6 +125,13 @@ class Weighing {
   }
 
  private:
+  // Chi-squared that one contact which is right passes as seldom as a standard normal number passes
+  // `deviate` (Wilson and Hilferty, PNAS 17 (1931)).
+  double misfit_at(double deviate) const {
+    const double freedom = std::max(frame_.size() - 2, 1), part = 2.0 / (9.0 * freedom);
+    return freedom * std::pow(1.0 - part + deviate * std::sqrt(part), 3);
+  }
+
   // An explanation that leaves a misfit, and how to weigh it beside a bad reading.
   struct Doubt {
     double log_weight;
@@ -213,7 +226,7 @@ class Weighing {
   // itself where that may change the answer. `bad` is the rival's index.
   std::vector<Hypothesis> contact_and(const Columns& column, const Row& log_odds,
                                       const Nodes& start) const {
-    const double weight = priors_.contact + std::log(unfolded_);
+    const double weight = contact_ + std::log(unfolded_);
     const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless};
     std::vector<RivalContact> beside;
     std::vector<Hypothesis> out;
@@ -246,6 +259,7 @@ class Weighing {
     Hypothesis out = hypothesis(Load::end, fit, weight, 3, bad);
     const double cell = priors_.end_cell;
     out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
+    out.held = held;
     out.push = fit.load[1];
     out.couple = fit.load[2];
     if (!held && fit.load[1] > 0.0) {
@@ -256,15 +270,14 @@ class Weighing {
   }
 
   void end(const Nodes& start, bool held) {
-    double weight = priors_.contact;
+    double weight = contact_;
     const bool bends = readings.turn > priors_.end_turn;
     if (!held) weight += bends ? priors_.end : priors_.end_straight;
     if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
     const EndWrench fit = add_end(white_, start, held, weight, -1);
-    doubt(found.back(), fit, weight - priors_.contact,
-          [this, shape = fit.curvature, held, weight](int i) {
-            add_end(with(bad_, i), shape, held, weight, i);
-          });
+    doubt(found.back(), fit, weight - contact_, [this, shape = fit.curvature, held, weight](int i) {
+      add_end(with(bad_, i), shape, held, weight, i);
+    });
   }
 
   // What a fold of one radian, spread over one diameter from the base, adds to each reading.
@@ -286,7 +299,7 @@ class Weighing {
     if (found.back().load == Load::end) {  // the end of a bent body may bear the load as well
       Columns column;
       column.add(0, share);
-      const double weight = priors_.contact + priors_.end + std::log(1.0 - unfolded_ + 1e-12);
+      const double weight = contact_ + priors_.end + std::log(1.0 - unfolded_ + 1e-12);
       add_end(with(column, 0), found.back().curvature, false, weight, -1);
       found.back().load = Load::end_fold;
       found.back().numbers = 4;
@@ -301,7 +314,7 @@ class Weighing {
     const double error = settings_.critical_error;
     FoldedContact fit = folded_contact(with(bad_, bad), prior_, error, share, kCells, start);
     if (!(fit.log_evidence > -INFINITY)) return fit;
-    const double weight = priors_.contact + std::log(std::max(1.0 - unfolded_, 1e-12));
+    const double weight = contact_ + std::log(std::max(1.0 - unfolded_, 1e-12));
     Hypothesis& out = found.emplace_back(hypothesis(Load::fold, fit, weight, 3, bad));
     Row spread = fit.force;
     for (double& value : spread) value = error * std::abs(value);
@@ -311,8 +324,8 @@ class Weighing {
   }
 
   void spread(const Nodes& start) {
-    const double weight = priors_.contact + priors_.spread -
-                          std::log(static_cast<double>(priors_.half_widths.size()));
+    const double weight =
+        contact_ + priors_.spread - std::log(static_cast<double>(priors_.half_widths.size()));
     for (const double half : priors_.half_widths) {
       OneContact fit = one_contact(white_, prior_, kCells, half, start);
       found.push_back(contact(Load::spread, std::move(fit), weight, 3));
@@ -401,7 +414,7 @@ class Weighing {
     const SeveralContacts fit =
         several_contacts(with(bad_, bad), prior_, count, cells, frame_.rest);
     if (!(fit.log_evidence > -INFINITY)) return INFINITY;
-    const double weight = priors_.contact + (count - 1) * priors_.another;
+    const double weight = contact_ + (count - 1) * priors_.another;
     Hypothesis& out = found.emplace_back(
         hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
     for (std::size_t j = 0; j < fit.place.size(); ++j) {
@@ -425,6 +438,7 @@ class Weighing {
   const Settings& settings_;
   ForcePrior prior_;
   Whitened white_;
+  double contact_;  // log prior odds of one
   Columns bad_;
   std::vector<Doubt> doubts_;
   double unfolded_;  // prior share of contacts that leave the base as it is

@@ -100,16 +100,17 @@ NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
     const auto numbers = [&](const char* name) { return nb::cast<Row>(values[name]); };
-    new (self) Priors{numbers("moments"),      numbers("half_widths"),  numbers("noise_levels"),
-                      number("least_lever"),   number("contact"),       number("end"),
-                      number("end_straight"),  number("held"),          number("another"),
-                      number("spread"),        number("hinge"),         number("base_fold"),
-                      number("bad_deviation"), number("angle"),         number("near_fold"),
-                      number("strong"),        number("straight"),      number("end_turn"),
-                      number("shape_rests"),   number("level"),         number("excluded"),
-                      number("five_sigma"),    number("second_gain"),   number("noise_factor"),
-                      number("noise_odds"),    number("hopeless"),      number("trust"),
-                      number("end_cell"),      number("misfit_deviate")};
+    new (self) Priors{numbers("moments"),      numbers("half_widths"),   numbers("noise_levels"),
+                      number("least_lever"),   number("contact"),        number("end"),
+                      number("end_straight"),  number("held"),           number("another"),
+                      number("spread"),        number("hinge"),          number("base_fold"),
+                      number("bad_deviation"), number("angle"),          number("near_fold"),
+                      number("strong"),        number("straight"),       number("end_turn"),
+                      number("shape_rests"),   number("level"),          number("excluded"),
+                      number("five_sigma"),    number("second_gain"),    number("noise_factor"),
+                      number("noise_odds"),    number("hopeless"),       number("trust"),
+                      number("end_cell"),      number("misfit_deviate"), number("noise_deviate"),
+                      number("contact_unsure")};
   });
 
   nb::class_<Settings>(m, "Settings")

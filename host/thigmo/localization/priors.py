@@ -20,7 +20,9 @@ MOMENTS = (0.15, 0.6, 2.4)
 LEAST_LEVER = 0.02
 
 # Log prior odds against a free body whose readings are all good.
-CONTACT = -2.0
+CONTACT = -1.2
+# The same where the noise is unknown: what few readings say of it is as likely said by noise.
+CONTACT_UNSURE = -3.0
 # Of a contact on the end of a bent body, against one on its side. Of pegs spread evenly over the
 # room that a bending body of 20 to 53 cm sweeps, 10 to 15 % bear on its end.
 # Less here, for three free loads fit a contact on the side as well: weighed as often as pegs meet
@@ -29,7 +31,7 @@ END = math.log(0.15 / 0.85) - 0.7
 # The same where nothing but the contact bends the body, which then hardly meets a peg end on.
 END_STRAIGHT = -5.0
 # Of a hand or a clamp that holds the end of a body that need not be a tube.
-HELD = -6.0
+HELD = -1.0
 # Of one more contact, of a contact that is spread out, of a kink anywhere on the body.
 ANOTHER = -2.5
 SPREAD = -3.0
@@ -81,10 +83,11 @@ SECOND_GAIN = 1.75
 # Readings are never trusted to more than this share of the largest of them or of the free
 # curvature: no beam model and no sensor constant is better.
 TRUST = 5e-4
-# Where even a contact leaves a misfit: factor by which the noise may be larger than stated, and how
-# probable that is.
+# Where one contact leaves a misfit beyond this standard normal deviate, as 31 % of right ones do,
+# the noise may be larger than stated: by this factor, and with this probability.
+NOISE_DEVIATE = 0.5
 NOISE_FACTOR = 2.0
-NOISE_ODDS = 0.05
+NOISE_ODDS = 0.2
 # Where the noise is unknown, its levels: shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
@@ -103,6 +106,7 @@ _NAMES = (
     "moments", "least_lever", "contact", "end", "end_straight", "held", "another", "spread",
     "hinge", "base_fold", "bad_deviation", "angle", "half_widths", "near_fold", "strong",
     "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "second_gain",
-    "noise_factor", "noise_odds", "hopeless", "trust", "end_cell", "misfit_deviate", "noise_levels",
+    "noise_factor", "noise_odds", "hopeless", "trust", "end_cell", "misfit_deviate",
+    "noise_deviate", "contact_unsure", "noise_levels",
 )  # fmt: skip
 _of = itemgetter(*(name.upper() for name in _NAMES))

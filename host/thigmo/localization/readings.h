@@ -14,7 +14,7 @@ struct Priors {
       bad_deviation, angle;
   double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma,
       second_gain, noise_factor, noise_odds;
-  double hopeless, trust, end_cell, misfit_deviate;
+  double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure;
 };
 
 // What the caller gives: arrays of N numbers, or of one for all sensors.
@@ -154,7 +154,9 @@ inline Readings normalised(const Input& in, const Priors& priors) {
     frame.low.push_back(low);
     frame.high.push_back(high);
     frame.noise.push_back(in.noise.empty() ? 1.0 : pick(in.noise, i) * length);
-    frame.gain.push_back(pick(in.gain, i) * in.curvature[i] * length);
+    // A share of the curvature, which is near what is read, or that of the free body.
+    frame.gain.push_back(pick(in.gain, i) * length *
+                         std::max(std::abs(in.curvature[i]), std::abs(g)));
     free.push_back(g * length);
     out.bad.push_back(
         std::sqrt(priors.bad_deviation * priors.bad_deviation + g * g * length * length));

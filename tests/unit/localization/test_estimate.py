@@ -228,3 +228,20 @@ def test_three_contacts_are_not_one_and_a_row_of_outliers(seed: int) -> None:
     )
     assert result.status == "localized"
     assert [contact.arc for contact in result.contacts] == pytest.approx(arcs, abs=1.0)
+
+
+def test_what_a_contact_explains_is_listed_even_if_sensors_are_said_to_be_bad():
+    free = 0.03
+    reading = felt(10.0, -8e-4, COLUMN, free_curvature=free)  # 7 deviations at the first sensor
+    result = find(reading, COLUMN, free_curvature=free, bad_reading_odds=1e3)
+    (contact,) = result.contacts
+    assert contact.probability < 0.5
+    assert result.status == "ambiguous"
+
+
+def test_a_strongly_bent_rod_may_be_held_at_its_end_unless_it_is_a_tube():
+    reading = felt(49.0, 3e-4, COLUMN)
+    tube, any_rod = find(reading, COLUMN), find(reading, COLUMN, tube_radius=None)
+    assert tube.status == "localized"
+    assert any_rod.status == "ambiguous"
+    assert sum(share for name, share in any_rod.hypotheses.items() if "end" in name) > 0.05
