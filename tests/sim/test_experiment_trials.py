@@ -9,9 +9,11 @@ import csv
 import os
 import pty
 import select
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,10 +31,10 @@ from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 _PATIENCE_S = 100.0  # of a test, with a command that compiles
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> str:
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The default robot, fully out, its sensors rested: growth is tested elsewhere."""
-    path = tmp_path / "out.toml"
+    path = tmp_path_factory.mktemp("scene") / "out.toml"
     path.write_text('extends = "default"\nstart_length_cm = 53.0\npegs = []\n')
     return f"emulator://{path}"
 
@@ -53,49 +55,71 @@ def taken(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_trials_are_taken_where_they_were_planned_and_evaluated(scene: str, tmp_path: Path) -> None:
-    errors = {}
-    for experiment in ("single-contact", "two-contacts", "actuated"):
-        with connect(scene, seed=1) as robot:
-            assert robot.known_config is not None
-            folder = TrialFolder(tmp_path / experiment, robot.known_config)
-            assert run_trials(robot, EmulatedAttendant(robot), folder, experiment, 1)
-            assert robot.status().left_psi < 0.5
-        planned = plan(experiment, folder.config, 1)
-        rows = taken(folder.path)
-        assert [row["key"] for row in rows] == [trial.key for trial in planned]
-        for trial, row in zip(planned, rows, strict=True):
-            arcs = [float(arc) for arc in row["true_arcs_cm"].split(";")]
-            assert arcs == pytest.approx(trial.arcs_cm, abs=1.6)
-            forces = [float(force) for force in row["true_forces"].split(";")]
-            assert np.sign(forces[-1]) <= 0  # the first of each is on the left side
-        # Without the truth: what a lab has.
-        results = evaluate(experiment, TrialFolder(folder.path).trials())
-        rows = results.record()["rows"]
-        errors[experiment] = {row["condition"]: row for row in rows}
-        assert all(row["trials"] in (len(planned) / 2, 4, 2) for row in rows)
-        notes = read_log(folder.path / "run-1.mcap").notes
-        assert [note["key"] for _, note in notes] == [trial.key for trial in planned]
-    assert errors["single-contact"]["high force"]["ours_workspace_mean"] < 3.0
-    for row in errors["actuated"].values():
-        assert row["ours_workspace_mean"] < 1.5
-        assert np.isfinite(row["alone_mean"])
-    assert errors["two-contacts"]["closer than 23.5 cm"]["ours_workspace_mean"] < 3.0
-
-
-def test_a_lab_without_the_truth_gets_the_same_table(scene: str, tmp_path: Path) -> None:
+def take_all(scene: str, path: Path, experiment: str) -> TrialFolder:
+    """A folder with every planned trial."""
     with connect(scene, seed=1) as robot:
         assert robot.known_config is not None
-        folder = TrialFolder(tmp_path / "one", robot.known_config)
-        assert run_trials(robot, EmulatedAttendant(robot), folder, "single-contact", 1)
-    known = evaluate("single-contact", folder.trials()).record()["rows"]
+        folder = TrialFolder(path, robot.known_config)
+        assert run_trials(robot, EmulatedAttendant(robot), folder, experiment, 1)
+        assert robot.status().left_psi < 0.5
+    return folder
+
+
+@pytest.fixture(scope="module")
+def single_contact(scene: str, tmp_path_factory: pytest.TempPathFactory) -> TrialFolder:
+    """The trials of one contact."""
+    return take_all(scene, tmp_path_factory.mktemp("single"), "single-contact")
+
+
+def as_planned(experiment: str, folder: TrialFolder) -> dict[str, Any]:
+    """The evaluated rows of trials that were taken where they were planned, by condition."""
+    planned = plan(experiment, folder.config, 1)
     rows = taken(folder.path)
-    with (folder.path / "trials.csv").open("w", newline="") as file:
+    assert [row["key"] for row in rows] == [trial.key for trial in planned]
+    for trial, row in zip(planned, rows, strict=True):
+        arcs = [float(arc) for arc in row["true_arcs_cm"].split(";")]
+        assert arcs == pytest.approx(trial.arcs_cm, abs=1.6)
+        forces = [float(force) for force in row["true_forces"].split(";")]
+        assert np.sign(forces[-1]) <= 0  # the first of each is on the left side
+    notes = read_log(folder.path / "run-1.mcap").notes
+    assert [note["key"] for _, note in notes] == [trial.key for trial in planned]
+    evaluated = evaluate(experiment, TrialFolder(folder.path).trials()).record()["rows"]
+    assert all(row["trials"] in (len(planned) / 2, 4, 2) for row in evaluated)
+    return {row["condition"]: row for row in evaluated}
+
+
+def test_trials_of_one_contact_are_taken_where_they_were_planned_and_evaluated(
+    single_contact: TrialFolder,
+) -> None:
+    errors = as_planned("single-contact", single_contact)
+    assert errors["high force"]["ours_workspace_mean"] < 3.0
+
+
+@pytest.mark.ci
+def test_trials_of_two_contacts_and_of_the_actuated_robot(scene: str, tmp_path: Path) -> None:
+    two = as_planned("two-contacts", take_all(scene, tmp_path / "two", "two-contacts"))
+    assert two["closer than 23.5 cm"]["ours_workspace_mean"] < 3.0
+    actuated = as_planned("actuated", take_all(scene, tmp_path / "actuated", "actuated"))
+    for row in actuated.values():
+        assert row["ours_workspace_mean"] < 1.5
+        assert np.isfinite(row["alone_mean"])
+
+
+def test_a_lab_without_the_truth_gets_the_same_table(
+    single_contact: TrialFolder, tmp_path: Path
+) -> None:
+    shutil.copytree(single_contact.path, tmp_path / "blind")
+    folder = TrialFolder(tmp_path / "blind")
+    rows = taken(folder.path)
+    with folder.table.open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0].keys())
         writer.writeheader()
         hidden = ("true_arcs_cm", "true_forces", "true_contact_x_cm")
         writer.writerows({k: "" if k in hidden else v for k, v in row.items()} for row in rows)
-    blind = evaluate("single-contact", folder.trials()).record()["rows"]
+    known, blind = (
+        evaluate("single-contact", each.trials()).record()["rows"]
+        for each in (single_contact, folder)
+    )
     for with_truth, without in zip(known, blind, strict=True):
         assert without["ours_mean"] == pytest.approx(with_truth["ours_mean"])
         # The dowel's place instead of the contact point's.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from thigmo.studies.rooms import explored
 
@@ -13,6 +14,7 @@ TIME_SHARE = 0.5
 PROMISED_CM = 3.0
 
 
+@pytest.mark.ci
 def test_half_of_the_thesis_protocols_robot_time_finds_the_peg(tmp_path: Path) -> None:
     ours, theirs = [], []
     for seed in SEEDS:

@@ -86,7 +86,9 @@ def test_a_map_of_the_true_peg_narrows_the_interval(
     "blocks",
     [
         pytest.param([(28.0, -7.5)], id="a peg where the same bend would have met it sooner"),
-        pytest.param([(40.0, -14.0), (48.0, 20.0)], id="pegs that are not there"),
+        pytest.param(
+            [(40.0, -14.0), (48.0, 20.0)], id="pegs that are not there", marks=pytest.mark.ci
+        ),
         pytest.param([(40.0, 0.0)], id="a peg in the path of growth"),
     ],
 )
@@ -100,8 +102,12 @@ def test_a_wrong_map_does_not_break_the_run(
 
 
 def test_an_empty_room_stays_empty_whatever_the_map_says(tmp_path: Path) -> None:
+    scene = Scene.load("empty")
+    scene.start_length_cm = 38.0
+    scene.save(tmp_path / "empty.toml")
     given = _grid(tmp_path / "room.yaml", (40.0, 0.0), (44.0, 24.0))
-    document = explore("emulator://empty", seed=1, out=tmp_path, prior=given).document
+    url = f"emulator://{tmp_path / 'empty.toml'}"
+    document = explore(url, seed=1, out=tmp_path, prior=given).document
     assert document.contacts == []
     assert document.missed is not None
     assert (40.0, 0.0) in {(round(m.x_cm), round(m.y_cm)) for m in document.missed}

@@ -64,6 +64,8 @@ def info(
     from rich.table import Table
 
     table = Table(show_header=False, box=None)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")  # addresses and paths are copied: none is cut
     for name, value in facts.items():
         rows = value.items() if isinstance(value, dict) else [("", value)]
         for part, single in rows:

@@ -147,9 +147,8 @@ def test_noise_pressure_and_check_of_a_sound_robot(lab):
         guided.run(bench, "magic")
 
 
-@pytest.mark.parametrize(
-    "seed", [5, *(pytest.param(seed, marks=pytest.mark.ci) for seed in (6, 7))]
-)
+@pytest.mark.ci
+@pytest.mark.parametrize("seed", [5, 6, 7])
 def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_three_and_a_half(
     tmp_path, seed
 ):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import cast
 
+import pytest
 from rig import open_rig
 
 from thigmo.bringup import Attendant, BringUp
 from thigmo.emulator.scene import Scene
 
 
+@pytest.mark.ci
 def test_a_swapped_motor_is_named() -> None:
     scene = Scene.load("empty")
     scene.start_length_cm = 5.0

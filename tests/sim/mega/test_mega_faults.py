@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -72,8 +73,8 @@ def save(mega: SimulatedMega, session: int, value: int) -> list[bytes]:
     raise AssertionError("the save does not end")
 
 
-def test_a_power_cut_at_every_byte_of_a_save_leaves_the_old_or_the_new_whole(
-    stored_config: bytes,
+def test_a_power_cut_at_any_byte_of_a_save_leaves_the_old_or_the_new_whole(
+    stored_config: bytes, many: Callable[[int], int]
 ) -> None:
     mega, session = booted(stored_config)
     generation, old, valid = stored(stored_config)
@@ -83,7 +84,8 @@ def test_a_power_cut_at_every_byte_of_a_save_leaves_the_old_or_the_new_whole(
     assert stored(contents[-1]) == (generation + 1, old + 1, True)
     rng = random.Random(1)
     seen = set()
-    for before, after in pairwise(contents):
+    steps = list(pairwise(contents))
+    for before, after in rng.sample(steps, min(many(30), len(steps))):
         (address,) = np.flatnonzero(np.frombuffer(before, "u1") != np.frombuffer(after, "u1"))
         # The byte that was being written may hold anything.
         torn = bytearray(before)
@@ -199,17 +201,6 @@ def test_a_sagging_supply_is_a_fault_and_a_failing_one_a_brown_out(
     rig.mega.reset(wire.ResetCause.BROWN_OUT)
     notice_reset(rig)
     assert rig.client.connect().reset_cause is wire.ResetCause.BROWN_OUT
-
-
-def test_a_power_cut_is_told_from_the_reset_line(full_length: Scene, stored_config: bytes) -> None:
-    rig = open_rig(full_length, stored_config)
-    assert rig.client.hello.reset_cause is wire.ResetCause.POWER_ON
-    rig.mega.reset(wire.ResetCause.EXTERNAL)
-    notice_reset(rig)
-    assert rig.client.connect().reset_cause is wire.ResetCause.EXTERNAL
-    rig.mega.reset(wire.ResetCause.POWER_ON)
-    notice_reset(rig)
-    assert rig.client.connect().reset_cause is wire.ResetCause.POWER_ON
 
 
 def test_a_stray_byte_in_the_boot_loaders_window_delays_the_start_but_not_for_ever() -> None:
