@@ -41,7 +41,8 @@ class Mixture {
   Row edges, mass, force, variance;
 
   Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
-    edges = {within.near};
+    edges.reserve(parts.empty() ? 2 : parts[0].second->place.size() + 3);
+    edges.push_back(within.near);
     const Marginal* before = nullptr;
     for (const auto& [weight, part] : parts) {
       if (before && part->place == before->place) continue;

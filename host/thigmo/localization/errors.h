@@ -8,6 +8,7 @@
 #pragma once
 
 #include <numbers>
+#include <numeric>
 
 #include "shape.h"
 
@@ -47,6 +48,12 @@ class Columns {
     int from, count;
     const double* value;
   };
+  Columns() = default;
+  // One for each reading, on that one only.
+  explicit Columns(const Row& each) : from_(each.size()), at_(each.size()), value_(each) {
+    std::iota(from_.begin(), from_.end(), 0);
+    std::iota(at_.begin(), at_.end(), 0);
+  }
   void add(int from, const Row& value) {
     from_.push_back(from), at_.push_back(value_.size());
     value_.insert(value_.end(), value.begin(), value.end());

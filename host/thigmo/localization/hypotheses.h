@@ -71,9 +71,9 @@ class Weighing {
         prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
                priors.shape_rests},
         white_(frame_, frame_.shared),
-        contact_(readings.known ? priors.contact : priors.contact_unsure) {
+        contact_(readings.known ? priors.contact : priors.contact_unsure),
+        bad_(readings.bad) {
     found.reserve(2 * frame_.size() + 8);
-    for (int i = 0; i < frame_.size(); ++i) bad_.add(i, {readings.bad[i]});
     double share = 0.0;
     for (const double moment : priors.moments) {
       share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));

@@ -37,21 +37,22 @@ constexpr double kOutside = 1e-6;           // mass of a cell below which the gr
 constexpr double kNothing = 25.0;           // nats below the likeliest place that weigh nothing
 constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 
-// e^x for x up to 700; what is below e^-200 counts as that. Without branches or calls, so that
-// loops over places become vector code, and the same on every machine.
+// e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
+// calls, so that loops over places become vector code, and the same on every machine.
 inline double exponential(double x) {
   constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
   x = x > -200.0 ? x : -200.0;
   const double shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
   // The rest, at most ln(2) / 2, by Taylor's series.
   const double r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
-  constexpr std::array<double, 13> kTerms = [] {
-    std::array<double, 13> terms{1.0};
-    for (int k = 1; k < 13; ++k) terms[k] = terms[k - 1] / k;
+  constexpr int kLast = 9;
+  constexpr auto kTerms = [] {
+    std::array<double, kLast + 1> terms{1.0};
+    for (int k = 1; k <= kLast; ++k) terms[k] = terms[k - 1] / k;
     return terms;
   }();
-  double sum = kTerms[12];
-  for (int k = 11; k >= 0; --k) sum = sum * r + kTerms[k];
+  double sum = kTerms[kLast];
+  for (int k = kLast - 1; k >= 0; --k) sum = sum * r + kTerms[k];
   const auto bits = std::bit_cast<std::uint64_t>(shifted) + 1023;
   return sum * std::bit_cast<double>(bits << 52);
 }
@@ -566,7 +567,7 @@ class SetsGrid {
     Row diagonal, told, base;
   };
 
-  SetsGrid(int count, int cells) : count_(count), cells_(cells), at_(count), left_(count) {}
+  SetsGrid(int count, int cells) : count_(count), cells_(cells), at_(count), left_(count - 1) {}
 
   Row place, width;       // (k M,) of all columns; (k,)
   std::vector<Row> mass;  // (k, M)
@@ -623,17 +624,20 @@ class SetsGrid {
   };
 
   void place_contact(int contact, Sum sum) {
-    if (contact + 1 == count_) return add(sum);
     const Products& left = left_[contact];
     const int first = contact * cells_, end = first + cells_;
     for (int m = first; m < end; ++m) {
       if (contact > 0 && place[m] - place[at_[contact - 1]] < gap_) continue;
       const double pivot = left.diagonal[m], told = left.told[m], base = left.base[m];
       at_[contact] = m;
-      eliminate(left, m, end, left_[contact + 1]);
-      place_contact(contact + 1,
-                    {sum.exponent + 0.5 * told * told / pivot, sum.volume * pivot / precision_[m],
-                     sum.moment + told * base / pivot});
+      const Sum with{sum.exponent + 0.5 * told * told / pivot, sum.volume * pivot / precision_[m],
+                     sum.moment + told * base / pivot};
+      if (contact + 2 == count_) {
+        add_last(left, m, with);
+      } else {
+        eliminate(left, m, end, left_[contact + 1]);
+        place_contact(contact + 1, with);
+      }
     }
   }
 
@@ -643,9 +647,7 @@ class SetsGrid {
     const double inverse = 1.0 / from.diagonal[m], told = from.told[m], base = from.base[m];
     const double* row = from.gram[m];
     for (int k = end; k < wide; ++k) to.told[k] = from.told[k] - inverse * told * row[k];
-    for (int k = end; k < wide && critical_ < INFINITY; ++k) {
-      to.base[k] = from.base[k] - inverse * base * row[k];
-    }
+    for (int k = end; k < wide; ++k) to.base[k] = from.base[k] - inverse * base * row[k];
     for (int k = end; k < wide; ++k) {
       to.diagonal[k] = from.diagonal[k] - inverse * row[k] * row[k];
     }
@@ -656,21 +658,24 @@ class SetsGrid {
     }
   }
 
-  // The last contact at each of its places.
-  void add(Sum sum) {
-    const Products& left = left_.back();
-    const int first = (count_ - 1) * cells_, before = at_[count_ - 2];
-    const double *told = left.told.data() + first, *pivot = left.diagonal.data() + first;
-    const double *base = left.base.data() + first, *precision = precision_.data() + first;
+  // The last contact at each of its places, beside one in column `own`.
+  void add_last(const Products& left, int own, Sum sum) {
+    const int first = (count_ - 1) * cells_;
     int from = 0;
-    while (from < cells_ && place[first + from] - place[before] < gap_) ++from;
-    exponent_.resize(cells_), weight_.resize(cells_);
-    double *exponent = exponent_.data(), *weight = weight_.data();
+    while (from < cells_ && place[first + from] - place[own] < gap_) ++from;
+    const double inverse = 1.0 / left.diagonal[own], *row = left.gram[own] + first;
+    const double *base = left.base.data() + first, *precision = precision_.data() + first;
+    scratch_.resize(4 * cells_);
+    double *exponent = scratch_.data(), *weight = exponent + cells_;
+    double *told = weight + cells_, *share = told + cells_;
+    take_out(cells_, inverse, left.told[own], row, left.told.data() + first,
+             left.diagonal.data() + first, told, share);
     for (int m = from; m < cells_; ++m) {
-      exponent[m] = sum.exponent + 0.5 * told[m] * told[m] / pivot[m];
+      exponent[m] = sum.exponent + 0.5 * told[m] * told[m] * share[m];
     }
     for (int m = from; m < cells_ && critical_ < INFINITY; ++m) {
-      if (std::abs(sum.moment + told[m] * base[m] / pivot[m]) > critical_) exponent[m] = -INFINITY;
+      const double lever = base[m] - inverse * left.base[own] * row[m];
+      if (std::abs(sum.moment + told[m] * lever * share[m]) > critical_) exponent[m] = -INFINITY;
     }
     const double highest = largest(exponent + from, cells_ - from);
     if (!(highest >= top - kNothing && highest > -INFINITY)) return;
@@ -681,14 +686,8 @@ class SetsGrid {
       }
       total *= shrink, peak_ *= shrink, top = highest;
     }
-    const double reference = top;  // a local number, for vector code
-    const int cells = cells_;
-    for (int m = from; m < cells; ++m) {
-      weight[m] =
-          exponential(exponent[m] - reference) * std::sqrt(precision[m] / (sum.volume * pivot[m]));
-    }
-    double* last = mass[count_ - 1].data();
-    for (int m = from; m < cells; ++m) last[m] += weight[m];
+    weigh_last(cells_ - from, top, 1.0 / sum.volume, precision + from, exponent + from,
+               share + from, weight + from, mass[count_ - 1].data() + from);
     const double all = std::accumulate(weight + from, weight + cells_, 0.0);
     total += all;
     for (int j = 0; j + 1 < count_; ++j) mass[j][at_[j] - j * cells_] += all;
@@ -699,10 +698,32 @@ class SetsGrid {
     peak_ = most, level = level_, scale = scale_, best = at_;
   }
 
+  // Products of the last contact's places with the readings, less what the contact before it
+  // explains; and their shares, one over the products with themselves.
+  static void take_out(int count, double inverse, double told, const double* __restrict row,
+                       const double* __restrict all, const double* __restrict diagonal,
+                       double* __restrict left, double* __restrict share) {
+    for (int m = 0; m < count; ++m) {
+      left[m] = all[m] - inverse * told * row[m];
+      share[m] = 1.0 / (diagonal[m] - inverse * row[m] * row[m]);
+    }
+  }
+
+  static void weigh_last(int count, double top, double share_before,
+                         const double* __restrict precision, const double* __restrict exponent,
+                         const double* __restrict share, double* __restrict weight,
+                         double* __restrict mass) {
+    for (int m = 0; m < count; ++m) {
+      weight[m] =
+          exponential(exponent[m] - top) * std::sqrt(precision[m] * share_before * share[m]);
+      mass[m] += weight[m];
+    }
+  }
+
   int count_, cells_;
   std::vector<int> at_;         // columns of the set that is being weighed
-  std::vector<Products> left_;  // by how many contacts are placed
-  Row square_, precision_, exponent_, weight_;
+  std::vector<Products> left_;  // by how many contacts are placed, up to the last but one
+  Row square_, precision_, scratch_;
   double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
   std::size_t level_ = 0;
 };

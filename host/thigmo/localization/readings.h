@@ -140,6 +140,7 @@ inline Readings normalised(const Input& in, const Priors& priors) {
   double most = 1e-6, square = 0.0;
   out.turn = out.noise = 0.0;
   Row free;
+  out.index.reserve(in.curvature.size());
   for (Row* each : {&frame.excess, &frame.low, &frame.high, &frame.noise, &frame.gain, &free,
                     &out.bad, &out.log_bad}) {
     each->reserve(in.curvature.size());

@@ -71,14 +71,16 @@ class Shape {
             between(c_), between(s_)};
   }
 
-  // Largest lever of a force at `point`.
-  double largest(const Point& point) const {
-    const double own = point.x * point.c + point.y * point.s;
-    double most = std::abs(own);
-    for (int k = 8; k < point.arc * (kNodes - 1); k += 8) {
-      most = std::max(most, std::abs(own - x_[k] * point.c - y_[k] * point.s));
+  // Raise the levers of forces at M points to the largest of each; `own`: its lever at the base.
+  void raise_to_largest(int count, const double* __restrict arc, const double* __restrict c,
+                        const double* __restrict s, const double* __restrict own,
+                        double* __restrict most) const {
+    for (int k = 8; k < kNodes; k += 8) {
+      for (int m = 0; m < count; ++m) {
+        const double lever = std::abs(own[m] - x_[k] * c[m] - y_[k] * s[m]);
+        most[m] = k < arc[m] * (kNodes - 1) && lever > most[m] ? lever : most[m];
+      }
     }
-    return most;
   }
 
   // Add the curvature that a force at `point` causes along the body.
@@ -93,16 +95,6 @@ class Shape {
  private:
   Nodes c_, s_, x_, y_, sum_x_, sum_y_;
 };
-
-// Mean over a sensor, from `low` to `high`, of the lever of a unit force at `point`.
-inline double mean_lever(const Point& low, const Point& high, const Point& point) {
-  if (point.arc <= low.arc) return 0.0;
-  const double own = point.x * point.c + point.y * point.s, span = high.arc - low.arc;
-  if (span < kPoint) return own - low.x * point.c - low.y * point.s;
-  const Point& end = point.arc < high.arc ? point : high;
-  const double sum_x = end.sum_x - low.sum_x, sum_y = end.sum_y - low.sum_y;
-  return (own * (end.arc - low.arc) - sum_x * point.c - sum_y * point.s) / span;
-}
 
 // What unit forces at M places do: mean lever over each sensor, largest lever and that at the base.
 struct Levers {
@@ -132,19 +124,42 @@ inline void straight_levers(const Row& place, const Row& low, const Row& high, L
   }
 }
 
+// Mean over a sensor of the levers of unit forces at M points.
+inline void mean_levers(const Point& low, const Point& high, int count,
+                        const double* __restrict arc, const double* __restrict sum_x,
+                        const double* __restrict sum_y, const double* __restrict c,
+                        const double* __restrict s, const double* __restrict own,
+                        double* __restrict out) {
+  const double span = high.arc - low.arc;
+  for (int m = 0; m < count; ++m) {
+    const bool inside = arc[m] < high.arc;
+    const double x = (inside ? sum_x[m] : high.sum_x) - low.sum_x;
+    const double y = (inside ? sum_y[m] : high.sum_y) - low.sum_y;
+    const double reach = (inside ? arc[m] : high.arc) - low.arc;
+    const double mean = span < kPoint ? own[m] - low.x * c[m] - low.y * s[m]
+                                      : (own[m] * reach - x * c[m] - y * s[m]) / span;
+    out[m] = arc[m] > low.arc ? mean : 0.0;
+  }
+}
+
 // Forces across a bent body, or along it.
 inline void bent_levers(const Shape& shape, const Row& place, const Row& low, const Row& high,
                         Levers& out, bool along = false) {
-  std::vector<Point> point;
-  for (const double arc : place) {
-    point.push_back(along ? shape.at(arc).turned() : shape.at(arc));
-    out.base[point.size() - 1] = point.back().x * point.back().c + point.back().y * point.back().s;
-    out.largest[point.size() - 1] = shape.largest(point.back());
+  const int count = static_cast<int>(place.size());
+  Matrix of(5, count);
+  double *arc = of[0], *sum_x = of[1], *sum_y = of[2], *c = of[3], *s = of[4];
+  for (int m = 0; m < count; ++m) {
+    const Point point = along ? shape.at(place[m]).turned() : shape.at(place[m]);
+    arc[m] = point.arc, sum_x[m] = point.sum_x, sum_y[m] = point.sum_y;
+    c[m] = point.c, s[m] = point.s;
+    out.base[m] = point.x * point.c + point.y * point.s;
+    out.largest[m] = std::abs(out.base[m]);
   }
+  const double* own = out.base.data();
+  shape.raise_to_largest(count, arc, c, s, own, out.largest.data());
   for (int i = 0; i < out.sensor.rows; ++i) {
-    const Point near = shape.at(low[i]), far = shape.at(high[i]);
-    double* row = out.sensor[i];
-    for (std::size_t m = 0; m < place.size(); ++m) row[m] = mean_lever(near, far, point[m]);
+    mean_levers(shape.at(low[i]), shape.at(high[i]), count, arc, sum_x, sum_y, c, s, own,
+                out.sensor[i]);
   }
 }
 

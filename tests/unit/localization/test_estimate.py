@@ -40,6 +40,17 @@ def test_one_contact_without_noise_is_found_where_it_is(arc, sign):
     assert contact.force * sign > 0.0
 
 
+def test_what_was_localized_before_changes_no_answer():
+    layouts = [(BOTH, 5.5), (BOTH + 1.0, 5.5), (BOTH, 4.0), (COLUMN, 5.5)]
+    touched = [felt(37.0, 2e-4, where) for where, _ in layouts]
+
+    def answers(order):
+        found = {k: find(touched[k], layouts[k][0], span=layouts[k][1]) for k in order}
+        return [(found[k].log_odds, found[k].contacts) for k in range(len(layouts))]
+
+    assert answers([0, 1, 2, 3]) == answers([3, 1, 0, 2])
+
+
 def test_clean_and_fine_readings_fix_the_place():
     result = find(felt(37.0, 2e-4), noise=1e-7)
     assert result.status == "localized"
