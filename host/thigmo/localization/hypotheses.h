@@ -84,18 +84,20 @@ class Weighing {
 
   void run() {
     free();
-    std::size_t one = weigh_one();
+    // Beyond this misfit the noise may be larger than stated.
+    const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
+    std::size_t one = weigh_one(frame_.rest, doubtful);
     const bool misfit = readings.known && found[one].misfit > limit_;
     if (readings.known) explained = found[0].misfit - found[one].misfit;
     if (explained < found[one].misfit) explained = 0.0;
-    if (readings.known && found[one].misfit > misfit_at(priors_.noise_deviate)) {
-      // The noise may be larger than stated.
+    if (found[one].misfit > doubtful) {
+      const Nodes bent = found[one].curvature;
       readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
                                {priors_.noise_factor, std::log(priors_.noise_odds)}};
       white_ = Whitened(frame_, frame_.shared);
       found.clear();
       free();
-      one = weigh_one();
+      one = weigh_one(bent, INFINITY);
     }
     const Nodes bent = found[one].curvature;
     const bool held = settings_.held_end == Settings::Held::yes;
@@ -225,9 +227,9 @@ class Weighing {
   // One contact, then one beside each rival that is worth weighing: on the same grid, and by
   // itself where that may change the answer. `bad` is the rival's index.
   std::vector<Hypothesis> contact_and(const Columns& column, const Row& log_odds,
-                                      const Nodes& start) const {
+                                      const Nodes& start, double doubtful) const {
     const double weight = contact_ + std::log(unfolded_);
-    const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless};
+    const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless, doubtful};
     std::vector<RivalContact> beside;
     std::vector<Hypothesis> out;
     out.push_back(contact(Load::contact,
@@ -246,9 +248,10 @@ class Weighing {
     return out;
   }
 
-  // Returns the index of the contact whose readings are all good.
-  std::size_t weigh_one() {
-    std::vector<Hypothesis> contacts = contact_and(bad_, readings.log_bad, frame_.rest);
+  // Returns the index of the contact whose readings are all good; beside bad ones it is weighed if
+  // it leaves no more than a misfit.
+  std::size_t weigh_one(const Nodes& start, double doubtful) {
+    std::vector<Hypothesis> contacts = contact_and(bad_, readings.log_bad, start, doubtful);
     const std::size_t first = found.size();
     std::move(contacts.begin(), contacts.end(), std::back_inserter(found));
     return first;
@@ -366,7 +369,7 @@ class Weighing {
       if (folds && place[h] < 4.0 * settings_.radius) log_odds[h] = priors_.base_fold;
     }
     if (place.empty()) return;
-    std::vector<Hypothesis> contacts = contact_and(columns, log_odds, start);
+    std::vector<Hypothesis> contacts = contact_and(columns, log_odds, start, INFINITY);
     for (std::size_t k = 1; k < contacts.size(); ++k) {
       Hypothesis& kinked = found.emplace_back(std::move(contacts[k]));
       kinked.load = Load::contact_hinge;

@@ -275,6 +275,7 @@ struct Rivals {
   const Columns& column;
   const Row& log_odds;
   double best, hopeless;  // log evidence of the best explanation so far; what counts against it
+  double misfit;          // of the contact alone, beyond which they are not weighed
 };
 
 // A contact beside one of them, weighed on the same grid of the same shape.
@@ -536,7 +537,7 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
       part = finer;
       continue;
     }
-    if (!rivals) return out;
+    if (!rivals || out.misfit > rivals->misfit) return out;
     const Row gain = grid.gains(rivals->column);
     const double least = std::max(rivals->best, out.log_evidence) + rivals->hopeless;
     for (int e = 0; e < rivals->column.size(); ++e) {
