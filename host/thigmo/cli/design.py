@@ -56,11 +56,29 @@ def design(
         offset_error=offset,
         separations=[gap / 2 for gap in range(10, int(1.7 * length))],
     )
-    one, two = found.table(), found.pair_table()
-    tables = [
-        Table("one-contact", tuple(one[0]), [tuple(row.values()) for row in one]),
-        Table("two-contacts", tuple(two[0]), [tuple(row.values()) for row in two]),
+    one = [
+        {
+            "arc": float(arc),
+            "moment": float(moment),
+            "force": float(moment / arc) if arc > 0.0 else 0.0,
+            "bound": float(found.bound[m, a]),
+            "signal": float(found.signal[m, a]),
+            "detected": bool(found.detected[m, a]),
+        }
+        for m, moment in enumerate(found.moment)
+        for a, arc in enumerate(found.arc)
     ]
+    two = [
+        {
+            "separation": float(gap),
+            "moment": float(moment),
+            "proximal_bound": float(found.pair_bound[m, s, 0]),
+            "distal_bound": float(found.pair_bound[m, s, 1]),
+        }
+        for m, moment in enumerate(found.moment)
+        for s, gap in enumerate(found.separation)
+    ]
+    tables = [Table.of("one-contact", one), Table.of("two-contacts", two)]
     paths = write(Outcome(tables, {"bounds": draw_design(found, position, span)}), "design", out)
     if as_json:
         print_json({"one_contact": one, "two_contacts": two, "files": [str(p) for p in paths]})

@@ -51,34 +51,6 @@ class Identifiability:
         """(M, A) whether a contact there is reported nine times in ten."""
         return np.asarray(self.signal > DETECTABLE)
 
-    def table(self) -> list[dict[str, float | bool]]:
-        """One row for each place and moment: what a figure or a CSV shows."""
-        return [
-            {
-                "arc": float(arc),
-                "moment": float(moment),
-                "force": float(moment / arc) if arc > 0.0 else 0.0,
-                "bound": float(self.bound[m, a]),
-                "signal": float(self.signal[m, a]),
-                "detected": bool(self.detected[m, a]),
-            }
-            for m, moment in enumerate(self.moment)
-            for a, arc in enumerate(self.arc)
-        ]
-
-    def pair_table(self) -> list[dict[str, float]]:
-        """One row for each separation and moment."""
-        return [
-            {
-                "separation": float(gap),
-                "moment": float(moment),
-                "proximal_bound": float(self.pair_bound[m, s, 0]),
-                "distal_bound": float(self.pair_bound[m, s, 1]),
-            }
-            for m, moment in enumerate(self.moment)
-            for s, gap in enumerate(self.separation)
-        ]
-
 
 def arc_bounds(
     arcs: npt.ArrayLike,

@@ -19,6 +19,7 @@ from thigmo.localization import _posterior, priors
 from thigmo.localization.readings import (
     Array,
     Range,
+    check_layout,
     columns,
     everted_length,
     positive,
@@ -172,13 +173,13 @@ def _options(
         raise DataError(
             "position and curvature differ in length", "give one position for each reading"
         )
-    white = _NONE
-    if noise is not None:
-        white = vector(noise, "noise", count)
-        if not white.size:
-            raise DataError(
-                "noise is empty", "give one standard deviation, or None if it is unknown"
-            )
+    white = _NONE if noise is None else vector(noise, "noise", count)
+    if noise is not None and not white.size:
+        raise DataError("noise is empty", "give one standard deviation, or None if it is unknown")
+    widths, gains = vector(span, "span", count), vector(gain_error, "gain_error", count)
+    odds = vector(bad_reading_odds, "bad_reading_odds", count)
+    if count:
+        check_layout(x, widths, white, gains, odds, total)
     if contacts != "auto" and (
         isinstance(contacts, bool)
         or not isinstance(contacts, (int, np.integer))
@@ -199,10 +200,10 @@ def _options(
         limit = positive(width_limit, "width_limit") / total
     sensors = _posterior.Sensors(
         x,
-        vector(span, "span", count),
+        widths,
         white,
-        vector(gain_error, "gain_error", count),
-        vector(bad_reading_odds, "bad_reading_odds", count),
+        gains,
+        odds,
         columns(shared_errors, count),
         positive(offset_error, "offset_error"),
         positive(map_error, "map_error"),

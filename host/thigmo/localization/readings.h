@@ -33,24 +33,8 @@ struct Readings {
   bool known;              // whether the noise is known
 };
 
-// Why an input is refused; readings.py has the sentences.
-enum class Problem {
-  none,
-  infinite,
-  no_reading,
-  position,
-  span,
-  free,
-  noise,
-  gain,
-  odds,
-  off_body,
-  long_span,
-  crowded,
-  one_position,
-  too_tight,
-  constant
-};
+// Why a frame is refused; readings.py has the sentences, and checks what holds for every frame.
+enum class Problem { none, infinite, no_reading, free, too_tight, constant };
 
 inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }
 
@@ -63,27 +47,14 @@ inline std::pair<double, double> ends_of_sensor(const Input& in, std::size_t i) 
 
 // The problem, and a number that shows it.
 inline std::pair<Problem, double> problem_of(const Input& in) {
-  constexpr std::size_t kFew = 3;
   const std::size_t n = in.curvature.size();
-  double farthest = -INFINITY, nearest = INFINITY, widest = 0.0, tightest = 0.0;
+  double tightest = 0.0;
   std::size_t finite = 0;
   bool same = true, passive = true;
   for (std::size_t i = 0; i < n; ++i) {
-    const double k = in.curvature[i], x = in.position[i], w = pick(in.span, i);
-    const double g = pick(in.free, i);
+    const double k = in.curvature[i], g = pick(in.free, i);
     if (std::isinf(k)) return {Problem::infinite, k};
-    if (!std::isfinite(x)) return {Problem::position, x};
-    if (!(std::isfinite(w) && w >= 0.0)) return {Problem::span, w};
     if (!std::isfinite(g)) return {Problem::free, g};
-    if (!in.noise.empty() && !(std::isfinite(pick(in.noise, i)) && pick(in.noise, i) >= 0.0)) {
-      return {Problem::noise, pick(in.noise, i)};
-    }
-    if (!(std::isfinite(pick(in.gain, i)) && pick(in.gain, i) >= 0.0)) {
-      return {Problem::gain, pick(in.gain, i)};
-    }
-    if (!(pick(in.bad_odds, i) >= 0.0)) return {Problem::odds, pick(in.bad_odds, i)};
-    farthest = std::max(farthest, x), nearest = std::min(nearest, x);
-    widest = std::max(widest, w);
     tightest = std::max(tightest, std::abs(g));
     passive = passive && g == 0.0;
     if (std::isnan(k)) continue;
@@ -92,15 +63,9 @@ inline std::pair<Problem, double> problem_of(const Input& in) {
     ++finite;
   }
   if (finite == 0) return {Problem::no_reading, 0.0};
-  const double slack = 1e-9 * in.length;
-  if (farthest > in.length + slack) return {Problem::off_body, farthest};
-  if (nearest < -slack) return {Problem::off_body, nearest};
-  if (widest > in.length) return {Problem::long_span, widest};
-  if (n >= kFew && farthest == nearest) return {Problem::one_position, farthest};
-  if (n >= kFew && farthest < 0.12 * in.length) return {Problem::crowded, farthest};
   if (tightest * in.radius > 1.0) return {Problem::too_tight, tightest};
   // A body that nothing bends reads no constant curvature but zero.
-  if (n >= kFew && same && passive && finite == n && in.curvature[0] != 0.0) {
+  if (n >= 3 && same && passive && finite == n && in.curvature[0] != 0.0) {
     return {Problem::constant, in.curvature[0]};
   }
   return {Problem::none, 0.0};

@@ -115,42 +115,65 @@ def _none(count: int) -> Array:
     return np.zeros((0, count))
 
 
-# In the order of `Problem` in readings.h; {0} is the number that shows it, {1} the length.
+def check_layout(
+    position: Array, span: Array, noise: Array, gain: Array, odds: Array, total: float
+) -> None:
+    """What holds for every frame of the same sensors.
+
+    Raises:
+        DataError: a number that is not possible, or lengths of another unit.
+    """
+    named = {"span": span, "noise": noise, "gain_error": gain, "bad_reading_odds": odds}
+    for name, values in named.items():
+        if not (np.isfinite(values) & (values >= 0.0)).all():
+            raise DataError(f"{name} is {values}", f"give a finite {name} of zero or more")
+    if not np.isfinite(position).all():
+        raise DataError("a position is not finite", "give each sensor's centre")
+    farthest, nearest = float(position.max()), float(position.min())
+    slack = 1e-9 * total
+    if not -slack <= nearest <= farthest <= total + slack:
+        where = farthest if farthest > total else nearest
+        cure = _same_unit(where, total) or "check positions and units"
+        raise DataError(f"a sensor is centred at {where:g}, off a body of {total:g}", cure)
+    if span.max() > total:
+        cure = _same_unit(span.max(), total) or "check spans and units"
+        raise DataError(f"a span of {span.max():g} is longer than the body, {total:g}", cure)
+    if position.size < 3:
+        return
+    if farthest == nearest:
+        raise DataError(f"all positions are {farthest:g}", "give each sensor's centre")
+    if farthest < 0.12 * total:
+        raise DataError(
+            f"every sensor is centred within {farthest:g} of a body of {total:g}",
+            "give positions and length in the same unit (mm and cm, or cm and m, look mixed)",
+        )
+
+
+def _same_unit(given: float, total: float) -> str:
+    for factor, unit, meant in ((10.0, "mm", "cm"), (100.0, "cm", "m"), (1000.0, "mm", "m")):
+        if 0.05 * total <= given / factor <= total:
+            return f"it looks like {unit} where the length is in {meant}: use one unit"
+    return ""
+
+
+# In the order of `Problem` in readings.h; {:g} is the number that shows it.
 _PROBLEMS = (
     ("", ""),
     ("a reading is infinite", "mark missing sensors with NaN"),
     ("no reading is finite", "give at least one reading"),
-    ("a position is not finite", "give each sensor's centre"),
-    ("a span is {0:g}", "give sensor lengths of zero or more"),
-    ("free_curvature is {0:g}", "give the free curvature of the actuation, or 0"),
-    ("noise is {0:g}", "give one standard deviation, or None if it is unknown"),
-    ("gain_error is {0:g}", "give relative standard errors of zero or more"),
-    ("bad_reading_odds is {0:g}", "give odds of zero or more"),
-    ("a sensor is centred at {0:g}, off a body of {1:g}", "check positions and units"),
-    ("a sensor's span of {0:g} is longer than the body, {1:g}", "check spans and units"),
-    (
-        "every sensor is centred within {0:g} of a body of {1:g}",
-        "give positions and length in the same unit (mm and cm, or cm and m, look mixed)",
-    ),
-    ("all positions are {0:g}", "give each sensor's centre"),
-    ("a curvature of {0:g} is tighter than the tube itself can bend", "check its unit"),
-    ("all readings are {0:g}", "check the column and the sensors' connection"),
+    ("free_curvature is {:g}", "give the free curvature of the actuation, or 0"),
+    ("a curvature of {:g} is tighter than the tube itself can bend", ""),
+    ("all readings are {:g}", "check the column and the sensors' connection"),
 )
-_MIXED = ((10.0, "mm", "cm"), (100.0, "cm", "m"), (1000.0, "mm", "m"))
 
 
 def refusal(problem: int, shows: float, total: float) -> DataError:
-    """What the compiled code found wrong, and the likely cure."""
+    """What the compiled code found wrong with a frame, and the likely cure."""
     what, cure = _PROBLEMS[problem]
-    if "off a body" in what or "longer than the body" in what:
-        for factor, given, meant in _MIXED:
-            if 0.05 * total <= shows / factor <= total:
-                cure = f"it looks like {given} where the length is in {meant}: use one unit"
-                break
-    if "tighter" in what:
+    if not cure:
         cure = "give the inverse of the length's unit (not degrees, ohm or counts)"
         for factor, unit in ((100.0, "cm"), (1000.0, "mm")):
             if shows / factor * total < 2.0 * math.pi:
                 cure = f"it looks like 1/m with lengths in {unit}, or like degrees: give 1/{unit}"
                 break
-    return DataError(what.format(shows, total), cure)
+    return DataError(what.format(shows), cure)

@@ -13,7 +13,6 @@
 // attain the minimum. The 2-norm has points only.
 #pragma once
 
-#include "../answer.h"
 #include "search.h"
 
 namespace thigmo {
@@ -22,26 +21,21 @@ inline Answer point_fit(const Input& input, const Settings& settings) {
   Answer out;
   std::tie(out.problem, out.shows) = problem_of(input);
   if (out.problem != Problem::none) return out;
-  Excess frame;
+  Frame frame;
   double size = 0.0;
   for (std::size_t i = 0; i < input.curvature.size(); ++i) {
     if (std::isnan(input.curvature[i])) continue;
     const auto [low, high] = ends_of_sensor(input, i);
-    frame.value.push_back(input.curvature[i] - pick(input.free, i));
+    frame.excess.push_back(input.curvature[i] - pick(input.free, i));
     frame.low.push_back(low);
     frame.high.push_back(high);
-    size = std::max(size, std::abs(frame.value.back()));
+    size = std::max(size, std::abs(frame.excess.back()));
   }
-  for (double& value : frame.value) value /= size > 0.0 ? size : 1.0;
-  const PointFit fit = Search(frame, settings.norm, settings.contacts == 2 ? 2 : 1).fit();
+  for (double& value : frame.excess) value /= size > 0.0 ? size : 1.0;
+  Search(frame, settings.norm, settings.contacts == 2 ? 2 : 1).fit(out);
   const double unit = settings.norm == 1 ? size : size * size;
-  out.objective = fit.objective * unit;
-  out.gap = fit.gap * unit;
-  for (std::size_t c = 0; c < fit.arc.size(); ++c) {
-    const Ranges& set = fit.optimum_set[c];
-    out.contacts.push_back({fit.arc[c], fit.force[c] * size * input.length, set.front().first,
-                            set.back().second, 0.0, NAN, false, set});
-  }
+  out.objective *= unit, out.gap *= unit;
+  for (FeltContact& contact : out.contacts) contact.force *= size * input.length;
   out.status = Status::ambiguous;
   out.number.fill(NAN);
   out.log_odds = NAN;

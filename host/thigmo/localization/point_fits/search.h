@@ -12,9 +12,18 @@
 
 #include <queue>
 
+#include "../answer.h"
 #include "signed_fit.h"
 
 namespace thigmo {
+
+using Ranges = std::vector<std::pair<double, double>>;
+
+// What a unit force at an arc of a straight body adds to a sensor's reading.
+inline double lever(double arc, double low, double high) {
+  if (arc >= high) return arc - 0.5 * (low + high);
+  return arc <= low ? 0.0 : (arc - low) * (arc - low) / (2.0 * (high - low));
+}
 
 struct Box {
   std::array<double, 2> near, far;  // of the proximal and of the distal contact
@@ -35,24 +44,32 @@ struct Pair {
 
 class Search {
  public:
-  Search(const Excess& frame, int norm, int contacts)
-      : frame_(frame), edges_(cell_edges(frame)), norm_(norm), first_(2 - contacts) {
-    for (const double value : frame.value) rest_ += misfit(value);
+  // Of a frame, the excess and the ends of sensors; the largest excess is one.
+  Search(const Frame& frame, int norm, int contacts)
+      : frame_(frame), edges_{0.0, 1.0}, norm_(norm), first_(2 - contacts) {
+    for (const double value : frame.excess) rest_ += misfit(value);
+    edges_.insert(edges_.end(), frame.low.begin(), frame.low.end());
+    edges_.insert(edges_.end(), frame.high.begin(), frame.high.end());
+    std::sort(edges_.begin(), edges_.end());
+    edges_.erase(std::unique(edges_.begin(), edges_.end()), edges_.end());
   }
 
-  PointFit fit() const {
-    if (rest_ == 0.0) {  // every arc is as good
-      const std::size_t count = 2 - first_;
-      return {0.0, 0.0, Row(count, 1.0), Row(count), {count, {{0.0, 1.0}}}};
-    }
+  // The fit, with forces over the largest excess. `gap` is how far its proven lower bound lies
+  // below the objective; the pieces of a contact are the arcs at which the minimum is attained.
+  void fit(Answer& out) const {
     const Box body{{0.0, 0.0}, {first_ == 0 ? 1.0 : 0.0, 1.0}};
-    Pair best = search(body);
-    PointFit out{best.objective, best.objective - best.bound, {}, {}, {}};
+    // Where nothing is felt, every arc is as good.
+    Pair best{{1.0, 1.0}, {0.0, 0.0}, 0.0, 0.0};
+    if (rest_ > 0.0) best = search(body);
+    out.objective = best.objective, out.gap = best.objective - best.bound;
     const double level = best.objective + kTolerance * rest_;
     for (int c = first_; c < 2; ++c) {
       Ranges set{{best.arc[c], best.arc[c]}};
-      if (norm_ == 1 && first_ == 0) set = {range_around(body, c, best.arc[c], level)};
-      if (norm_ == 1 && first_ == 1) {
+      if (rest_ == 0.0) {
+        set = {{0.0, 1.0}};
+      } else if (norm_ == 1 && first_ == 0) {
+        set = {range_around(body, c, best.arc[c], level)};
+      } else if (norm_ == 1) {
         set.clear();
         add_ranges(body, level, set);
         const auto [near, far] = *std::max_element(
@@ -60,14 +77,13 @@ class Search {
             [](const auto& a, const auto& b) { return a.second - a.first < b.second - b.first; });
         best = search(held(body, c, 0.5 * (near + far)));
       }
-      out.arc.push_back(best.arc[c]);
-      out.force.push_back(best.force[c]);
-      out.optimum_set.push_back(set);
+      out.contacts.push_back(
+          {best.arc[c], best.force[c], set.front().first, set.back().second, 0.0, NAN, false, set});
     }
-    return out;
   }
 
  private:
+  static constexpr double kTolerance = 1e-9;  // of the misfit without contact: less is equal
   static constexpr double kLimit = 20.0;      // |force| over the largest reading, of two contacts
   static constexpr std::size_t kRoom = 8192;  // boxes; a search that needs more is cut short
   static constexpr double kThinnest = 1e-12;  // boxes no wider are not split
@@ -136,10 +152,10 @@ class Search {
       }
       if (mixed) continue;
       if (box.far[1] <= low) {
-        unreached += misfit(frame_.value[i]);
+        unreached += misfit(frame_.excess[i]);
         continue;
       }
-      hull.reading.push_back(frame_.value[i]);
+      hull.reading.push_back(frame_.excess[i]);
       for (int c = 0; c < 2; ++c) {
         const double near = box.near[c], far = box.far[c];
         const double first = lever(near, low, high), last = lever(far, low, high);
@@ -186,7 +202,7 @@ class Search {
       if (first_ == 0) here.force[c] = std::clamp(here.force[c], -kLimit, kLimit);
     }
     for (int i = 0; i < frame_.size(); ++i) {
-      double residual = frame_.value[i];
+      double residual = frame_.excess[i];
       for (int c = 0; c < 2; ++c) {
         residual -= here.force[c] * lever(here.arc[c], frame_.low[i], frame_.high[i]);
       }
@@ -250,8 +266,8 @@ class Search {
     return {ends[0], ends[1]};
   }
 
-  const Excess& frame_;
-  Row edges_;
+  const Frame& frame_;
+  Row edges_;         // ends of spans and of the body, ascending
   int norm_, first_;  // `first_`: 0 if the proximal contact is not held at the base
   double rest_ = 0.0;
 };

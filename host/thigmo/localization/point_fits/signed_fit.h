@@ -9,7 +9,9 @@
 // multipliers that the solver ended with, and any multipliers give a valid bound.
 #pragma once
 
-#include "levers.h"
+#include <numeric>
+
+#include "../shape.h"
 
 namespace thigmo {
 
@@ -45,6 +47,16 @@ inline void exchange(Matrix& table, int p, int q) {
 
 inline double product(const Row& a, const Row& b) {
   return std::inner_product(a.begin(), a.end(), b.begin(), 0.0);
+}
+
+// Sort by key, and find the place in `order` up to which the weights first add up to `need`; the
+// end if they never do.
+inline std::size_t crossing(std::vector<int>& order, const Row& key, const Row& weight,
+                            double need) {
+  std::sort(order.begin(), order.end(), [&](int a, int b) { return key[a] < key[b]; });
+  std::size_t place = 0;
+  while (place < order.size() && (need -= weight[order[place]]) > 0.0) ++place;
+  return place;
 }
 
 // Factors that bring each column's largest entry to 1.
