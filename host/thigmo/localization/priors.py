@@ -28,12 +28,13 @@ CONTACT_UNSURE = -3.0
 # Less here, for three free loads fit a contact on the side as well: weighed as often as pegs meet
 # it, the end would be believed in a quarter of such frames instead of a seventh.
 END = math.log(0.15 / 0.85) - 0.7
-# The same where nothing but the contact bends the body, which then hardly meets a peg end on.
-END_STRAIGHT = -5.0
+# The same where nothing but the contact bends the body, which then hardly meets a peg end on. Its
+# three free loads fit two opposed contacts as well.
+END_STRAIGHT = -7.0
 # Of a hand or a clamp that holds the end of a body that need not be a tube.
 HELD = -1.0
 # Of one more contact, of a contact that is spread out, of a kink anywhere on the body.
-ANOTHER = -2.5
+ANOTHER = -1.7
 SPREAD = -3.0
 HINGE = -5.0
 # Of a kink near the base, where the contact alone would bear a moment that folds most bodies.
