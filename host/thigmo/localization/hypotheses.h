@@ -28,13 +28,6 @@ struct Settings {
   int norm;  // 1 or 2 for a point fit, 0 for the posterior
 };
 
-// Posterior of one contact's place: even cells, their mass, the force at each.
-struct Marginal {
-  Row place;
-  double width;
-  Row mass, force, spread;
-};
-
 enum class Load { none, hinge, contact, end, fold, spread, contact_hinge, two, three, end_fold };
 
 struct Hypothesis {
@@ -217,10 +210,9 @@ class Weighing {
             bad};
   }
 
-  Hypothesis contact(Load load, OneContact&& fit, double weight, int numbers) const {
-    Hypothesis out = hypothesis(load, fit, weight, numbers, -1);
-    out.contacts.push_back({std::move(fit.place), fit.width, std::move(fit.mass),
-                            std::move(fit.force), std::move(fit.spread)});
+  Hypothesis contact(Load load, OneContact fit, double weight, int numbers, int bad) const {
+    Hypothesis out = hypothesis(load, fit, weight, numbers, bad);
+    out.contacts.push_back(std::move(fit));
     return out;
   }
 
@@ -232,9 +224,8 @@ class Weighing {
     const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless, doubtful};
     std::vector<RivalContact> beside;
     std::vector<Hypothesis> out;
-    out.push_back(contact(Load::contact,
-                          one_contact(white_, prior_, kCells, 0.0, start, &rivals, &beside), weight,
-                          2));
+    OneContact alone = one_contact(white_, prior_, kCells, 0.0, start, &rivals, &beside);
+    out.push_back(contact(Load::contact, std::move(alone), weight, 2, -1));
     const double matters = std::max(best(), out[0].log_weight) + kMatters;
     for (RivalContact& other : beside) {
       const double odds = weight + log_odds[other.index];
@@ -242,7 +233,7 @@ class Weighing {
         other.contact =
             one_contact(with(column, other.index), prior_, kCells, 0.0, out[0].curvature);
       }
-      out.push_back(contact(Load::contact, std::move(other.contact), odds, 2));
+      out.push_back(contact(Load::contact, std::move(other.contact), odds, 2, -1));
       out.back().bad = other.index;
     }
     return out;
@@ -318,11 +309,8 @@ class Weighing {
     FoldedContact fit = folded_contact(with(bad_, bad), prior_, error, share, kCells, start);
     if (!(fit.log_evidence > -INFINITY)) return fit;
     const double weight = contact_ + std::log(std::max(1.0 - unfolded_, 1e-12));
-    Hypothesis& out = found.emplace_back(hypothesis(Load::fold, fit, weight, 3, bad));
-    Row spread = fit.force;
-    for (double& value : spread) value = error * std::abs(value);
-    out.contacts.push_back({fit.place, 1.0 / kCells, fit.mass, fit.force, spread});
-    out.angle = priors_.angle * fit.angle[fit.top];
+    found.push_back(contact(Load::fold, fit, weight, 3, bad));
+    found.back().angle = priors_.angle * fit.angle[fit.top];
     return fit;
   }
 
@@ -331,7 +319,7 @@ class Weighing {
         contact_ + priors_.spread - std::log(static_cast<double>(priors_.half_widths.size()));
     for (const double half : priors_.half_widths) {
       OneContact fit = one_contact(white_, prior_, kCells, half, start);
-      found.push_back(contact(Load::spread, std::move(fit), weight, 3));
+      found.push_back(contact(Load::spread, std::move(fit), weight, 3, -1));
       found.back().half_width = half;
     }
   }
@@ -420,10 +408,7 @@ class Weighing {
     const double weight = contact_ + (count - 1) * priors_.another;
     Hypothesis& out = found.emplace_back(
         hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
-    for (std::size_t j = 0; j < fit.place.size(); ++j) {
-      out.contacts.push_back({fit.place[j], fit.width[j], fit.mass[j], Row(cells, fit.force[j]),
-                              Row(cells, fit.spread[j])});
-    }
+    out.contacts = fit.contacts;
     if (count == 2 && bad < 0) {
       doubt(out, fit, priors_.another, [this](int i) { add_several(2, kPairCells, i); });
     }

@@ -260,13 +260,16 @@ struct Fit {
   Row known{};  // (N,) readings that the loads' prior means cause; empty where these are zero
 };
 
-// Posterior of one contact over M cells of the body.
-struct OneContact : Fit {
+// Posterior of one contact's place, over M cells of the body.
+struct Marginal {
   Row place;           // (M,) middles of the cells
   double width = 0.0;  // of a cell
   Row mass;            // (M,) of sum one
   Row force, spread;   // (M,) its mean and standard deviation
-  int top = 0;         // index of the likeliest place
+};
+
+struct OneContact : Fit, Marginal {
+  int top = 0;  // index of the likeliest place
 };
 
 // Explanations that a contact shares the readings with, one at a time: their columns, and log prior
@@ -552,9 +555,7 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
 
 // Posterior of two or three contacts, base to tip, each in a window of its own.
 struct SeveralContacts : Fit {
-  std::vector<Row> place, mass;  // of each contact's cells; marginal mass of sum one
-  Row width;                     // of each contact's cells
-  Row best, force, spread;       // the likeliest set of places; its mean forces, deviations
+  std::vector<Marginal> contacts;  // with the forces of the likeliest set of places
 };
 
 // Weighs all sets of places, one of each contact's cells, by eliminating one contact after another
@@ -736,12 +737,13 @@ inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, co
   const Frame& frame = *readings.frame;
   const int n = frame.size(), count = static_cast<int>(sets.best.size());
   const Whitened::At& at = readings.levels[sets.level];
-  for (int j = 0; j < count; ++j) out.best[j] = sets.place[sets.best[j]];
+  Row best(count);
+  for (int j = 0; j < count; ++j) best[j] = sets.place[sets.best[j]];
   out.loads.resize(count, n);
   Body body(frame, prior, start);
   Nodes bent;
   do {
-    const Levers& levers = body.levers(out.best);
+    const Levers& levers = body.levers(best);
     for (int j = 0; j < count; ++j) {
       const double deviation = sets.scale * unit[sets.best[j]];
       for (int i = 0; i < n; ++i) out.loads[j][i] = deviation * levers.sensor[i][j];
@@ -751,9 +753,10 @@ inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, co
     bent = frame.rest;
     for (int j = 0; j < count; ++j) {
       const double deviation = sets.scale * unit[sets.best[j]];
-      out.force[j] = found.mean[j] * deviation;
-      out.spread[j] = found.deviation[j] * deviation;
-      body.shape().add_moment(body.shape().at(out.best[j]), out.force[j], bent);
+      const double force = found.mean[j] * deviation;
+      out.contacts[j].force.assign(sets.mass[j].size(), force);
+      out.contacts[j].spread.assign(sets.mass[j].size(), found.deviation[j] * deviation);
+      body.shape().add_moment(body.shape().at(best[j]), force, bent);
     }
   } while (!body.settle(bent));
   return bent;
@@ -764,7 +767,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
   const Frame& frame = *readings.frame;
   const int wide = count * cells;
   SeveralContacts out;
-  out.best = out.force = out.spread = Row(count);
+  out.contacts.resize(count);
   std::vector<Window> window(count, Window{0.0, 1.0});
   Body body(frame, prior, start);
   SetsGrid sets(count, cells);
@@ -793,20 +796,19 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
     if (!(sets.total > 0.0)) return out;
     const double scales = static_cast<double>(prior.scales.size());
     out.log_evidence = sets.top + std::log(sets.total / scales) + log_volume;
-    out.place.clear();
     for (int j = 0; j < count; ++j) {
       for (double& mass : sets.mass[j]) mass /= sets.total;
-      out.place.emplace_back(sets.place.begin() + j * cells, sets.place.begin() + (j + 1) * cells);
+      const auto first = sets.place.begin() + j * cells;
+      out.contacts[j] = {{first, first + cells}, sets.width[j], sets.mass[j], {}, {}};
     }
-    out.mass = sets.mass, out.width = sets.width;
     out.curvature = likeliest_set(readings, prior, sets, unit, body.curvature, out);
     if (!body.settle(out.curvature)) continue;
     bool finer = false;
     for (int j = 0; j < count; ++j) {
-      const Row& mass = out.mass[j];
+      const Row& mass = out.contacts[j].mass;
       if (*std::max_element(mass.begin(), mass.end()) < kResolved) continue;
       const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside);
-      if (part.far - part.near < 0.75 * (window[j].far - window[j].near) && out.width[j] > 1e-6) {
+      if (part.far - part.near < 0.75 * (window[j].far - window[j].near) && sets.width[j] > 1e-6) {
         window[j] = part;
         finer = true;
       }
@@ -878,9 +880,8 @@ inline EndWrench end_wrench(const Whitened& readings, const ForcePrior& prior, d
 
 // A contact that has folded the base: its moment there is the critical one, and the fold's angle
 // has its sign.
-struct FoldedContact : Fit {
-  Row place, mass, force, angle;  // (M,)
-  int top = 0;
+struct FoldedContact : OneContact {
+  Row angle;  // (M,)
 };
 
 // `fold` (N,): what a fold of one prior standard deviation adds to each reading. `tolerance`:
@@ -893,7 +894,8 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
   FoldedContact out;
   Body body(frame, prior, start, true);
   out.place = middles({0.0, 1.0}, cells);
-  out.force = out.angle = Row(cells);
+  out.width = 1.0 / cells;
+  out.force = out.spread = out.angle = Row(cells);
   Matrix white;
   do {
     const Levers& levers = body.levers(out.place);
@@ -929,6 +931,7 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
           if (log_weight <= top[m]) continue;
           top[m] = log_weight;
           out.force[m] = mean * (1.0 + tolerance * found.mean[0]);
+          out.spread[m] = tolerance * std::abs(out.force[m]);
           out.angle[m] = found.mean[1];
           if (log_weight <= best) continue;
           best = log_weight;
