@@ -456,9 +456,8 @@ def simulated(board: str, seed: int, hours: float) -> list[Figure]:
             Figure("RAM with the stack, at the end", static + stack, "byte", 0.75 * RAM),
             Figure("EEPROM bytes written", rig.chip.eeprom_writes, ""),
         ]
-        # The limits of a robot at work are held by tools/budgets.py.
         found += [
-            Figure(name, round(100 * rig.worst[name] / (width * CYCLES_PER_MS), 1), "%")
+            Figure(name, round(100 * rig.worst[name] / (width * CYCLES_PER_MS), 1), "%", 50)
             for name, width in WORST.items()
         ]
     return found

@@ -121,10 +121,13 @@ class BoardPolicy {
   bool estop();          // true = pressed (or its wire broken); not debounced
 
   // --- UART --------------------------------------------------------------------------------------
-  bool rx_read(uint8_t* byte);  // next received byte, or false
-  uint16_t rx_overruns();       // received bytes lost (ring full, or hardware overrun) since start
-  uint16_t tx_free();           // bytes that tx_write accepts now
-  uint16_t tx_pending();        // bytes not yet handed to the wire
+  // How many received bytes lie at `first`, the oldest of them; more may wait elsewhere. They stay
+  // there until they are dropped.
+  uint8_t rx_waiting(const uint8_t** first);
+  void rx_drop(uint8_t count);
+  uint16_t rx_overruns();  // received bytes lost (ring full, or hardware overrun) since start
+  uint16_t tx_free();      // bytes that tx_write accepts now
+  uint16_t tx_pending();   // bytes not yet handed to the wire
   void tx_write(const uint8_t* bytes, uint8_t count);  // count <= tx_free()
 
   // --- EEPROM ------------------------------------------------------------------------------------

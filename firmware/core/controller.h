@@ -134,6 +134,9 @@ class Controller {
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint8_t kAppliedAtOnce = 16;     // parameters looked at in a control period
   static constexpr uint16_t kRearmMs = 200;
+  // While the spool winds, telemetry comes so often at least, whatever its period: by it the host's
+  // port process sees how far the body grows while the host hangs, and stops it.
+  static constexpr uint16_t kWindingTelemetryMs = 20;
   static constexpr uint16_t kHoldSettleMs = 500;  // beyond twice the lag, before a hold is read
   static constexpr int32_t kHomingExcess = 5;     // homing gives up beyond the body's length by 1/5
   // After its first touch, homing backs off, bounded in time and duty as well, for the encoder may
@@ -171,6 +174,7 @@ class Controller {
     return activity_ == Activity::kTesting && test_.output == output;
   }
   void spool_step();
+  uint16_t follow_length();
   void body_step();
   void free_step();
   void zeroing_step();
@@ -272,6 +276,7 @@ class Controller {
   uint8_t peak_side_ = 0;
   enum class Homing : uint8_t { kSeek, kBackOff, kTouch } homing_ = Homing::kSeek;
   bool side_known_[kSides] = {};
+  bool rescaled_ = false;  // by what is being applied
   bool greeted_ = false;
   bool beaten_ = false;
   bool length_known_ = false;

@@ -153,7 +153,7 @@ inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
   zero_count_ = encoder_ - derived_.counts(length_um);
   length_known_ = true;
   slip_.accept(encoder_);
-  body_step();
+  follow_length();  // nothing everts by being vouched for: no events
   eversion_.confirm(settled, tick_);
   if (!settled) zeros_.invalidate(0xFFFF);
   assemble_conditions();
@@ -251,30 +251,31 @@ inline Outcome Controller::begin_apply() {
   if (conflict >= 0) return {Reason::kContradiction, conflict};
   activity_ = Activity::kSaving;
   apply_next_ = 0;
+  rescaled_ = false;
   return kAccepted;
 }
 
 inline void Controller::take_parameter(uint8_t index) {
   const Scales before = scales();
   derived_.update(config_, index);
+  rescaled_ = rescaled_ || Derived::is_scale(index);
   take_over(before);
-  scale_supply();
+  if (index == static_cast<uint8_t>(Param::kReferenceMv)) scale_supply();
 }
 
 inline bool Controller::apply_step() {
   for (uint8_t tries = 0; tries < kAppliedAtOnce; ++tries) {
     const uint8_t index = apply_next_++;
     const bool changes = staged_.waits(index);
-    if (changes) {
-      config_.value[index] = staged_.get(config_, index);
-      take_parameter(index);
-    }
+    const bool due = changes || (rescaled_ && Derived::is_scaled(index));
+    if (changes) config_.value[index] = staged_.get(config_, index);
+    if (due) take_parameter(index);
     if (apply_next_ == protocol::kParamCount) {
       staged_.clear();
       activity_ = Activity::kIdle;
       return true;
     }
-    if (changes) break;
+    if (due) break;
   }
   return false;
 }
@@ -323,13 +324,14 @@ inline Outcome Controller::begin_defaults() {
   staged_.clear();
   activity_ = Activity::kSaving;
   defaults_next_ = 0;
+  rescaled_ = false;
   return kAccepted;
 }
 
 inline bool Controller::defaults_step() {
   for (uint8_t tries = 0; tries < 8; ++tries) {
     const uint8_t item = defaults_next_++;
-    const bool changed = config_.load_default(item);
+    const bool changed = config_.load_default(item) || (rescaled_ && Derived::is_scaled(item));
     if (changed && item < protocol::kParamCount) take_parameter(item);
     if (defaults_next_ == Configuration::kItems) {
       activity_ = Activity::kIdle;

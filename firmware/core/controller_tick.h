@@ -40,7 +40,6 @@ inline void Controller::sense(const Inputs& in) {
     drift_.add(i, flex_.latest(i));
     if (averaging_) zeros_.add(i, flex_.latest(i));
   }
-  drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
 }
 
 THIGMO_NOINLINE inline void Controller::scale_supply() {
@@ -66,7 +65,8 @@ THIGMO_NOINLINE inline void Controller::decide() {
   }
   if (estop_) raise(Fault::kEstop, 0);
   supervise(0);
-  const uint16_t period = static_cast<uint16_t>(config_.get(Param::kTelemetryMs));
+  uint16_t period = static_cast<uint16_t>(config_.get(Param::kTelemetryMs));
+  if (winding() && (period == 0 || period > kWindingTelemetryMs)) period = kWindingTelemetryMs;
   const uint16_t waited = static_cast<uint16_t>(tick_ - telemetry_tick_);
   // A period of whole control steps falls on their lightest tick.
   telemetry_due_ = period != 0 && waited >= period && flex_.all_ready() &&
@@ -117,7 +117,8 @@ inline void Controller::begin_half() {
   peak_side_ = sweep_.side();
 }
 
-inline void Controller::pressure_step(uint8_t side) {
+// Inlined by order, once for each side: places that are known then cost a fifth of the work less.
+__attribute__((always_inline)) inline void Controller::pressure_step(uint8_t side) {
   PressureReading& sensor = pressure_[side];
   sensor.update(config_.get(Param::kPressureZero, side), derived_.pressure_gain[side]);
   const int16_t measured = sensor.cpsi();
@@ -163,6 +164,8 @@ inline void Controller::spool_step() {
   }
   slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts) ||
               (winding() && spool_.overrun());
+  // Drift is known of a spool that stands still, whose turn is a light one.
+  drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
 }
 
 inline void Controller::finish_spool(bool arrived) {
@@ -226,11 +229,17 @@ inline void Controller::lose_home() {
                   static_cast<uint8_t>(Reason::kLengthUnknown));
 }
 
-inline void Controller::body_step() {
+// Takes the length over; returns the sensors that it has everted since the last call.
+inline uint16_t Controller::follow_length() {
   length_um_ = derived_.um(encoder_ - zero_count_);
   const uint16_t fresh =
       eversion_.update(length_known_, length_um_, tick_, config_, derived_.enabled_mask);
   zeros_.invalidate(static_cast<uint16_t>(fresh | ~eversion_.everted_mask()));
+  return fresh;
+}
+
+inline void Controller::body_step() {
+  const uint16_t fresh = follow_length();
   if (fresh != 0) {
     for (uint8_t i = 0; i < kSensors; ++i) {
       if ((fresh >> i & 1) != 0) post(protocol::EventCode::kEverted, i, length_um_);

@@ -62,14 +62,19 @@ class Robot {
 
   // One frame a pass at most, and no more bytes than arrive in a millisecond at 250 kbaud and some.
   void receive() {
-    uint8_t byte;
-    for (uint8_t i = 0; i < kReceiveBytes && board_.rx_read(&byte); ++i) {
-      if (session_.receive(byte, byte == 0 ? board_.micros() : 0, commands_)) {
-        write_outputs();  // a stop takes effect now, not at the next tick
-        if (commands_.stop_changed()) board_.keep_stop(controller_.stop_latch());
-        return;
-      }
+    for (uint8_t left = kReceiveBytes; left != 0;) {
+      const uint8_t* bytes;
+      const uint8_t waiting = board_.rx_waiting(&bytes);
+      if (waiting == 0) return;
+      const uint8_t taken = session_.receive(bytes, lesser(waiting, left));
+      board_.rx_drop(taken);
+      if (session_.heard()) break;
+      left = static_cast<uint8_t>(left - taken);
     }
+    if (!session_.heard()) return;
+    session_.answer(board_.micros(), commands_);
+    write_outputs();  // a stop takes effect now, not at the next tick
+    if (commands_.stop_changed()) board_.keep_stop(controller_.stop_latch());
   }
 
   void tick(const AdcFrame* frame) {

@@ -13,7 +13,10 @@ void setup() {
 }
 
 void loop() {
-  robot.loop();
-  board.task(0);
-  board.idle();
+  // Never back to main(): a pass would save its registers each time.
+  for (;;) {
+    robot.loop();
+    board.task(0);
+    board.idle();
+  }
 }

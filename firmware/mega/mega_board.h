@@ -3,6 +3,7 @@
 #ifndef THIGMO_MEGA_MEGA_BOARD_H_
 #define THIGMO_MEGA_MEGA_BOARD_H_
 
+#include <avr/cpufunc.h>
 #include <avr/interrupt.h>
 #include <avr/sleep.h>
 
@@ -33,6 +34,7 @@ class MegaBoard {
     Encoder::begin();
     Serial0::begin();
     set_sleep_mode(SLEEP_MODE_IDLE);
+    sleep_enable();
   }
 
   // Once the robot is ready for its first tick.
@@ -49,10 +51,9 @@ class MegaBoard {
     for (;;) {
       cli();
       if (wake::asked()) break;
-      sleep_enable();
       sei();
       sleep_cpu();  // the instruction after sei is executed before any interrupt
-      sleep_disable();
+      _NOP();       // simavr serves what is pending one instruction later than the chip
     }
     wake::clear();
     sei();
@@ -82,7 +83,8 @@ class MegaBoard {
     return supply_mv_;
   }
 
-  static bool rx_read(uint8_t* byte) { return Serial0::read(byte); }
+  static uint8_t rx_waiting(const uint8_t** first) { return Serial0::waiting(first); }
+  static void rx_drop(uint8_t count) { Serial0::drop(count); }
   static uint16_t rx_overruns() { return Serial0::overruns(); }
   static uint16_t tx_free() { return Serial0::room(); }
   static uint16_t tx_pending() { return Serial0::pending(); }

@@ -34,14 +34,19 @@ class Serial0 {
     GPIOR2 = tx_in_;
   }
 
-  static bool read(uint8_t* byte) {
+  // Those up to the ring's end, if the others lie at its begin.
+  static uint8_t waiting(const uint8_t** first) {
+    const uint8_t in = rx_in_;
     const uint8_t out = rx_out_;
-    if (rx_in_ == out) return false;
-    *byte = rings_.rx[out];
-    rx_out_ = out + 1;
+    *first = rings_.rx + out;
+    return static_cast<uint8_t>((in < out ? 0 : in) - out);
+  }
+
+  static void drop(uint8_t count) {
+    const uint8_t out = static_cast<uint8_t>(rx_out_ + count);
+    rx_out_ = out;
     // A pass ends with a frame; there may be another.
-    if (*byte == 0 && rx_in_ != rx_out_) wake::ask();
-    return true;
+    if (rings_.rx[static_cast<uint8_t>(out - 1)] == 0 && rx_in_ != out) wake::ask();
   }
 
   static uint16_t overruns() {

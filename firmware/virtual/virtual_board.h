@@ -186,12 +186,12 @@ class VirtualBoard {
   uint16_t supply_mv() { return supply_mv_; }
   bool estop() { return estop_; }
 
-  bool rx_read(uint8_t* byte) {
-    if (rx_.empty()) return false;
-    *byte = rx_.front();
-    rx_.pop_front();
-    return true;
+  uint8_t rx_waiting(const uint8_t** first) {
+    if (rx_.empty()) return 0;
+    *first = &rx_.front();
+    return 1;
   }
+  void rx_drop(uint8_t count) { rx_.erase(rx_.begin(), rx_.begin() + count); }
   uint16_t rx_overruns() { return overruns_; }
   uint16_t tx_free() { return static_cast<uint16_t>(kTxRing - 1 - tx_.size()); }
   uint16_t tx_pending() { return static_cast<uint16_t>(tx_.size()); }

@@ -33,8 +33,9 @@ struct Gain16 {
       ++shift;
     }
     // numerator / denominator is now at least a half, if the gain is not absurdly small.
-    const uint64_t scaled = (static_cast<uint64_t>(numerator) << 16) / denominator;
-    mantissa = static_cast<uint16_t>(lesser<uint64_t>(scaled, 65535));
+    mantissa = numerator >= denominator
+                   ? uint16_t{65535}
+                   : static_cast<uint16_t>(long_quotient(numerator, denominator, 16));
     half = static_cast<uint16_t>((1u << shift) >> 1);
   }
 
@@ -72,8 +73,26 @@ struct Derived {
       update_reversal(c, side);
       update_lag(c, side);
     }
-    update_spool(c);
+    update_scale(c);
+    update_distances(c);
+    update_acceleration(c);
     update_drive(c);
+    update_top_speed(c);
+    update_slew(c);
+    update_stuck(c);
+    update_stall(c);
+    update_telemetry(c);
+  }
+
+  // What the encoder's scale changes besides the scale itself comes with two later parameters,
+  // which are then due as well: all in one pass would be too long.
+  static bool is_scale(uint16_t index) {
+    return index == static_cast<uint16_t>(Param::kCountsPerM) ||
+           index == static_cast<uint16_t>(Param::kPayoutQ8);
+  }
+  static bool is_scaled(uint16_t index) {
+    return index == static_cast<uint16_t>(Param::kSpoolAccelUmS2) ||
+           index == static_cast<uint16_t>(Param::kSlipUm);
   }
 
   // After a change of one parameter: only what follows from it, to keep the pass short.
@@ -85,8 +104,8 @@ struct Derived {
       update_flex(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kFlexScale)));
     } else if (within(Param::kFlexEnabled, kSensors)) {
       update_flex(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kFlexEnabled)));
-    } else if (within(Param::kCountsPerM, 1) || within(Param::kPayoutQ8, 1)) {
-      update_spool(c);
+    } else if (is_scale(index)) {
+      update_scale(c);
     } else if (within(Param::kSlipUm, 1) || within(Param::kSpoolToleranceUm, 1)) {
       update_distances(c);
     } else if (within(Param::kPressureSpan, kSides)) {
@@ -101,8 +120,18 @@ struct Derived {
       update_drive(c);
     } else if (within(Param::kSpoolAccelUmS2, 1)) {
       update_acceleration(c);
+    } else if (within(Param::kHeartbeatMs, 1)) {
+      update_top_speed(c);
+    } else if (within(Param::kPressureSlewCpsiS, 1)) {
+      update_slew(c);
+    } else if (within(Param::kStuckMs, 1)) {
+      update_stuck(c);
+    } else if (within(Param::kStallMs, 1)) {
+      update_stall(c);
+    } else if (within(Param::kTelemetryMs, 1)) {
+      update_telemetry(c);
     } else {
-      update_rest(c);
+      update_plain(c);
     }
   }
 
@@ -157,14 +186,13 @@ struct Derived {
     lag_alpha_q16[side] = static_cast<uint16_t>(lesser<int32_t>(alpha, 65535));
   }
 
-  void update_spool(const Configuration& c) {
-    const uint64_t scale = static_cast<uint32_t>(c.get(Param::kCountsPerM)) *
-                           static_cast<uint64_t>(c.get(Param::kPayoutQ8));
-    um_per_count_q16 = static_cast<uint32_t>((static_cast<uint64_t>(1000000) << 24) / scale);
-    counts_per_um_q24 = static_cast<uint32_t>((scale << 16) / 1000000u);
-    step_per_um_s_q32 = static_cast<uint32_t>((scale << 24) / (1000000u * uint64_t{kControlHz}));
-    update_distances(c);
-    update_acceleration(c);
+  void update_scale(const Configuration& c) {
+    // At most 1e6 counts/m times 4, in 1/256: 2^30.
+    const uint32_t scale = static_cast<uint32_t>(c.get(Param::kCountsPerM)) *
+                           static_cast<uint32_t>(c.get(Param::kPayoutQ8));
+    um_per_count_q16 = long_quotient(uint32_t{1000000} << 12, scale, 12);
+    counts_per_um_q24 = long_quotient(scale, 1000000, 16);
+    step_per_um_s_q32 = long_quotient(scale, 1000000 * uint32_t{kControlHz} >> 8, 16);
   }
 
   void update_acceleration(const Configuration& c) {
@@ -183,19 +211,35 @@ struct Derived {
         greater<int32_t>(c.get(Param::kDrive20maCpsi) - c.get(Param::kDrive4maCpsi), 1300);
     drive_slope_q16 =
         static_cast<uint16_t>(static_cast<int32_t>(kDriveFull) * 65536 / 5 * 4 / span);
-    update_rest(c);
+    update_plain(c);
   }
 
-  void update_rest(const Configuration& c) {
+  // What takes no division.
+  void update_plain(const Configuration& c) {
     drive_ceiling_cpsi = static_cast<int16_t>(
         lesser(c.get(Param::kMaxPressureCpsi) + kDriveMarginCpsi, c.get(Param::kDrive20maCpsi)));
-    top_speed_um_s = Configuration::top_speed_um_s(c.get(Param::kHeartbeatMs));
-    slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
-    stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
-    stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
-    telemetry_aligned = c.get(Param::kTelemetryMs) % kControlMs == 0;
     oversample_log2 = static_cast<uint8_t>(c.get(Param::kOversampleLog2));
     trigger_log2 = static_cast<uint8_t>(c.get(Param::kTriggerFilterLog2));
+  }
+
+  void update_top_speed(const Configuration& c) {
+    top_speed_um_s = Configuration::top_speed_um_s(c.get(Param::kHeartbeatMs));
+  }
+
+  void update_slew(const Configuration& c) {
+    slew_q8 = slew_step_q8(static_cast<uint16_t>(c.get(Param::kPressureSlewCpsiS)));
+  }
+
+  void update_stuck(const Configuration& c) {
+    stuck_steps = static_cast<uint16_t>(c.get(Param::kStuckMs) / kControlMs);
+  }
+
+  void update_stall(const Configuration& c) {
+    stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
+  }
+
+  void update_telemetry(const Configuration& c) {
+    telemetry_aligned = c.get(Param::kTelemetryMs) % kControlMs == 0;
   }
 };
 

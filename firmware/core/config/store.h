@@ -146,7 +146,7 @@ class ConfigStore {
     }
     const uint8_t target = static_cast<uint8_t>(slot_ ^ 1);
     // Bytes that need no write cost no waiting; a few a call keep the loop short.
-    for (uint8_t tries = 0; tries < 8; ++tries) {
+    for (uint8_t tries = 0; tries < 3; ++tries) {
       if (next_ > kSlotSize) {
         saving_ = false;
         slot_ = target;

@@ -56,6 +56,27 @@ inline int32_t share_q16(int32_t a, uint16_t b) {
   return high + static_cast<int32_t>(low >> 16);
 }
 
+// (numerator << bits) / denominator, rounded down, for denominators below 2^31: a long division by
+// hand, in a third of the time that an AVR's library takes for 64 bits.
+THIGMO_NOINLINE inline uint32_t long_quotient(uint32_t numerator, uint32_t denominator,
+                                              uint8_t bits) {
+  uint32_t quotient = 0;
+  uint32_t remainder = numerator;
+  if (remainder >= denominator) {
+    quotient = remainder / denominator;
+    remainder %= denominator;
+  }
+  for (; bits > 0; --bits) {
+    remainder <<= 1;
+    quotient <<= 1;
+    if (remainder >= denominator) {
+      remainder -= denominator;
+      quotient |= 1;
+    }
+  }
+  return quotient;
+}
+
 // A sum over control steps of gain (1/256) times error, as an output: sum / (256 * 200). Dividing
 // by 25 is multiplying by 20972 / 2^19, but for 2e-5 of it; good for sums below 2^26.
 inline int16_t integral_output(int32_t sum) {

@@ -51,7 +51,7 @@ class SpoolLoop {
       return rests(counts) ? Outcome::kArrived : Outcome::kMoving;
     }
     watch_stall(counts, way, error);
-    if (still_steps_ >= d.stall_steps) {
+    if (still_steps_ >= d.stall_steps || unseen(way * (goal - counts), way, d)) {
       duty_ = 0;
       return Outcome::kStalled;
     }
@@ -89,8 +89,9 @@ class SpoolLoop {
 
  private:
   static constexpr uint8_t kSpeedSteps = 4;
-  static constexpr uint8_t kRestSteps = 10;   // 50 ms without a count
-  static constexpr uint8_t kBrakeSteps = 60;  // 0.3 s, as SlipWatch grants
+  static constexpr uint8_t kRestSteps = 10;    // 50 ms without a count
+  static constexpr uint8_t kBrakeSteps = 60;   // 0.3 s, as SlipWatch grants
+  static constexpr uint8_t kUnseenSteps = 10;  // 50 ms without a count
 
   // At its target, braked: a pulled tail runs on for a while, and the length is the one at rest. A
   // tail that the brake does not hold is for the slip watch.
@@ -109,6 +110,12 @@ class SpoolLoop {
     }
     const bool behind = way * error >= kStallLag || profile_.done();
     if (duty_ != 0 && behind && still_steps_ < 0xFFFF) ++still_steps_;
+  }
+
+  // A spool that pays out has nothing to push against. If its counts stand still all the same, the
+  // encoder may be dead and the body growing ever faster: there a stall is one of 3 mm as well.
+  bool unseen(int32_t lag, int32_t way, const Derived& d) const {
+    return way > 0 && still_steps_ >= kUnseenSteps && lag > 3 * d.lead_counts;
   }
 
   Profile profile_;

@@ -105,42 +105,57 @@ THIGMO_NOINLINE inline uint8_t encode(const Frame& frame, uint8_t* wire) {
   return static_cast<uint8_t>(next - wire);
 }
 
-// Unstuffs a stream byte by byte.
+// Unstuffs a stream.
 class FrameDecoder {
  public:
   enum class Result : uint8_t { kMore, kFrame, kBad };
 
-  // Takes one byte. After kFrame, frame() is valid until the next call.
-  Result push(uint8_t byte) {
-    if (byte == 0) return finish();
-    if (left_ == 0) {
-      // A code byte: so many bytes to the next zero, which the code before it stood for (the code
-      // 255 stands for none, but no frame is that long).
-      if (begun_) append(0);
-      begun_ = true;
-      left_ = static_cast<uint8_t>(byte - 1);
-    } else {
-      append(byte);
-      --left_;
+  // Takes bytes as they came, up to the first zero; `taken` says how many. After kFrame, frame() is
+  // valid until the next call. What changes from byte to byte stays in registers: byte by byte, an
+  // AVR would take six times as long.
+  THIGMO_NOINLINE Result push(const uint8_t* bytes, uint8_t count, uint8_t* taken) {
+    const uint8_t* const top = frame_.bytes + protocol::kMaxFrame;
+    uint8_t* to = frame_.bytes + count_;
+    uint8_t left = left_;
+    uint8_t unread = count;
+    while (unread != 0) {
+      --unread;
+      uint8_t byte = *bytes++;
+      if (byte == 0) {
+        *taken = static_cast<uint8_t>(count - unread);
+        return finish(static_cast<uint8_t>(to - frame_.bytes), left == 0);
+      }
+      if (left == 0) {
+        // A code byte: so many bytes to the next zero, which the code before it stood for (the code
+        // 255 stands for none, but no frame is that long).
+        left = static_cast<uint8_t>(byte - 1);
+        byte = 0;
+        if (!begun_) {
+          begun_ = true;
+          continue;
+        }
+      } else {
+        --left;
+      }
+      if (to == top) {
+        overlong_ = true;
+      } else {
+        *to++ = byte;
+      }
     }
+    count_ = static_cast<uint8_t>(to - frame_.bytes);
+    left_ = left;
+    *taken = count;
     return Result::kMore;
   }
 
   const Frame& frame() const { return frame_; }
 
  private:
-  void append(uint8_t byte) {
-    if (count_ < protocol::kMaxFrame) {
-      frame_.bytes[count_++] = byte;
-    } else {
-      overlong_ = true;
-    }
-  }
-
-  Result finish() {
-    const uint8_t count = count_;
+  // A zero has come after so many bytes; `complete`: after all that the last code promised.
+  Result finish(uint8_t count, bool complete) {
     const bool empty = !begun_;
-    const bool whole = left_ == 0 && !overlong_;
+    const bool whole = complete && !overlong_;
     count_ = 0;
     left_ = 0;
     begun_ = false;

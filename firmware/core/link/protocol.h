@@ -1409,17 +1409,19 @@ enum class Param : uint16_t {
   kSpoolKff = 80,           // Feed-forward of speed. (1/256 duty s per count)
   kSpoolDeadZone = 81,      // Duty at which the motor begins to turn. (1/800 of full)
   kSpoolToleranceUm = 82,   // At the target within this. (um)
-  kStallMs = 83,            // Driven and still for so long is a stall. (ms)
-  kSlipUm = 84,             // Movement with the motor off that is a slip. (um)
-  kHomeSpeedUmS = 85,       // Tip speed of homing. (um/s)
-  kHeartbeatMs = 86,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
-                      // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
-                      // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 87,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
-                      // that is 10 % off. (mV)
-  kReferenceMv = 88,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
-                      // supply / supply_mv as the board reports it. (mV)
-  kTelemetryMs = 89,  // Telemetry period; 0 = off. (ms)
+  kStallMs = 83,       // Driven and still for so long is a stall. In growth, so is 3 mm behind the
+                       // profile without a count: the encoder may be what fails. (ms)
+  kSlipUm = 84,        // Movement with the motor off that is a slip. (um)
+  kHomeSpeedUmS = 85,  // Tip speed of homing. (um/s)
+  kHeartbeatMs = 86,   // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
+                       // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
+  kSupplyMinMv = 87,   // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+                       // that is 10 % off. (mV)
+  kReferenceMv = 88,   // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+                       // supply / supply_mv as the board reports it. (mV)
+  kTelemetryMs =
+      89,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
 };
 constexpr uint16_t kParamCount = 90;
 struct ParamRow {

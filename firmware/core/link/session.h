@@ -44,25 +44,28 @@ class Session {
     open_ = true;
   }
 
-  // Takes one received byte; the time matters only for a frame's last one, the zero. `handler` has
+  // Takes received bytes, up to the end of a frame; returns how many. A whole frame waits in
+  // heard() until it is dealt with.
+  uint8_t receive(const uint8_t* bytes, uint8_t count) {
+    uint8_t taken;
+    heard_ = decoder_.push(bytes, count, &taken);
+    return taken;
+  }
+  bool heard() const { return heard_ != FrameDecoder::Result::kMore; }
+
+  // Deals with the frame that was heard, at a time. `handler` has
   //   Handled execute(const Frame& command, Frame* reply);
   //   void heartbeat();
   //   void hello();
   //   void stop(uint32_t nonce);
-  // Returns true when a whole frame was dealt with.
   template <typename Handler>
-  bool receive(uint8_t byte, uint32_t now_us, Handler& handler) {
-    switch (decoder_.push(byte)) {
-      case FrameDecoder::Result::kMore:
-        return false;
-      case FrameDecoder::Result::kBad:
-        ++counters_.rx_bad;
-        return true;
-      case FrameDecoder::Result::kFrame:
-        break;
+  void answer(uint32_t now_us, Handler& handler) {
+    if (heard_ == FrameDecoder::Result::kBad) {
+      ++counters_.rx_bad;
+    } else {
+      take(decoder_.frame(), now_us, handler);
     }
-    take(decoder_.frame(), now_us, handler);
-    return true;
+    heard_ = FrameDecoder::Result::kMore;
   }
 
   // The reply to the deferred command.
@@ -153,7 +156,6 @@ class Session {
     uint32_t host_nonce;
   };
 
-  // Apart from receive(), whose work for each byte it would burden with its registers.
   template <typename Handler>
   THIGMO_NOINLINE void take(const Frame& frame, uint32_t now_us, Handler& handler) {
     ++counters_.rx_frames;
@@ -343,6 +345,7 @@ class Session {
   }
 
   FrameDecoder decoder_;
+  FrameDecoder::Result heard_ = FrameDecoder::Result::kMore;
   Frame reply_{};  // of the last command
   Frame telemetry_{};
   Frame scratch_{};  // what is made when it is sent

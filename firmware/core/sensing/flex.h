@@ -62,23 +62,9 @@ THIGMO_NOINLINE inline int32_t total_ohm_q4(uint16_t count) {
 
 // The same from a zero, which is stored in 1/256 of a sum of 2^log2 conversions: 22000 << (23 +
 // log2) over twice the zero plus half a count for each conversion.
-THIGMO_NOINLINE inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
-  const uint32_t count = zero_sum_q8 * 2 + (static_cast<uint32_t>(256) << log2);
-  uint32_t remainder = kDividerOhm;
-  uint32_t quotient = 0;
-  if (remainder >= count) {
-    quotient = remainder / count;
-    remainder %= count;
-  }
-  for (uint8_t i = static_cast<uint8_t>(23 + log2); i > 0; --i) {
-    remainder <<= 1;  // below 2^26
-    quotient <<= 1;
-    if (remainder >= count) {
-      remainder -= count;
-      quotient |= 1;
-    }
-  }
-  return static_cast<int32_t>(quotient);
+inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
+  const uint32_t count = zero_sum_q8 * 2 + (static_cast<uint32_t>(256) << log2);  // below 2^26
+  return static_cast<int32_t>(long_quotient(kDividerOhm, count, static_cast<uint8_t>(23 + log2)));
 }
 
 // Curvature of unusual bends and gains: 64 bits.

@@ -17,8 +17,8 @@ class DriftWatch {
  public:
   static constexpr uint16_t kWindowMs = 2000;
 
-  // Once a tick: whether the robot is vented and still. A disturbance begins anew; what was
-  // measured stays readable.
+  // Once a control period: whether the robot is vented and still. A disturbance begins anew; what
+  // was measured stays readable.
   void set_quiet(bool quiet, uint32_t tick) {
     if (quiet == quiet_) return;
     quiet_ = quiet;
@@ -38,12 +38,12 @@ class DriftWatch {
 
   // Takes a completed reading (sum of 2^log2).
   void add(uint8_t sensor, uint16_t sum) {
+    if (!quiet_) return;
     sum_[sensor] += sum;
     ++taken_[sensor];
   }
 
-  // Once a tick, after set_quiet(); closes a full window. The ten divisions are spread over ten
-  // ticks.
+  // Once a control period; closes a full window. The divisions are spread over ten of them.
   void update(uint32_t tick, uint8_t log2, const int32_t* gain_q16) {
     if (pending_ < kSensors) {
       settle_account(pending_, log2, gain_q16[pending_]);

@@ -2424,7 +2424,10 @@ PARAMETERS: dict[str, Parameter] = {
             50,
             2000,
             (400,),
-            "Driven and still for so long is a stall.",
+            (
+                "Driven and still for so long is a stall. In growth, so is 3 mm behind the "
+                "profile without a count: the encoder may be what fails."
+            ),
         ),
         Parameter(
             "slip_um",
@@ -2483,7 +2486,17 @@ PARAMETERS: dict[str, Parameter] = {
                 " / supply_mv as the board reports it."
             ),
         ),
-        Parameter("telemetry_ms", 48, 89, 1, "ms", 0, 10000, (5,), "Telemetry period; 0 = off."),
+        Parameter(
+            "telemetry_ms",
+            48,
+            89,
+            1,
+            "ms",
+            0,
+            10000,
+            (5,),
+            "Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least.",
+        ),
     )
 }
 PARAMETER_COUNT = 90

@@ -278,6 +278,7 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     seen = [(c, v) for c, v in pairs if v.noticed]
     air = [v for c, v in seen if not c.failure.valve or c.fitted]
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
+    blind = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
     unseen = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
     tables = [_table("failures", plain)]
     if fitted:
@@ -298,6 +299,10 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
             Claim(
                 "growth after host or firmware dies",
                 max((v.moved_cm for v in host), default=0.0), 2.0, unit="cm",
+            ),
+            Claim(
+                "growth after the encoder dies",
+                max((v.moved_cm for v in blind), default=0.0), 2.0, unit="cm",
             ),
             Claim(
                 "growth after a noticed failure, where valves empty the body",

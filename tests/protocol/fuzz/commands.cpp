@@ -55,21 +55,19 @@ class Board {
   uint16_t encoder_errors() { return 0; }
   uint16_t supply_mv() { return supply; }
   bool estop() { return pressed; }
-  bool rx_read(uint8_t* byte) {
-    if (rx_out_ == rx_in_) return false;
-    *byte = rx_[rx_out_++];
-    return true;
+  uint8_t rx_waiting(const uint8_t** first) {
+    *first = rx_ + rx_out_;
+    return static_cast<uint8_t>((rx_in_ < rx_out_ ? 0 : rx_in_) - rx_out_);
   }
+  void rx_drop(uint8_t count) { rx_out_ = static_cast<uint8_t>(rx_out_ + count); }
   uint16_t rx_overruns() { return overruns; }
   uint16_t tx_free() { return 200; }
   uint16_t tx_pending() { return 0; }
   void tx_write(const uint8_t* bytes, uint8_t count) {
     require(count >= 2 && count <= protocol::kMaxWire && bytes[count - 1] == 0);
-    for (uint8_t i = 0; i < count; ++i) {
-      const FrameDecoder::Result result = out_.push(bytes[i]);
-      require(result != FrameDecoder::Result::kBad);
-      if (result == FrameDecoder::Result::kFrame) heard(out_.frame());
-    }
+    uint8_t taken;
+    require(out_.push(bytes, count, &taken) == FrameDecoder::Result::kFrame && taken == count);
+    heard(out_.frame());
   }
   bool eeprom_ready() { return true; }
   uint8_t eeprom_read(uint16_t address) {

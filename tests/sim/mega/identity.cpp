@@ -135,10 +135,19 @@ void constants() {
   sum.print("constants");
 }
 
-void pressure() {
+// A part's sum over three configurations near the defaults and one anywhere.
+template <typename Part>
+void in_four_configurations(const char* name, const Part& part) {
   Sum sum;
   for (uint8_t round = 0; round < 4; ++round) {
     draw_configuration(round == 3);
+    part(round == 3, sum);
+  }
+  sum.print(name);
+}
+
+void pressure() {
+  in_four_configurations("pressure", [](bool, Sum& sum) {
     PressureLoop loop;
     PressureReading reading;
     MuscleState muscle;
@@ -163,16 +172,13 @@ void pressure() {
       sum.add(muscle.lagged_cpsi());
       sum.add(muscle.free_e5(config.map[0][0]));
     }
-  }
-  sum.print("pressure");
+  });
 }
 
 void spool() {
-  Sum sum;
-  for (uint8_t round = 0; round < 4; ++round) {
-    draw_configuration(round == 3);
+  in_four_configurations("spool", [](bool wild, Sum& sum) {
     SpoolLoop loop;
-    const int32_t target = round == 3 ? dice.in(-2000, 2000) : dice.in(-400, 400);
+    const int32_t target = wild ? dice.in(-2000, 2000) : dice.in(-400, 400);
     loop.start(0, target, derived.speed_q16(dice.in(2000, 50000)), derived.accel_q16, kMotorFull);
     int32_t counts = 0;
     for (uint16_t i = 0; i < 200; ++i) {
@@ -180,8 +186,7 @@ void spool() {
       sum.add(loop.duty());
       counts += loop.duty() / 100;
     }
-  }
-  sum.print("spool");
+  });
 }
 
 void sensing() {

@@ -3,6 +3,7 @@
 #define THIGMO_TESTS_FIRMWARE_CONTROL_CASES_H_
 
 #include <cmath>
+#include <cstring>
 
 #include "check.h"
 #include "control/pressure_loop.h"
@@ -26,6 +27,23 @@ struct Settings {
     d.update(c);
   }
 };
+
+TEST(a_change_of_one_parameter_updates_all_that_follows_from_it) {
+  std::mt19937 random(11);
+  Settings s;
+  Derived all = s.d;
+  for (uint16_t i = 0; i < protocol::kParamCount; ++i) {
+    const protocol::ParamRow row = Configuration::row(i);
+    const uint32_t span = static_cast<uint32_t>(row.high - row.low) + 1u;
+    s.c.value[i] = row.low + static_cast<int32_t>(random() % span);
+    s.d.update(s.c, i);
+    for (uint16_t k = 0; Derived::is_scale(i) && k < protocol::kParamCount; ++k) {
+      if (Derived::is_scaled(k)) s.d.update(s.c, k);
+    }
+    all.update(s.c);
+    CHECK(std::memcmp(&s.d, &all, sizeof(Derived)) == 0);
+  }
+}
 
 TEST(sine_is_within_its_stated_error) {
   double worst = 0;
@@ -339,14 +357,20 @@ TEST(a_jammed_spool_is_a_stall_and_a_pulled_one_is_braked) {
   SpoolLoop spool;
   Motor motor;
   motor.jammed = true;
-  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
-  int steps = 0;
-  while (spool.step(motor.read(), s.c, s.d) == SpoolLoop::Outcome::kMoving && steps < 1000) {
-    motor.step(spool.duty());
-    ++steps;
-  }
-  CHECK(steps > 80 && steps < 160);  // 400 ms of standing still
-  CHECK_EQUAL(spool.duty(), 0);
+  const auto steps_to_stall = [&](int32_t target) {
+    spool.start(0, target, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
+    int steps = 0;
+    while (spool.step(motor.read(), s.c, s.d) == SpoolLoop::Outcome::kMoving && steps < 1000) {
+      motor.step(spool.duty());
+      ++steps;
+    }
+    CHECK_EQUAL(spool.duty(), 0);
+    return steps;
+  };
+  const int in = steps_to_stall(-1000);
+  CHECK(in > 80 && in < 160);  // 400 ms of standing still
+  const int out = steps_to_stall(1000);
+  CHECK(out > 40 && out < 90);  // 3 mm of the profile, which gathers speed
 
   // Air pulls harder than the profile: the loop brakes, it never winds in.
   Motor pulled;
@@ -374,6 +398,22 @@ TEST(gains_that_are_wrong_do_not_outrun_the_profile) {
     CHECK(!spool.overrun());
     motor.step(spool.duty());
     CHECK(motor.counts < i * 0.005 * profile_counts_s + 2 * s.d.lead_counts);
+  }
+}
+
+TEST(a_dead_encoder_costs_less_than_two_centimetres_of_growth) {
+  for (const int32_t speed_um_s : {5000, 20000, 48000}) {
+    Settings s;
+    SpoolLoop spool;
+    Motor motor;
+    spool.start(0, s.d.counts(400000), s.d.speed_q16(speed_um_s), s.d.accel_q16, kMotorFull);
+    for (int i = 0; i < 300; ++i) {
+      CHECK(spool.step(motor.read(), s.c, s.d) == SpoolLoop::Outcome::kMoving);
+      motor.step(spool.duty());
+    }
+    const int32_t seen = motor.read();
+    while (spool.step(seen, s.c, s.d) == SpoolLoop::Outcome::kMoving) motor.step(spool.duty());
+    CHECK(motor.read() - seen < s.d.counts(15000));
   }
 }
 

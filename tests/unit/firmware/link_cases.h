@@ -5,6 +5,7 @@
 #ifndef THIGMO_TESTS_FIRMWARE_LINK_CASES_H_
 #define THIGMO_TESTS_FIRMWARE_LINK_CASES_H_
 
+#include <algorithm>
 #include <cstring>
 #include <string>
 
@@ -16,13 +17,18 @@ namespace link_cases {
 using namespace thigmo;
 using Bytes = std::vector<uint8_t>;
 
-// Feeds bytes; returns the frames found and counts the bad ones.
-inline std::vector<Frame> frames_of(FrameDecoder& decoder, const Bytes& bytes, int* bad = nullptr) {
+// Feeds bytes in parts of at most `most`; returns the frames found and counts the bad ones.
+inline std::vector<Frame> frames_of(FrameDecoder& decoder, const Bytes& bytes, int* bad = nullptr,
+                                    size_t most = 40) {
   std::vector<Frame> found;
-  for (const uint8_t byte : bytes) {
-    const FrameDecoder::Result result = decoder.push(byte);
+  for (size_t at = 0; at < bytes.size();) {
+    uint8_t taken = 0;
+    const size_t part = std::min(most, bytes.size() - at);
+    const FrameDecoder::Result result =
+        decoder.push(bytes.data() + at, static_cast<uint8_t>(part), &taken);
     if (result == FrameDecoder::Result::kFrame) found.push_back(decoder.frame());
     if (result == FrameDecoder::Result::kBad && bad != nullptr) ++*bad;
+    at += taken;
   }
   return found;
 }
@@ -128,6 +134,27 @@ TEST(the_decoder_survives_garbage_and_finds_the_next_frame) {
   CHECK(false_frames < 30);  // one in 65536 candidates of seven bytes or more
 }
 
+TEST(the_decoder_finds_the_same_however_the_bytes_come) {
+  std::mt19937 random(9);
+  FrameDecoder single, parts;
+  for (int i = 0; i < 5000; ++i) {
+    Bytes bytes(random() % 300);
+    for (uint8_t& byte : bytes) byte = static_cast<uint8_t>(random() % 30 == 0 ? 0 : random());
+    const Bytes good = wire_of(protocol::SetMap{}, static_cast<uint16_t>(i), 6);
+    bytes.push_back(0);
+    bytes.insert(bytes.end(), good.begin(), good.end());
+    int bad_single = 0, bad_parts = 0;
+    const std::vector<Frame> one = frames_of(single, bytes, &bad_single, 1);
+    const std::vector<Frame> many = frames_of(parts, bytes, &bad_parts, 1 + random() % 255);
+    CHECK_EQUAL(bad_single, bad_parts);
+    CHECK_EQUAL(one.size(), many.size());
+    for (size_t k = 0; k < one.size() && k < many.size(); ++k) {
+      CHECK_EQUAL(one[k].size, many[k].size);
+      CHECK(std::memcmp(one[k].bytes, many[k].bytes, one[k].size) == 0);
+    }
+  }
+}
+
 // The other end, for the session's tests.
 struct Device {
   Session session;
@@ -160,7 +187,10 @@ struct Device {
     events.resend();
   }
   void take(const Bytes& bytes) {
-    for (const uint8_t byte : bytes) session.receive(byte, 4711, *this);
+    for (const uint8_t byte : bytes) {
+      session.receive(&byte, 1);
+      if (session.heard()) session.answer(4711, *this);
+    }
   }
   // All that waits, as if the line were infinitely fast.
   std::vector<Frame> give() {

@@ -140,6 +140,27 @@ def test_telemetry_faster_than_the_line_is_dropped_and_counted() -> None:
     assert not bench.status().conditions & dropped
 
 
+@pytest.mark.parametrize("period_ms", [0, 10_000])
+def test_growth_is_told_of_whatever_the_period_of_telemetry(period_ms: int) -> None:
+    """By it the port's process ends the growth of a host that hangs."""
+    bench = Bench()
+    bench.prepare(telemetry_ms=period_ms)
+    bench.do(wire.ConfirmLength(0, 1))
+    bench.heard.clear()
+    bench.do(wire.GrowTo(20_000, 0))
+    while not bench.event(wire.EventCode.ACTIVITY_DONE):
+        bench.step(20)
+    ended_us = next(
+        h.message.t_us for h in bench.heard
+        if isinstance(h.message, wire.Event) and h.message.code is wire.EventCode.ACTIVITY_DONE
+    )  # fmt: skip
+    told = [h.message.t_us for h in bench.heard if isinstance(h.message, wire.Telemetry)]
+    assert max(b - a for a, b in pairwise([*told, ended_us])) <= 20_000
+    bench.heard.clear()
+    bench.step(1000)
+    assert not any(isinstance(h.message, wire.Telemetry) for h in bench.heard)
+
+
 def test_growth_follows_the_profile_and_ends_at_the_target() -> None:
     bench = Bench()
     bench.prepare()
