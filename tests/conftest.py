@@ -52,7 +52,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         slow = {"unit"} if longer else set()
         for folder in (TIERS - slow).intersection(item.path.relative_to(HERE).parts):
             item.add_marker(folder)
-        if "many" in getattr(item, "fixturenames", ()) or item.get_closest_marker("hypothesis"):
+        # Hypothesis marks its tests after this; it tells them by an attribute.
+        properties = getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
+        if properties or "many" in getattr(item, "fixturenames", ()):
             item.add_marker("scaled")
 
 

@@ -58,7 +58,7 @@ def scene() -> Scene:
     return scene
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(wanted=parameters(), lead_s=st.floats(0.1, 2.5))
 def test_a_dead_host_costs_two_centimetres_at_most(
     wanted: dict[str, list[int]], lead_s: float

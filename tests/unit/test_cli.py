@@ -170,6 +170,8 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["localize", "r.csv", "--length", "53", "--config", "none.toml"], "none.toml"),
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["explore", "--robot", "nonsense://x"], "nonsense"),
+        (["localize", "r.csv", "--length", "53", "--side", "left"], "--config is not given"),
+        (["explore", "--robot", ""], "no port"),
         (["explore", "--robot", "a", "--scene", "b"], "both given"),
         (["explore", "--config", "none.toml"], "cannot read none.toml"),
         (["explore", "--scene", "no-such-scene"], "no-such-scene"),
@@ -245,6 +247,7 @@ def test_every_bad_argument_is_one_clear_line(
         (["retract", "--robot", "emulator://empty", "--to", "-1"], "'--to': .* or equal to 0"),
         (["camera", "lok"], r"No such command 'lok'.*`thigmo camera --help`"),
         (["info", "a", "b"], r"unexpected extra argument.*b"),
+        (["watch", "--port", "99999"], r"'--port': "),
     ],
 )
 def test_every_wrong_usage_is_one_line_and_status_2(

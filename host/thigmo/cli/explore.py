@@ -65,7 +65,7 @@ def explore(
 
     if robot is not None and scene is not None:
         raise ConfigError("--robot and --scene are both given", "give one of them")
-    url = robot or f"emulator://{scene or 'default'}"
+    url = f"emulator://{scene or 'default'}" if robot is None else robot
     if watch:
         from thigmo.cli.watch import open_page
 

@@ -72,6 +72,8 @@ def localize(
         raise DataError(f"--length is {length:g}", "give the body's length, above 0")
     if contacts != "auto" and not contacts.isdecimal():
         raise DataError(f"--contacts is {contacts!r}", "give `auto` or a number")
+    if side is not None and config is None:
+        raise DataError("--side is given, and --config is not given", "give the robot.toml too")
     if file == Path("example") and not file.exists():
         file = EXAMPLE
     table = read_readings(file)

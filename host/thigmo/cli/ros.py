@@ -44,6 +44,7 @@ def ros(
     ] = None,
 ) -> None:
     """Publish maps, contacts and the body on ROS 2, and stop the robot when ROS says so."""
+    from thigmo.cli.watch import finished_run
     from thigmo.errors import DataError
 
     try:
@@ -54,6 +55,7 @@ def ros(
         raise DataError(
             "ROS 2 needs a package that is not installed", "run `pip install 'thigmo[ros]'`"
         ) from error
+    past = finished_run(target)
     stop = threading.Event()
     with RosNode(
         stop.set, namespace=namespace, frame=frame, domain=domain, interface=interface
@@ -61,8 +63,8 @@ def ros(
         where = f"domain {domain}, {interface or 'this machine alone'}"
         typer.echo(f"ROS topics are under /{namespace} ({where}); Ctrl-C ends them.", err=True)
         try:
-            if target is not None and Path(target).is_dir():
-                _publish_folder(node, Path(target))
+            if past is not None:
+                _publish_folder(node, past)
                 threading.Event().wait()
             else:
                 _relay(node, target, stop)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
@@ -35,7 +35,8 @@ def watch(
                      "token that is printed."),
     ] = "127.0.0.1",
     port: Annotated[
-        int | None, typer.Option(help="Port to serve at; 0 takes any that is free.", min=0)
+        int | None,
+        typer.Option(help="Port to serve at; 0 takes any that is free.", min=0, max=65535),
     ] = None,
     browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
     config: Annotated[
@@ -45,18 +46,18 @@ def watch(
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Serve the run to Foxglove, too (thigmo[foxglove]).")
     ] = False,
-    foxglove_port: Annotated[int, typer.Option(help="For Foxglove; 0 takes any.", min=0)] = 8765,
+    foxglove_port: Annotated[
+        int, typer.Option(help="For Foxglove; 0 takes any.", min=0, max=65535)
+    ] = 8765,
     leave: Annotated[
         bool, typer.Option("--leave", help="End once the run is over and no page is open any more.")
     ] = False,
 ) -> None:  # fmt: skip
     """Show a run in the browser: the robot in its room, its signals, its contacts; and stop it."""
-    from thigmo.errors import DataError, RunFolderError
+    from thigmo.errors import DataError
     from thigmo.live.server import WatchOptions
 
-    if target and os.sep in target and "://" not in target and not Path(target).exists():
-        raise RunFolderError(f"no such run folder or port: {target}", "check its path")
-    past = Path(target) if target is not None and Path(target).is_dir() else None
+    past = finished_run(target)
     if past is not None and foxglove:
         raise DataError(
             f"--foxglove serves runs that are under way, and {past} has ended",
@@ -73,6 +74,21 @@ def watch(
     )
     with _foxglove(options.url, foxglove_port) if foxglove else nullcontext():
         _serve(options, browser=browser)
+
+
+def finished_run(target: str | None) -> Path | None:
+    """The run folder that is meant; None for a robot's address, and for whatever run is under way.
+
+    Raises:
+        RunFolderError: there is no such folder and no such port.
+    """
+    from thigmo.errors import RunFolderError
+
+    if target is None or "://" in target or re.fullmatch(r"COM\d+", target):
+        return None
+    if not Path(target).exists():
+        raise RunFolderError(f"no such run folder or port: {target}", "check its path")
+    return Path(target) if Path(target).is_dir() else None
 
 
 @contextmanager

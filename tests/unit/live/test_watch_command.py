@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
@@ -20,7 +21,9 @@ def test_finished_run_is_not_served_to_foxglove_which_opens_its_record(tmp_path:
     assert f"open {tmp_path / 'run.mcap'} in Foxglove" in str(error)
 
 
-def test_path_that_is_not_there_is_no_robot(tmp_path: Path) -> None:
-    error = _refused(str(tmp_path / "none"))
+@pytest.mark.parametrize("command", ["watch", "ros"])
+@pytest.mark.parametrize("target", ["runs/none", "none"])
+def test_what_is_neither_a_folder_nor_an_address_is_no_robot(command: str, target: str) -> None:
+    error = CliRunner().invoke(app, [command, target]).exception
     assert isinstance(error, RunFolderError)
-    assert "no such run folder or port" in str(error)
+    assert str(error) == f"no such run folder or port: {target}; check its path"

@@ -79,7 +79,7 @@ def test_pushed_body_agrees_with_an_independent_integration(
     other = rod.readings(
         np.array(arcs), np.array(forces), CENTERS, length=53.0, span=5.5, free_curvature=g
     )
-    assert found.averages(CENTERS, 5.5) == pytest.approx(other, abs=1e-8)
+    assert found.averages(CENTERS, 5.5) == pytest.approx(other, abs=3e-8)
 
 
 @given(arc=st.floats(12.0, 52.9), share=st.floats(0.01, 1.0), g=st.floats(0.003, 0.03))
