@@ -111,10 +111,14 @@ class Mixture {
 
   // Pieces of the highest-density set that holds a share of the mass, ascending.
   std::vector<std::pair<double, double>> densest(double share) const {
-    std::vector<int> order(mass.size());
-    std::iota(order.begin(), order.end(), 0);
+    constexpr double kEmpty = 1e-9;  // density that is in no such set
+    std::vector<int> order;
     Row density = mass;
-    for (const int c : order) density[c] /= edges[c + 1] - edges[c];
+    order.reserve(mass.size());
+    for (int c = 0; c < static_cast<int>(mass.size()); ++c) {
+      density[c] /= edges[c + 1] - edges[c];
+      if (density[c] > kEmpty) order.push_back(c);
+    }
     const auto less = [&](int a, int b) { return density[a] < density[b]; };
     std::make_heap(order.begin(), order.end(), less);
     auto rest = order.end();  // the densest are behind it

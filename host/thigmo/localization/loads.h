@@ -189,9 +189,10 @@ class Body {
 
   // Bend to another curvature, as loads on that shape ask; whether it then rests.
   bool settle(const Nodes& bent) {
-    const Nodes before = std::exchange(curvature, bent);
+    const double change = straight_ ? 0.0 : largest_change(bent, curvature);
+    curvature = bent;
     if (straight_) return straight_ = turn_of(bent) < prior_.straight;
-    return ++passes_ >= kMostPasses || largest_change(bent, before) < prior_.rests;
+    return ++passes_ >= kMostPasses || change < prior_.rests;
   }
 
  private:
@@ -521,19 +522,16 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
   const Frame& frame = *readings.frame;
   OneContactGrid grid(readings, prior);
   OneContact out;
+  out.curvature = start;
   Window part{0.0, 1.0};
   Body body(frame, prior, start);
   for (int turn = 0; turn < kMostTurns; ++turn) {
     out.place = middles(part, cells);
     out.width = (part.far - part.near) / cells;
-    const bool possible = grid.weigh(body.levers(out.place, half), out);
-    out.curvature = body.curvature;
-    if (!possible) break;
-    Nodes bent = frame.rest;
-    body.shape().add_moment(body.shape().at(out.place[out.top]), out.force[out.top], bent);
-    const bool rests = body.settle(bent);
-    out.curvature = bent;
-    if (!rests) continue;
+    if (!grid.weigh(body.levers(out.place, half), out)) break;
+    out.curvature = frame.rest;
+    body.shape().add_moment(body.shape().at(out.place[out.top]), out.force[out.top], out.curvature);
+    if (!body.settle(out.curvature)) continue;
     const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
     const Window finer = support(out.mass.data(), cells, part, kOutside);
     if (!resolved && finer.far - finer.near < 0.7 * (part.far - part.near)) {
