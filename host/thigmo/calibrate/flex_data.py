@@ -15,6 +15,7 @@ from thigmo.record.table import Table, write_table
 
 Array = NDArray[np.float64]
 KINDS = ("straight", "tip", "bend")
+_LEAST_OHM = 200.0  # flex sensors have thousands
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class FlexReadings:
         if not np.isfinite(length).all() or np.ptp(length) > 1e-9:
             raise DataError(f"{path}: length_cm varies", "calibrate at one length")
         none = float("nan")
-        return cls(
+        readings = cls(
             tuple(table.words("kind")),
             np.nan_to_num(table.numbers("t_s")) if "t_s" in table
             else np.arange(table.rows, dtype=float),
@@ -102,6 +103,31 @@ class FlexReadings:
             np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
             tuple(table.words("name")) if "name" in table else (),
         )  # fmt: skip
+        readings._check_units(path, config.body.radius_cm)
+        return readings
+
+    def _check_units(self, path: str | os.PathLike[str], radius_cm: float) -> None:
+        """Most of what is read in another unit gives it away; single bad rows are the fit's."""
+        ohm = _typical(self.ohm)
+        if ohm <= 0.0:
+            raise DataError(f"{path}: resistances are about {ohm:.0f}", "give Ohm, above zero")
+        if ohm < _LEAST_OHM:
+            raise DataError(
+                f"{path}: resistances are about {ohm:.3g}", "it looks like kOhm: give Ohm"
+            )
+        away = _typical(np.hypot(*self.tip_cm.T))
+        if away > 2.0 * self.length_cm:
+            raise DataError(
+                f"{path}: tips are about {away:.0f} from the base of a body of "
+                f"{self.length_cm:g} cm",
+                "it looks like mm: give cm",
+            )
+        bend = _typical(np.abs(self.curvature))
+        if bend > 1.0 / radius_cm:
+            raise DataError(
+                f"{path}: curvatures are about {bend:.2g}, tighter than the tube can bend",
+                "it looks like 1/m: give 1/cm",
+            )
 
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
         """To a CSV that `read` takes."""
@@ -124,6 +150,12 @@ class FlexReadings:
                 columns[f"ohm_{side}_{k}"] = self.ohm[:, column].tolist()
                 column += 1
         write_table(path, columns)
+
+
+def _typical(values: Array) -> float:
+    """The median of what was measured; NaN if nothing was."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
 
 
 def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:

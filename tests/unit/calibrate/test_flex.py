@@ -223,6 +223,28 @@ def test_round_trip_through_csv(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        ("ohm", 1e-3, r"resistances are about 10\.8; .*like kOhm: give Ohm"),
+        ("ohm", -1.0, r"resistances are about -1\d{4}; give Ohm, above zero"),
+        (
+            "tip_cm",
+            10.0,
+            r"tips are about 52\d from the base of .* 53 cm; .*like mm: give cm",
+        ),
+        ("curvature", 100.0, r"curvatures are about 2, tighter .*; .*like 1/m: give 1/cm"),
+    ],
+)
+def test_other_units_are_told_with_their_cure(tmp_path, column, factor, said):
+    lab = Lab(1)
+    readings = lab.flex()
+    readings = replace(readings, **{column: factor * getattr(readings, column)})
+    readings.write(tmp_path / "flex.csv", lab.config)
+    with pytest.raises(DataError, match=said):
+        FlexReadings.read(tmp_path / "flex.csv", lab.config)
+
+
 def test_bad_input_is_refused_with_a_next_step(tmp_path):
     lab = Lab(1)
     (tmp_path / "bad.csv").write_text("kind,tip_x_cm\ntip,1\n")
