@@ -50,6 +50,7 @@ while True:
         print(error.reason, flush=True)
 """
 )
+# With the least telemetry that a board sends while it grows.
 GROW = """
 import sys
 from thigmo.link import protocol as wire
@@ -58,6 +59,8 @@ from thigmo.link.transport import open_transport
 client = Client(open_transport(sys.argv[1]))
 while not client.request(wire.GetStatus()).conditions & wire.Condition.HOST_ALIVE.mask:
     client.poll(0.01)
+client.request(wire.SetParameter(wire.PARAMETERS["telemetry_ms"].index, 0))
+client.request(wire.ApplyParameters())
 client.request(wire.Arm())
 client.request(wire.GrowTo(530_000, 0))
 print("growing", flush=True)

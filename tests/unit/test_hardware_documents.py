@@ -47,6 +47,18 @@ def test_parts_are_counted_and_named_once(parts: dict[str, list[str]]) -> None:
         assert int(count) == len(each), row
 
 
+def test_every_fitting_has_its_place(parts: dict[str, list[str]]) -> None:
+    page = (HARDWARE / "air.md").read_text()
+    table = re.findall(r"^\| (X\d+)(?:-X(\d+))?, [^|]*\| ([^|]*) \|$", page, re.MULTILINE)
+    used = []
+    for first, last, places in table:
+        names = expanded(f"{first}-X{last}" if last else first)
+        counts = re.findall(r"(\d+)(?: \([^)]*\))?(?:,|$)", places)
+        assert sum(map(int, counts)) == len(names), first
+        used += names
+    assert sorted(used) == sorted(n for _, *row in parts.values() for n in row if n[0] == "X")
+
+
 @pytest.mark.parametrize("drawing", DRAWINGS, ids=lambda path: path.stem)
 def test_what_is_drawn_is_in_the_parts_list(drawing: Path, parts: dict[str, list[str]]) -> None:
     known = {name for _, *row in parts.values() for name in row}
