@@ -84,6 +84,7 @@ class Bench:
         say: told what happens.
         rest: resistances of the straight robot, taken last (an eversion shifts them, so rows keep
             the one of their own session).
+        configured: the robot has the session's constants.
     """
 
     robot: Robot
@@ -93,15 +94,22 @@ class Bench:
     plan: Plan = field(default_factory=Plan)
     say: Callable[[str], None] = lambda text: None
     rest: list[float] = field(default_factory=list)
+    configured: bool = False
 
     @property
     def config(self) -> RobotConfig:
         """Constants so far."""
         return self.session.config
 
+    def configure(self) -> None:
+        """Give the robot the session's constants, once."""
+        if not self.configured:
+            self.robot.configure(self.config)
+            self.configured = True
+
     def start(self) -> None:
-        """Configure, learn the length, arm."""
-        self.robot.configure(self.config)
+        """Configure, learn the length, arm; what is done already is left as it is."""
+        self.configure()
         self.length_cm()
         if self.robot.status().state == "safe":
             self.robot.arm()

@@ -134,8 +134,7 @@ def calibrate(
         machine.configure(session.config)
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
         say = (lambda text: None) if as_json else _say
-        bench = Bench(machine, hand, eyes, session, plan, say)
-        bench.start()
+        bench = Bench(machine, hand, eyes, session, plan, say, configured=True)
         found: dict[str, StepResult] = {}
         for name in steps:
             if step == "all" and not again and session.done(name):

@@ -151,14 +151,18 @@ class Supervised(Connected):
         """End what `test_output` drives, now."""
         self._request(wire.Vent())
 
-    def vent(self) -> None:
-        """Empty both muscles and wait until they are empty.
+    def vent(self, *, wait: bool = True) -> None:
+        """Empty both muscles.
+
+        Args:
+            wait: until they are empty, by their sensors; not for sensors whose zeros are unknown.
 
         Raises:
             CommandTimeoutError: they stay under pressure.
         """
         self._request(wire.Vent())
-        self._wait_vented()
+        if wait:
+            self._wait_vented()
 
     def _wait_vented(self) -> None:
         end = self.now() + _VENT_S

@@ -16,7 +16,7 @@ from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals
 from thigmo.config import SIDES
-from thigmo.emulator.scene import Scene
+from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.errors import DataError
 
 PLAN = Plan(places=4, straight=1, trials=1, step_psi=9.0, pushes=3, rest_readings=24)
@@ -49,11 +49,12 @@ class Lab:
             return replace(camera, translation=camera.translation + np.array([0.0, 1.5, 0.0]))
         return camera
 
-    def bench(self) -> Bench:
+    def bench(self, *, start: bool = True) -> Bench:
         bench = Bench(
             self.robot, self.robot.operator, self.eyes, self.session, PLAN, self.told.append
         )
-        bench.start()
+        if start:
+            bench.start()
         return bench
 
 
@@ -145,6 +146,19 @@ def test_noise_pressure_and_check_of_a_sound_robot(lab):
     assert guided.run(bench, "pressure").board_values() == pytest.approx(held, abs=32)
     with pytest.raises(DataError, match="no step 'magic'"):
         guided.run(bench, "magic")
+
+
+def test_the_zero_of_a_sensor_that_never_looks_vented_is_taken(tmp_path):
+    """1.2 psi is within its error band; without its zero nothing else can begin."""
+    offset = FaultTable(kind="pressure_offset", side="left", value=1.2, at_s=0.0, duration_s=1e6)
+    lab = Lab(tmp_path, faults=[offset])
+    bench = lab.bench(start=False)
+    assert "vented" not in lab.robot.status().conditions
+    assert guided.run(bench, "pressure").verdict.good
+    lab.robot.wait(1.0)
+    assert "vented" in lab.robot.status().conditions
+    assert guided.run(bench, "noise").verdict.good
+    lab.robot.close()
 
 
 @pytest.mark.ci
