@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import astuple, dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
 from thigmo.studies.misfit import of_one_contact
 from thigmo.studies.reading_errors import BAD, ERRORS, OTHER_NOISE, Frame, ask
 from thigmo.studies.rod import Floats
-from thigmo.studies.touches import GROUPS, TOUCHED, Scenes
+from thigmo.studies.touches import GROUPS, TOUCHED, Scenes, holds
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,16 +97,11 @@ def judge(task: Task) -> Floats:
         told = error.tell(frame) if task.told and error.tell is not None else {}
         contacts = ask(frame, told).contacts
         arcs = scenes.arcs[i]
-
-        def holds(contact: Any, arcs: Floats = arcs) -> bool:
-            low, high = contact.interval
-            return bool(((arcs >= low - 1e-6) & (arcs <= high + 1e-6)).any())
-
         listed = [contact for contact in contacts if contact.probability > 0.5]
-        wrong = any(c.status == "localized" and not holds(c) for c in contacts)
+        wrong = any(c.status == "localized" and not holds(arcs, c.interval) for c in contacts)
         out[i, [0, 2]] = bool(listed), wrong
         if listed and arcs.size:
-            out[i, 1] = any(holds(contact) for contact in listed)
+            out[i, 1] = any(holds(arcs, contact.interval) for contact in listed)
             out[i, 3] = min((contact.arc - arcs[0]) ** 2 for contact in listed)
     return out
 

@@ -21,7 +21,7 @@ from thigmo.studies import misfit
 from thigmo.studies.engine import Claim, Context, Outcome, Table
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import MOST_FREE
+from thigmo.studies.touches import MOST_FREE, Scenes, holds, signs
 
 BATCH = 50  # frames of one group that a process takes at a time
 FEW = (2, 3, 5, 10)  # readings
@@ -35,25 +35,6 @@ TOLD_APART_CM, TOO_CLOSE_CM = 18.5, 13.0
 PLACED_CM = 2.5  # bound of the places of two contacts that sensors tell apart
 ROD_CM, ROD_NOISE = 24.0, SIGMA * LENGTH / 24.0  # as noisy as the robot, for its length
 MOST_TURN = np.deg2rad(100.0)
-
-
-@dataclass(frozen=True)
-class Scenes:
-    """S bodies, the same sensors on all.
-
-    Attributes:
-        curvature: (S, N) without noise.
-        position: (N,).
-        free: (S,).
-        arcs: (S, C) contacts.
-        stands_out: (S,) misfit of what the group's promise speaks of, if that depends on no noise.
-    """
-
-    curvature: Floats
-    position: Floats
-    free: Floats
-    arcs: Floats
-    stands_out: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -107,13 +88,9 @@ class Seen:
     fits: bool
 
 
-def _signs(rng: np.random.Generator, count: int) -> Floats:
-    return rng.choice([-1.0, 1.0], count)
-
-
 def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
     size = rng.uniform(0.005, MOST_FREE, count) if bent else np.zeros(count)
-    return _signs(rng, count) * size
+    return signs(rng, count) * size
 
 
 def _most(free: Floats, bent: bool) -> Floats | float:
@@ -129,7 +106,7 @@ def nothing(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
 def one(rng: np.random.Generator, count: int) -> Scenes:
     """Straight bodies with one clear contact."""
     arcs = rng.uniform(15.0, LENGTH, (count, 1))
-    forces = _signs(rng, count)[:, None] * rng.uniform(0.003, 0.011, (count, 1)) / arcs
+    forces = signs(rng, count)[:, None] * rng.uniform(0.003, 0.011, (count, 1)) / arcs
     clean = solve(arcs, forces, length=LENGTH).readings(BOTH, SPAN)
     return Scenes(clean, BOTH, np.zeros(count), arcs)
 
@@ -139,7 +116,7 @@ def near_base(bent: bool, rng: np.random.Generator, count: int) -> Scenes:
     free, position = _free(rng, count, bent), COLUMN if bent else BOTH
     arcs = rng.uniform(5.0, NEAR_CM, (count, 1))
     moment = rng.uniform(0.2, 1.0, count) * _most(free, bent)
-    forces = (-np.sign(free) if bent else _signs(rng, count)) * moment
+    forces = (-np.sign(free) if bent else signs(rng, count)) * moment
     bodies = solve(arcs, forces[:, None] / arcs, length=LENGTH, free_curvature=free[:, None])
     return Scenes(bodies.readings(position, SPAN), position, free, arcs)
 
@@ -153,7 +130,7 @@ def two(
     proximal = rng.uniform(18.0, distal - 18.5)
     # Against the bend. Opposed moments partly cancel at the base, those of one side add up.
     moment = rng.uniform(0.3, 1.0, count) * _most(free, bent)
-    sign = -np.sign(free) if bent else _signs(rng, count)
+    sign = -np.sign(free) if bent else signs(rng, count)
     shares = (-1.0, 1.5) if opposed else (0.5, 0.5)
     arcs = np.stack([proximal, distal], axis=1)
     forces = np.array(shares) * (sign * moment)[:, None] / arcs
@@ -196,10 +173,10 @@ def held_rod(rng: np.random.Generator, count: int) -> Scenes:
 def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> Scenes:
     """A kink anywhere, and a contact or none."""
     free, position = _free(rng, count, bent), COLUMN if bent else BOTH
-    kink = _signs(rng, count) * rng.uniform(0.2, 1.0, count)
+    kink = signs(rng, count) * rng.uniform(0.2, 1.0, count)
     places = np.stack([rng.uniform(3.0, 50.0, count), rng.uniform(8.0, LENGTH, count)], axis=1)
     moment = touched * rng.uniform(0.2, 1.0, count) * _most(free, bent)
-    sign = -np.sign(free) if bent else _signs(rng, count)
+    sign = -np.sign(free) if bent else signs(rng, count)
     kinks, forces = np.zeros((2, count, 2))
     kinks[:, 0], forces[:, 1] = kink, sign * moment / places[:, 1]
     order = np.argsort(places, axis=1)
@@ -208,7 +185,9 @@ def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> S
         position, SPAN
     )
     seen = misfit.of_one_contact(clean, position, free)
-    return Scenes(clean, position, free, places[:, 1:] if touched else np.empty((count, 0)), seen)
+    return Scenes(
+        clean, position, free, places[:, 1:] if touched else np.empty((count, 0)), stands_out=seen
+    )
 
 
 def _groups() -> dict[str, Group]:
@@ -286,9 +265,6 @@ def _see(
 ) -> Seen:
     result = localize(frame, position, **told)
 
-    def holds(interval: tuple[float, float]) -> bool:
-        return bool(((arcs >= interval[0] - 1e-6) & (arcs <= interval[1] + 1e-6)).any())
-
     placed = [contact for contact in result.contacts if contact.status == "localized"]
     return Seen(
         found=len(result.contacts),
@@ -296,8 +272,8 @@ def _see(
         localized=bool(placed),
         ambiguous=result.status == "ambiguous",
         none=1.0 / (1.0 + float(np.exp(min(result.log_odds, 500.0)))),
-        held=sum(holds(contact.interval) for contact in result.contacts),
-        wrong=any(not holds(contact.interval) for contact in placed),
+        held=sum(holds(arcs, contact.interval) for contact in result.contacts),
+        wrong=any(not holds(arcs, contact.interval) for contact in placed),
         off_cm=max((float(np.abs(arcs - c.arc).min(initial=np.inf)) for c in placed), default=0.0),
         hinge="hinge" in result.hypothesis or "folded" in result.hypothesis,
         open="not excluded" in result.message,

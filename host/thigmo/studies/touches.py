@@ -1,13 +1,13 @@
 """Bodies in groups, that touch something or nothing, and what sensors read on them without noise.
 
 Truth is the independent rod (`rod`, `pegs`). With each place of contact comes the Cramer-Rao bound
-of an estimator that knows all but place and force. Used by the accuracy study.
+of an estimator that knows all but place and force. Used by the studies of accuracy and of loads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,19 +31,28 @@ class Scenes:
         free: (S,) free curvature.
         arcs: (S, C) contacts; C is 0 for free bodies.
         bound: (S,) Cramer-Rao standard deviation (cm) of a contact's place where there is one.
+        stands_out: (S,) misfit of what a promise speaks of, where that depends on no noise.
     """
 
     curvature: Floats
     position: Floats
     free: Floats
     arcs: Floats
-    bound: Floats
+    bound: Floats = field(default_factory=lambda: np.empty(0))
+    stands_out: Floats | None = None
 
 
 Draw = Callable[[np.random.Generator, int], Scenes]
 
 
-def _signs(rng: np.random.Generator, count: int) -> Floats:
+def holds(arcs: Floats, interval: tuple[float, float]) -> bool:
+    """Whether an interval holds one of the true places."""
+    low, high = interval
+    return bool(((arcs >= low - 1e-6) & (arcs <= high + 1e-6)).any())
+
+
+def signs(rng: np.random.Generator, count: int) -> Floats:
+    """Either side, evenly."""
     return rng.choice([-1.0, 1.0], count)
 
 
@@ -82,7 +91,7 @@ def one_contact(
 def pressed(rng: np.random.Generator, count: int) -> Scenes:
     """A straight body pressed from either side; all ten sensors read."""
     arc = rng.uniform(5.0, LENGTH, count)
-    force = _signs(rng, count) * rng.uniform(0.1, 1.0, count) * CRITICAL / arc
+    force = signs(rng, count) * rng.uniform(0.1, 1.0, count) * CRITICAL / arc
     return one_contact(arc, force, np.zeros(count), BOTH)
 
 
@@ -93,7 +102,7 @@ def bent(
     stiffness: Profile | None = None,
 ) -> Scenes:
     """A bent body against something on its side; the inactive side's five sensors read."""
-    free = _signs(rng, count) * rng.uniform(0.005, MOST_FREE, count)
+    free = signs(rng, count) * rng.uniform(0.005, MOST_FREE, count)
     arc = rng.uniform(8.0, LENGTH, count)
     moment = rng.uniform(0.2, 1.0, count) * np.minimum(CRITICAL, 0.9 * np.abs(free))
     return one_contact(arc, -np.sign(free) * moment / arc, free, COLUMN, friction, stiffness)
@@ -101,7 +110,7 @@ def bent(
 
 def rubbed(rng: np.random.Generator, count: int) -> Scenes:
     """As `bent`, with friction at the contact."""
-    return bent(rng, count, _signs(rng, count) * rng.uniform(*FRICTION, count))
+    return bent(rng, count, signs(rng, count) * rng.uniform(*FRICTION, count))
 
 
 def uneven(rng: np.random.Generator, count: int) -> Scenes:
@@ -118,7 +127,7 @@ def uneven(rng: np.random.Generator, count: int) -> Scenes:
 
 def _pegs(rng: np.random.Generator, count: int, part: Part) -> Scenes:
     room = rooms(rng, count, length=LENGTH, most=MOST_FREE, part=part)
-    side, free = _signs(rng, count), room.free[-1]
+    side, free = signs(rng, count), room.free[-1]
     # The bound is that of a contact on the side with the same normal force.
     _, _, away, _ = outline(room.u[-1], room.peg_radius, LENGTH)
     normal = -np.maximum(room.push[-1] * away[1], 1e-9)
@@ -145,7 +154,7 @@ def untouched(rng: np.random.Generator, count: int) -> Scenes:
 
 def untouched_bent(rng: np.random.Generator, count: int) -> Scenes:
     """A bent body that touches nothing."""
-    free = _signs(rng, count) * rng.uniform(0.0, MOST_FREE, count)
+    free = signs(rng, count) * rng.uniform(0.0, MOST_FREE, count)
     none = np.empty((count, 0))
     return Scenes(np.tile(free[:, None], 5), COLUMN, free, none, np.full(count, np.inf))
 
