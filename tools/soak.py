@@ -436,6 +436,7 @@ def simulated(board: str, seed: int, hours: float) -> list[Figure]:
     """The soak on a simulated board."""
     rig = SoakRig(seed) if board == "mega-sim" else None
     depth = painted_stack(rig) if rig else None
+    static = static_ram() if rig else 0  # now: an hour later the image may be another
     used: Board = rig or VirtualBoard(seed)
     transport = EmulatorTransport(scene(pegs=True), used, seed=seed)
     client = Client(transport)
@@ -450,7 +451,7 @@ def simulated(board: str, seed: int, hours: float) -> list[Figure]:
     restarted = used.boots - boots  # type: ignore[attr-defined]
     found.append(Figure("restarts of the firmware", restarted, "", 0))
     if rig and depth:
-        static, stack = static_ram(), depth()
+        stack = depth()
         found += [
             Figure("RAM with the stack, after a minute", static + early, "byte"),
             Figure("RAM with the stack, at the end", static + stack, "byte", 0.75 * RAM),
