@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from thigmo.robot import SensorTable
 from thigmo.robot.readings import Floats
@@ -117,9 +118,7 @@ def deflection(
 def _half_bent(length_cm: Floats, bend: Floats, moved: Floats) -> float | None:
     """Length up to which a growth showed less than half of the bend; None if it never did more."""
     share = bend @ moved / (moved @ moved)
-    padded = np.pad(share, _SMOOTH // 2, mode="edge")
-    smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, _SMOOTH), axis=1)
-    below = np.flatnonzero(smooth < 0.5)
+    below = np.flatnonzero(median_filter(share, _SMOOTH, mode="nearest") < 0.5)
     if not below.size:
         return float(length_cm[0])  # it leant before: the last bend pushed it beside the peg
     return float(length_cm[below[-1]]) if below[-1] < len(share) - _SMOOTH else None

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from thigmo.exploration.plan import FOLD_MARGIN_CM
 from thigmo.robot import SensorTable
@@ -86,6 +87,7 @@ def _stalled(
         return None
     # It lies in the fold: from where on its reading stayed as it is, the tip stood still.
     noise = float(np.std(reading[-_SETTLED:]))
-    off = np.flatnonzero(np.abs(reading - last) > _LEVEL * rise[top] + 3 * noise)
+    level = np.abs(median_filter(reading, _SETTLED, mode="nearest") - last)
+    off = np.flatnonzero(level > _LEVEL * rise[top] + 3 * noise)
     tip = float(np.clip(length_cm[off[-1]] if off.size else start, start, end))
     return tip, start, end
