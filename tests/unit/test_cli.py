@@ -244,6 +244,7 @@ def test_every_bad_argument_is_one_clear_line(
         (["localize"], r"Missing argument .*`thigmo localize --help`"),
         (["localize", "r.csv"], r"Missing option '--length'"),
         (["params"], r"Missing option '--robot'"),
+        (["stop", "--robot", ""], r"Invalid value for '--robot': it is empty"),
         (["retract", "--robot", "emulator://empty", "--to", "-1"], "'--to': .* or equal to 0"),
         (["camera", "lok"], r"No such command 'lok'.*`thigmo camera --help`"),
         (["info", "a", "b"], r"unexpected extra argument.*b"),

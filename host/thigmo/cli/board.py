@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, RobotOption, print_json
+from thigmo.cli.output import JsonOption, RobotOption, named, print_json
 
 
 def register(app: typer.Typer) -> None:
@@ -21,7 +21,9 @@ def register(app: typer.Typer) -> None:
 def stop(
     robot: Annotated[
         str | None,
-        typer.Option(help="Where it is, as /dev/ttyACM0; left out: every robot in use."),
+        typer.Option(
+            help="Where it is, as /dev/ttyACM0; left out: every robot in use.", callback=named
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

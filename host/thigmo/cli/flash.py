@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, named, print_json
 
 
 def register(app: typer.Typer) -> None:
@@ -17,7 +17,9 @@ def register(app: typer.Typer) -> None:
 
 
 def flash(
-    robot: Annotated[str, typer.Option(help="Serial port of its board, as /dev/ttyACM0.")],
+    robot: Annotated[
+        str, typer.Option(help="Serial port of its board, as /dev/ttyACM0.", callback=named)
+    ],
     image: Annotated[
         Path | None,
         typer.Option(help="Image (.hex); left out: the one that came with this host."),

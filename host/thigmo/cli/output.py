@@ -7,10 +7,20 @@ from typing import Annotated, Any
 
 import typer
 
+
+def named(address: str | None) -> str | None:
+    """An address that a user gave, which a shell variable may have left empty."""
+    if address == "":
+        raise typer.BadParameter("it is empty")
+    return address
+
+
 RobotOption = Annotated[
     str,
     typer.Option(
-        "--robot", help="Where it is: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE."
+        "--robot",
+        help="Where it is: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
+        callback=named,
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
