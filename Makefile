@@ -5,7 +5,8 @@ BIN    := $(VENV)/bin
 # Rebuild the extensions when their sources, the schema or the packaging change.
 CORE   := $(shell find firmware/core firmware/virtual host/thigmo -name '*.h' -o -name '*.cpp') CMakeLists.txt pyproject.toml
 
-# Tests run on this many cores. Those in real time mostly wait for it: more of them run at once.
+# Tests run on this many cores. Those in real time mostly wait for it: more of them run at once in
+# `make test`; in `make ci`, with browsers among them, one after the other.
 WORKERS  ?= 2
 WAITING  ?= 6
 PYTEST  := $(BIN)/pytest -q
@@ -68,7 +69,7 @@ test: lint
 
 ci: lint .stamps/ros
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
-	$(PYTEST) -n $(WAITING) --dist worksteal -m "realtime and not nightly"
+	$(PYTEST) -m "realtime and not nightly"
 	$(MAKE) docs
 	$(BIN)/python tools/release.py
 

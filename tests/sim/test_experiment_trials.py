@@ -28,6 +28,8 @@ from thigmo.studies.experiments.plan import Planned
 from thigmo.studies.experiments.procedure import plan
 from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
+pytestmark = pytest.mark.ci
+
 _PATIENCE_S = 100.0  # of a test, with a command that compiles
 
 

@@ -11,6 +11,8 @@ from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult, explore, replay
 from thigmo.record import OBSTACLES_FILE, OccupancyGrid, read_obstacles, write_ros_map
 
+pytestmark = pytest.mark.ci
+
 SEED = 2
 
 

@@ -40,6 +40,8 @@ from thigmo.stream import (
     to_json,
 )
 
+pytestmark = pytest.mark.ci
+
 MODULE = import_module("thigmo.exploration.explore")
 
 

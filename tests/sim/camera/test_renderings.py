@@ -37,6 +37,8 @@ from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_cam
 from thigmo.errors import ConfigError, DataError
 from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
 
+pytestmark = pytest.mark.ci
+
 SHEET = Sheet(camera_height_cm=105.0)
 
 

@@ -13,6 +13,8 @@ import pytest
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import explore
 
+pytestmark = pytest.mark.ci
+
 
 def test_the_last_stage_finds_the_same_contact_on_both_boards(tmp_path: Path) -> None:
     scene = Scene.load("default")

@@ -89,6 +89,9 @@ def random_frame(
         rng.choice([0.0, 0.1, 0.2], n),
     ][0 if points else rng.integers(4)]
     low, high = np.maximum(position - span / 2, 0.0), np.minimum(position + span / 2, 1.0)
+    middle = (low + high) / 2
+    if n > 2 and (np.ptp(middle) == 0.0 or middle.max() < 0.12):
+        return random_frame(rng, most, contacts, points)  # a layout that is refused
     y = rng.choice([0.0, 0.03, 0.15]) * rng.standard_normal(n)
     for _ in range(contacts):
         force = rng.choice([-1, 1]) * 10 ** rng.uniform(-1.5, 0.5)

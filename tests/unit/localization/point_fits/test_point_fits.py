@@ -56,7 +56,7 @@ def test_no_grid_does_better(norm: Norm, contacts: int, frames: int, most: int, 
         best = grid_minimum(y, low, high, contacts, norm, None)
         assert found.objective <= best + slack
         # The grid comes close, so that the comparison means something.
-        assert best <= found.objective + 0.02 * misfit(y, norm)
+        assert best <= found.objective + 0.05 * misfit(y, norm)
 
 
 @pytest.mark.parametrize(("contacts", "frames", "most"), [(1, 12, 8), (2, 4, 4)])
