@@ -54,6 +54,7 @@ def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
     assert [round(s.everted_length_cm) for s in document.stages] == [10, 20, 30, 40, 50, 53]
 
 
+@pytest.mark.ci
 def test_the_same_seed_gives_the_same_run_and_studies_explore_as_users_do(
     default: ExplorationResult, tmp_path: Path
 ) -> None:

@@ -70,6 +70,7 @@ def test_a_replay_tells_the_same_peg(tmp_path: Path, peg: PegTable) -> None:
     assert again.error_x_cm == result.document.error_x_cm
 
 
+@pytest.mark.ci
 def test_zeros_that_moved_by_themselves_end_no_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,6 +65,7 @@ def lab(tmp_path):
     made.robot.close()
 
 
+@pytest.mark.ci
 def test_moved_camera_stops_the_step_and_the_rest_is_taken_after_it_is_located_again(lab):
     lab.shove_after = 4
     with pytest.raises(CameraMovedError, match="locate` again"):
@@ -79,6 +80,7 @@ def test_moved_camera_stops_the_step_and_the_rest_is_taken_after_it_is_located_a
     assert rows[1]["tip"][1] == pytest.approx(rows[1]["asked"], abs=0.2)
 
 
+@pytest.mark.ci
 def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch):
     bench = lab.bench()
     look = lab.eyes.axis
@@ -107,6 +109,7 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
     assert again[-1]["tip"][0] is not None
 
 
+@pytest.mark.ci
 def test_tip_pushed_to_the_wrong_side_is_said_and_pushed_again(lab, monkeypatch):
     bench = lab.bench()
     push, asked = bench.hand.push_tip, []
@@ -217,6 +220,7 @@ def test_a_robot_with_fewer_sensors_than_the_board_has_inputs_is_calibrated(tmp_
             assert made.scale_per_ohm == pytest.approx(right.scale_per_ohm, rel=0.03)
 
 
+@pytest.mark.ci
 def test_check_names_a_dead_sensor(tmp_path):
     lab = Lab(tmp_path)
     bench = lab.bench()

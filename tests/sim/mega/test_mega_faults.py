@@ -140,7 +140,7 @@ def notice_reset(rig: Rig, within_ms: int = 8000) -> None:
         rig.client.wait_for(lambda: False, within_ms / 1000)
 
 
-@pytest.mark.parametrize("interrupts", [True, False])
+@pytest.mark.parametrize("interrupts", [True, pytest.param(False, marks=pytest.mark.ci)])
 def test_a_hung_loop_is_ended_by_the_watchdog(
     full_length: Scene, stored_config: bytes, interrupts: bool
 ) -> None:
@@ -220,7 +220,7 @@ def test_a_stray_byte_in_the_boot_loaders_window_delays_the_start_but_not_for_ev
 
 
 # --- the line -------------------------------------------------------------------------------------
-@pytest.mark.parametrize("baud", [250_000, 500_000])
+@pytest.mark.parametrize("baud", [250_000, pytest.param(500_000, marks=pytest.mark.ci)])
 def test_no_command_is_lost_or_done_twice_over_a_bridge_that_inserts_and_replays(
     full_length: Scene, stored_config: bytes, baud: int
 ) -> None:
