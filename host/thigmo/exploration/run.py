@@ -249,12 +249,12 @@ class Exploration:
             return "clear of what held it"
         if self._stall is not None:
             self.map.add_ahead(self._stall)
-        return self._peg_ahead()
+        self._end_at_peg()
+        return "peg ahead"
 
-    def _peg_ahead(self) -> str:
+    def _end_at_peg(self) -> None:
         self.document = replace(self.document, outcome="peg ahead")
         self._judge()
-        return "peg ahead"
 
     def _settle(self) -> str:
         if self.protocol == "thesis":
@@ -286,7 +286,8 @@ class Exploration:
         self._deflection = None
         if held.released(*self.robot.zeros()):
             self.map.add_leaning(held)
-            return f"straight again: {self._peg_ahead()}"
+            self._end_at_peg()
+            return "straight again: peg ahead"
         self.swept, self._straight_cm = True, held.length_cm
         return "as before: the zeros moved"
 
