@@ -16,7 +16,6 @@ from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.emulator.scene import Scene
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder
-from thigmo.link.image import BUILD
 
 RAM = 8192
 PAINT = 0xC5
@@ -121,7 +120,7 @@ def scene(*, pegs: bool = False) -> Scene:
 def symbols() -> dict[str, int]:
     """Addresses in RAM by the linker's names."""
     listing = subprocess.run(
-        ["avr-nm", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
+        ["avr-nm", str(mega_build.firmware_elf())], capture_output=True, text=True, check=True
     ).stdout
     return {
         p[2]: int(p[0], 16) & 0xFFFF for line in listing.splitlines() if len(p := line.split()) == 3
@@ -135,9 +134,8 @@ def static_ram() -> int:
 
 def sections() -> dict[str, int]:
     """Sizes of the image's sections, bytes."""
-    image = mega_build.firmware_hex()
     size = subprocess.run(
-        ["avr-size", "-A", str(image.with_suffix(".elf"))],
+        ["avr-size", "-A", str(mega_build.firmware_elf())],
         capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     return {name: int(count) for name, count in re.findall(r"^(\.\w+)\s+(\d+)", size, re.M)}

@@ -13,7 +13,7 @@ from pathlib import Path
 from thigmo.errors import PortError
 from thigmo.link.image import BUILD, ROOT, build_image, make, read_hex
 
-__all__ = ["BOOT_LOADER", "bridge_library", "firmware_hex", "missing", "read_hex"]
+__all__ = ["BOOT_LOADER", "bridge_library", "firmware_elf", "firmware_hex", "missing", "read_hex"]
 
 BOOT_LOADER = Path(
     "/usr/share/arduino/hardware/arduino/avr/bootloaders/stk500v2/stk500boot_v2_mega2560.hex"
@@ -64,3 +64,12 @@ def firmware_hex(baud: int = 250_000) -> Path:
     """
     _require()
     return build_image(baud)
+
+
+def firmware_elf() -> Path:
+    """The linked program that the image was made from, with its symbols, built if need be.
+
+    Raises:
+        PortError: a tool is missing, or the build failed.
+    """
+    return firmware_hex().with_suffix(".elf")

@@ -10,11 +10,11 @@ import pytest
 from rig import open_rig, prepare
 
 from thigmo.emulator.chip import CYCLES_PER_MS, SRAM_END
+from thigmo.emulator.mega_build import firmware_elf
 from thigmo.emulator.mega_sim import DRIVES, MOTOR_PWM, SimulatedMega
 from thigmo.emulator.scene import Scene
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, encode
-from thigmo.link.image import BUILD
 
 EVEN = [10, 11, 0, 5, 1, 2, 3, 4]
 ODD = [10, 11, 0, 5, 6, 7, 8, 9]
@@ -140,7 +140,7 @@ def test_the_emergency_stop_acts_within_two_ticks(full_length: Scene, stored_con
 
 def test_the_restart_record_survives_boot_loader_and_start_up() -> None:
     listing = subprocess.run(
-        ["avr-nm", "-S", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
+        ["avr-nm", "-S", str(firmware_elf())], capture_output=True, text=True, check=True
     ).stdout
     (record,) = (line.split() for line in listing.splitlines() if "restart_record" in line)
     start, size = int(record[0], 16) & 0xFFFF, int(record[1], 16)
@@ -186,7 +186,7 @@ def test_transitions_that_no_encoder_makes_are_counted_and_no_others(
 def encoder(mega: SimulatedMega) -> int:
     """The interrupt routine's count."""
     listing = subprocess.run(
-        ["avr-nm", "-C", str(BUILD / "thigmo.elf")], capture_output=True, text=True, check=True
+        ["avr-nm", "-C", str(firmware_elf())], capture_output=True, text=True, check=True
     ).stdout
     (address,) = (
         int(line.split()[0], 16) & 0xFFFF
