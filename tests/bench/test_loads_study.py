@@ -57,7 +57,11 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
         "noise known: false contacts": ("free, 2 readings, noise known", {}),
         "near the base, 5": ("near the base, bent, odds 0.05", {"found": 0, "stands_out": 99.0}),
         "of these, P(no": ("near the base, straight, odds 0.001", {"none": 0.2, "stands_out": 30}),
-        "two on one side, one": ("two on one side, straight", {"wrong": True}),
+        "two on one side that one does": (
+            "two on one side, straight",
+            {"wrong": True, "fits": False},
+        ),
+        "two on one side that one explains": ("two on one side, straight", {"open": False}),
         "rod held at its end: localized": ("rod held at its end", {"off_cm": 3.0}),
         "kinks of 3": ("kink, bent", {"stands_out": SEEN_KINK}),
     }

@@ -224,7 +224,7 @@ def _odds_figure(rows: list[tuple[Cell, ...]]) -> Figure:
 
 def run(context: Context) -> Outcome:
     """The study: every error on every group, told and not; then the odds of a bad reading."""
-    full = context.count(min(BATCH, 50), 1500)
+    full = context.count(min(BATCH, 50), 3000)  # shares of 1 % to a fifth
     parts = [(k, min(BATCH, full - BATCH * k)) for k in range(-(-full // BATCH))]
     outcome = Outcome()
     scores: dict[tuple[str, str, bool], Score] = {}

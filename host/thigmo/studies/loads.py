@@ -226,7 +226,7 @@ def _groups() -> dict[str, Group]:
                 bound = arc_bounds(arcs, moments / arcs, where, SPAN, SIGMA, LENGTH).max()
                 if gap == TOO_CLOSE_CM or bound < PLACED_CM:
                     name = f"{gap:g} cm apart, first sensor at {first:g} cm, {moments[1]:g} 1/cm"
-                    groups[name] = Group(partial(pair, gap, first, moments), 200)
+                    groups[name] = Group(partial(pair, gap, first, moments))
     groups["rod held at its end"] = Group(
         held_rod, options={"length": ROD_CM, "span": 0.0, "noise": ROD_NOISE, "tube_radius": None},
         noise=ROD_NOISE,
@@ -327,20 +327,21 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
               share([f.likely > 0 for f in usual]), 0.83, at_most=False),
     ]  # fmt: skip
     opposed = seen["two opposed, straight"]
-    single = [f for frames in some("two on one side") for f in frames if f.found == 1 and f.fits]
+    beside = some("two on one side")
+    single = [f for frames in beside for f in frames if f.found == 1 and f.fits]
     claims += [
         Claim("two opposed contacts, straight: both found",
               share([f.likely == 2 for f in opposed]), 0.78, at_most=False),
         Claim("two opposed, one answered: localized where neither is, most",
               max(lone_wrong("two opposed")), 0.05),
-        Claim("two on one side, one answered: localized where neither is, most",
-              max(lone_wrong("two on one side")), 0.05),
-        Claim("two answered: least coverage of an interval",
-              min(_coverage([f for f in frames if f.found == 2])
-                  for frames in [*some("two opposed"), *some("18.5"), *some("13 cm")]), 0.93,
-              at_most=False),
+        Claim("two on one side that one does not explain: localized where neither is, most",
+              max(share([f.wrong and f.found == 1 and not f.fits for f in frames])
+                  for frames in beside), 0.05),
         Claim("two on one side that one explains: others said not to be excluded",
               share([f.open for f in single]), 1.0, at_most=False),
+        Claim("two opposed, both answered: least coverage of an interval",
+              min(_coverage([f for f in frames if f.found == 2]) for frames in some("two opposed")),
+              0.93, at_most=False),
         Claim("told apart at 18.5 cm, least share",
               min(share([f.found == 2 for f in frames]) for frames in some("18.5")), 0.9,
               at_most=False),
