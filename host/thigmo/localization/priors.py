@@ -87,8 +87,8 @@ TRUST = 5e-4
 # Where one contact leaves a misfit beyond this standard normal deviate, as 31 % of right ones do,
 # the noise may be larger than stated: by this factor, and with this probability.
 NOISE_DEVIATE = 0.5
-NOISE_FACTOR = 2.0
-NOISE_ODDS = 0.2
+NOISE_FACTOR = 2.4
+NOISE_ODDS = 0.18
 # Where the noise is unknown, its levels: shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
