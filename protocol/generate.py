@@ -543,69 +543,43 @@ def _py_type(field: Field) -> str:
     return field.enum or "int"
 
 
-def _docstring(text: str, indent: str) -> list[str]:
-    line = f'{indent}"""{text}"""'
+def _docstring(text: str) -> list[str]:
+    line = f'    """{text}"""'
     if len(line) <= COLUMNS:
         return [line]
-    wrapped = textwrap.wrap(text, COLUMNS - len(indent) - 6)
-    return [f'{indent}"""{wrapped[0]}', *(indent + w for w in wrapped[1:]), f'{indent}"""']
+    first, *rest = textwrap.wrap(text, COLUMNS - 10)
+    return [f'    """{first}', *(f"    {part}" for part in rest), '    """']
 
 
-def _string(text: str, width: int = 80) -> str:
+def _string(text: str, width: int = 88) -> str:
     """A literal, in pieces when it is long."""
-    if len(text) <= width:
-        return json.dumps(text)
-    pieces = textwrap.wrap(text, width, drop_whitespace=False)
-    return "(" + " ".join(json.dumps(piece) for piece in pieces) + ")"
+    return " ".join(json.dumps(part) for part in textwrap.wrap(text, width, drop_whitespace=False))
+
+
+def _py_field(field: Field) -> list[str]:
+    line = f"    {field.name}: {_py_type(field)}"
+    doc = field.doc + (f" [{field.unit}]" if field.unit else "")
+    if len(line) + len(doc) + 4 <= COLUMNS:
+        return [f"{line}  # {doc}"]
+    return [*(f"    # {part}" for part in textwrap.wrap(doc, COLUMNS - 6)), line]
 
 
 def _py_message(m: Message) -> list[str]:
-    base = f"Command[{camel(m.reply)}]" if m.kind == "command" else "Message"
-    out = ["@dataclass(frozen=True, slots=True)", f"class {m.camel}({base}):"]
-    out += [*_docstring(m.doc, "    "), ""]
-    out += [
-        f"    ID: ClassVar[int] = 0x{m.id:02X}",
-        f"    SIZE: ClassVar[int] = {m.size}",
-        f'    NAME: ClassVar[str] = "{m.name}"',
-        f'    KIND: ClassVar[str] = "{m.kind}"',
-    ]
+    base, deadline = "Message", ""
     if m.kind == "command":
-        out += [
-            f"    REPLY: ClassVar[type[Message]] = {camel(m.reply)}",
-            f"    DEADLINE_S: ClassVar[float] = {m.deadline_ms / 1000}",
-        ]
-    out.append("")
+        base, deadline = f"Command[{camel(m.reply)}]", f", deadline_s={m.deadline_ms / 1000}"
+    out = [f'@message(0x{m.id:02X}, "{m.kind}", "{m.format[1:]}"{deadline})']
+    out += [f"class {m.camel}({base}):", *_docstring(m.doc), ""]
     for f in m.fields:
-        unit = f" [{f.unit}]" if f.unit else ""
-        out += [f"    {f.name}: {_py_type(f)}", *_docstring(f.doc + unit, "    ")]
-    struct_name = f"_{m.name.upper()}"
-    out += ["", "    def pack(self) -> bytes:", '        """The payload."""']
-    if m.fields:
-        args = ", ".join(("*" if f.count > 1 else "") + f"self.{f.name}" for f in m.fields)
-        out.append(f"        return {struct_name}.pack({args})")
-    else:
-        out.append('        return b""')
-    out += [
-        "",
-        "    @classmethod",
-        f"    def unpack(cls, payload: bytes) -> {m.camel}:",
-        '        """Read a payload; raises ValueError on a bad size or an unknown enum value."""',
-        "        if len(payload) != cls.SIZE:",
-        "            raise ValueError(_bad_size(cls, payload))",
-    ]
-    if m.fields:
-        out.append(f"        v = {struct_name}.unpack(payload)")
-        args, at = [], 0
-        for f in m.fields:
-            if f.count > 1:
-                args.append(f"v[{at}:{at + f.count}]")
-            else:
-                args.append(f"{f.enum}(v[{at}])" if f.enum else f"v[{at}]")
-            at += f.count
-        out.append(f"        return cls({', '.join(args)})")
-    else:
-        out.append("        return cls()")
+        out += _py_field(f)
     return [*out, "", ""]
+
+
+def _py_parameter(p: Parameter) -> str:
+    default = p.defaults if len(set(p.defaults)) > 1 else p.defaults[0]
+    row = (p.name, p.id, p.count, p.unit, p.low, p.high, default)
+    line = f"        {row!r}: {json.dumps(p.doc)},"
+    return line if len(line) <= COLUMNS else f"        {row!r}: ({_string(p.doc, 84)}),"
 
 
 def python(schema: Schema) -> str:
@@ -617,12 +591,11 @@ def python(schema: Schema) -> str:
         "Integers are as on the wire; the scale is in each name and unit.",
         '"""',
         "",
-        "from __future__ import annotations",
-        "",
-        "from dataclasses import dataclass",
-        "from enum import IntEnum",
-        "from struct import Struct",
-        "from typing import ClassVar, Generic, Self, TypeVar",
+        "from thigmo.link.message import MESSAGES as MESSAGES",
+        "from thigmo.link.message import Command as Command",
+        "from thigmo.link.message import Documented, message, parameter_table",
+        "from thigmo.link.message import Message as Message",
+        "from thigmo.link.message import Parameter as Parameter",
         "",
         f"PROTOCOL = {schema.protocol}",
         f"SCHEMA_HASH = 0x{schema.hash:08X}",
@@ -635,111 +608,21 @@ def python(schema: Schema) -> str:
         f"MAP_STEP_CPSI = {schema.map_step_cpsi}",
         "",
         "",
-        "class Documented(IntEnum):",
-        '    """An enumeration whose members carry their sentences of the schema."""',
-        "",
-        "    doc: str",
-        "",
-        '    def __new__(cls, value: int, doc: str = "") -> Self:',
-        '        """A member with its sentence."""',
-        "        member = int.__new__(cls, value)",
-        "        member._value_ = value",
-        "        member.doc = doc",
-        "        return member",
-        "",
-        "    @property",
-        "    def key(self) -> str:",
-        '        """The name as the schema writes it."""',
-        "        return self.name.lower()",
-        "",
-        "    @property",
-        "    def mask(self) -> int:",
-        '        """The member as a bit mask (enumerations of bits)."""',
-        "        return 1 << self.value",
-        "",
-        "    @classmethod",
-        "    def from_mask(cls, mask: int) -> tuple[Self, ...]:",
-        '        """The members whose bits are set in a mask."""',
-        "        return tuple(member for member in cls if mask >> int(member) & 1)",
-        "",
-        "",
     ]
     for name, (doc, values) in schema.enums.items():
         out += [f"class {name}(Documented):", f'    """{doc}"""', ""]
         out += [f"    {v.name.upper()} = {v.value}, {_string(v.doc)}" for v in values]
         out += ["", ""]
-    out += [
-        "class Message:",
-        '    """Base of all messages."""',
-        "",
-        "    __slots__ = ()",
-        "    ID: ClassVar[int]",
-        "    SIZE: ClassVar[int]",
-        "    NAME: ClassVar[str]",
-        "    KIND: ClassVar[str]",
-        "",
-        "    def pack(self) -> bytes:",
-        '        """The payload."""',
-        "        raise NotImplementedError",
-        "",
-        "    @classmethod",
-        "    def unpack(cls, payload: bytes) -> Message:",
-        '        """Read a payload; raises ValueError on a bad size or an unknown enum value."""',
-        "        raise NotImplementedError",
-        "",
-        "",
-        'R = TypeVar("R", bound=Message)',
-        "",
-        "",
-        "class Command(Message, Generic[R]):",
-        '    """A message that the board answers with an R, or refuses with an Ack."""',
-        "",
-        "    __slots__ = ()",
-        "    REPLY: ClassVar[type[Message]]",
-        "    DEADLINE_S: ClassVar[float]",
-        "",
-        "",
-        "def _bad_size(message: type[Message], payload: bytes) -> str:",
-        '    return f"{message.NAME}: {len(payload)} bytes of payload, {message.SIZE} expected"',
-        "",
-        "",
-    ]
-    out += [f'_{m.name.upper()} = Struct("{m.format}")' for m in schema.messages if m.fields]
-    out += ["", ""]
     for m in sorted(schema.messages, key=lambda m: m.kind == "command"):
         out += _py_message(m)
     out += [
-        "MESSAGES: dict[int, type[Message]] = {",
-        *[f"    0x{m.id:02X}: {m.camel}," for m in schema.messages],
-        "}",
-        "BY_NAME: dict[str, type[Message]] = {m.NAME: m for m in MESSAGES.values()}",
-        "",
-        "",
-        "@dataclass(frozen=True, slots=True)",
-        "class Parameter:",
-        '    """A row of the parameter table; arrays take `count` consecutive indices."""',
-        "",
-        "    name: str",
-        "    id: int",
-        "    index: int",
-        "    count: int",
-        "    unit: str",
-        "    low: int",
-        "    high: int",
-        "    defaults: tuple[int, ...]",
-        "    doc: str",
-        "",
-        "",
-        "PARAMETERS: dict[str, Parameter] = {",
-        "    parameter.name: parameter",
-        "    for parameter in (",
+        "PARAMETERS: dict[str, Parameter] = parameter_table(",
+        "    {  # name, id, count, unit, low, high, default: what it is",
+        *[_py_parameter(p) for p in schema.parameters],
+        "    }",
+        ")",
+        f"PARAMETER_COUNT = {schema.parameter_count}",
     ]
-    for p in schema.parameters:
-        out.append(
-            f"        Parameter({json.dumps(p.name)}, {p.id}, {p.index}, {p.count}, "
-            f"{json.dumps(p.unit)}, {p.low}, {p.high}, {p.defaults!r}, {_string(p.doc)}),"
-        )
-    out += ["    )", "}", f"PARAMETER_COUNT = {schema.parameter_count}"]
     formatted = _run(_tool("ruff"), "format", "--stdin-filename", str(OUTPUTS["python"]), text=out)
     long = [n for n, line in enumerate(formatted.splitlines(), 1) if len(line) > COLUMNS]
     _require(not long, f"protocol.py: lines {long} exceed 100 columns; shorten those docs")

@@ -4,12 +4,11 @@ Messages, enumerations and the parameter table, as protocol/PROTOCOL.md document
 Integers are as on the wire; the scale is in each name and unit.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from enum import IntEnum
-from struct import Struct
-from typing import ClassVar, Generic, Self, TypeVar
+from thigmo.link.message import MESSAGES as MESSAGES
+from thigmo.link.message import Command as Command
+from thigmo.link.message import Documented, message, parameter_table
+from thigmo.link.message import Message as Message
+from thigmo.link.message import Parameter as Parameter
 
 PROTOCOL = 1
 SCHEMA_HASH = 0x33611322
@@ -20,34 +19,6 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-
-
-class Documented(IntEnum):
-    """An enumeration whose members carry their sentences of the schema."""
-
-    doc: str
-
-    def __new__(cls, value: int, doc: str = "") -> Self:
-        """A member with its sentence."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.doc = doc
-        return member
-
-    @property
-    def key(self) -> str:
-        """The name as the schema writes it."""
-        return self.name.lower()
-
-    @property
-    def mask(self) -> int:
-        """The member as a bit mask (enumerations of bits)."""
-        return 1 << self.value
-
-    @classmethod
-    def from_mask(cls, mask: int) -> tuple[Self, ...]:
-        """The members whose bits are set in a mask."""
-        return tuple(member for member in cls if mask >> int(member) & 1)
 
 
 class State(Documented):
@@ -128,7 +99,7 @@ class Reason(Documented):
     NONE = 0, "No reason: the command was accepted."
     UNKNOWN_ID = (
         1,
-        ("This firmware does not know that message; flash the firmware of this host's version."),
+        "This firmware does not know that message; flash the firmware of this host's version.",
     )
     BAD_LENGTH = 2, "The message has the wrong size; flash the firmware of this host's version."
     BAD_VALUE = 3, "A value is outside its range; see the range in PROTOCOL.md."
@@ -136,44 +107,36 @@ class Reason(Documented):
     BAD_SEQUENCE = 5, "The frame is stale or out of order; say hello again."
     WRONG_SCHEMA = (
         6,
-        ("Host and board were built from different schemas; run `thigmo flash --robot PORT`."),
+        "Host and board were built from different schemas; run `thigmo flash --robot PORT`.",
     )
     WRONG_STATE = (
         7,
-        ("The supervisor's state does not allow it; arm the robot, or clear its faults, first."),
+        "The supervisor's state does not allow it; arm the robot, or clear its faults, first.",
     )
     BUSY = 8, "Another activity runs; stop it or wait for its end."
     FAULT_LATCHED = 9, "A fault is latched; remove its cause and clear it."
     LENGTH_UNKNOWN = (
         10,
-        (
-            "The everted length is unknown since a reset, a stall or a slip; measure it and "
-            "confirm it."
-        ),
+        "The everted length is unknown since a reset, a stall or a slip; measure it and confirm "
+        "it.",
     )
     HALF_EVERTED = (
         11,
-        (
-            "A sensor lies in the tip's fold and a bend would crease it; grow or retract to a"
-            " whole sensor pitch."
-        ),
+        "A sensor lies in the tip's fold and a bend would crease it; grow or retract to a whole "
+        "sensor pitch.",
     )
     ZONE_UNKNOWN = (
         12,
-        (
-            "The board has not been told which body pressure holds; set the regulator and "
-            "select its map."
-        ),
+        "The board has not been told which body pressure holds; set the regulator and select its "
+        "map.",
     )
     NOT_VENTED = 13, "A muscle still holds pressure; vent and wait."
     NOT_SETTLED = 14, "A sensor everted too recently; wait for its settling time."
     DRIFTING = 15, "Readings still drift; wait, and look for a touch or a loose wire."
     OVER_LIMIT = (
         16,
-        (
-            "The pressure, length or speed exceeds its configured maximum; ask for less, or "
-            "raise the limit in robot.toml."
-        ),
+        "The pressure, length or speed exceeds its configured maximum; ask for less, or raise the"
+        " limit in robot.toml.",
     )
     NO_SNAPSHOT = 17, "No such reading was captured; sweep first, past the peak."
     ESTOP = 18, "The emergency stop is pressed; release it first."
@@ -181,14 +144,12 @@ class Reason(Documented):
     NOT_ZEROED = 20, "Sensors have no valid zero; vent, wait for settling, and zero."
     CONTRADICTION = (
         23,
-        (
-            "Parameters contradict each other, and none of those that were set runs; correct "
-            "the one that is named."
-        ),
+        "Parameters contradict each other, and none of those that were set runs; correct the one "
+        "that is named.",
     )
     NO_BASE_SENSOR = (
         22,
-        ("Neither base sensor can feel a contact; grow past them, and mend, enable or zero one."),
+        "Neither base sensor can feel a contact; grow past them, and mend, enable or zero one.",
     )
     HOST_SILENT = 21, "No heartbeat has arrived lately; keep the host beating, then arm again."
     STOPPED_AGAIN = (
@@ -202,92 +163,69 @@ class Fault(Documented):
 
     HOST_SILENT = (
         0,
-        (
-            "No heartbeat from the host while the robot was armed; check the cable and the "
-            "host, then clear."
-        ),
+        "No heartbeat from the host while the robot was armed; check the cable and the host, then"
+        " clear.",
     )
     OVER_PRESSURE = (
         1,
-        ("A muscle exceeded the pressure limit; check the transducer and its supply, then clear."),
+        "A muscle exceeded the pressure limit; check the transducer and its supply, then clear.",
     )
     PRESSURE_WIRE = (
         2,
-        ("A pressure sensor reads outside 5..95 % of its supply; check its wire, then clear."),
+        "A pressure sensor reads outside 5..95 % of its supply; check its wire, then clear.",
     )
     PRESSURE_STUCK = (
         3,
-        (
-            "Muscle pressure does not follow its set point; check air supply, transducer and "
-            "tube, then clear."
-        ),
+        "Muscle pressure does not follow its set point; check air supply, transducer and tube, "
+        "then clear.",
     )
     FLEX_OPEN = (
         4,
-        (
-            "A flex sensor's circuit is open; check its wire, or mark it dead in robot.toml, "
-            "then clear."
-        ),
+        "A flex sensor's circuit is open; check its wire, or mark it dead in robot.toml, then "
+        "clear.",
     )
     FLEX_SHORT = (
         5,
-        (
-            "A flex sensor's circuit is shorted; check its wire, or mark it dead in "
-            "robot.toml, then clear."
-        ),
+        "A flex sensor's circuit is shorted; check its wire, or mark it dead in robot.toml, then "
+        "clear.",
     )
     SPOOL_STALL = (
         6,
-        (
-            "The motor is driven but the encoder stands still; free the spool or the tail, "
-            "then clear and confirm the length."
-        ),
+        "The motor is driven but the encoder stands still; free the spool or the tail, then clear"
+        " and confirm the length.",
     )
     SPOOL_SLIP = (
         7,
-        (
-            "The spool turned while its motor was off, or ran ahead of it; shut the body air,"
-            " check the brake, then clear and confirm the length."
-        ),
+        "The spool turned while its motor was off, or ran ahead of it; shut the body air, check "
+        "the brake, then clear and confirm the length.",
     )
     BROWN_OUT = 8, "The supply sagged below its limit; check the power supply, then clear."
     WATCHDOG = 9, "The firmware hung and was restarted; report it with the run folder, then clear."
     BAD_CONFIG = (
         10,
-        (
-            "No valid configuration is stored; configure and save (`thigmo params --robot "
-            "PORT --load-defaults`), then clear."
-        ),
+        "No valid configuration is stored; configure and save (`thigmo params --robot PORT "
+        "--load-defaults`), then clear.",
     )
     ESTOP = 11, "The emergency stop was pressed; release it, then clear."
     INTERLOCK = (
         12,
-        (
-            "The length became unknown or a sensor half everted during a bend; vented. Clear,"
-            " confirm the length if unknown, and grow or retract to a whole pitch."
-        ),
+        "The length became unknown or a sensor half everted during a bend; vented. Clear, confirm"
+        " the length if unknown, and grow or retract to a whole pitch.",
     )
     PRESSURE_MISMATCH = (
         14,
-        (
-            "Muscle pressure and the transducer's current disagree; check the pressure "
-            "sensor's zero and gain, the transducer and its map (drive_4ma_cpsi, "
-            "drive_20ma_cpsi), then clear."
-        ),
+        "Muscle pressure and the transducer's current disagree; check the pressure sensor's zero "
+        "and gain, the transducer and its map (drive_4ma_cpsi, drive_20ma_cpsi), then clear.",
     )
     LINK_OVERRUN = (
         13,
-        (
-            "The board's receive buffer overran; lower the baud rate or the telemetry rate, "
-            "then clear."
-        ),
+        "The board's receive buffer overran; lower the baud rate or the telemetry rate, then "
+        "clear.",
     )
     STOPPED = (
         15,
-        (
-            "The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or "
-            "died; see that nobody is in its way, then clear."
-        ),
+        "The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or died; see"
+        " that nobody is in its way, then clear.",
     )
 
 
@@ -305,7 +243,7 @@ class Condition(Documented):
     ESTOP = 8, "The emergency stop input is active."
     CONFIG_VALID = (
         9,
-        ("The running configuration came whole from the store, or was set and checked since."),
+        "The running configuration came whole from the store, or was set and checked since.",
     )
     SUPPLY_GOOD = 10, "The supply is within limits."
     CONTACT = 11, "The contact trigger is latched."
@@ -320,12 +258,10 @@ class EventCode(Documented):
     FAULT = 1, "A fault latched: arg = bit number, value = channel or detail."
     CONTACT = (
         2,
-        (
-            "The trigger fired: arg = active Side, value = base curvature minus free "
-            "curvature, 1e-5/cm."
-        ),
+        "The trigger fired: arg = active Side, value = base curvature minus free curvature, "
+        "1e-5/cm.",
     )
-    PEAK = 3, ("Readings of a sweep's peak are captured: arg = active Side, value = their number.")
+    PEAK = 3, "Readings of a sweep's peak are captured: arg = active Side, value = their number."
     ACTIVITY_DONE = 4, "An activity ended: arg = Activity, value = everted length in um."
     ACTIVITY_ABORTED = 5, "An activity ended early: arg = Activity, value = Reason."
     ZEROED = 6, "Zeros are taken: arg = mask of sensors."
@@ -340,553 +276,140 @@ class SweepOption(Documented):
     HOLD_ON_CONTACT = 0, "Hold the pressure when the trigger fires, until vent or stop."
 
 
-class Message:
-    """Base of all messages."""
-
-    __slots__ = ()
-    ID: ClassVar[int]
-    SIZE: ClassVar[int]
-    NAME: ClassVar[str]
-    KIND: ClassVar[str]
-
-    def pack(self) -> bytes:
-        """The payload."""
-        raise NotImplementedError
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Message:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        raise NotImplementedError
-
-
-R = TypeVar("R", bound=Message)
-
-
-class Command(Message, Generic[R]):
-    """A message that the board answers with an R, or refuses with an Ack."""
-
-    __slots__ = ()
-    REPLY: ClassVar[type[Message]]
-    DEADLINE_S: ClassVar[float]
-
-
-def _bad_size(message: type[Message], payload: bytes) -> str:
-    return f"{message.NAME}: {len(payload)} bytes of payload, {message.SIZE} expected"
-
-
-_HELLO = Struct("<BII")
-_CLEAR_FAULTS = Struct("<H")
-_SET_PRESSURE = Struct("<hhH")
-_GROW_TO = Struct("<iI")
-_RETRACT_TO = Struct("<iI")
-_CONFIRM_LENGTH = Struct("<iB")
-_SELECT_ZONE = Struct("<B")
-_SWEEP = Struct("<hhIBB")
-_ZERO_SENSORS = Struct("<H")
-_GET_SENSOR = Struct("<B")
-_GET_PARAMETER = Struct("<H")
-_SET_PARAMETER = Struct("<Hi")
-_SET_MAP = Struct("<BBB11h")
-_GET_MAP = Struct("<BBB")
-_GET_SNAPSHOT = Struct("<B")
-_ACK_EVENT = Struct("<H")
-_BODY_AIR = Struct("<B")
-_TEST_OUTPUT = Struct("<BhH")
-_CLEAR_STOP = Struct("<I")
-_ACK = Struct("<BBi")
-_HELLO_REPLY = Struct("<BBBI3BBIHBHI")
-_STATUS_REPORT = Struct("<BBBBHHIihhHHHHIHHI")
-_SENSOR_REPORT = Struct("<BBHIhIIB")
-_PARAMETER_VALUE = Struct("<BHi")
-_MAP_VALUES = Struct("<BBBB11h")
-_SNAPSHOT = Struct("<BBBBBI10Hhhhhh")
-_LINK_STATS = Struct("<BIHHHHHH")
-_CONFIG_REPORT = Struct("<BIBB8BB8B")
-_STOP = Struct("<I")
-_STOPPED = Struct("<I")
-_HEARTBEAT = Struct("<I")
-_PULSE = Struct("<II")
-_ANNOUNCE = Struct("<BI3BBIB")
-_TELEMETRY = Struct("<I10HhhhhHHihhhBH")
-_EVENT = Struct("<HBIHi")
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x80, "reply", "BBi")
 class Ack(Message):
     """Answer of commands that return nothing else, and every refusal."""
 
-    ID: ClassVar[int] = 0x80
-    SIZE: ClassVar[int] = 6
-    NAME: ClassVar[str] = "ack"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """Outcome."""
-    reason: Reason
-    """Why refused."""
-    detail: int
-    """What the command's doc says, or the index, sensor or bit at fault."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _ACK.pack(self.status, self.reason, self.detail)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Ack:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _ACK.unpack(payload)
-        return cls(Status(v[0]), Reason(v[1]), v[2])
+    status: Status  # Outcome.
+    reason: Reason  # Why refused.
+    detail: int  # What the command's doc says, or the index, sensor or bit at fault.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x81, "reply", "BBBI3BBIHBHI")
 class HelloReply(Message):
     """Who the board is. Commands carry this session from now on."""
 
-    ID: ClassVar[int] = 0x81
-    SIZE: ClassVar[int] = 24
-    NAME: ClassVar[str] = "hello_reply"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """refused when the schema differs."""
-    reason: Reason
-    """wrong_schema, or none."""
-    protocol: int
-    """Protocol version."""
-    schema_hash: int
-    """Hash of the board's schema."""
-    firmware_version: tuple[int, ...]
-    """Major, minor, patch."""
-    board: Board
-    """Where it runs."""
-    boot_nonce: int
-    """Differs at each boot."""
-    session: int
-    """Never 0; differs at each hello."""
-    reset_cause: ResetCause
-    """Why it last started."""
-    receive_window: int
-    """Unanswered bytes that the host may have in flight. [byte]"""
-    host_nonce: int
-    """Echo."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _HELLO_REPLY.pack(
-            self.status,
-            self.reason,
-            self.protocol,
-            self.schema_hash,
-            *self.firmware_version,
-            self.board,
-            self.boot_nonce,
-            self.session,
-            self.reset_cause,
-            self.receive_window,
-            self.host_nonce,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> HelloReply:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _HELLO_REPLY.unpack(payload)
-        return cls(
-            Status(v[0]),
-            Reason(v[1]),
-            v[2],
-            v[3],
-            v[4:7],
-            Board(v[7]),
-            v[8],
-            v[9],
-            ResetCause(v[10]),
-            v[11],
-            v[12],
-        )
+    status: Status  # refused when the schema differs.
+    reason: Reason  # wrong_schema, or none.
+    protocol: int  # Protocol version.
+    schema_hash: int  # Hash of the board's schema.
+    firmware_version: tuple[int, ...]  # Major, minor, patch.
+    board: Board  # Where it runs.
+    boot_nonce: int  # Differs at each boot.
+    session: int  # Never 0; differs at each hello.
+    reset_cause: ResetCause  # Why it last started.
+    receive_window: int  # Unanswered bytes that the host may have in flight. [byte]
+    host_nonce: int  # Echo.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x82, "reply", "BBBBHHIihhHHHHIHHI")
 class StatusReport(Message):
     """The board's whole state."""
 
-    ID: ClassVar[int] = 0x82
-    SIZE: ClassVar[int] = 40
-    NAME: ClassVar[str] = "status_report"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    state: State
-    """Supervisor."""
-    activity: Activity
-    """What it is doing."""
-    zone: int
-    """Selected body-pressure map; 255 = unknown."""
-    faults: int
-    """Latched Fault bits."""
-    conditions: int
-    """Condition bits."""
-    t_us: int
-    """Device clock, wraps. [us]"""
-    length_um: int
-    """Everted length, if known. [um]"""
-    left_cpsi: int
-    """Left muscle pressure. [0.01 psi]"""
-    right_cpsi: int
-    """Right muscle pressure. [0.01 psi]"""
-    everted_mask: int
-    """Sensors fully everted, with margin."""
-    settled_mask: int
-    """Sensors past their settling time."""
-    zeroed_mask: int
-    """Sensors with a valid zero."""
-    event_number: int
-    """Newest event."""
-    config_generation: int
-    """Of the stored configuration; 0 = none."""
-    supply_mv: int
-    """Supply voltage, by reference_mv. [mV]"""
+    status: Status  # ok.
+    state: State  # Supervisor.
+    activity: Activity  # What it is doing.
+    zone: int  # Selected body-pressure map; 255 = unknown.
+    faults: int  # Latched Fault bits.
+    conditions: int  # Condition bits.
+    t_us: int  # Device clock, wraps. [us]
+    length_um: int  # Everted length, if known. [um]
+    left_cpsi: int  # Left muscle pressure. [0.01 psi]
+    right_cpsi: int  # Right muscle pressure. [0.01 psi]
+    everted_mask: int  # Sensors fully everted, with margin.
+    settled_mask: int  # Sensors past their settling time.
+    zeroed_mask: int  # Sensors with a valid zero.
+    event_number: int  # Newest event.
+    config_generation: int  # Of the stored configuration; 0 = none.
+    supply_mv: int  # Supply voltage, by reference_mv. [mV]
+    # Illegal transitions of the spool's encoder since boot; wraps. More than a few mean noise, or a
+    # channel that fails.
     encoder_errors: int
-    """Illegal transitions of the spool's encoder since boot; wraps. More than a few mean noise,
-    or a channel that fails.
-    """
-    stop_nonce: int
-    """Of the latest stop, if fault stopped is latched."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _STATUS_REPORT.pack(
-            self.status,
-            self.state,
-            self.activity,
-            self.zone,
-            self.faults,
-            self.conditions,
-            self.t_us,
-            self.length_um,
-            self.left_cpsi,
-            self.right_cpsi,
-            self.everted_mask,
-            self.settled_mask,
-            self.zeroed_mask,
-            self.event_number,
-            self.config_generation,
-            self.supply_mv,
-            self.encoder_errors,
-            self.stop_nonce,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> StatusReport:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _STATUS_REPORT.unpack(payload)
-        return cls(
-            Status(v[0]),
-            State(v[1]),
-            Activity(v[2]),
-            v[3],
-            v[4],
-            v[5],
-            v[6],
-            v[7],
-            v[8],
-            v[9],
-            v[10],
-            v[11],
-            v[12],
-            v[13],
-            v[14],
-            v[15],
-            v[16],
-            v[17],
-        )
+    stop_nonce: int  # Of the latest stop, if fault stopped is latched.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x83, "reply", "BBHIhIIB")
 class SensorReport(Message):
     """One flex sensor's state."""
 
-    ID: ClassVar[int] = 0x83
-    SIZE: ClassVar[int] = 19
-    NAME: ClassVar[str] = "sensor_report"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    sensor: int
-    """0..9."""
-    flex_sum: int
-    """Latest reading."""
-    zero_sum_q8: int
-    """Zero, in 1/256 of a sum."""
-    drift_e5: int
-    """Drift as last measured. [1e-5/cm/s]"""
-    settle_left_ms: int
-    """Until its settling time is over. [ms]"""
-    everted_t_us: int
-    """When it last everted. [us]"""
-    flags: int
-    """bit 0 everted, 1 settled, 2 zeroed, 3 open, 4 short, 5 enabled."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SENSOR_REPORT.pack(
-            self.status,
-            self.sensor,
-            self.flex_sum,
-            self.zero_sum_q8,
-            self.drift_e5,
-            self.settle_left_ms,
-            self.everted_t_us,
-            self.flags,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SensorReport:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SENSOR_REPORT.unpack(payload)
-        return cls(Status(v[0]), v[1], v[2], v[3], v[4], v[5], v[6], v[7])
+    status: Status  # ok.
+    sensor: int  # 0..9.
+    flex_sum: int  # Latest reading.
+    zero_sum_q8: int  # Zero, in 1/256 of a sum.
+    drift_e5: int  # Drift as last measured. [1e-5/cm/s]
+    settle_left_ms: int  # Until its settling time is over. [ms]
+    everted_t_us: int  # When it last everted. [us]
+    flags: int  # bit 0 everted, 1 settled, 2 zeroed, 3 open, 4 short, 5 enabled.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x84, "reply", "BHi")
 class ParameterValue(Message):
     """A parameter as the board holds it."""
 
-    ID: ClassVar[int] = 0x84
-    SIZE: ClassVar[int] = 7
-    NAME: ClassVar[str] = "parameter_value"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    index: int
-    """Parameter index."""
-    value: int
-    """Value, in the parameter's wire unit."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _PARAMETER_VALUE.pack(self.status, self.index, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParameterValue:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _PARAMETER_VALUE.unpack(payload)
-        return cls(Status(v[0]), v[1], v[2])
+    status: Status  # ok.
+    index: int  # Parameter index.
+    value: int  # Value, in the parameter's wire unit.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x85, "reply", "BBBB11h")
 class MapValues(Message):
     """One free-curvature map as the board holds it."""
 
-    ID: ClassVar[int] = 0x85
-    SIZE: ClassVar[int] = 26
-    NAME: ClassVar[str] = "map_values"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    zone: int
-    """0..2."""
-    side: Side
-    """Muscle."""
-    branch: Branch
-    """Inflating or deflating."""
-    curvature_e5: tuple[int, ...]
-    """At 0, 2, .. 20 psi. [1e-5/cm]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _MAP_VALUES.pack(self.status, self.zone, self.side, self.branch, *self.curvature_e5)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> MapValues:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _MAP_VALUES.unpack(payload)
-        return cls(Status(v[0]), v[1], Side(v[2]), Branch(v[3]), v[4:15])
+    status: Status  # ok.
+    zone: int  # 0..2.
+    side: Side  # Muscle.
+    branch: Branch  # Inflating or deflating.
+    curvature_e5: tuple[int, ...]  # At 0, 2, .. 20 psi. [1e-5/cm]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x86, "reply", "BBBBBI10Hhhhhh")
 class Snapshot(Message):
     """A captured reading, raw and as the trigger saw it."""
 
-    ID: ClassVar[int] = 0x86
-    SIZE: ClassVar[int] = 39
-    NAME: ClassVar[str] = "snapshot"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    index: int
-    """As asked."""
-    count: int
-    """Readings of the peak captured so far."""
-    side: Side
-    """Active muscle."""
-    branch: Branch
-    """Inflating or deflating."""
-    t_us: int
-    """When it was taken. [us]"""
-    flex_sum: tuple[int, ...]
-    """Flex readings, left base first."""
-    left_cpsi: int
-    """Left pressure, measured. [0.01 psi]"""
-    right_cpsi: int
-    """Right pressure, measured. [0.01 psi]"""
-    lagged_cpsi: int
-    """Active pressure filtered by the calibrated lag. [0.01 psi]"""
-    base_e5: int
-    """Base curvature of the inactive side. [1e-5/cm]"""
-    free_e5: int
-    """Free curvature by the map. [1e-5/cm]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SNAPSHOT.pack(
-            self.status,
-            self.index,
-            self.count,
-            self.side,
-            self.branch,
-            self.t_us,
-            *self.flex_sum,
-            self.left_cpsi,
-            self.right_cpsi,
-            self.lagged_cpsi,
-            self.base_e5,
-            self.free_e5,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Snapshot:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SNAPSHOT.unpack(payload)
-        return cls(
-            Status(v[0]),
-            v[1],
-            v[2],
-            Side(v[3]),
-            Branch(v[4]),
-            v[5],
-            v[6:16],
-            v[16],
-            v[17],
-            v[18],
-            v[19],
-            v[20],
-        )
+    status: Status  # ok.
+    index: int  # As asked.
+    count: int  # Readings of the peak captured so far.
+    side: Side  # Active muscle.
+    branch: Branch  # Inflating or deflating.
+    t_us: int  # When it was taken. [us]
+    flex_sum: tuple[int, ...]  # Flex readings, left base first.
+    left_cpsi: int  # Left pressure, measured. [0.01 psi]
+    right_cpsi: int  # Right pressure, measured. [0.01 psi]
+    lagged_cpsi: int  # Active pressure filtered by the calibrated lag. [0.01 psi]
+    base_e5: int  # Base curvature of the inactive side. [1e-5/cm]
+    free_e5: int  # Free curvature by the map. [1e-5/cm]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x87, "reply", "BIHHHHHH")
 class LinkStats(Message):
     """Counters since boot; they wrap."""
 
-    ID: ClassVar[int] = 0x87
-    SIZE: ClassVar[int] = 17
-    NAME: ClassVar[str] = "link_stats"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    rx_frames: int
-    """Whole frames with a good check sequence."""
-    rx_bad: int
-    """Frames dropped: check sequence, stuffing or size."""
-    rx_stale: int
-    """Frames of another session or out of sequence."""
-    rx_repeats: int
-    """Repeats answered from memory."""
-    rx_overruns: int
-    """Bytes lost for want of room."""
-    tx_dropped: int
-    """Telemetry frames dropped for want of room."""
-    loop_max_us: int
-    """Longest main-loop pass since the last report. [us]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _LINK_STATS.pack(
-            self.status,
-            self.rx_frames,
-            self.rx_bad,
-            self.rx_stale,
-            self.rx_repeats,
-            self.rx_overruns,
-            self.tx_dropped,
-            self.loop_max_us,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LinkStats:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _LINK_STATS.unpack(payload)
-        return cls(Status(v[0]), v[1], v[2], v[3], v[4], v[5], v[6], v[7])
+    status: Status  # ok.
+    rx_frames: int  # Whole frames with a good check sequence.
+    rx_bad: int  # Frames dropped: check sequence, stuffing or size.
+    rx_stale: int  # Frames of another session or out of sequence.
+    rx_repeats: int  # Repeats answered from memory.
+    rx_overruns: int  # Bytes lost for want of room.
+    tx_dropped: int  # Telemetry frames dropped for want of room.
+    loop_max_us: int  # Longest main-loop pass since the last report. [us]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x88, "reply", "BIBB8BB8B")
 class ConfigReport(Message):
     """How the stored configuration fits the firmware that runs, as of the last start or save.
     The lists hold the first 8 ids and are filled up with 0.
     """
 
-    ID: ClassVar[int] = 0x88
-    SIZE: ClassVar[int] = 24
-    NAME: ClassVar[str] = "config_report"
-    KIND: ClassVar[str] = "reply"
-
-    status: Status
-    """ok."""
-    generation: int
-    """Of the stored configuration; 0 = none."""
-    kept: int
-    """Stored parameters that this firmware has, the maps as one."""
-    new_count: int
-    """Parameters that were not stored, at their defaults."""
-    new_ids: tuple[int, ...]
-    """Their ids."""
-    unknown_count: int
-    """Stored parameters that this firmware does not have, left out."""
-    unknown_ids: tuple[int, ...]
-    """Their ids."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _CONFIG_REPORT.pack(
-            self.status,
-            self.generation,
-            self.kept,
-            self.new_count,
-            *self.new_ids,
-            self.unknown_count,
-            *self.unknown_ids,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ConfigReport:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _CONFIG_REPORT.unpack(payload)
-        return cls(Status(v[0]), v[1], v[2], v[3], v[4:12], v[12], v[13:21])
+    status: Status  # ok.
+    generation: int  # Of the stored configuration; 0 = none.
+    kept: int  # Stored parameters that this firmware has, the maps as one.
+    new_count: int  # Parameters that were not stored, at their defaults.
+    new_ids: tuple[int, ...]  # Their ids.
+    unknown_count: int  # Stored parameters that this firmware does not have, left out.
+    unknown_ids: tuple[int, ...]  # Their ids.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x21, "datagram", "I")
 class Stop(Message):
     """At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
     `stopped` latches. Whatever session, sequence number and schema. Repeated by its sender
@@ -894,516 +417,151 @@ class Stop(Message):
     it.
     """
 
-    ID: ClassVar[int] = 0x21
-    SIZE: ClassVar[int] = 4
-    NAME: ClassVar[str] = "stop"
-    KIND: ClassVar[str] = "datagram"
-
-    nonce: int
-    """Random; tells this stop from others, and its echo from a replayed one."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _STOP.pack(self.nonce)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Stop:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _STOP.unpack(payload)
-        return cls(v[0])
+    nonce: int  # Random; tells this stop from others, and its echo from a replayed one.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0xA2, "datagram", "I")
 class Stopped(Message):
     """The robot is stopped, outputs are off. Sent at once for every stop."""
 
-    ID: ClassVar[int] = 0xA2
-    SIZE: ClassVar[int] = 4
-    NAME: ClassVar[str] = "stopped"
-    KIND: ClassVar[str] = "datagram"
-
-    nonce: int
-    """Echo."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _STOPPED.pack(self.nonce)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Stopped:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _STOPPED.unpack(payload)
-        return cls(v[0])
+    nonce: int  # Echo.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x20, "datagram", "I")
 class Heartbeat(Message):
     """Host is alive; the counter must rise, so that a replayed one keeps nobody alive. Answered
     by pulse.
     """
 
-    ID: ClassVar[int] = 0x20
-    SIZE: ClassVar[int] = 4
-    NAME: ClassVar[str] = "heartbeat"
-    KIND: ClassVar[str] = "datagram"
-
-    counter: int
-    """Rises by at least 1."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _HEARTBEAT.pack(self.counter)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Heartbeat:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _HEARTBEAT.unpack(payload)
-        return cls(v[0])
+    counter: int  # Rises by at least 1.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0xA0, "datagram", "II")
 class Pulse(Message):
     """Answer to a heartbeat; pairs device and host clocks."""
 
-    ID: ClassVar[int] = 0xA0
-    SIZE: ClassVar[int] = 8
-    NAME: ClassVar[str] = "pulse"
-    KIND: ClassVar[str] = "datagram"
-
-    counter: int
-    """Echo."""
-    t_us: int
-    """Device clock when the heartbeat's last byte was read. [us]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _PULSE.pack(self.counter, self.t_us)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Pulse:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _PULSE.unpack(payload)
-        return cls(v[0], v[1])
+    counter: int  # Echo.
+    t_us: int  # Device clock when the heartbeat's last byte was read. [us]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0xA1, "datagram", "BI3BBIB")
 class Announce(Message):
     """Sent twice a second from boot until the first hello, so that the host knows when it may
     speak.
     """
 
-    ID: ClassVar[int] = 0xA1
-    SIZE: ClassVar[int] = 14
-    NAME: ClassVar[str] = "announce"
-    KIND: ClassVar[str] = "datagram"
-
-    protocol: int
-    """Protocol version."""
-    schema_hash: int
-    """Hash of the board's schema."""
-    firmware_version: tuple[int, ...]
-    """Major, minor, patch."""
-    board: Board
-    """Where it runs."""
-    boot_nonce: int
-    """Differs at each boot."""
-    reset_cause: ResetCause
-    """Why it last started."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _ANNOUNCE.pack(
-            self.protocol,
-            self.schema_hash,
-            *self.firmware_version,
-            self.board,
-            self.boot_nonce,
-            self.reset_cause,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Announce:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _ANNOUNCE.unpack(payload)
-        return cls(v[0], v[1], v[2:5], Board(v[5]), v[6], ResetCause(v[7]))
+    protocol: int  # Protocol version.
+    schema_hash: int  # Hash of the board's schema.
+    firmware_version: tuple[int, ...]  # Major, minor, patch.
+    board: Board  # Where it runs.
+    boot_nonce: int  # Differs at each boot.
+    reset_cause: ResetCause  # Why it last started.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0xC0, "telemetry", "I10HhhhhHHihhhBH")
 class Telemetry(Message):
     """All channels. seq numbers the frames; gaps are drops."""
 
-    ID: ClassVar[int] = 0xC0
-    SIZE: ClassVar[int] = 49
-    NAME: ClassVar[str] = "telemetry"
-    KIND: ClassVar[str] = "telemetry"
-
-    t_us: int
-    """When its readings were complete. [us]"""
-    flex_sum: tuple[int, ...]
-    """Latest flex readings, left base first."""
-    left_cpsi: int
-    """Left pressure. [0.01 psi]"""
-    right_cpsi: int
-    """Right pressure. [0.01 psi]"""
-    left_set_cpsi: int
-    """Left set point. [0.01 psi]"""
-    right_set_cpsi: int
-    """Right set point. [0.01 psi]"""
-    left_drive: int
-    """Left transducer current. [20 mA/1599]"""
-    right_drive: int
-    """Right transducer current. [20 mA/1599]"""
-    length_um: int
-    """Everted length. [um]"""
-    motor: int
-    """Motor duty, positive pays out. [1/800 of full]"""
-    base_e5: int
-    """Base curvature as the trigger sees it. [1e-5/cm]"""
-    free_e5: int
-    """Free curvature by the map. [1e-5/cm]"""
-    state_activity: int
-    """State in the high, Activity in the low four bits."""
-    faults: int
-    """Latched Fault bits."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _TELEMETRY.pack(
-            self.t_us,
-            *self.flex_sum,
-            self.left_cpsi,
-            self.right_cpsi,
-            self.left_set_cpsi,
-            self.right_set_cpsi,
-            self.left_drive,
-            self.right_drive,
-            self.length_um,
-            self.motor,
-            self.base_e5,
-            self.free_e5,
-            self.state_activity,
-            self.faults,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Telemetry:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _TELEMETRY.unpack(payload)
-        return cls(
-            v[0],
-            v[1:11],
-            v[11],
-            v[12],
-            v[13],
-            v[14],
-            v[15],
-            v[16],
-            v[17],
-            v[18],
-            v[19],
-            v[20],
-            v[21],
-            v[22],
-        )
+    t_us: int  # When its readings were complete. [us]
+    flex_sum: tuple[int, ...]  # Latest flex readings, left base first.
+    left_cpsi: int  # Left pressure. [0.01 psi]
+    right_cpsi: int  # Right pressure. [0.01 psi]
+    left_set_cpsi: int  # Left set point. [0.01 psi]
+    right_set_cpsi: int  # Right set point. [0.01 psi]
+    left_drive: int  # Left transducer current. [20 mA/1599]
+    right_drive: int  # Right transducer current. [20 mA/1599]
+    length_um: int  # Everted length. [um]
+    motor: int  # Motor duty, positive pays out. [1/800 of full]
+    base_e5: int  # Base curvature as the trigger sees it. [1e-5/cm]
+    free_e5: int  # Free curvature by the map. [1e-5/cm]
+    state_activity: int  # State in the high, Activity in the low four bits.
+    faults: int  # Latched Fault bits.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0xE0, "event", "HBIHi")
 class Event(Message):
     """Something happened; repeated until acknowledged. At most 24 bytes on the wire."""
 
-    ID: ClassVar[int] = 0xE0
-    SIZE: ClassVar[int] = 13
-    NAME: ClassVar[str] = "event"
-    KIND: ClassVar[str] = "event"
-
-    number: int
-    """Rises by 1."""
-    code: EventCode
-    """What."""
-    t_us: int
-    """When. [us]"""
-    arg: int
-    """As the code's doc says."""
-    value: int
-    """As the code's doc says."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _EVENT.pack(self.number, self.code, self.t_us, self.arg, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Event:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _EVENT.unpack(payload)
-        return cls(v[0], EventCode(v[1]), v[2], v[3], v[4])
+    number: int  # Rises by 1.
+    code: EventCode  # What.
+    t_us: int  # When. [us]
+    arg: int  # As the code's doc says.
+    value: int  # As the code's doc says.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x01, "command", "BII", deadline_s=3.0)
 class Hello(Command[HelloReply]):
     """Opens a session. The only command accepted with session 0; resets the sequence. A repeat
     with the running session's nonce gets the stored reply; nonces of the last 8 hellos that
     come again are dropped.
     """
 
-    ID: ClassVar[int] = 0x01
-    SIZE: ClassVar[int] = 9
-    NAME: ClassVar[str] = "hello"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = HelloReply
-    DEADLINE_S: ClassVar[float] = 3.0
-
-    protocol: int
-    """Protocol version."""
-    schema_hash: int
-    """Hash of this schema."""
-    host_nonce: int
-    """Random; echoed, so that a replayed reply is told apart."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _HELLO.pack(self.protocol, self.schema_hash, self.host_nonce)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Hello:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _HELLO.unpack(payload)
-        return cls(v[0], v[1], v[2])
+    protocol: int  # Protocol version.
+    schema_hash: int  # Hash of this schema.
+    host_nonce: int  # Random; echoed, so that a replayed reply is told apart.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x02, "command", "", deadline_s=2.0)
 class GetStatus(Command[StatusReport]):
     """The board's whole state."""
 
-    ID: ClassVar[int] = 0x02
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "get_status"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = StatusReport
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetStatus:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x03, "command", "", deadline_s=2.0)
 class Arm(Command[Ack]):
     """Leave safe for ready. Refused while a fault is latched, the configuration is bad or no
     heartbeat arrives.
     """
 
-    ID: ClassVar[int] = 0x03
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "arm"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Arm:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x04, "command", "", deadline_s=2.0)
 class Vent(Command[Ack]):
     """Both muscles to 0 mA; ends a sweep or a press; state stays ready."""
 
-    ID: ClassVar[int] = 0x04
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "vent"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Vent:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x05, "command", "", deadline_s=2.0)
 class Disarm(Command[Ack]):
     """The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe. Accepted
     in every state. For emergencies there is `stop`, which needs no session and latches.
     """
 
-    ID: ClassVar[int] = 0x05
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "disarm"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Disarm:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x06, "command", "H", deadline_s=2.0)
 class ClearFaults(Command[Ack]):
     """Clears latched faults whose cause is gone; detail holds what remains."""
 
-    ID: ClassVar[int] = 0x06
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "clear_faults"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    mask: int
-    """Fault bits to clear."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _CLEAR_FAULTS.pack(self.mask)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ClearFaults:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _CLEAR_FAULTS.unpack(payload)
-        return cls(v[0])
+    mask: int  # Fault bits to clear.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x07, "command", "hhH", deadline_s=2.0)
 class SetPressure(Command[Ack]):
     """Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks."""
 
-    ID: ClassVar[int] = 0x07
-    SIZE: ClassVar[int] = 6
-    NAME: ClassVar[str] = "set_pressure"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    left_cpsi: int
-    """Left set point; at most one side above zero. [0.01 psi]"""
-    right_cpsi: int
-    """Right set point. [0.01 psi]"""
-    ramp_cpsi_s: int
-    """Slew rate; 0 = as fast as configured. [0.01 psi/s]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SET_PRESSURE.pack(self.left_cpsi, self.right_cpsi, self.ramp_cpsi_s)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetPressure:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SET_PRESSURE.unpack(payload)
-        return cls(v[0], v[1], v[2])
+    left_cpsi: int  # Left set point; at most one side above zero. [0.01 psi]
+    right_cpsi: int  # Right set point. [0.01 psi]
+    ramp_cpsi_s: int  # Slew rate; 0 = as fast as configured. [0.01 psi/s]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x08, "command", "iI", deadline_s=2.0)
 class GrowTo(Command[Ack]):
     """Pay out to an everted length. Refused when the length is unknown or a muscle is not
     vented.
     """
 
-    ID: ClassVar[int] = 0x08
-    SIZE: ClassVar[int] = 8
-    NAME: ClassVar[str] = "grow_to"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    length_um: int
-    """Target everted length. [um]"""
+    length_um: int  # Target everted length. [um]
+    # Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so that a dead host
+    # costs no more than 2 cm; a heartbeat_ms below the watchdog's 250 ms counts as 250 ms. [um/s]
     speed_um_s: int
-    """Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so that a dead host
-    costs no more than 2 cm; a heartbeat_ms below the watchdog's 250 ms counts as 250 ms.
-    [um/s]
-    """
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GROW_TO.pack(self.length_um, self.speed_um_s)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GrowTo:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GROW_TO.unpack(payload)
-        return cls(v[0], v[1])
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x09, "command", "iI", deadline_s=2.0)
 class RetractTo(Command[Ack]):
     """Wind in to an everted length. Refused unless vented, for a bent body buckles."""
 
-    ID: ClassVar[int] = 0x09
-    SIZE: ClassVar[int] = 8
-    NAME: ClassVar[str] = "retract_to"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    length_um: int
-    """Target everted length. [um]"""
-    speed_um_s: int
-    """Tip speed; 0 = as configured. [um/s]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _RETRACT_TO.pack(self.length_um, self.speed_um_s)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> RetractTo:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _RETRACT_TO.unpack(payload)
-        return cls(v[0], v[1])
+    length_um: int  # Target everted length. [um]
+    speed_um_s: int  # Tip speed; 0 = as configured. [um/s]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x0A, "command", "", deadline_s=2.0)
 class Home(Command[Ack]):
     """Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a
     back-off that the encoder does not see is a spool_stall. A known length becomes 0 if it
@@ -1411,1092 +569,284 @@ class Home(Command[Ack]):
     twice at the same place: confirm it. Refused unless vented.
     """
 
-    ID: ClassVar[int] = 0x0A
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "home"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Home:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x0B, "command", "iB", deadline_s=2.0)
 class ConfirmLength(Command[Ack]):
     """The operator vouches for the everted length (after a reset, a stall or a slip)."""
 
-    ID: ClassVar[int] = 0x0B
-    SIZE: ClassVar[int] = 5
-    NAME: ClassVar[str] = "confirm_length"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    length_um: int
-    """Measured everted length. [um]"""
+    length_um: int  # Measured everted length. [um]
+    # 1: everted sensors have rested long enough already; 0: start their settle clocks now.
     settled: int
-    """1: everted sensors have rested long enough already; 0: start their settle clocks now."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _CONFIRM_LENGTH.pack(self.length_um, self.settled)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ConfirmLength:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _CONFIRM_LENGTH.unpack(payload)
-        return cls(v[0], v[1])
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x0C, "command", "B", deadline_s=2.0)
 class SelectZone(Command[Ack]):
     """Tells which body pressure holds, hence which maps and which critical moment."""
 
-    ID: ClassVar[int] = 0x0C
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "select_zone"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    zone: int
-    """0..2; 255 = unknown."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SELECT_ZONE.pack(self.zone)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SelectZone:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SELECT_ZONE.unpack(payload)
-        return cls(v[0])
+    zone: int  # 0..2; 255 = unknown.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x0D, "command", "hhIBB", deadline_s=2.0)
 class Sweep(Command[Ack]):
     """One or more half sines of pressure, left then right; side with amplitude 0 is left out."""
 
-    ID: ClassVar[int] = 0x0D
-    SIZE: ClassVar[int] = 10
-    NAME: ClassVar[str] = "sweep"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    left_cpsi: int
-    """Amplitude of the left half. [0.01 psi]"""
-    right_cpsi: int
-    """Amplitude of the right half. [0.01 psi]"""
-    period_ms: int
-    """Period of the whole sine; each half takes half of it. [ms]"""
-    cycles: int
-    """Whole periods, at least 1."""
-    options: int
-    """Bits of SweepOption."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SWEEP.pack(
-            self.left_cpsi, self.right_cpsi, self.period_ms, self.cycles, self.options
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Sweep:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SWEEP.unpack(payload)
-        return cls(v[0], v[1], v[2], v[3], v[4])
+    left_cpsi: int  # Amplitude of the left half. [0.01 psi]
+    right_cpsi: int  # Amplitude of the right half. [0.01 psi]
+    period_ms: int  # Period of the whole sine; each half takes half of it. [ms]
+    cycles: int  # Whole periods, at least 1.
+    options: int  # Bits of SweepOption.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x0E, "command", "H", deadline_s=2.0)
 class ZeroSensors(Command[Ack]):
     """Average the named sensors' readings into their zeros. Only vented, settled, drift-free;
     ends with event zeroed or activity_aborted.
     """
 
-    ID: ClassVar[int] = 0x0E
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "zero_sensors"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    mask: int
-    """Sensors, bit 0 = left base."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _ZERO_SENSORS.pack(self.mask)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ZeroSensors:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _ZERO_SENSORS.unpack(payload)
-        return cls(v[0])
+    mask: int  # Sensors, bit 0 = left base.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x0F, "command", "B", deadline_s=2.0)
 class GetSensor(Command[SensorReport]):
     """One flex sensor's state."""
 
-    ID: ClassVar[int] = 0x0F
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "get_sensor"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = SensorReport
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    sensor: int
-    """0..9, left base first."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_SENSOR.pack(self.sensor)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetSensor:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_SENSOR.unpack(payload)
-        return cls(v[0])
+    sensor: int  # 0..9, left base first.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x10, "command", "H", deadline_s=2.0)
 class GetParameter(Command[ParameterValue]):
     """Read a parameter, as set last; what was set runs once it is applied."""
 
-    ID: ClassVar[int] = 0x10
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "get_parameter"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = ParameterValue
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    index: int
-    """Parameter index; array parameters take consecutive ones."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_PARAMETER.pack(self.index)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetParameter:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_PARAMETER.unpack(payload)
-        return cls(v[0])
+    index: int  # Parameter index; array parameters take consecutive ones.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x11, "command", "Hi", deadline_s=2.0)
 class SetParameter(Command[ParameterValue]):
     """Set a parameter, to be applied with apply_parameters; hello forgets what was not. Checked
     against its limits. Refused while energised.
     """
 
-    ID: ClassVar[int] = 0x11
-    SIZE: ClassVar[int] = 6
-    NAME: ClassVar[str] = "set_parameter"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = ParameterValue
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    index: int
-    """Parameter index."""
-    value: int
-    """New value, in the parameter's wire unit."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SET_PARAMETER.pack(self.index, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetParameter:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SET_PARAMETER.unpack(payload)
-        return cls(v[0], v[1])
+    index: int  # Parameter index.
+    value: int  # New value, in the parameter's wire unit.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x12, "command", "BBB11h", deadline_s=2.0)
 class SetMap(Command[Ack]):
     """Set one free-curvature map at 0, 2, .. 20 psi (linear in between). Refused while
     energised.
     """
 
-    ID: ClassVar[int] = 0x12
-    SIZE: ClassVar[int] = 25
-    NAME: ClassVar[str] = "set_map"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    zone: int
-    """0..2."""
-    side: Side
-    """Muscle."""
-    branch: Branch
-    """Inflating or deflating."""
-    curvature_e5: tuple[int, ...]
-    """Free curvature, signed (right side negative). [1e-5/cm]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _SET_MAP.pack(self.zone, self.side, self.branch, *self.curvature_e5)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetMap:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _SET_MAP.unpack(payload)
-        return cls(v[0], Side(v[1]), Branch(v[2]), v[3:14])
+    zone: int  # 0..2.
+    side: Side  # Muscle.
+    branch: Branch  # Inflating or deflating.
+    curvature_e5: tuple[int, ...]  # Free curvature, signed (right side negative). [1e-5/cm]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x13, "command", "BBB", deadline_s=2.0)
 class GetMap(Command[MapValues]):
     """Read one free-curvature map."""
 
-    ID: ClassVar[int] = 0x13
-    SIZE: ClassVar[int] = 3
-    NAME: ClassVar[str] = "get_map"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = MapValues
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    zone: int
-    """0..2."""
-    side: Side
-    """Muscle."""
-    branch: Branch
-    """Inflating or deflating."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_MAP.pack(self.zone, self.side, self.branch)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetMap:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_MAP.unpack(payload)
-        return cls(v[0], Side(v[1]), Branch(v[2]))
+    zone: int  # 0..2.
+    side: Side  # Muscle.
+    branch: Branch  # Inflating or deflating.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x14, "command", "", deadline_s=15.0)
 class SaveConfig(Command[Ack]):
     """Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4
     ms); detail = generation.
     """
 
-    ID: ClassVar[int] = 0x14
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "save_config"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 15.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SaveConfig:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x15, "command", "", deadline_s=2.0)
 class LoadDefaults(Command[Ack]):
     """Parameters and maps back to the schema's defaults, in memory. Refused while energised."""
 
-    ID: ClassVar[int] = 0x15
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "load_defaults"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LoadDefaults:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x16, "command", "B", deadline_s=2.0)
 class GetSnapshot(Command[Snapshot]):
     """A captured reading."""
 
-    ID: ClassVar[int] = 0x16
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "get_snapshot"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Snapshot
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    index: int
-    """0..9 the peak's readings in time order; 255 the one at the trigger."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _GET_SNAPSHOT.pack(self.index)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetSnapshot:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _GET_SNAPSHOT.unpack(payload)
-        return cls(v[0])
+    index: int  # 0..9 the peak's readings in time order; 255 the one at the trigger.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x17, "command", "H", deadline_s=2.0)
 class AckEvent(Command[Ack]):
     """Acknowledge events up to and including a number; the board then unlatches them."""
 
-    ID: ClassVar[int] = 0x17
-    SIZE: ClassVar[int] = 2
-    NAME: ClassVar[str] = "ack_event"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    number: int
-    """Event number."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _ACK_EVENT.pack(self.number)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> AckEvent:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _ACK_EVENT.unpack(payload)
-        return cls(v[0])
+    number: int  # Event number.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x1B, "command", "", deadline_s=2.0)
 class ApplyParameters(Command[Ack]):
     """Check the parameters that were set, together with those that stay, and let all of them
     run, or none; detail of a contradiction = the parameter's index. save_config stores them.
     Refused while energised.
     """
 
-    ID: ClassVar[int] = 0x1B
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "apply_parameters"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ApplyParameters:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x1C, "command", "B", deadline_s=2.0)
 class BodyAir(Command[Ack]):
     """Let air into the body through its enable, or take it away. Accepted only while armed; the
     enable drops when the robot is no longer armed, and comes back by this command alone.
     """
 
-    ID: ClassVar[int] = 0x1C
-    SIZE: ClassVar[int] = 1
-    NAME: ClassVar[str] = "body_air"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    open: int
-    """1: air in; 0: empty the body."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _BODY_AIR.pack(self.open)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> BodyAir:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _BODY_AIR.unpack(payload)
-        return cls(v[0])
+    open: int  # 1: air in; 0: empty the body.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x1D, "command", "BhH", deadline_s=2.0)
 class TestOutput(Command[Ack]):
     """Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated.
     Needs neither length nor zone nor zeros; the motor needs empty muscles. Limits are
     compiled in.
     """
 
-    ID: ClassVar[int] = 0x1D
-    SIZE: ClassVar[int] = 5
-    NAME: ClassVar[str] = "test_output"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    output: Output
-    """Which."""
-    level: int
-    """Transducer 0..400 (5 mA), motor -200..200 (a quarter)."""
-    duration_ms: int
-    """1..500. [ms]"""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _TEST_OUTPUT.pack(self.output, self.level, self.duration_ms)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> TestOutput:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _TEST_OUTPUT.unpack(payload)
-        return cls(Output(v[0]), v[1], v[2])
+    output: Output  # Which.
+    level: int  # Transducer 0..400 (5 mA), motor -200..200 (a quarter).
+    duration_ms: int  # 1..500. [ms]
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x18, "command", "", deadline_s=2.0)
 class GetLinkStats(Command[LinkStats]):
     """Counters of the link, as the board sees it."""
 
-    ID: ClassVar[int] = 0x18
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "get_link_stats"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = LinkStats
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetLinkStats:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-@dataclass(frozen=True, slots=True)
+@message(0x1A, "command", "I", deadline_s=2.0)
 class ClearStop(Command[Ack]):
     """An operator lets a stopped robot go. Names the stop that it clears, so that one which came
     meanwhile stays latched. Nothing else clears a stop, but power-on.
     """
 
-    ID: ClassVar[int] = 0x1A
-    SIZE: ClassVar[int] = 4
-    NAME: ClassVar[str] = "clear_stop"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = Ack
-    DEADLINE_S: ClassVar[float] = 2.0
-
-    nonce: int
-    """Of the latched stop, as status_report tells it."""
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return _CLEAR_STOP.pack(self.nonce)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ClearStop:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        v = _CLEAR_STOP.unpack(payload)
-        return cls(v[0])
+    nonce: int  # Of the latched stop, as status_report tells it.
 
 
-@dataclass(frozen=True, slots=True)
+@message(0x19, "command", "", deadline_s=2.0)
 class GetConfigReport(Command[ConfigReport]):
     """What the running firmware made of the stored configuration."""
 
-    ID: ClassVar[int] = 0x19
-    SIZE: ClassVar[int] = 0
-    NAME: ClassVar[str] = "get_config_report"
-    KIND: ClassVar[str] = "command"
-    REPLY: ClassVar[type[Message]] = ConfigReport
-    DEADLINE_S: ClassVar[float] = 2.0
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return b""
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> GetConfigReport:
-        """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(_bad_size(cls, payload))
-        return cls()
-
-
-MESSAGES: dict[int, type[Message]] = {
-    0x01: Hello,
-    0x02: GetStatus,
-    0x03: Arm,
-    0x04: Vent,
-    0x05: Disarm,
-    0x06: ClearFaults,
-    0x07: SetPressure,
-    0x08: GrowTo,
-    0x09: RetractTo,
-    0x0A: Home,
-    0x0B: ConfirmLength,
-    0x0C: SelectZone,
-    0x0D: Sweep,
-    0x0E: ZeroSensors,
-    0x0F: GetSensor,
-    0x10: GetParameter,
-    0x11: SetParameter,
-    0x12: SetMap,
-    0x13: GetMap,
-    0x14: SaveConfig,
-    0x15: LoadDefaults,
-    0x16: GetSnapshot,
-    0x17: AckEvent,
-    0x1B: ApplyParameters,
-    0x1C: BodyAir,
-    0x1D: TestOutput,
-    0x18: GetLinkStats,
-    0x1A: ClearStop,
-    0x19: GetConfigReport,
-    0x80: Ack,
-    0x81: HelloReply,
-    0x82: StatusReport,
-    0x83: SensorReport,
-    0x84: ParameterValue,
-    0x85: MapValues,
-    0x86: Snapshot,
-    0x87: LinkStats,
-    0x88: ConfigReport,
-    0x21: Stop,
-    0xA2: Stopped,
-    0x20: Heartbeat,
-    0xA0: Pulse,
-    0xA1: Announce,
-    0xC0: Telemetry,
-    0xE0: Event,
-}
-BY_NAME: dict[str, type[Message]] = {m.NAME: m for m in MESSAGES.values()}
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A row of the parameter table; arrays take `count` consecutive indices."""
-
-    name: str
-    id: int
-    index: int
-    count: int
-    unit: str
-    low: int
-    high: int
-    defaults: tuple[int, ...]
-    doc: str
-
-
-PARAMETERS: dict[str, Parameter] = {
-    parameter.name: parameter
-    for parameter in (
-        Parameter(
-            "flex_enabled",
-            1,
-            0,
-            10,
-            "",
-            0,
-            1,
-            (1, 1, 1, 1, 1, 1, 1, 1, 1, 1),
-            "0 marks a sensor dead or absent.",
-        ),
-        Parameter(
+PARAMETERS: dict[str, Parameter] = parameter_table(
+    {  # name, id, count, unit, low, high, default: what it is
+        ("flex_enabled", 1, 10, "", 0, 1, 1): "0 marks a sensor dead or absent.",
+        (
             "flex_center_um",
             2,
-            10,
             10,
             "um",
             0,
             5000000,
             (50000, 150000, 250000, 350000, 450000, 50000, 150000, 250000, 350000, 450000),
-            "Arc length of the sensor's centre from the base.",
+        ): ("Arc length of the sensor's centre from the base."),
+        ("flex_span_um", 3, 10, "um", 0, 500000, 55000): "Active length.",
+        ("flex_scale", 4, 10, "1e-9/cm per ohm", -2000000, 2000000, 35000): (
+            "Curvature per ohm, sign included."
         ),
-        Parameter(
-            "flex_span_um",
-            3,
-            20,
-            10,
-            "um",
-            0,
-            500000,
-            (55000, 55000, 55000, 55000, 55000, 55000, 55000, 55000, 55000, 55000),
-            "Active length.",
+        ("settle_ms", 5, 1, "ms", 0, 600000, 30000): "Settling time after eversion (thesis: 30 s).",
+        ("fold_margin_um", 6, 1, "um", 0, 100000, 5000): (
+            "Keep-out around a sensor's ends for the tip's fold."
         ),
-        Parameter(
-            "flex_scale",
-            4,
-            30,
-            10,
-            "1e-9/cm per ohm",
-            -2000000,
-            2000000,
-            (35000, 35000, 35000, 35000, 35000, 35000, 35000, 35000, 35000, 35000),
-            "Curvature per ohm, sign included.",
+        ("drift_limit_e5", 7, 1, "1e-5/cm/s", 1, 10000, 40): (
+            "Most drift at which zeroing is allowed."
         ),
-        Parameter(
-            "settle_ms",
-            5,
-            40,
-            1,
-            "ms",
-            0,
-            600000,
-            (30000,),
-            "Settling time after eversion (thesis: 30 s).",
+        ("zero_ms", 8, 1, "ms", 50, 10000, 1000): "Averaging time of a zero.",
+        ("oversample_log2", 9, 1, "", 0, 6, 4): (
+            "Conversions summed in a reading, as a power of two."
         ),
-        Parameter(
-            "fold_margin_um",
-            6,
-            41,
-            1,
-            "um",
-            0,
-            100000,
-            (5000,),
-            "Keep-out around a sensor's ends for the tip's fold.",
+        ("pressure_zero", 10, 2, "1/64 count", 0, 20000, 6554): (
+            "Reading at 0 psi, in 1/64 of an ADC count (10 % of the supply)."
         ),
-        Parameter(
-            "drift_limit_e5",
-            7,
-            42,
-            1,
-            "1e-5/cm/s",
-            1,
-            10000,
-            (40,),
-            "Most drift at which zeroing is allowed.",
+        ("pressure_span", 11, 2, "1/64 count", 5000, 65000, 52429): (
+            "Reading span of full scale, in 1/64 of an ADC count."
         ),
-        Parameter("zero_ms", 8, 43, 1, "ms", 50, 10000, (1000,), "Averaging time of a zero."),
-        Parameter(
-            "oversample_log2",
-            9,
-            44,
-            1,
-            "",
-            0,
-            6,
-            (4,),
-            "Conversions summed in a reading, as a power of two.",
+        ("pressure_full_cpsi", 12, 1, "0.01 psi", 100, 20000, 6000): (
+            "Full scale of the pressure sensors."
         ),
-        Parameter(
-            "pressure_zero",
-            10,
-            45,
-            2,
-            "1/64 count",
-            0,
-            20000,
-            (6554, 6554),
-            "Reading at 0 psi, in 1/64 of an ADC count (10 % of the supply).",
+        ("max_pressure_cpsi", 13, 1, "0.01 psi", 100, 2000, 1850): (
+            "Highest set point accepted (the thesis: 18 psi is the most the muscle holds "
+            "reliably). The limit of 20 psi is compiled in."
         ),
-        Parameter(
-            "pressure_span",
-            11,
-            47,
-            2,
-            "1/64 count",
-            5000,
-            65000,
-            (52429, 52429),
-            "Reading span of full scale, in 1/64 of an ADC count.",
+        ("over_pressure_cpsi", 14, 1, "0.01 psi", 100, 2500, 2300): "Fault above this.",
+        ("vent_cpsi", 15, 1, "0.01 psi", 5, 100, 50): "A muscle below this is vented.",
+        ("live_zero_cpsi", 16, 1, "0.01 psi", 0, 1000, 220): (
+            "Set points below this are unreachable: 0 mA."
         ),
-        Parameter(
-            "pressure_full_cpsi",
-            12,
-            49,
-            1,
-            "0.01 psi",
-            100,
-            20000,
-            (6000,),
-            "Full scale of the pressure sensors.",
+        ("drive_4ma_cpsi", 17, 1, "0.01 psi", 0, 2000, 200): "Transducer output at 4 mA.",
+        ("drive_20ma_cpsi", 18, 1, "0.01 psi", 500, 20000, 6000): "Transducer output at 20 mA.",
+        ("pressure_kp", 19, 1, "1/256", 0, 32767, 128): (
+            "Proportional gain, psi of drive per psi of error."
         ),
-        Parameter(
-            "max_pressure_cpsi",
-            13,
-            50,
-            1,
-            "0.01 psi",
-            100,
-            2000,
-            (1850,),
-            (
-                "Highest set point accepted (the thesis: 18 psi is the most the muscle holds "
-                "reliably). The limit of 20 psi is compiled in."
-            ),
+        ("pressure_ki", 20, 1, "1/256 per s", 0, 32767, 512): "Integral gain.",
+        ("pressure_kd", 21, 1, "1/256 s", 0, 32767, 5): "Derivative gain, on the measurement.",
+        ("pressure_slew_cpsi_s", 22, 1, "0.01 psi/s", 10, 10000, 1500): "Fastest set-point change.",
+        ("stuck_cpsi", 23, 1, "0.01 psi", 10, 600, 200): "Set-point error that counts as stuck.",
+        ("stuck_ms", 24, 1, "ms", 100, 5000, 1500): "For so long.",
+        ("drive_tolerance_cpsi", 49, 1, "0.01 psi", 50, 600, 250): (
+            "Difference between pressure and transducer output by its map that is a fault, when "
+            "it lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 psi), 2 % of"
+            " gain and what the lags leave."
         ),
-        Parameter(
-            "over_pressure_cpsi", 14, 51, 1, "0.01 psi", 100, 2500, (2300,), "Fault above this."
+        ("lag_ms", 25, 2, "ms", 0, 2000, 200): (
+            "Lag from measured pressure to bend, by which pressure is filtered before the map."
         ),
-        Parameter(
-            "vent_cpsi", 15, 52, 1, "0.01 psi", 5, 100, (50,), "A muscle below this is vented."
+        ("reversal_cpsi", 26, 2, "0.01 psi", 1, 1000, 100): (
+            "Pressure change over which the inflate map turns into the deflate map."
         ),
-        Parameter(
-            "live_zero_cpsi",
-            16,
-            53,
-            1,
-            "0.01 psi",
-            0,
-            1000,
-            (220,),
-            "Set points below this are unreachable: 0 mA.",
+        ("trigger_e5", 27, 1, "1e-5/cm", 10, 10000, 500): (
+            "Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back, or a "
+            "vented one pushed."
         ),
-        Parameter(
-            "drive_4ma_cpsi", 17, 54, 1, "0.01 psi", 0, 2000, (200,), "Transducer output at 4 mA."
+        ("trigger_debounce_ms", 28, 1, "ms", 1, 1000, 9): (
+            "The threshold must be passed for so long, counted in samples of 1 ms. Default: see "
+            "trigger_filter_log2."
         ),
-        Parameter(
-            "drive_20ma_cpsi",
-            18,
-            55,
-            1,
-            "0.01 psi",
-            500,
-            20000,
-            (6000,),
-            "Transducer output at 20 mA.",
+        ("trigger_filter_log2", 29, 1, "", 0, 8, 4): (
+            "Samples of 1 ms averaged in the trigger's base reading, as a power of two. Default: "
+            "by the rule of `thigmo bench trigger`, at most 1 false alarm in 100 empty sweeps at "
+            "twice the noise, then the fastest."
         ),
-        Parameter(
-            "pressure_kp",
-            19,
-            56,
-            1,
-            "1/256",
-            0,
-            32767,
-            (128,),
-            "Proportional gain, psi of drive per psi of error.",
+        ("peak_spacing_ms", 30, 1, "ms", 5, 1000, 50): (
+            "Between the ten readings around a sweep's peak."
         ),
-        Parameter("pressure_ki", 20, 57, 1, "1/256 per s", 0, 32767, (512,), "Integral gain."),
-        Parameter(
-            "pressure_kd",
-            21,
-            58,
-            1,
-            "1/256 s",
-            0,
-            32767,
-            (5,),
-            "Derivative gain, on the measurement.",
+        ("full_length_um", 31, 1, "um", 10000, 5000000, 530000): "Deployable length.",
+        ("pitch_um", 32, 1, "um", 1000, 1000000, 100000): "Sensor pitch.",
+        ("counts_per_m", 33, 1, "count/m", 100, 1000000, 7600): "Encoder counts per metre of line.",
+        ("payout_q8", 34, 1, "1/256", 64, 1024, 512): (
+            "Line paid out per length grown (base-fed eversion: 2)."
         ),
-        Parameter(
-            "pressure_slew_cpsi_s",
-            22,
-            59,
-            1,
-            "0.01 psi/s",
-            10,
-            10000,
-            (1500,),
-            "Fastest set-point change.",
+        ("spool_speed_um_s", 35, 1, "um/s", 100, 200000, 20000): "Tip speed of growth.",
+        ("spool_accel_um_s2", 36, 1, "um/s2", 100, 1000000, 40000): (
+            "Acceleration of the trapezoid profile."
         ),
-        Parameter(
-            "stuck_cpsi",
-            23,
-            60,
-            1,
-            "0.01 psi",
-            10,
-            600,
-            (200,),
-            "Set-point error that counts as stuck.",
+        ("spool_kp", 37, 1, "1/256 duty per count", 0, 32767, 1024): "Position gain.",
+        ("spool_ki", 38, 1, "1/256 duty per count s", 0, 32767, 1024): "Integral gain.",
+        ("spool_kd", 39, 1, "1/256 duty s per count", 0, 32767, 26): "Derivative gain.",
+        ("spool_kff", 40, 1, "1/256 duty s per count", 0, 32767, 106): "Feed-forward of speed.",
+        ("spool_dead_zone", 41, 1, "1/800 of full", 0, 200, 60): (
+            "Duty at which the motor begins to turn."
         ),
-        Parameter("stuck_ms", 24, 61, 1, "ms", 100, 5000, (1500,), "For so long."),
-        Parameter(
-            "drive_tolerance_cpsi",
-            49,
-            62,
-            1,
-            "0.01 psi",
-            50,
-            600,
-            (250,),
-            (
-                "Difference between pressure and transducer output by its map that is a fault, "
-                "when it lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 "
-                "psi), 2 % of gain and what the lags leave."
-            ),
+        ("spool_tolerance_um", 42, 1, "um", 50, 50000, 500): "At the target within this.",
+        ("stall_ms", 43, 1, "ms", 50, 2000, 400): (
+            "Driven and still for so long is a stall. In growth, so is 3 mm behind the profile "
+            "without a count: the encoder may be what fails."
         ),
-        Parameter(
-            "lag_ms",
-            25,
-            63,
-            2,
-            "ms",
-            0,
-            2000,
-            (200, 200),
-            ("Lag from measured pressure to bend, by which pressure is filtered before the map."),
+        ("slip_um", 44, 1, "um", 100, 100000, 3000): "Movement with the motor off that is a slip.",
+        ("home_speed_um_s", 45, 1, "um/s", 100, 100000, 8000): "Tip speed of homing.",
+        ("heartbeat_ms", 46, 1, "ms", 50, 10000, 500): (
+            "Host silence, while armed, that is a fault. Bounds spool_speed_um_s and "
+            "home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where the "
+            "watchdog's 250 ms count if heartbeat_ms is less."
         ),
-        Parameter(
-            "reversal_cpsi",
-            26,
-            65,
-            2,
-            "0.01 psi",
-            1,
-            1000,
-            (100, 100),
-            "Pressure change over which the inflate map turns into the deflate map.",
+        ("supply_min_mv", 47, 1, "mV", 3000, 5500, 4250): (
+            "Supply below this is a brown-out. Default: 4.7 V, read against a reference that is "
+            "10 % off."
         ),
-        Parameter(
-            "trigger_e5",
-            27,
-            67,
-            1,
-            "1e-5/cm",
-            10,
-            10000,
-            (500,),
-            (
-                "Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back, or "
-                "a vented one pushed."
-            ),
+        ("reference_mv", 50, 1, "mV", 950, 1250, 1100): (
+            "The chip's own voltage reference, 10 % from chip to chip: 1100 x measured supply / "
+            "supply_mv as the board reports it."
         ),
-        Parameter(
-            "trigger_debounce_ms",
-            28,
-            68,
-            1,
-            "ms",
-            1,
-            1000,
-            (9,),
-            (
-                "The threshold must be passed for so long, counted in samples of 1 ms. Default: "
-                "see trigger_filter_log2."
-            ),
+        ("telemetry_ms", 48, 1, "ms", 0, 10000, 5): (
+            "Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least."
         ),
-        Parameter(
-            "trigger_filter_log2",
-            29,
-            69,
-            1,
-            "",
-            0,
-            8,
-            (4,),
-            (
-                "Samples of 1 ms averaged in the trigger's base reading, as a power of two. "
-                "Default: by the rule of `thigmo bench trigger`, at most 1 false alarm in 100 "
-                "empty sweeps at twice the noise, then the fastest."
-            ),
-        ),
-        Parameter(
-            "peak_spacing_ms",
-            30,
-            70,
-            1,
-            "ms",
-            5,
-            1000,
-            (50,),
-            "Between the ten readings around a sweep's peak.",
-        ),
-        Parameter(
-            "full_length_um", 31, 71, 1, "um", 10000, 5000000, (530000,), "Deployable length."
-        ),
-        Parameter("pitch_um", 32, 72, 1, "um", 1000, 1000000, (100000,), "Sensor pitch."),
-        Parameter(
-            "counts_per_m",
-            33,
-            73,
-            1,
-            "count/m",
-            100,
-            1000000,
-            (7600,),
-            "Encoder counts per metre of line.",
-        ),
-        Parameter(
-            "payout_q8",
-            34,
-            74,
-            1,
-            "1/256",
-            64,
-            1024,
-            (512,),
-            "Line paid out per length grown (base-fed eversion: 2).",
-        ),
-        Parameter(
-            "spool_speed_um_s", 35, 75, 1, "um/s", 100, 200000, (20000,), "Tip speed of growth."
-        ),
-        Parameter(
-            "spool_accel_um_s2",
-            36,
-            76,
-            1,
-            "um/s2",
-            100,
-            1000000,
-            (40000,),
-            "Acceleration of the trapezoid profile.",
-        ),
-        Parameter(
-            "spool_kp", 37, 77, 1, "1/256 duty per count", 0, 32767, (1024,), "Position gain."
-        ),
-        Parameter(
-            "spool_ki", 38, 78, 1, "1/256 duty per count s", 0, 32767, (1024,), "Integral gain."
-        ),
-        Parameter(
-            "spool_kd", 39, 79, 1, "1/256 duty s per count", 0, 32767, (26,), "Derivative gain."
-        ),
-        Parameter(
-            "spool_kff",
-            40,
-            80,
-            1,
-            "1/256 duty s per count",
-            0,
-            32767,
-            (106,),
-            "Feed-forward of speed.",
-        ),
-        Parameter(
-            "spool_dead_zone",
-            41,
-            81,
-            1,
-            "1/800 of full",
-            0,
-            200,
-            (60,),
-            "Duty at which the motor begins to turn.",
-        ),
-        Parameter(
-            "spool_tolerance_um", 42, 82, 1, "um", 50, 50000, (500,), "At the target within this."
-        ),
-        Parameter(
-            "stall_ms",
-            43,
-            83,
-            1,
-            "ms",
-            50,
-            2000,
-            (400,),
-            (
-                "Driven and still for so long is a stall. In growth, so is 3 mm behind the "
-                "profile without a count: the encoder may be what fails."
-            ),
-        ),
-        Parameter(
-            "slip_um",
-            44,
-            84,
-            1,
-            "um",
-            100,
-            100000,
-            (3000,),
-            "Movement with the motor off that is a slip.",
-        ),
-        Parameter(
-            "home_speed_um_s", 45, 85, 1, "um/s", 100, 100000, (8000,), "Tip speed of homing."
-        ),
-        Parameter(
-            "heartbeat_ms",
-            46,
-            86,
-            1,
-            "ms",
-            50,
-            10000,
-            (500,),
-            (
-                "Host silence, while armed, that is a fault. Bounds spool_speed_um_s and "
-                "home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where the "
-                "watchdog's 250 ms count if heartbeat_ms is less."
-            ),
-        ),
-        Parameter(
-            "supply_min_mv",
-            47,
-            87,
-            1,
-            "mV",
-            3000,
-            5500,
-            (4250,),
-            (
-                "Supply below this is a brown-out. Default: 4.7 V, read against a reference that "
-                "is 10 % off."
-            ),
-        ),
-        Parameter(
-            "reference_mv",
-            50,
-            88,
-            1,
-            "mV",
-            950,
-            1250,
-            (1100,),
-            (
-                "The chip's own voltage reference, 10 % from chip to chip: 1100 x measured supply"
-                " / supply_mv as the board reports it."
-            ),
-        ),
-        Parameter(
-            "telemetry_ms",
-            48,
-            89,
-            1,
-            "ms",
-            0,
-            10000,
-            (5,),
-            "Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least.",
-        ),
-    )
-}
+    }
+)
 PARAMETER_COUNT = 90

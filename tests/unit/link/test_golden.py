@@ -29,7 +29,7 @@ def camel(name: str) -> str:
 
 def python_message(vector: dict[str, Any]) -> wire.Message:
     fields = {k: tuple(v) if isinstance(v, list) else v for k, v in vector["fields"].items()}
-    return wire.BY_NAME[vector["message"]](**fields)
+    return wire.MESSAGES[vector["id"]](**fields)
 
 
 def test_the_vectors_are_of_this_schema_and_cover_every_message() -> None:
@@ -40,6 +40,7 @@ def test_the_vectors_are_of_this_schema_and_cover_every_message() -> None:
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda v: v["message"])
 def test_python_encodes_and_decodes(vector: dict[str, Any]) -> None:
     message = python_message(vector)
+    assert vector["message"] == message.NAME
     assert message.pack().hex() == vector["payload"]
     assert encode(message, vector["seq"], vector["session"]).hex() == vector["wire"]
     frame = decode(bytes.fromhex(vector["wire"])[:-1])
