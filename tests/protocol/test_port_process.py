@@ -109,8 +109,11 @@ def test_a_busy_main_thread_starves_no_heart(client: Client, board: PtyDevice) -
 
 @pytest.fixture
 def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lease of 2 s instead of 30."""
-    source = "import thigmo.link.port_process as p; p.LEASE_S = 2.0; p.main()"
+    """A lease of 2 s instead of 30; what the board said last is not old because the computer is
+    busy.
+    """
+    limits = f"p.LEASE_S, p._STATE_S = 2.0, {EVER_S}"
+    source = f"import thigmo.link.port_process as p; {limits}; p.main()"
     real = subprocess.Popen
 
     def popen(command, **options):
