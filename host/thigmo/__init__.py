@@ -43,32 +43,21 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-_HOME = {
-    "BatchResult": "thigmo.localization",
-    "Contact": "thigmo.localization",
-    "ContactFilter": "thigmo.localization",
-    "ExplorationResult": "thigmo.exploration",
-    "Identifiability": "thigmo.localization",
-    "LocalizeResult": "thigmo.localization",
-    "MapContact": "thigmo.record",
-    "ObstacleMap": "thigmo.record",
-    "OccupancyGrid": "thigmo.record",
-    "Robot": "thigmo.robot",
-    "RobotConfig": "thigmo.config",
-    "RunDocument": "thigmo.record",
-    "ThigmoError": "thigmo.errors",
-    "arc_bounds": "thigmo.localization",
-    "connect": "thigmo.robot",
-    "explore": "thigmo.exploration",
-    "identifiability": "thigmo.localization",
-    "localize": "thigmo.localization",
-    "localize_batch": "thigmo.localization",
-    "open_run": "thigmo.exploration",
-    "read_obstacles": "thigmo.record",
-    "read_readings": "thigmo.record",
-    "read_ros_map": "thigmo.record",
-    "replay": "thigmo.exploration",
-}
+_NAMES = {
+    "config": ["RobotConfig"],
+    "errors": ["ThigmoError"],
+    "exploration": ["ExplorationResult", "explore", "open_run", "replay"],
+    "localization": [
+        "BatchResult", "Contact", "ContactFilter", "Identifiability", "LocalizeResult",
+        "arc_bounds", "identifiability", "localize", "localize_batch",
+    ],
+    "record": [
+        "MapContact", "ObstacleMap", "OccupancyGrid", "RunDocument", "read_obstacles",
+        "read_readings", "read_ros_map",
+    ],
+    "robot": ["Robot", "connect"],
+}  # fmt: skip
+_HOME = {name: f"thigmo.{home}" for home, names in _NAMES.items() for name in names}
 
 __all__ = [
     "BatchResult",

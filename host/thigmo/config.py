@@ -267,9 +267,11 @@ def validated(model: type[M], data: dict[str, Any], path: str | os.PathLike[str]
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise ConfigError(
-            f"{path}: {where + ': ' if where else ''}{message}", "correct that entry"
-        ) from error
+        raise ConfigError(invalid_entry(path, error), "correct that entry") from error
+
+
+def invalid_entry(path: str | os.PathLike[str], error: ValidationError) -> str:
+    """What is wrong with a file's first invalid entry, which is named."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{path}: {where + ': ' if where else ''}{first['msg'].removeprefix('Value error, ')}"

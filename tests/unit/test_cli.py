@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command import Thigmo, run_python
+from typer.main import get_command
 
+from thigmo.cli.main import app
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 
@@ -171,7 +174,6 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["explore", "--robot", "nonsense://x"], "nonsense"),
         (["localize", "r.csv", "--length", "53", "--side", "left"], "--config is not given"),
-        (["explore", "--robot", ""], "no port"),
         (["explore", "--robot", "a", "--scene", "b"], "both given"),
         (["explore", "--config", "none.toml"], "cannot read none.toml"),
         (["explore", "--scene", "no-such-scene"], "no-such-scene"),
@@ -244,7 +246,8 @@ def test_every_bad_argument_is_one_clear_line(
         (["localize"], r"Missing argument .*`thigmo localize --help`"),
         (["localize", "r.csv"], r"Missing option '--length'"),
         (["params"], r"Missing option '--robot'"),
-        (["stop", "--robot", ""], r"Invalid value for '--robot': it is empty"),
+        (["watch", ""], r"Invalid value for .*: it is empty"),
+        (["ros", ""], r"Invalid value for .*: it is empty"),
         (["retract", "--robot", "emulator://empty", "--to", "-1"], "'--to': .* or equal to 0"),
         (["camera", "lok"], r"No such command 'lok'.*`thigmo camera --help`"),
         (["info", "a", "b"], r"unexpected extra argument.*b"),
@@ -258,6 +261,16 @@ def test_every_wrong_usage_is_one_line_and_status_2(
     assert (ran.code, ran.out) == (2, "")
     assert re.fullmatch(r"thigmo: [^\n]+; see `thigmo[^\n]*--help`", ran.err.strip()), ran.err
     assert re.search(named, ran.err), ran.err
+
+
+def test_no_command_takes_an_empty_name_for_a_robot(thigmo: Thigmo) -> None:
+    commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+    named = [name for name, each in commands.items() if "robot" in {p.name for p in each.params}]
+    assert {"explore", "calibrate", "experiment", "stop", "info"} <= set(named)
+    for name in named:
+        ran = thigmo(name, "--robot", "")
+        said = f"thigmo: Invalid value for '--robot': it is empty; see `thigmo {name} --help`\n"
+        assert (ran.code, ran.out, ran.err) == (2, "", said)
 
 
 def test_parameters_have_their_whole_names_in_80_columns(thigmo: Thigmo) -> None:

@@ -10,11 +10,6 @@ import typer
 from thigmo.cli.output import JsonOption
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(bench)
-
-
 def bench(
     studies: Annotated[
         list[str] | None,

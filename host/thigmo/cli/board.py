@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, RobotOption, named, print_json
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(stop)
-    app.command()(params)
-    app.command()(clear)
-    app.command()(retract)
+from thigmo.cli.output import (
+    JsonOption,
+    RobotOption,
+    SentConfigOption,
+    print_json,
+    robot_option,
+    show,
+)
 
 
 def stop(
     robot: Annotated[
-        str | None,
-        typer.Option(
-            help="Where it is, as /dev/ttyACM0; left out: every robot in use.", callback=named
-        ),
+        str | None, robot_option("Where it is, as /dev/ttyACM0; left out: every robot in use.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -35,11 +30,11 @@ def stop(
     else:
         stop_robot(robot)
         stopped = [robot]
-    if as_json:
-        print_json({"stopped": stopped})
-    else:
-        for each in stopped:
-            typer.echo(f"Stopped: {each}. `thigmo clear --robot {each}` lets it go.")
+    show(
+        as_json,
+        {"stopped": stopped},
+        *(f"Stopped: {each}. `thigmo clear --robot {each}` lets it go." for each in stopped),
+    )
 
 
 def params(
@@ -113,10 +108,7 @@ def _described(name: str, held: list[int]) -> dict[str, Any]:
     }
 
 
-def clear(
-    robot: RobotOption,
-    as_json: JsonOption = False,
-) -> None:
+def clear(robot: RobotOption, as_json: JsonOption = False) -> None:
     """Let a stopped robot go, and clear faults whose cause is gone; others are told."""
     from thigmo.robot import connect
 
@@ -125,11 +117,12 @@ def clear(
         machine.clear_stop()  # the operator's word: who types this command has looked
         remaining = machine.clear_faults()
         cleared = [fault for fault in latched if fault not in remaining]
-        if not as_json:
-            told = f"Cleared: {', '.join(cleared)}." if cleared else "No fault was cleared."
-            typer.echo(told if latched else "No fault is latched.")
-        else:
-            print_json({"cleared": cleared, "remaining": list(remaining)})
+        told = f"Cleared: {', '.join(cleared)}." if cleared else "No fault was cleared."
+        show(
+            as_json,
+            {"cleared": cleared, "remaining": list(remaining)},
+            told if latched else "No fault is latched.",
+        )
         machine.raise_faults()
 
 
@@ -140,9 +133,7 @@ def retract(
         float | None,
         typer.Option(help="Everted length now, cm, as measured; asked for when unknown."),
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
-    ] = None,
+    config: SentConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
@@ -162,7 +153,4 @@ def retract(
             machine.confirm_length(machine.operator.everted_length_cm())
         machine.arm()
         reached = machine.retract_to(to)
-    if as_json:
-        print_json({"length_cm": reached})
-    else:
-        console.out.print(f"Retracted to {reached:.1f} cm.", highlight=False)
+    show(as_json, {"length_cm": reached}, f"Retracted to {reached:.1f} cm.")

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from thigmo.cli.output import JsonOption, RobotOption, print_json
+from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, show
 
 if TYPE_CHECKING:
     from thigmo.bringup import Attendant, Finding, Turned
     from thigmo.cli.console import Console
     from thigmo.robot import Robot
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(bringup)
-    app.command()(jog)
-    app.command()(press)
 
 
 class _TerminalAttendant:
@@ -68,9 +60,7 @@ def bringup(
     last: Annotated[
         str, typer.Option("--to", help="Stage to end with; what others need is not built yet.")
     ] = "home",
-    config: Annotated[
-        Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
-    ] = None,
+    config: SentConfigOption = None,
     seed: Annotated[int | None, typer.Option(help="Of the emulator.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -96,13 +86,9 @@ def bringup(
     console = Console(quiet=as_json)
 
     def tell(finding: Finding) -> None:
-        if as_json:
-            return
-        mark = "good " if finding.good else "WRONG"
-        line = f"{mark} {finding.stage}: {finding.subject}: {finding.what}"
-        console.out.print(
-            line if finding.good else f"{line}; {finding.cure}", highlight=False, soft_wrap=True
-        )
+        mark, cure = ("good ", "") if finding.good else ("WRONG", f"; {finding.cure}")
+        if not as_json:
+            typer.echo(f"{mark} {finding.stage}: {finding.subject}: {finding.what}{cure}")
 
     operator = TerminalOperator(console)
     with console.interruptible(), connect(robot, seed=seed, operator=operator) as machine:
@@ -112,22 +98,15 @@ def bringup(
             _cured(machine)
         findings = BringUp(machine, _attendant(machine, console), tell).run(first, last)
     good = all(finding.good for finding in findings)
-    if as_json:
-        print_json({"good": good, "findings": [finding.as_data() for finding in findings]})
+    stage = findings[-1].stage
+    if not good:
+        on = f"Put it right, then: thigmo bringup --robot {robot} --from {stage}"
+    elif stage == STAGES[-1]:
+        on = f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
     else:
-        stage = findings[-1].stage
-        if not good:
-            on = f"Put it right, then: thigmo bringup --robot {robot} --from {stage}"
-        elif stage == STAGES[-1]:
-            on = f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
-        else:
-            following = STAGES[STAGES.index(stage) + 1]
-            on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
-        console.out.print(
-            on,
-            highlight=False,
-            soft_wrap=True,
-        )
+        following = STAGES[STAGES.index(stage) + 1]
+        on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
+    show(as_json, {"good": good, "findings": [finding.as_data() for finding in findings]}, on)
     if not good:
         raise typer.Exit(1)
 
@@ -155,10 +134,7 @@ def jog(
         machine.arm(body_air=False)
         machine.vent()
         moved = move(machine, out or -wind)
-    if as_json:
-        print_json({"moved_cm": moved})
-    else:
-        console.out.print(f"The encoder went {moved:+.2f} cm.", highlight=False)
+    show(as_json, {"moved_cm": moved}, f"The encoder went {moved:+.2f} cm.")
 
 
 def press(
@@ -186,16 +162,14 @@ def press(
     with console.interruptible(), connect(robot) as machine:
         _cured(machine)
         machine.arm(body_air=False)
-        with console.progress() as show:
+        with console.progress() as tell:
             began = machine.now()
             reached = hold(
                 machine, which, psi, seconds,
-                lambda now: show(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
+                lambda now: tell(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
             )  # fmt: skip
-    if as_json:
-        print_json({"side": side, "pressure_psi": reached})
-    else:
-        console.out.print(f"The {side} muscle reached {reached:.2f} psi.", highlight=False)
+    said = f"The {side} muscle reached {reached:.2f} psi."
+    show(as_json, {"side": side, "pressure_psi": reached}, said)
 
 
 def _cured(robot: Robot) -> None:

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
+from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from thigmo.calibrate.bench import Hand
     from thigmo.calibrate.eyes import Eyes
     from thigmo.calibrate.session import Session
@@ -19,17 +22,9 @@ if TYPE_CHECKING:
 _STEPS = "pressure, encoder, actuator, flex, hysteresis, buckling, stiffness, noise, check"
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(calibrate)
-
-
 def calibrate(
     step: Annotated[str, typer.Argument(help=f"all, status, or one of: {_STEPS}.")],
-    robot: Annotated[
-        str | None,
-        typer.Option(help="Where the robot is: /dev/ttyACM0, COM3, socket://, emulator://SCENE."),
-    ] = None,
+    robot: AnyRobotOption = None,
     folder: Annotated[Path, typer.Option(help="Calibration folder.")] = Path("calibration"),
     csv: Annotated[
         Path | None, typer.Option(help="Fit this file of readings instead; no robot is used.")
@@ -41,10 +36,8 @@ def calibrate(
         str,
         typer.Option(help="camera:0, a video or a folder of pictures; not on the emulator."),
     ] = "camera:0",
-    sheet_file: Annotated[Path, typer.Option("--sheet", help="Sheet file.")] = Path("sheet.toml"),
-    camera_file: Annotated[
-        Path, typer.Option("--camera-file", help="Camera file of `thigmo camera locate`.")
-    ] = Path("camera.json"),
+    sheet_file: SheetOption = SHEET_FILE,
+    camera_file: CameraFileOption = CAMERA_FILE,
     trials: Annotated[int, typer.Option(help="Trials of the free bends.", min=1)] = 3,
     step_psi: Annotated[float, typer.Option(help="Pressure step of free bends.", min=0.5)] = 2.0,
     places: Annotated[int, typer.Option(help="Tip places of the flex step.", min=4)] = 10,
@@ -133,7 +126,7 @@ def calibrate(
         hand = _hand(machine)
         machine.configure(session.config)
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
-        say = (lambda text: None) if as_json else _say
+        say: Callable[[str], None] = (lambda text: None) if as_json else typer.echo
         bench = Bench(machine, hand, eyes, session, plan, say, configured=True)
         found: dict[str, StepResult] = {}
         for name in steps:
@@ -153,40 +146,28 @@ def calibrate(
     say(f"constants so far: {session.robot_file}")
 
 
-def _say(text: str) -> None:
-    typer.echo(text)
-
-
 def _keep(step: str, result: StepResult, session: Session, as_json: bool) -> None:
-    backup = session.keep(step, result)
-    if as_json:
-        print_json(result.as_data())
-    else:
-        verdict = result.verdict
-        typer.echo(f"{step}: {'good' if verdict.good else 'BAD'}: {verdict.reason}")
-        for note in verdict.notes:
-            typer.echo(f"  {note}")
-        if backup is not None:
-            typer.echo(f"  {session.robot_file} updated; the one before is {backup.name}")
-    if not result.verdict.good:
+    backup, verdict = session.keep(step, result), result.verdict
+    lines = [f"{step}: {'good' if verdict.good else 'BAD'}: {verdict.reason}"]
+    lines += [f"  {note}" for note in verdict.notes]
+    if backup is not None:
+        lines.append(f"  {session.robot_file} updated; the one before is {backup.name}")
+    show(as_json, result.as_data(), *lines)
+    if not verdict.good:
         raise typer.Exit(2)
 
 
 def _status(session: Session, as_json: bool) -> None:
     from thigmo.calibrate.guided import ROWS_OF, STEPS
 
-    told = {}
+    told, lines = {}, []
     for name in STEPS:
         rows = sum(len(session.rows(p)) for p in ROWS_OF.get(name, ()))
         done = session.done(name)
-        told[name] = {"done": done is not None, "readings": rows,
-                      "reason": done["verdict"]["reason"] if done else ""}  # fmt: skip
-    if as_json:
-        print_json(told)
-        return
-    for name, entry in told.items():
-        state = "done" if entry["done"] else f"{entry['readings']} readings"
-        typer.echo(f"{name:12s} {state:14s} {entry['reason']}".rstrip())
+        reason = done["verdict"]["reason"] if done else ""
+        told[name] = {"done": done is not None, "readings": rows, "reason": reason}
+        lines.append(f"{name:12s} {'done' if done else f'{rows} readings':14s} {reason}".rstrip())
+    show(as_json, told, *lines)
 
 
 def _hand(machine: Robot) -> Hand:
@@ -200,12 +181,7 @@ def _hand(machine: Robot) -> Hand:
 
 
 def _eyes(
-    machine: Robot,
-    session: Session,
-    camera: str,
-    sheet_file: Path,
-    camera_file: Path,
-    seed: int,
+    machine: Robot, session: Session, camera: str, sheet_file: Path, camera_file: Path, seed: int
 ) -> Eyes:
     """The camera: painted over an emulated robot, opened and located on a real one."""
     from thigmo.calibrate.eyes import Eyes, emulated_source

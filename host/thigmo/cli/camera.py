@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, show
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from thigmo.camera import Clicks, Sheet, Sighting
     from thigmo.camera.model import Picture
 
@@ -38,11 +41,9 @@ SheetOption = Annotated[
 CameraOption = Annotated[
     Path, typer.Option("--camera", help="Camera file written by `thigmo camera locate`.")
 ]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the group."""
-    app.add_typer(group, name="camera")
+CameraFileOption = Annotated[
+    Path, typer.Option("--camera-file", help="Camera file of `thigmo camera locate`.")
+]
 
 
 def load_sheet(path: Path) -> Sheet:
@@ -78,11 +79,8 @@ def sheet(
 def _one_picture(source: str | Path) -> Picture:
     from thigmo.camera import open_source
 
-    opened = open_source(source)
-    try:
+    with closing(open_source(source)) as opened:
         return opened.read()
-    finally:
-        opened.close()
 
 
 def _keep_old(path: Path) -> None:
@@ -103,8 +101,7 @@ def lens(
     from thigmo.camera import calibrate_lens, open_source
     from thigmo.camera.source import Capture, pictures
 
-    opened = open_source(source)
-    try:
+    with closing(open_source(source)) as opened:
         if isinstance(opened, Capture) and source.removeprefix("camera:").isdigit():
             shots = []
             for number in range(count):
@@ -116,15 +113,11 @@ def lens(
                 shots.append(opened.read())
         else:
             shots = list(pictures(opened))[:200]
-    finally:
-        opened.close()
     found = calibrate_lens(shots, load_sheet(sheet_file))
     _keep_old(out)
     found.save(out)
-    if as_json:
-        print_json({"rms_px": found.rms_px, "focal_px": found.matrix[0][0], "file": str(out)})
-        return
-    typer.echo(f"lens good: {found.rms_px:.2f} px left; wrote {out}")
+    facts = {"rms_px": found.rms_px, "focal_px": found.matrix[0][0], "file": str(out)}
+    show(as_json, facts, f"lens good: {found.rms_px:.2f} px left; wrote {out}")
 
 
 @group.command()
@@ -149,28 +142,25 @@ def locate(
     _keep_old(out)
     model.save(out)
     advice = what_helps(model, used, known is not None)
-    if as_json:
-        print_json(
-            {
-                "rms_px": model.rms_px,
-                "accuracy_cm": model.accuracy_cm,
-                "height_cm": float(model.eye_cm[2]),
-                "hidden": list(model.hidden),
-                "good": not advice,
-                "advice": advice,
-                "file": str(out),
-            }
-        )
-        return
-    typer.echo(
+    lines = [
         f"camera {model.eye_cm[2]:.1f} cm above the table; cards fit to {model.rms_px:.2f} px, "
         f"places to {model.accuracy_cm:.2f} cm (one sigma): {'poor' if advice else 'good'}; "
         f"wrote {out}"
-    )
+    ]
     if advice:
-        typer.echo(f"for {GOOD_CM} cm or better: {advice}; then locate again")
+        lines.append(f"for {GOOD_CM} cm or better: {advice}; then locate again")
     if model.hidden:
-        typer.echo(f"hidden cards: {', '.join(model.hidden)}")
+        lines.append(f"hidden cards: {', '.join(model.hidden)}")
+    facts = {
+        "rms_px": model.rms_px,
+        "accuracy_cm": model.accuracy_cm,
+        "height_cm": float(model.eye_cm[2]),
+        "hidden": list(model.hidden),
+        "good": not advice,
+        "advice": advice,
+        "file": str(out),
+    }
+    show(as_json, facts, *lines)
 
 
 @group.command()
@@ -221,11 +211,7 @@ def check(
     clicks = _clicks(np.asarray(picture, np.uint8), tip, points, click)
     seen = look(picture, model, used, wanted, background=empty, clicks=clicks)
     write_picture(out, draw(picture, model, used, seen, wanted))
-    if as_json:
-        print_json({**sighting_data(seen), "picture": str(out)})
-        return
-    _tell(seen)
-    typer.echo(f"wrote {out}")
+    show(as_json, {**_facts(seen), "picture": str(out)}, *_lines(seen), f"wrote {out}")
 
 
 def _clicks(picture: Any, tip: str | None, points: Path | None, click: str | None) -> Clicks | None:
@@ -246,7 +232,7 @@ def _clicks(picture: Any, tip: str | None, points: Path | None, click: str | Non
     return clicks
 
 
-def sighting_data(seen: Sighting) -> dict[str, Any]:
+def _facts(seen: Sighting) -> dict[str, Any]:
     """A sighting as plain data."""
     tip, axis = seen.tip, seen.axis
     return {
@@ -269,18 +255,19 @@ def sighting_data(seen: Sighting) -> dict[str, Any]:
     }
 
 
-def _tell(seen: Sighting) -> None:
+def _lines(seen: Sighting) -> Iterator[str]:
+    """A sighting in words."""
     from thigmo.camera import MarkerMissingError
 
     if seen.tip is not None:
-        typer.echo(f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm")
+        yield f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm"
     if seen.axis is not None:
         mean = (seen.axis.heading[-1] - seen.axis.heading[0]) / seen.axis.length_cm
-        typer.echo(f"body {seen.axis.length_cm:.1f} cm long, mean curvature {mean:+.5f} 1/cm")
+        yield f"body {seen.axis.length_cm:.1f} cm long, mean curvature {mean:+.5f} 1/cm"
     for o in seen.obstacles:
-        typer.echo(f"obstacle at x {o.x_cm:.2f}, y {o.y_cm:.2f}, radius {o.radius_cm:.2f} cm")
+        yield f"obstacle at x {o.x_cm:.2f}, y {o.y_cm:.2f}, radius {o.radius_cm:.2f} cm"
     if seen.hidden:
-        typer.echo(f"hidden cards: {', '.join(seen.hidden)}")
+        yield f"hidden cards: {', '.join(seen.hidden)}"
     for problem in seen.problems:
         clicked = ", or give the tip with `--tip X,Y`"
-        typer.echo(f"{problem}{clicked if isinstance(problem, MarkerMissingError) else ''}")
+        yield f"{problem}{clicked if isinstance(problem, MarkerMissingError) else ''}"

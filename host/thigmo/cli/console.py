@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 import typer
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
 Show = Callable[[str, float], None]
 # What a log on a pipe is told; a terminal sees every state.
 _LOGGED = ("growing", "sweeping", "mapping", "drawing")
-
-
-def _nothing(doing: str, fraction: float) -> None:
-    """Progress for programs: none."""
 
 
 class Console:
@@ -50,7 +47,7 @@ class Console:
     def progress(self) -> Iterator[Show]:
         """A bar while the robot works; on a pipe, one line for each thing that it does."""
         if self.quiet:
-            yield _nothing
+            yield lambda doing, done: None
             return
         if not self.err.is_terminal:
             yield self._line()
@@ -104,9 +101,7 @@ class Console:
         Raises:
             DataError: nobody is there to answer.
         """
-        if self._piped:
-            return _ask_starter(question)
-        if not sys.stdin.isatty():
+        if not self._piped and not sys.stdin.isatty():
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
             )
@@ -116,8 +111,11 @@ class Console:
         if self._bar:
             self._bar.stop()
         try:
-            self.err.print(f"[bold]{question}[/bold] ", end="")
-            return input()
+            if self._piped:
+                typer.echo(json.dumps({"question": question}))
+            else:
+                self.err.print(f"[bold]{question}[/bold] ", end="")
+            return input().strip()
         except EOFError:
             raise DataError(f"no answer to: {question}", "run it again, and answer") from None
         finally:
@@ -128,7 +126,7 @@ class Console:
         """Say what an exploration found, where it is kept, and what to do next."""
         from rich.table import Table
 
-        say, document = self.out.print, result.document
+        say, document = partial(self.out.print, highlight=False), result.document
         if not document.contacts:
             say(f"[bold]No contact[/bold] in {len(document.stages)} sweeps.")
         else:
@@ -144,49 +142,25 @@ class Console:
         if document.error_x_cm is not None:
             say(
                 f"Against the room's truth: |x error| {document.error_x_cm:.2f} cm, in the plane "
-                f"{document.error_cm:.2f} cm.",
-                highlight=False,
+                f"{document.error_cm:.2f} cm."
             )
         for missed in document.missed or []:
-            say(
-                f"Missed: x {missed.x_cm:.1f} cm, y {missed.y_cm:.1f} cm ({missed.source}): "
-                f"{missed.reason}.",
-                highlight=False,
-            )
+            place = f"x {missed.x_cm:.1f} cm, y {missed.y_cm:.1f} cm"
+            say(f"Missed: {place} ({missed.source}): {missed.reason}.")
         for false in document.false or []:
-            say(
-                f"False: x {false.x_cm:.1f} cm, y {false.y_cm:.1f} cm: {false.reason}.",
-                highlight=False,
-            )
+            say(f"False: x {false.x_cm:.1f} cm, y {false.y_cm:.1f} cm: {false.reason}.")
         ratio = document.robot_time_s / max(document.wall_time_s, 1e-9)
         say(
             f"{document.robot_time_s:.0f} s of robot time in {document.wall_time_s:.1f} s "
-            f"({ratio:.0f} times real time). Ended: {document.outcome}.",
-            highlight=False,
+            f"({ratio:.0f} times real time). Ended: {document.outcome}."
         )
-        say(
-            f"Map: {result.folder / 'map.png'}; for planners: obstacles.json and map.yaml beside "
-            "it.",
-            highlight=False,
-            soft_wrap=True,
-        )
-        say(
+        # Paths and commands are copied: no line of theirs is broken.
+        planners = "for planners: obstacles.json and map.yaml beside it."
+        typer.echo(f"Map: {result.folder / 'map.png'}; {planners}")
+        typer.echo(
             f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
-            f"To retract it: thigmo retract --robot {document.url}",
-            highlight=False,
-            soft_wrap=True,
+            f"To retract it: thigmo retract --robot {document.url}"
         )
-
-
-def _ask_starter(question: str) -> str:
-    from thigmo.link.lease import waits_for_operator
-
-    waits_for_operator()
-    typer.echo(json.dumps({"question": question}))
-    answer = sys.stdin.readline()
-    if not answer:
-        raise DataError(f"no answer to: {question}", "run it again, and answer")
-    return answer.strip()
 
 
 class TerminalOperator:

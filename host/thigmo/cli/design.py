@@ -13,11 +13,6 @@ if TYPE_CHECKING:
     from thigmo.localization import Identifiability
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(design)
-
-
 def design(
     centers: Annotated[
         str, typer.Option(help="Sensor centres along the body, cm, separated by commas.")

@@ -9,19 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, show
 
 # The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
 _SERVE = "thigmo.emulator.serve"
 _SCENE = "thigmo.emulator.scene"
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(emulate)
-    scene = typer.Typer(help="Work with scene files.", no_args_is_help=True)
-    scene.command("check")(check)
-    app.add_typer(scene, name="scene")
+scene = typer.Typer(help="Work with scene files.", no_args_is_help=True)
 
 
 def emulate(
@@ -44,17 +39,17 @@ def emulate(
         serve.serve(scene, seed=seed, link=link, config=written, announce=typer.echo)
 
 
+@scene.command()
 def check(
     file: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
     as_json: JsonOption = False,
 ) -> None:
     """Check a scene file and say what it holds."""
     scenes: Any = import_module(_SCENE)
-    scene = scenes.Scene.load(file)
-    if as_json:
-        print_json(scene.model_dump(mode="json"))
-        return
-    typer.echo(
-        f"{file}: good. Pegs: {len(scene.pegs)}; a robot of {scene.robot.body.length_cm:g} cm, "
-        f"{scene.start_length_cm:g} cm of it out at the start; faults: {len(scene.faults)}."
+    found = scenes.Scene.load(file)
+    show(
+        as_json,
+        found.model_dump(mode="json"),
+        f"{file}: good. Pegs: {len(found.pegs)}; a robot of {found.robot.body.length_cm:g} cm, "
+        f"{found.start_length_cm:g} cm of it out at the start; faults: {len(found.faults)}.",
     )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
+from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -19,11 +21,6 @@ if TYPE_CHECKING:
     from thigmo.robot import Robot
     from thigmo.studies.engine import Outcome
     from thigmo.studies.experiments.attendant import Attendant, Place
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(experiment)
 
 
 def experiment(
@@ -45,23 +42,19 @@ def experiment(
     ),
     robot: Annotated[
         str | None,
-        typer.Option(
-            help="Take the trials with this robot: /dev/ttyACM0, COM3, socket://, emulator://SCENE."
+        robot_option(
+            "Take the trials with this robot: /dev/ttyACM0, COM3, socket://, emulator://SCENE."
         ),
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
-    ] = None,
+    config: KnownConfigOption = None,
     camera: Annotated[
         str | None,
         typer.Option(
             help="Measures the dowels: camera:0, a folder of pictures. Else they are typed in."
         ),
     ] = None,
-    sheet_file: Annotated[Path, typer.Option("--sheet", help="Sheet file.")] = Path("sheet.toml"),
-    camera_file: Annotated[
-        Path, typer.Option("--camera-file", help="Camera file of `thigmo camera locate`.")
-    ] = Path("camera.json"),
+    sheet_file: SheetOption = SHEET_FILE,
+    camera_file: CameraFileOption = CAMERA_FILE,
     rehearse: Annotated[
         bool, typer.Option("--rehearse", help="On the emulator: ask as on a real robot.")
     ] = False,
@@ -78,8 +71,6 @@ def experiment(
     emulator:// by its own operator, and kept in OUT/NAME/trials.csv; the same command goes on
     after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
-    from functools import partial
-
     from thigmo.cli.studies import conduct, report
     from thigmo.errors import DataError
     from thigmo.studies.engine import Context
@@ -128,14 +119,10 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
     from thigmo.cli.camera import load_sheet
     from thigmo.studies.experiments import thesis
 
-    source, model, sheet = (
-        open_source(camera),
-        CameraModel.load(camera_file),
-        load_sheet(sheet_file),
-    )
+    located = open_source(camera), CameraModel.load(camera_file), load_sheet(sheet_file)
 
     def look(diameter_cm: float) -> list[Place]:
-        found = Eyes(source, model, sheet, diameter_cm, thesis.DOWEL_CM).everything().obstacles
+        found = Eyes(*located, diameter_cm, thesis.DOWEL_CM).everything().obstacles
         return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
 
     return look
@@ -182,8 +169,7 @@ class _Desk:
 
     def camera(self, known: RobotConfig) -> Callable[[], list[Place]] | None:
         """What measures the dowels beside this robot; None: they are typed in."""
-        look = self.look
-        return None if look is None else lambda: look(known.body.diameter_cm)
+        return partial(self.look, known.body.diameter_cm) if self.look else None
 
     def static(self, name: str, jobs: int) -> tuple[Outcome, Path]:
         """Take the trials, or read them, and evaluate what there is."""

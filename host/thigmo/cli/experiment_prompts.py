@@ -104,11 +104,7 @@ class TerminalAttendant:
 
         return self._behind.truth() if self._behind else Known()
 
-    def verdict(self, trial: Planned, summary: str) -> Verdict:
-        """Ask whether to keep the trial."""
-        return self.judge(summary)
-
-    def judge(self, summary: str) -> Verdict:
+    def verdict(self, trial: Planned | PlannedRun, summary: str) -> Verdict:
         """Ask whether to keep what was just taken."""
         while True:
             answer = self._console.ask(
@@ -147,8 +143,8 @@ class TerminalBystander:
 
     def verdict(self, run: PlannedRun, summary: str) -> Verdict:
         """Ask whether to keep the exploration, and for a robot that may be wound in."""
-        return self._asks.judge(
-            f"{summary}. Take the dowel away if the robot leans on it: it is wound in next"
+        return self._asks.verdict(
+            run, f"{summary}. Take the dowel away if the robot leans on it: it is wound in next"
         )
 
 

@@ -7,19 +7,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(explore)
+from thigmo.cli.output import AnyRobotOption, JsonOption, KnownConfigOption, print_json
 
 
 def explore(
-    robot: Annotated[
-        str | None,
-        typer.Option(help="Where the robot is: /dev/ttyACM0, COM3, socket://, emulator://SCENE."),
-    ] = None,
+    robot: AnyRobotOption = None,
     scene: Annotated[
         str | None, typer.Option(help="Scene file, or the name of a built-in scene, to emulate.")
     ] = None,
@@ -27,9 +19,7 @@ def explore(
         int | None, typer.Option(help="Of the emulator's noise; same seed, same run.", min=0)
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for run folders.")] = Path("runs"),
-    config: Annotated[
-        Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
-    ] = None,
+    config: KnownConfigOption = None,
     name: Annotated[str | None, typer.Option(help="Name of the run.")] = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Let the emulator run at the clock's pace.")

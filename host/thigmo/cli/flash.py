@@ -8,18 +8,11 @@ from typing import Annotated
 
 import typer
 
-from thigmo.cli.output import JsonOption, named, print_json
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(flash)
+from thigmo.cli.output import JsonOption, robot_option, show
 
 
 def flash(
-    robot: Annotated[
-        str, typer.Option(help="Serial port of its board, as /dev/ttyACM0.", callback=named)
-    ],
+    robot: Annotated[str, robot_option("Serial port of its board, as /dev/ttyACM0.")],
     image: Annotated[
         Path | None,
         typer.Option(help="Image (.hex); left out: the one that came with this host."),
@@ -36,21 +29,15 @@ def flash(
 
     done = flasher.flash(robot, image, avrdude=avrdude, tell=tell)
     version = ".".join(map(str, done.hello.firmware_version))
-    if as_json:
-        print_json(
-            {
-                "port": robot,
-                "image": str(done.image.path),
-                "bytes": done.image.size,
-                "firmware": version,
-                "schema_hash": f"{done.hello.schema_hash:08x}",
-                "reset_cause": done.hello.reset_cause.name.lower(),
-                "stored": asdict(done.stored),
-            }
-        )
-    else:
-        typer.echo(f"firmware {version} ({done.image.size} bytes) runs on {robot}")
-        if done.stored.generation:
-            typer.echo(f"{done.stored.kept} stored parameters are kept")
-        if done.stored.remark:
-            typer.echo(done.stored.remark)
+    kept = f"{done.stored.kept} stored parameters are kept" if done.stored.generation else ""
+    facts = {
+        "port": robot,
+        "image": str(done.image.path),
+        "bytes": done.image.size,
+        "firmware": version,
+        "schema_hash": f"{done.hello.schema_hash:08x}",
+        "reset_cause": done.hello.reset_cause.name.lower(),
+        "stored": asdict(done.stored),
+    }
+    runs = f"firmware {version} ({done.image.size} bytes) runs on {robot}"
+    show(as_json, facts, *filter(None, (runs, kept, done.stored.remark)))

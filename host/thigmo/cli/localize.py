@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,11 +16,6 @@ if TYPE_CHECKING:
 
 # Readings to try the command on.
 EXAMPLE = Path(__file__).parents[1] / "record" / "example.csv"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(localize)
 
 
 def localize(
@@ -99,9 +95,9 @@ def localize(
         **told,
     )
     if as_json:
-        print_json(result_object(result, table))
-        return
-    _show(result, table)
+        print_json(_facts(result, table))
+    else:
+        _show(result, table)
 
 
 def _calibrated(
@@ -117,9 +113,7 @@ def _calibrated(
     from thigmo.reading_errors import reading_errors
 
     robot = RobotConfig.load(path)
-    inflated: Side | None = None
-    for name in SIDES:
-        inflated = name if name == side else inflated
+    inflated = next((name for name in SIDES if name == side), None)
     if side is not None and inflated is None:
         raise DataError(f"--side is {side!r}", "give left or right")
     # Sensors on the inflated side wrinkle and are not read.
@@ -143,23 +137,11 @@ def _calibrated(
     return reading_errors(robot, inflated, zone, found).arguments()
 
 
-def result_object(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
+def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
     """A localizer's result as plain data."""
     return {
         "status": result.status,
-        "contacts": [
-            {
-                "arc": contact.arc,
-                "force": contact.force,
-                "force_deviation": contact.force_deviation,
-                "end_offset": contact.end_offset,
-                "interval": list(contact.interval),
-                "intervals": [list(piece) for piece in contact.intervals],
-                "probability": contact.probability,
-                "status": contact.status,
-            }
-            for contact in result.contacts
-        ],
+        "contacts": [asdict(contact) for contact in result.contacts],
         "hypothesis": result.hypothesis,
         "hypotheses": dict(result.hypotheses),
         "parameters": dict(result.parameters),

@@ -15,23 +15,19 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from thigmo.cli import (
-    bench,
-    board,
-    bringup,
-    calibrate,
-    camera,
-    design,
-    emulator,
-    ending,
-    experiment,
-    explore,
-    flash,
-    localize,
-    ros,
-    runs,
-    watch,
-)
+from thigmo.cli import camera, emulator, ending
+from thigmo.cli.bench import bench
+from thigmo.cli.board import clear, params, retract, stop
+from thigmo.cli.bringup import bringup, jog, press
+from thigmo.cli.calibrate import calibrate
+from thigmo.cli.design import design
+from thigmo.cli.experiment import experiment
+from thigmo.cli.explore import explore
+from thigmo.cli.flash import flash
+from thigmo.cli.localize import localize
+from thigmo.cli.ros import ros
+from thigmo.cli.runs import export, info, replay
+from thigmo.cli.watch import watch
 from thigmo.errors import ThigmoError
 
 # Wrong options, values and commands; typer has no name of its own for their class.
@@ -77,24 +73,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for module in (
-    explore,
-    watch,
-    localize,
-    runs,
-    board,
-    ros,
-    flash,
-    bringup,
-    emulator,
-    camera,
-    calibrate,
-    experiment,
-    bench,
-    design,
-):
-    module.register(app)
-for each in filter(None, (app, *(group.typer_instance for group in app.registered_groups))):
+for function in (
+    explore, watch, localize, replay, info, export, stop, params, clear, retract, ros, flash,
+    bringup, jog, press, emulator.emulate, calibrate, experiment, bench, design,
+):  # fmt: skip
+    app.command()(function)
+groups = {"scene": emulator.scene, "camera": camera.group}
+for name, group in groups.items():
+    app.add_typer(group, name=name)
+for each in (app, *groups.values()):
     for command in each.registered_commands:
         # A docstring's lines are as long as the source's; a terminal breaks its paragraphs anew.
         command.help = "\n\n".join(

@@ -3,9 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+
+@contextmanager
+def extra(name: str, package: str, what: str) -> Iterator[None]:
+    """Import within: what a package of `thigmo[name]` is missing for is said, and how to get it.
+
+    Raises:
+        DataError: it is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != package:
+            raise
+        from thigmo.errors import DataError
+
+        raise DataError(
+            f"{what} needs a package that is not installed", f"run `pip install 'thigmo[{name}]'`"
+        ) from error
 
 
 def named(address: str | None) -> str | None:
@@ -15,13 +37,20 @@ def named(address: str | None) -> str | None:
     return address
 
 
-RobotOption = Annotated[
-    str,
-    typer.Option(
-        "--robot",
-        help="Where it is: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
-        callback=named,
-    ),
+def robot_option(
+    text: str = "Where it is: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
+) -> Any:
+    """The option that names a robot, for a command that says of it what `text` does."""
+    return typer.Option("--robot", help=text, callback=named)
+
+
+RobotOption = Annotated[str, robot_option()]
+AnyRobotOption = Annotated[str | None, robot_option()]
+SentConfigOption = Annotated[
+    Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
+]
+KnownConfigOption = Annotated[
+    Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
@@ -29,6 +58,15 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 def print_json(value: Any) -> None:
     """Print strict JSON: a number that is not finite becomes null."""
     typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))
+
+
+def show(as_json: bool, value: Any, *lines: object) -> None:
+    """Print a result as JSON for a program, or as lines for people."""
+    if as_json:
+        print_json(value)
+    else:
+        for line in lines:
+            typer.echo(line)
 
 
 def _finite(value: Any) -> Any:

@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thigmo.cli.output import extra, named
+
 if TYPE_CHECKING:
     from thigmo.live.relay import Relay
     from thigmo.live.ros import RosNode
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(ros)
 
 
 def ros(
@@ -23,6 +20,7 @@ def ros(
         str | None,
         typer.Argument(
             metavar="RUN|URL",
+            callback=named,
             help="A run folder, whose map is published; or where a robot is. Left out: whatever "
             "run is under way, or comes.",
         ),
@@ -45,16 +43,9 @@ def ros(
 ) -> None:
     """Publish maps, contacts and the body on ROS 2, and stop the robot when ROS says so."""
     from thigmo.cli.watch import finished_run
-    from thigmo.errors import DataError
 
-    try:
+    with extra("ros", "cyclonedds", "ROS 2"):
         from thigmo.live.ros import RosNode
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("cyclonedds"):
-            raise
-        raise DataError(
-            "ROS 2 needs a package that is not installed", "run `pip install 'thigmo[ros]'`"
-        ) from error
     past = finished_run(target)
     stop = threading.Event()
     with RosNode(

@@ -8,16 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, print_json, robot_option, show
 
+_OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
 _OF_THE_HOST = ("thigmo", "url", "seed", "started")  # in a record's metadata; the rest: the board's
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(replay)
-    app.command()(info)
-    app.command()(export)
 
 
 def replay(
@@ -28,26 +22,23 @@ def replay(
     from thigmo.exploration import replay as again
 
     result = again(run)
-    if as_json:
-        print_json(result.as_json())
-        return
-    if result.missing:
-        typer.echo(f"{run}: {result.missing}")
+    lines = [f"{run}: {result.missing}"] if result.missing else []
     for contact in result.document.contacts:
         low, high = contact.interval_cm
-        typer.echo(
+        lines.append(
             f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
             f"({low:.1f} to {high:.1f}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm"
         )
     if not result.document.contacts:
-        typer.echo("no contact in what is left" if result.missing else "no contact")
-    typer.echo(f"{result.sweeps} sweeps; {run / 'replay.json'}")
+        lines.append("no contact in what is left" if result.missing else "no contact")
+    lines.append(f"{result.sweeps} sweeps; {run / 'replay.json'}")
+    show(as_json, result.as_json(), *lines)
 
 
 def info(
     run: Annotated[Path | None, typer.Argument(help="Run folder.")] = None,
     robot: Annotated[
-        str | None, typer.Option(help="Where a robot is, instead: /dev/ttyACM0, emulator://SCENE.")
+        str | None, robot_option("Where a robot is, instead: /dev/ttyACM0, emulator://SCENE.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -82,11 +73,7 @@ def export(
     from thigmo.stream.export import export_csv
 
     files = export_csv(run, csv)
-    if as_json:
-        print_json({"files": [str(file) for file in files]})
-        return
-    for file in files:
-        typer.echo(file)
+    show(as_json, {"files": [str(file) for file in files]}, *files)
 
 
 def _shown(value: Any) -> str:
@@ -110,11 +97,7 @@ def _run_info(path: Path) -> dict[str, Any]:
         facts["document"] = str(error)
     else:
         facts |= {
-            "name": document.name,
-            "url": document.url,
-            "started": document.started,
-            "thigmo": document.thigmo,
-            "outcome": document.outcome,
+            **{each: getattr(document, each) for each in _OF_THE_RUN},
             "stages_cm": [stage.everted_length_cm for stage in document.stages],
             "contacts": len(document.contacts),
             "robot_time_s": document.robot_time_s,

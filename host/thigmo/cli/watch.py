@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thigmo.cli.output import extra, named
+
 if TYPE_CHECKING:
     from thigmo.live.server import WatchOptions
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(watch)
 
 
 def watch(
@@ -25,6 +22,7 @@ def watch(
         str | None,
         typer.Argument(
             metavar="RUN|URL",
+            callback=named,
             help="Folder of a finished run, or where the robot is, on which Start then explores. "
             "Left out: whatever run is under way, or comes.",
         ),
@@ -96,19 +94,11 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
     """Serve runs to Foxglove, from a thread beside the page."""
     import threading
 
-    from thigmo.errors import DataError
     from thigmo.live.relay import Relay
     from thigmo.live.watched import Watched
 
-    try:
+    with extra("foxglove", "foxglove", "Foxglove"):
         from thigmo.live.foxglove import FoxgloveServer
-    except ModuleNotFoundError as error:
-        if error.name != "foxglove":
-            raise
-        raise DataError(
-            "Foxglove needs a package that is not installed",
-            "run `pip install 'thigmo[foxglove]'`",
-        ) from error
     relay = Relay(Watched(url))
     with closing(relay), FoxgloveServer(relay.stop, port) as server:
         typer.echo(f"For Foxglove, open {server.address}.", err=True)

@@ -17,14 +17,12 @@ from thigmo.closing import Closing
 from thigmo.errors import PortError
 from thigmo.live.relay import Facts
 from thigmo.stream import RETAINED, Hello, Message
-from thigmo.stream.foxglove import VIEWS, views
-from thigmo.stream.protobuf import descriptor_set, schema, to_protobuf
-from thigmo.stream.recorded import RECORDED
+from thigmo.stream.messages import RECORDED
+from thigmo.stream.protobuf import encoded, topics
 
 PORT = 8765  # where Foxglove looks by itself
 STOP = "/thigmo/stop"
 STATUS = "/thigmo/status"
-_ENCODING = "protobuf"
 
 
 class FoxgloveServer(ServerListener, Closing):
@@ -42,14 +40,14 @@ class FoxgloveServer(ServerListener, Closing):
         self._stop = stop
         self._context = context = Context()  # its channels close with it
         self._channels = {
-            f"/{channel}": _channel(context, f"/{channel}", *schema(channel))
-            for channel in RECORDED
-        }
-        for topic, kind in VIEWS.items():
-            described = kind.DESCRIPTOR
-            self._channels[topic] = _channel(
-                context, topic, described.full_name, descriptor_set(described.file)
+            topic: Channel(
+                topic,
+                message_encoding="protobuf",
+                schema=Schema(name=name, encoding="protobuf", data=data),
+                context=context,
             )
+            for topic, (name, data) in topics().items()
+        }
         self._status = Channel(STATUS, message_encoding="json", context=context)
         # Whoever subscribes later gets the last of each channel that seldom speaks.
         self._last: dict[str, dict[str, tuple[bytes, int]]] = {}
@@ -77,25 +75,27 @@ class FoxgloveServer(ServerListener, Closing):
 
     def publish(self, message: Message) -> None:
         """Pass a message on, as it is and as Foxglove draws it."""
-        channel = message.CHANNEL
-        if channel not in RECORDED:
+        if message.CHANNEL not in RECORDED:
             return
-        self._log(f"/{channel}", channel, message, to_protobuf(message))
-        for topic, view in views(message):
-            self._log(topic, channel, message, view.SerializeToString())
+        at_ns = round(message.epoch_s * 1e9)
+        for topic, data in encoded(message):
+            if message.CHANNEL in RETAINED:
+                # The scene holds the body and the contacts, each with a last message of its own.
+                self._last.setdefault(topic, {})[message.CHANNEL] = (data, at_ns)
+            self._channels[topic].log(data, log_time=at_ns)
 
     def tell(self, facts: Facts) -> None:
         """Say whether stop is connected, and what the last one came to."""
         if facts.run is not self._run:
             self._run = facts.run
             self._last.clear()  # is of another run
-        told = {
+        now = {
             "run": facts.run.name if facts.run else "",
             "under_way": facts.under_way,
             "stop": facts.stop or "connected",
             "last_stop": facts.stopped,
         }
-        self._status.log(told)
+        self._status.log(now)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Called by the server: somebody looks at a channel. For the others, who get it again, it
@@ -111,25 +111,9 @@ class FoxgloveServer(ServerListener, Closing):
         """End the server."""
         self._server.stop()
 
-    def _log(self, topic: str, source: str, message: Message, data: bytes) -> None:
-        at_ns = round(message.epoch_s * 1e9)
-        if source in RETAINED:
-            # The scene holds the body and the contacts, each with a last message of its own.
-            self._last.setdefault(topic, {})[source] = (data, at_ns)
-        self._channels[topic].log(data, log_time=at_ns)
-
     def _serve_stop(self, request: ServiceRequest) -> bytes:
         """Called by the server, in a thread of its own."""
         return json.dumps({"message": self._stop()}).encode()
-
-
-def _channel(context: Context, topic: str, name: str, described: bytes) -> Channel:
-    return Channel(
-        topic,
-        message_encoding=_ENCODING,
-        schema=Schema(name=name, encoding=_ENCODING, data=described),
-        context=context,
-    )
 
 
 def _stop_schema() -> ServiceSchema:

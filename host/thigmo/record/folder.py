@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from thigmo.config import RobotConfig
+from thigmo.config import RobotConfig, invalid_entry
 from thigmo.errors import RunFolderError
 from thigmo.record.document import RunDocument
 from thigmo.record.log import Log, LogWriter, read_log
@@ -44,17 +44,13 @@ class RunFolder:
             path = Path(parent) / (stem if number == 1 else f"{stem}-{number}")
             try:
                 path.mkdir(parents=True, exist_ok=False)
-            except FileExistsError as error:
-                if Path(parent).is_dir():
-                    continue
-                raise RunFolderError(
-                    f"cannot make a run folder in {parent}: it is not a folder",
-                    "choose another with --out",
-                ) from error
             except OSError as error:
+                there = isinstance(error, FileExistsError)
+                if there and Path(parent).is_dir():
+                    continue
+                reason = "it is not a folder" if there else error.strerror
                 raise RunFolderError(
-                    f"cannot make a run folder in {parent}: {error.strerror}",
-                    "choose another with --out",
+                    f"cannot make a run folder in {parent}: {reason}", "choose another with --out"
                 ) from error
             return cls(path)
         raise RunFolderError(f"{parent} holds too many runs of this second", "wait a second")
@@ -109,10 +105,8 @@ class RunFolder:
                 f"cannot read {path}: {error.strerror}", "give a run folder"
             ) from error
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
             raise RunFolderError(
-                f"{path}: {where}: {first['msg']}", "run `thigmo replay` on the folder"
+                invalid_entry(path, error), "run `thigmo replay` on the folder"
             ) from error
 
     def write_map(self, known: ObstacleMap, grid: OccupancyGrid, prefix: str = "") -> None:

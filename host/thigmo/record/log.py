@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from io import BufferedWriter
 from pathlib import Path
 from typing import Any, Literal
 
 from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
-from thigmo.record.mcap_file import McapContents, read_mcap
+from thigmo.record.mcap_file import read_mcap
 
 Direction = Literal["tx", "rx"]
 
@@ -79,25 +78,6 @@ class Log:
         return f"the record is {' and '.join(told)}; what is whole was used" if told else ""
 
 
-class _Output:
-    """A file that knows whether something was written to it since it was last flushed."""
-
-    def __init__(self, stream: BufferedWriter) -> None:
-        self._stream = stream
-        self._written = False
-        self.tell, self.close = stream.tell, stream.close
-
-    def write(self, data: bytes) -> int:
-        self._written = True
-        return self._stream.write(data)
-
-    def flush(self) -> None:
-        """Hand what was written to the system, out of this process's reach."""
-        if self._written:
-            self._written = False
-            self._stream.flush()
-
-
 class LogWriter(Closing):
     """Writes `run.mcap`. A context manager; `close` may be called twice.
 
@@ -121,14 +101,13 @@ class LogWriter(Closing):
         from mcap.writer import IndexType, Writer
 
         try:
-            output: Any = _Output(path.open("xb"))
+            self._stream = path.open("xb")
         except OSError as error:
             raise RunFolderError(
                 f"cannot write {path}: {error.strerror}", "choose another folder with --out"
             ) from error
-        self._stream = output
         self._writer: Any = Writer(
-            output,
+            self._stream,
             chunk_size=chunk_bytes,
             index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
         )
@@ -170,7 +149,7 @@ class LogWriter(Closing):
         t_ns = self._epoch_ns + max(int(t_s * 1e9), 0)
         self._writer.add_message(channel, t_ns, data, t_ns, self._sequence)
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        self._stream.flush()  # of a chunk that closed with it
+        self._stream.flush()  # a chunk that closed with it, out of this process's reach
 
     def close(self) -> None:
         """Write the index and close the file."""
@@ -179,12 +158,6 @@ class LogWriter(Closing):
         self._closed = True
         self._writer.finish()
         self._stream.close()
-
-
-def epoch_of(found: McapContents) -> int:
-    """UTC nanoseconds at which a record's time base was 0; 0 for records that hold none."""
-    told = found.metadata.pop(EPOCH, "0")
-    return int(told) if told.isdecimal() else 0
 
 
 def read_log(path: Path) -> Log:
@@ -198,7 +171,8 @@ def read_log(path: Path) -> Log:
     """
     topics = {*_TOPICS, _NOTES}
     found = read_mcap(path, topics.__contains__)
-    epoch_ns = epoch_of(found)
+    told = found.metadata.pop(EPOCH, "0")  # damaged records hold none
+    epoch_ns = int(told) if told.isdecimal() else 0
     entries: list[Entry] = []
     notes: list[tuple[float, dict[str, Any]]] = []
     for number, log_ns, data in found.messages:

@@ -19,14 +19,14 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Chunk, Metadata, Schema
 
 from thigmo.errors import RunFolderError
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CHUNK = struct.Struct("<QQQI")  # start time, end time, uncompressed size, checksum
+_CHUNK_BYTES = 28  # before a chunk's compression: start and end time, size (u64), checksum (u32)
 _MOST_BYTES = 1 << 28  # in a chunk: more is a damaged length
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
 _OPCODES = frozenset(int(opcode) for opcode in Opcode)
@@ -101,12 +101,12 @@ def _take(
     data: bytes, place: int, end: int, wanted: Callable[[str], bool], found: McapContents
 ) -> Literal["whole", "damaged", "lost"]:
     """Take the record of `data[place:end]`; where the next one begins may be lost with it."""
-    opcode, content = data[place], place + _HEADER.size
+    opcode, content = data[place], data[place + _HEADER.size : end]
     try:
         if opcode == Opcode.CHUNK:
-            _take_chunk(data, content, end, wanted, found)
+            _take_chunk(content, wanted, found)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-            _take_definition(opcode, data[content:end], found)
+            _take_definition(opcode, content, found)
     except _DamagedError:
         return "damaged"  # its length is right
     except _DAMAGE:
@@ -126,32 +126,26 @@ def _take_definition(opcode: int, content: bytes, found: McapContents) -> None:
         found.metadata |= Metadata.read(stream).metadata
 
 
-def _take_chunk(
-    data: bytes, place: int, end: int, wanted: Callable[[str], bool], found: McapContents
-) -> None:
+def _take_chunk(content: bytes, wanted: Callable[[str], bool], found: McapContents) -> None:
     """Take a chunk's records, or none of them.
 
     Raises:
         _DamagedError: its content is not what its checksum says.
-        ValueError, struct.error: its lengths do not add up.
+        ValueError, struct.error, McapError: its lengths do not add up.
     """
-    _, _, size, checksum = _CHUNK.unpack_from(data, place)
-    place += _CHUNK.size
-    (name_length,) = struct.unpack_from("<I", data, place)
-    name = data[place + 4 : place + 4 + name_length]
-    place += 4 + name_length
-    (packed_length,) = struct.unpack_from("<Q", data, place)
-    place += 8
-    if place + packed_length != end:
+    stream = ReadDataStream(BytesIO(content))
+    chunk = Chunk.read(stream)
+    if stream.count != len(content):
         raise ValueError("a chunk's lengths do not add up")
-    packed = data[place:end]
+    size, checksum, records = chunk.uncompressed_size, chunk.uncompressed_crc, chunk.data
     try:
         if size > _MOST_BYTES:
             raise _DamagedError
-        records = zstandard.decompress(packed, size) if name == b"zstd" else packed
+        if chunk.compression == "zstd":
+            records = zstandard.decompress(records, size)
         if len(records) != size or (checksum and zlib.crc32(records) != checksum):
             raise _DamagedError
-    except (*_DAMAGE, UnicodeError) as error:
+    except _DAMAGE as error:
         raise _DamagedError from error
     place = 0
     while place < len(records):
@@ -170,7 +164,7 @@ def _take_chunk(
 
 def _next_chunk(data: bytes, place: int) -> int | None:
     """Where the next chunk's record seems to begin; None if there is none."""
-    before = _HEADER.size + _CHUNK.size
+    before = _HEADER.size + _CHUNK_BYTES
     at = data.find(_COMPRESSION, place + before)
     while at >= 0:
         start = at - before

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from thigmo.config import invalid_entry
 from thigmo.errors import RunFolderError
 from thigmo.record.whole_file import write_whole
 
@@ -142,9 +143,6 @@ def read_obstacles(path: str | os.PathLike[str]) -> ObstacleMap:
             "give a run folder that holds obstacles.json, or a ROS map's YAML file",
         ) from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
         raise RunFolderError(
-            f"{path}: {where + ': ' if where else ''}{first['msg']}",
-            "run `thigmo replay` on its folder, or give another map",
+            invalid_entry(path, error), "run `thigmo replay` on its folder, or give another map"
         ) from error

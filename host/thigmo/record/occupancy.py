@@ -11,13 +11,14 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 
+from thigmo.config import Finite, Positive, invalid_entry
 from thigmo.display import Pictures, html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.record.whole_file import write_whole
@@ -29,7 +30,6 @@ FREE, UNKNOWN, OCCUPIED = 0, -1, 100  # as in nav_msgs/OccupancyGrid
 _GREY = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
 _CM_PER_M = 100.0
-_FINITE = Annotated[float, Field(allow_inf_nan=False)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +94,11 @@ class _Description(BaseModel):
     """map.yaml; keys that other tools add (`mode`, `cost_translation_table`) are left alone."""
 
     image: str
-    resolution: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    origin: tuple[_FINITE, _FINITE, _FINITE]
+    resolution: Positive
+    origin: tuple[Finite, Finite, Finite]
     negate: Literal[0, 1] = 0
-    occupied_thresh: _FINITE = _OCCUPIED_ABOVE
-    free_thresh: _FINITE = _FREE_BELOW
+    occupied_thresh: Finite = _OCCUPIED_ABOVE
+    free_thresh: Finite = _FREE_BELOW
 
 
 def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
@@ -122,12 +122,8 @@ def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
         "free_thresh": _FREE_BELOW,
     }
     rows, columns = grey.shape
-    files = {
-        picture: f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes(),
-        path: yaml.safe_dump(described, sort_keys=False).encode(),
-    }
-    for target, data in files.items():
-        write_whole(target, data)
+    write_whole(picture, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
+    write_whole(path, yaml.safe_dump(described, sort_keys=False).encode())
 
 
 def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
@@ -151,10 +147,8 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
             f"{path} is not valid YAML: {reason}", "give a ROS map's YAML file, or a run folder"
         ) from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
         raise RunFolderError(
-            f"{path}: {where + ': ' if where else ''}{first['msg']}",
+            invalid_entry(path, error),
             "give a ROS map's YAML file (image, resolution, origin), or a run folder",
         ) from error
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None

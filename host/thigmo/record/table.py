@@ -87,12 +87,10 @@ class Table:
             MissingColumnError: there is no such column, and no default.
             DataError: a word where a number belongs.
         """
-        if column not in self.columns:
-            if default is not None:
-                return np.full(self.rows, default)
-            raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
         found = np.empty(self.rows)
-        for number, cell in enumerate(self.columns[column]):
+        for number, cell in enumerate(
+            self.words(column, None if default is None else str(default))
+        ):
             try:
                 found[number] = float(cell) if cell else np.nan
             except ValueError as error:
@@ -132,11 +130,11 @@ class Table:
         Raises:
             MissingColumnError: there is no such column, and no default.
         """
-        if column not in self.columns:
-            if default is not None:
-                return [default] * self.rows
+        if column in self.columns:
+            return list(self.columns[column])
+        if default is None:
             raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
-        return list(self.columns[column])
+        return [default] * self.rows
 
     def block(self, prefix: str, count: int) -> Array:
         """Columns `prefix0` .. side by side (n, count)."""

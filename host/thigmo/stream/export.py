@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -31,50 +31,44 @@ from thigmo.stream.recorded import read_messages
 Row = dict[str, Any]
 
 
-def _plain(message: Message) -> Iterator[Row]:
-    yield {each.name: getattr(message, each.name) for each in fields(message)}
-
-
-def _telemetry(message: Telemetry) -> Iterator[Row]:
+def _flat(message: Message, *without: str) -> Row:
+    """Fields in columns; a tuple of numbers has one for each side, or for each place of a side."""
     row: Row = {}
-    for each in fields(message):
-        value = getattr(message, each.name)
-        if each.name == "faults":
-            row[each.name] = " ".join(value)
+    for name in (each.name for each in fields(message) if each.name not in without):
+        value = getattr(message, name)
+        if name == "faults":
+            row[name] = " ".join(value)
         elif isinstance(value, tuple):
             a_side = len(value) // len(SIDES)
             for number, one in enumerate(value):
                 side, place = SIDES[number // a_side], number % a_side
-                row[f"{each.name}_{side}" + (f"_{place}" if a_side > 1 else "")] = one
+                row[f"{name}_{side}" + (f"_{place}" if a_side > 1 else "")] = one
         else:
-            row[each.name] = value
-    yield row
+            row[name] = value
+    return row
+
+
+def _plain(message: Message) -> Iterator[Row]:
+    yield _flat(message)
 
 
 def _shape(message: BodyShape) -> Iterator[Row]:
+    row = _flat(message, "poses", "radius_cm")
     for index, (x_cm, y_cm, heading) in enumerate(message.poses):
-        yield {
-            **_times(message), "pose": index, "x_cm": x_cm, "y_cm": y_cm, "heading_rad": heading,
-        }  # fmt: skip
+        yield {**row, "pose": index, "x_cm": x_cm, "y_cm": y_cm, "heading_rad": heading}
 
 
 def _posterior(message: Posterior) -> Iterator[Row]:
-    told = {
-        name: getattr(message, name)
-        for name in (
-            "side", "length_cm", "status", "hypothesis", "message", "contact_probability",
-            "sweeping",
-        )
-    }  # fmt: skip
+    row = _flat(message, "places_cm", "probability")
     cells: list[tuple[float | None, float | None]]
     cells = list(zip(message.places_cm, message.probability, strict=True)) or [(None, None)]
     for place_cm, probability in cells:
-        yield {**_times(message), **told, "place_cm": place_cm, "probability": probability}
+        yield {**row, "place_cm": place_cm, "probability": probability}
 
 
 def _contacts(message: Contacts) -> Iterator[Row]:
     for index, contact in enumerate(message.contacts):
-        row = {**_times(message), "contact": index}
+        row = {**_flat(message, "contacts"), "contact": index}
         row |= {each.name: getattr(contact, each.name) for each in fields(contact)}
         row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
         (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = row.pop(
@@ -85,12 +79,8 @@ def _contacts(message: Contacts) -> Iterator[Row]:
         yield row
 
 
-def _times(message: Message) -> Row:
-    return {"t_s": message.t_s, "epoch_s": message.epoch_s}
-
-
 _TABLES: dict[str, Callable[[Any], Iterator[Row]]] = {
-    Telemetry.CHANNEL: _telemetry,
+    Telemetry.CHANNEL: _plain,
     Event.CHANNEL: _plain,
     RunState.CHANNEL: _plain,
     BodyShape.CHANNEL: _shape,
@@ -98,27 +88,6 @@ _TABLES: dict[str, Callable[[Any], Iterator[Row]]] = {
     Contacts.CHANNEL: _contacts,
     Log.CHANNEL: _plain,
 }
-
-
-def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Row]]:
-    """Rows of all tables, in the order of their messages."""
-    for message in read_messages(run, _TABLES):
-        for row in _TABLES[message.CHANNEL](message):
-            yield message.CHANNEL, row
-
-
-@contextmanager
-def _writing(folder: str | os.PathLike[str]) -> Iterator[tuple[Path, ExitStack]]:
-    """A folder, made if need be, and a stack for its open files."""
-    target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            yield target, stack
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot write {error.filename or target}: {error.strerror}", "choose another folder"
-        ) from error
 
 
 def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
@@ -134,14 +103,24 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
     Raises:
         RunFolderError: no record, one of raw frames alone, or a folder that cannot be written.
     """
-    with _writing(folder) as (target, stack):
-        writers: dict[str, csv.DictWriter[str]] = {}
-        for channel, row in _rows(run):
-            if channel not in writers:
-                file = stack.enter_context((target / f"{channel}.csv").open("w", newline=""))
-                writers[channel] = csv.DictWriter(file, row)
-                writers[channel].writeheader()
-            writers[channel].writerow(
-                {name: "" if value != value else value for name, value in row.items()}
-            )
+    target = Path(folder)
+    messages = read_messages(run, _TABLES)
+    writers: dict[str, csv.DictWriter[str]] = {}
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            for message in messages:
+                channel = message.CHANNEL
+                for row in _TABLES[channel](message):
+                    if channel not in writers:
+                        file = (target / f"{channel}.csv").open("w", newline="")
+                        writers[channel] = csv.DictWriter(stack.enter_context(file), row)
+                        writers[channel].writeheader()
+                    writers[channel].writerow(
+                        {name: "" if value != value else value for name, value in row.items()}
+                    )
+    except OSError as error:
+        raise RunFolderError(
+            f"cannot write {error.filename or target}: {error.strerror}", "choose another folder"
+        ) from error
     return [target / f"{channel}.csv" for channel in writers]

@@ -251,6 +251,7 @@ CHANNELS: Mapping[str, type[Message]] = {
         Hello, Dropped, Telemetry, Event, RunState, BodyShape, Posterior, Contacts, Grid, Log,
     )
 }  # fmt: skip
+RECORDED = tuple(each for each in CHANNELS if each not in (Hello.CHANNEL, Dropped.CHANNEL))
 # The last of each is given to whoever comes later.
 RETAINED = frozenset(kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid))
 

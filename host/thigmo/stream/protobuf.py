@@ -7,8 +7,7 @@ repeated field; a tuple of tuples is a repeated `Row`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
@@ -16,7 +15,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from google.protobuf import message_factory
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import (
-    DescriptorProto,
     FieldDescriptorProto,
     FileDescriptorProto,
     FileDescriptorSet,
@@ -24,7 +22,8 @@ from google.protobuf.descriptor_pb2 import (
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import Message as Proto
 
-from thigmo.stream.messages import CHANNELS, Message, validated
+from thigmo.stream.foxglove import VIEWS, views
+from thigmo.stream.messages import CHANNELS, RECORDED, Message, validated
 
 _PACKAGE = "thigmo"
 _SCALARS = {
@@ -33,14 +32,20 @@ _SCALARS = {
     bool: FieldDescriptorProto.TYPE_BOOL,
     str: FieldDescriptorProto.TYPE_STRING,
 }
-_ROW = "Row"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A tuple in a tuple: protobuf repeats no repeated field."""
+
+    values: tuple[float, ...]
 
 
 class _Field(NamedTuple):
     """A dataclass's field as protobuf has it."""
 
     name: str
-    element: Any  # a type of _SCALARS, a dataclass, or tuple for a Row
+    kind: type  # of _SCALARS, or a dataclass
     repeated: bool
     optional: bool
 
@@ -49,14 +54,7 @@ def _plain(hint: Any) -> Any:
     """A type hint without its annotations."""
     if get_origin(hint) is Annotated:
         return _plain(get_args(hint)[0])
-    if get_origin(hint) is Literal:
-        return str
-    return hint
-
-
-def _element(hint: Any) -> Any:
-    """The type of a sequence's elements; None for another type."""
-    return _plain(get_args(hint)[0]) if get_origin(hint) in (tuple, list) else None
+    return str if get_origin(hint) is Literal else hint
 
 
 @cache
@@ -69,10 +67,10 @@ def _fields(kind: type) -> tuple[_Field, ...]:
         optional = NoneType in options
         if optional:
             (hint,) = (_plain(option) for option in options if option is not NoneType)
-        element = _element(hint)
-        repeated = element is not None
-        kept = tuple if repeated and _element(element) is not None else element or hint
-        made.append(_Field(each.name, kept, repeated, optional))
+        repeated = get_origin(hint) in (tuple, list)
+        if repeated:
+            hint = _plain(get_args(hint)[0])
+        made.append(_Field(each.name, Row if get_origin(hint) else hint, repeated, optional))
     return tuple(made)
 
 
@@ -100,41 +98,36 @@ def _add(file: FileDescriptorProto, kind: type) -> None:
             if each.repeated
             else FieldDescriptorProto.LABEL_OPTIONAL
         )
-        if each.element in _SCALARS:
-            added.type = _SCALARS[each.element]
-        else:
-            added.type = FieldDescriptorProto.TYPE_MESSAGE
-            name = _ROW if each.element is tuple else each.element.__name__
-            added.type_name = f".{_PACKAGE}.{name}"
-            if each.element is tuple:
-                _add_row(file)
-            else:
-                _add(file, each.element)
+        added.type = _SCALARS.get(each.kind, FieldDescriptorProto.TYPE_MESSAGE)
+        if each.kind not in _SCALARS:
+            added.type_name = f".{_PACKAGE}.{each.kind.__name__}"
+            _add(file, each.kind)
         if each.optional:
             added.proto3_optional = True
             added.oneof_index = len(described.oneof_decl)
             described.oneof_decl.add(name=f"_{each.name}")
 
 
-def _add_row(file: FileDescriptorProto) -> None:
-    if any(known.name == _ROW for known in file.message_type):
-        return
-    row = DescriptorProto(name=_ROW)
-    row.field.add(
-        name="values",
-        number=1,
-        type=FieldDescriptorProto.TYPE_DOUBLE,
-        label=FieldDescriptorProto.LABEL_REPEATED,
-    )
-    file.message_type.append(row)
-
-
 def schema(channel: str) -> tuple[str, bytes]:
     """A channel's schema: its name, and the serialized FileDescriptorSet."""
-    return f"{_PACKAGE}.{CHANNELS[channel].__name__}", descriptor_set(_file(channel))
+    return f"{_PACKAGE}.{CHANNELS[channel].__name__}", _descriptor_set(_file(channel))
 
 
-def descriptor_set(file: Any) -> bytes:
+def topics() -> dict[str, tuple[str, bytes]]:
+    """What a run tells by protobuf, in records and to Foxglove: topics and their schemas."""
+    drawn = {topic: kind.DESCRIPTOR for topic, kind in VIEWS.items()}
+    return {f"/{channel}": schema(channel) for channel in RECORDED} | {
+        topic: (each.full_name, _descriptor_set(each.file)) for topic, each in drawn.items()
+    }
+
+
+def encoded(message: Message) -> list[tuple[str, bytes]]:
+    """A message on `topics`: itself, and how Foxglove draws it."""
+    drawn = [(topic, view.SerializeToString()) for topic, view in views(message)]
+    return [(f"/{message.CHANNEL}", to_protobuf(message)), *drawn]
+
+
+def _descriptor_set(file: Any) -> bytes:
     """A file and all that it imports, as a serialized FileDescriptorSet."""
     every = FileDescriptorSet()
 
@@ -154,31 +147,17 @@ def _proto(channel: str) -> type[Proto]:
     return message_factory.GetMessageClass(_file(channel).message_types_by_name[name])
 
 
-@cache
-def _names(kind: type) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
-    """Each field's name, and what makes its value one for protobuf; None if it is one already."""
-
-    def row(values: Any) -> list[dict[str, Any]]:
-        return [{"values": each} for each in values]
-
-    def record(value: Any) -> Any:
-        return [_dict(each) for each in value] if isinstance(value, tuple | list) else _dict(value)
-
-    return tuple(
-        (
-            each.name,
-            row if each.element is tuple else record if is_dataclass(each.element) else None,
-        )
-        for each in _fields(kind)
-    )
-
-
 def _dict(value: Any) -> dict[str, Any]:
     kind: Any = type(value)
-    return {
-        name: getattr(value, name) if make is None else make(getattr(value, name))
-        for name, make in _names(kind)
-    }
+    made = {}
+    for each in _fields(kind):
+        held = getattr(value, each.name)
+        if each.kind is Row:
+            held = [{"values": row} for row in held]
+        elif each.kind not in _SCALARS:
+            held = [_dict(one) for one in held] if each.repeated else _dict(held)
+        made[each.name] = held
+    return made
 
 
 def to_protobuf(message: Message) -> bytes:
@@ -199,19 +178,20 @@ def from_protobuf(channel: str, data: bytes) -> Message:
 
 
 def _read(proto: Any, kind: type) -> dict[str, Any]:
-    told: dict[str, Any] = {}
+    read: dict[str, Any] = {}
     for each in _fields(kind):
         value = getattr(proto, each.name)
         if each.optional and not proto.HasField(each.name):
-            told[each.name] = None
-        elif each.element is tuple:
-            told[each.name] = [tuple(row.values) for row in value]
-        elif is_dataclass(each.element) and isinstance(each.element, type):
-            told[each.name] = (
-                [_read(one, each.element) for one in value]
+            value = None
+        elif each.kind is Row:
+            value = [tuple(row.values) for row in value]
+        elif each.kind not in _SCALARS:
+            value = (
+                [_read(one, each.kind) for one in value]
                 if each.repeated
-                else _read(value, each.element)
+                else _read(value, each.kind)
             )
-        else:
-            told[each.name] = tuple(value) if each.repeated else value
-    return told
+        elif each.repeated:
+            value = tuple(value)
+        read[each.name] = value
+    return read

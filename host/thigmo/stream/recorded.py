@@ -17,36 +17,22 @@ from thigmo.errors import RunFolderError
 from thigmo.record import LogWriter
 from thigmo.record.mcap_file import read_mcap
 from thigmo.stream.hub import Hub
-from thigmo.stream.messages import CHANNELS, Dropped, Hello, Message
-
-RECORDED = tuple(c for c in CHANNELS if c not in (Hello.CHANNEL, Dropped.CHANNEL))
+from thigmo.stream.messages import RECORDED, Message
 
 
 @contextmanager
 def recording(hub: Hub, log: LogWriter) -> Iterator[None]:
     """Keep all that a hub's publishers tell in a record while the block runs."""
-    from thigmo.stream.foxglove import VIEWS, views
-    from thigmo.stream.protobuf import descriptor_set, schema, to_protobuf
+    from thigmo.stream.protobuf import encoded, topics
 
-    typed = {}
-    for channel in RECORDED:
-        name, data = schema(channel)
-        typed[channel] = log.add_channel(f"/{channel}", "protobuf", name, "protobuf", data)
-    drawn = {
-        topic: log.add_channel(
-            topic,
-            "protobuf",
-            kind.DESCRIPTOR.full_name,
-            "protobuf",
-            descriptor_set(kind.DESCRIPTOR.file),
-        )
-        for topic, kind in VIEWS.items()
+    channels = {
+        topic: log.add_channel(topic, "protobuf", name, "protobuf", data)
+        for topic, (name, data) in topics().items()
     }
 
     def keep(message: Message) -> None:
-        log.message(typed[message.CHANNEL], to_protobuf(message), message.t_s)
-        for topic, view in views(message):
-            log.message(drawn[topic], view.SerializeToString(), message.t_s)
+        for topic, data in encoded(message):
+            log.message(channels[topic], data, message.t_s)
 
     hub.attach(keep, RECORDED)
     try:
@@ -79,15 +65,10 @@ def read_messages(
         raise RunFolderError(
             f"{path} holds raw frames alone", "record the run again with this version of thigmo"
         )
-    return _decoded(
-        (topics[number][1:], data)
+    from thigmo.stream.protobuf import from_protobuf
+
+    return (
+        from_protobuf(topics[number][1:], data)
         for number, _, data in found.messages
         if topics.get(number) in wanted
     )
-
-
-def _decoded(messages: Iterable[tuple[str, bytes]]) -> Iterator[Message]:
-    from thigmo.stream.protobuf import from_protobuf
-
-    for channel, data in messages:
-        yield from_protobuf(channel, data)

@@ -26,9 +26,9 @@ from thigmo.stream import (
     read_messages,
 )
 from thigmo.stream.foxglove import VIEWS, views
-from thigmo.stream.messages import CHANNELS
+from thigmo.stream.messages import CHANNELS, RECORDED
 from thigmo.stream.protobuf import from_protobuf, schema, to_protobuf
-from thigmo.stream.recorded import RECORDED, recording
+from thigmo.stream.recorded import recording
 
 
 def _one(kind: type[Message]) -> Message:
