@@ -9,11 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from thigmo.display import Pictures
-
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from thigmo.config import RobotConfig
     from thigmo.errors import ThigmoError
     from thigmo.exploration.explore import explore
@@ -86,15 +82,6 @@ __all__ = [
     "read_ros_map",
     "replay",
 ]
-
-
-def _draw(result: object, axes: Axes | None, **options: Any) -> Axes:
-    """Have the report draw a result of a layer below it."""
-    drawn: Axes = import_module("thigmo.report").plot(result, axes, **options)
-    return drawn
-
-
-Pictures.draw = _draw
 
 
 def __getattr__(name: str) -> Any:

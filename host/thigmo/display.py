@@ -1,13 +1,13 @@
 """How results show themselves in a notebook: HTML tables, a strip along the body, figures.
 
-Results live in layers that know nothing of matplotlib or of the report. `thigmo/__init__`, which
-assembles the public surface, says who draws them; so `result.plot()` works wherever it came from.
+Results live in layers that know nothing of matplotlib or of the report.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from collections.abc import Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,14 +17,10 @@ COLORS = {"localized": "#d55e00", "ambiguous": "#e69f00"}
 OTHER_COLOR = "#5b6b7a"
 
 
-class Pictures:
-    """Who draws results of the layers below the report; `thigmo/__init__` says it.
-
-    Attributes:
-        draw: takes a result, the axes (None for new ones) and options, and returns the axes.
-    """
-
-    draw: ClassVar[Callable[..., Axes]]
+def draw(result: object, axes: Axes | None, **options: Any) -> Axes:
+    """Have the report draw a result of a layer below it, which reaches it by its name."""
+    drawn: Axes = import_module("thigmo.report").plot(result, axes, **options)
+    return drawn
 
 
 class Bar(NamedTuple):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from thigmo.live import facts
-from thigmo.live.rows import block
+from thigmo.live.rows import block, board
 from thigmo.record import RunFolder
 from thigmo.stream import Message, Telemetry, read_messages, to_json
 
@@ -59,17 +59,9 @@ class PastRun:
 
     def _boards(self) -> list[dict[str, Any]]:
         found: list[dict[str, Any]] = []
-        last: tuple[object, ...] = ()
+        last: dict[str, Any] = {}
         for reading in self._readings:
-            now = (reading.state, reading.activity, reading.faults)
-            if now != last:
+            if (now := board(reading)) != last:
+                found.append({"t": reading.t_s - self._origin_s, **now})
                 last = now
-                found.append(
-                    {
-                        "t": reading.t_s - self._origin_s,
-                        "state": reading.state,
-                        "activity": reading.activity,
-                        "faults": list(reading.faults),
-                    }
-                )
         return found

@@ -62,7 +62,6 @@ class Relay:
         self._watched = watched
         self._closed = threading.Event()
         self._told_s = float("-inf")
-        self._stopped = ""
         self.facts = Facts()
 
     def run(self, view: View) -> None:
@@ -77,7 +76,7 @@ class Relay:
         facts = self.facts
         begins = taken.run is not facts.run
         if begins:
-            facts, self._stopped = Facts(taken.run), ""
+            facts = Facts(taken.run)
         facts.under_way = taken.run is not None and not taken.ended
         self.facts = facts
         if begins:
@@ -91,7 +90,6 @@ class Relay:
         now = time.monotonic()
         if now - self._told_s >= _TELL_S:
             self._told_s = now
-            facts.stopped = self._stopped
             facts.stop = _CLOSED.get(way_to(facts.run if facts.under_way else None), "")
             view.tell(facts)
         return bool(taken.messages)
@@ -103,12 +101,12 @@ class Relay:
         Returns:
             A line for the operator, which the view is soon told, too.
         """
-        self._stopped = said = self._stop()
+        facts = self.facts
+        facts.stopped = said = self._stop(facts)
         self._told_s = float("-inf")
         return said
 
-    def _stop(self) -> str:
-        facts = self.facts
+    def _stop(self, facts: Facts) -> str:
         run = facts.run if facts.under_way else None
         try:
             if run is not None and run.virtual:

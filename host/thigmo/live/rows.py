@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,15 @@ def row(telemetry: Telemetry) -> tuple[float, ...]:
 def row_text(telemetry: Telemetry) -> str:
     """A row as JSON."""
     return json.dumps([round(x, _DIGITS) if isfinite(x) else None for x in row(telemetry)])
+
+
+def board(telemetry: Telemetry) -> dict[str, Any]:
+    """What a reading says besides numbers."""
+    return {
+        "state": telemetry.state,
+        "activity": telemetry.activity,
+        "faults": list(telemetry.faults),
+    }
 
 
 def thinned(count: int, most: int) -> slice:

@@ -24,7 +24,7 @@ from thigmo.errors import ThigmoError
 from thigmo.live import facts
 from thigmo.live.guard import Guard, add_headers
 from thigmo.live.past import PastRun
-from thigmo.live.rows import row_text, thinned
+from thigmo.live.rows import board, row_text, thinned
 from thigmo.live.starting import StartedRun, StartPlan
 from thigmo.live.stopping import Stopped, Way, stop_port, way_to
 from thigmo.live.viewer import Viewer
@@ -201,7 +201,8 @@ class PageServer:
             if not 0 <= reading.t_s - self._history_s < _HISTORY_S:
                 self._history.append(row)
                 self._history_s = reading.t_s
-        self._board = _board(kept[-1])
+        last = kept[-1]
+        self._board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
         for viewer in self._viewers.values():
             viewer.add_rows(rows, self._board)
 
@@ -229,19 +230,19 @@ class PageServer:
         """What a page is told of the server, the run and its own part."""
         if self._past is not None:
             return {"channel": "page", "mode": "record", "stop": "none", **self._past.page()}
-        run, plan = self._run, self._plan
+        run, plan, started = self._run, self._plan, self._started
         heard_s = self._watched.heard_s if self._watched else 0.0
         return {
             "channel": "page",
             "mode": "idle" if run is None else "record" if viewer.looks_back else "live",
-            "run": _run_facts(run),
+            "run": _run_facts(run) if run else None,
             "ended": self._ended,
             "body": self._body,
             "truth": self._pegs,
             "start": {"url": plan.url, "virtual": plan.virtual} if plan else None,
             "starting": self._starting,
-            "question": self._started.question if self._started else "",
-            "failure": self._failure or (self._started.failure() if self._started else ""),
+            "question": started.question if started else "",
+            "failure": self._failure or (started.failure() if started else ""),
             "pausing": self._pausing,
             "operator": self._operator is socket,
             "operated": self._operator is not None and self._operator is not socket,
@@ -385,27 +386,9 @@ class PageServer:
         return self._moving is None and time.monotonic() - self._left_s > _LEAVES_S
 
 
-def _run_facts(run: Hello | None) -> dict[str, Any] | None:
-    if run is None:
-        return None
-    return {
-        "id": f"{run.pid} {run.epoch_s}",
-        "name": run.name,
-        "url": run.url,
-        "folder": run.folder,
-        "t_s": run.t_s,
-        "virtual": run.virtual,
-    }
-
-
-def _board(reading: Telemetry) -> str:
-    """What the last of some readings says besides numbers, as fields of a JSON object."""
-    board = {
-        "state": reading.state,
-        "activity": reading.activity,
-        "faults": list(reading.faults),
-    }
-    return f'"epoch_s":{reading.epoch_s!r},"board":{json.dumps(board)}'
+def _run_facts(run: Hello) -> dict[str, Any]:
+    facts = {name: getattr(run, name) for name in ("name", "url", "folder", "t_s", "virtual")}
+    return {"id": f"{run.pid} {run.epoch_s}", **facts}
 
 
 async def serve(
@@ -449,5 +432,4 @@ async def _listen(runner: web.AppRunner, options: WatchOptions) -> int:
             f"cannot serve the page at {options.host}: {error.strerror}",
             "choose another place with --host or --port",
         ) from error
-    bound: int = runner.addresses[0][1]
-    return bound
+    return int(runner.addresses[0][1])

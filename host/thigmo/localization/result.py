@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import Bar, Pictures, body_strip, html_card, html_table
+from thigmo.display import Bar, body_strip, draw, html_card, html_table
 from thigmo.localization import _posterior
 from thigmo.localization.readings import Range
 
@@ -133,7 +133,7 @@ class LocalizeResult:
         Returns:
             The axes, for limits, titles or `axes.figure.savefig`.
         """
-        return Pictures.draw(self, axes, unit=unit)
+        return draw(self, axes, unit=unit)
 
     @property
     def edges(self) -> Array:

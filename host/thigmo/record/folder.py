@@ -7,15 +7,15 @@ import re
 from datetime import datetime
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
-from thigmo.config import RobotConfig, invalid_entry
+from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.record.document import RunDocument
 from thigmo.record.log import Log, LogWriter, read_log
 from thigmo.record.obstacles import OBSTACLES_FILE, ObstacleMap, write_obstacles
 from thigmo.record.occupancy import OccupancyGrid, write_ros_map
-from thigmo.record.whole_file import write_whole
+from thigmo.record.whole_file import read_json, write_whole
 
 _CHUNK_BYTES = 65_536  # half a second of frames and decoded channels
 _DOCUMENT = TypeAdapter(RunDocument)
@@ -97,17 +97,12 @@ class RunFolder:
         Raises:
             RunFolderError: missing or malformed.
         """
-        path = self.path / "contacts.json"
-        try:
-            return _DOCUMENT.validate_json(path.read_bytes())
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot read {path}: {error.strerror}", "give a run folder"
-            ) from error
-        except ValidationError as error:
-            raise RunFolderError(
-                invalid_entry(path, error), "run `thigmo replay` on the folder"
-            ) from error
+        return read_json(
+            _DOCUMENT,
+            self.path / "contacts.json",
+            missing="give a run folder",
+            invalid="run `thigmo replay` on the folder",
+        )
 
     def write_map(self, known: ObstacleMap, grid: OccupancyGrid, prefix: str = "") -> None:
         """Write obstacles.json, map.pgm and map.yaml; each whole or not at all.

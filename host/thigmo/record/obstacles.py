@@ -12,11 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
-from thigmo.config import invalid_entry
-from thigmo.errors import RunFolderError
-from thigmo.record.whole_file import write_whole
+from thigmo.record.whole_file import read_json, write_whole
 
 OBSTACLES_FILE = "obstacles.json"
 PRIOR_FILE = "prior.json"  # the map that an exploration was given, in its run folder
@@ -135,14 +133,9 @@ def read_obstacles(path: str | os.PathLike[str]) -> ObstacleMap:
     Raises:
         RunFolderError: missing or malformed.
     """
-    try:
-        return _MAP.validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot read {path}: {error.strerror}",
-            "give a run folder that holds obstacles.json, or a ROS map's YAML file",
-        ) from error
-    except ValidationError as error:
-        raise RunFolderError(
-            invalid_entry(path, error), "run `thigmo replay` on its folder, or give another map"
-        ) from error
+    return read_json(
+        _MAP,
+        path,
+        missing="give a run folder that holds obstacles.json, or a ROS map's YAML file",
+        invalid="run `thigmo replay` on its folder, or give another map",
+    )

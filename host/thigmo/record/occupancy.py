@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from thigmo.config import Finite, Positive, invalid_entry
-from thigmo.display import Pictures, html_card, html_table
+from thigmo.display import draw, html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.record.whole_file import write_whole
 
@@ -69,7 +69,7 @@ class OccupancyGrid:
         Args:
             axes: where to; None makes a new figure with matplotlib's pyplot.
         """
-        return Pictures.draw(self, axes)
+        return draw(self, axes)
 
     def _size(self) -> str:
         rows, columns = self.cells.shape

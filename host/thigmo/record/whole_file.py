@@ -1,11 +1,20 @@
-"""Files that are on disk whole or not at all: a crash leaves the one before."""
+"""Files of a run folder: on disk whole or not at all, and read with errors that say what to do.
+
+A crash leaves the file of before.
+"""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TypeVar
 
+from pydantic import TypeAdapter, ValidationError
+
+from thigmo.config import invalid_entry
 from thigmo.errors import RunFolderError
+
+T = TypeVar("T")
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -25,3 +34,19 @@ def write_whole(path: Path, data: bytes) -> None:
         raise RunFolderError(
             f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
         ) from error
+
+
+def read_json(
+    kind: TypeAdapter[T], path: str | os.PathLike[str], *, missing: str, invalid: str
+) -> T:
+    """Read a JSON file of a kind; `missing` and `invalid` say what to do where it is so.
+
+    Raises:
+        RunFolderError: missing or malformed.
+    """
+    try:
+        return kind.validate_json(Path(path).read_bytes())
+    except OSError as error:
+        raise RunFolderError(f"cannot read {path}: {error.strerror}", missing) from error
+    except ValidationError as error:
+        raise RunFolderError(invalid_entry(path, error), invalid) from error

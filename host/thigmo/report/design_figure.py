@@ -66,7 +66,6 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
     for axis in (one, two):
         axis.grid(which="both", alpha=0.2)
         axis.yaxis.set_major_formatter("{x:g}")
-    for axis in (one, two):
         axis.tick_params(labelsize=7)
         axis.title.set_fontsize(9)
         axis.xaxis.label.set_fontsize(8)

@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 from thigmo.display import COLORS, OTHER_COLOR
 from thigmo.errors import RunFolderError
+from thigmo.record import Ellipse as Spread
 from thigmo.record import outline, passed
 from thigmo.report.axes import INK, MUTED, new_axes, plain, titled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from thigmo.record import MapContact, Obstacle, RunDocument, Stage
+    from thigmo.record import MapContact, Obstacle, RunDocument, Stage, Truth
 
 _SWEPT = "#e9eff5"
 _TRUTH = "#009e73"
 _PRIOR = "#cc79a7"
 _SIZE_IN = (7.2, 6.9)  # the width of a page: nothing is scaled down in print
-_SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
 _ZOOM_CM = 5.0  # half the side of what an enlarged view shows
 
 
@@ -52,11 +52,9 @@ def draw_map(
     Raises:
         RunFolderError: the picture cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=_SIZE_IN, layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
     plot_map(document, figure.add_subplot(), radius_cm=radius_cm, prior=prior)
     try:
         figure.savefig(path, dpi=dpi)
@@ -111,7 +109,7 @@ def _room(
     for number, contact in enumerate(document.contacts, 1):
         _contact(axes, contact, number if len(document.contacts) > 1 else None)
     if document.truth is not None:
-        _truth(axes, document)
+        _truth(axes, document.truth)
 
 
 def _zooms(
@@ -200,13 +198,12 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
             *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
             solid_capstyle="round", label=_once(axes, "95 % interval along the body"),
         )  # fmt: skip
-    values, vectors = np.linalg.eigh(np.asarray(contact.covariance_cm2))
-    width, height = 2 * _SIGMA_95 * np.sqrt(np.maximum(values, 0))
+    around = Spread.of(contact.covariance_cm2)
     axes.add_patch(
         Ellipse(
-            (contact.x_cm, contact.y_cm), width, height,
-            angle=float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))),
-            facecolor="none", edgecolor=color, lw=1.0, ls=(0, (4, 2)), zorder=5,
+            (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
+            angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color,
+            lw=1.0, ls=(0, (4, 2)), zorder=5,
             label=_once(axes, "95 % ellipse in the plane"),
         )
     )  # fmt: skip
@@ -238,13 +235,11 @@ def _prior(axes: Axes, obstacle: Obstacle) -> None:
     )  # fmt: skip
 
 
-def _truth(axes: Axes, document: RunDocument) -> None:
+def _truth(axes: Axes, truth: Truth) -> None:
     """What the emulated room knows, in its own colour."""
     from matplotlib.patches import Circle
 
-    if document.truth is None:
-        return
-    for peg in document.truth.pegs:
+    for peg in truth.pegs:
         axes.add_patch(
             Circle(
                 (peg.x_cm, peg.y_cm), peg.radius_cm,
@@ -252,7 +247,7 @@ def _truth(axes: Axes, document: RunDocument) -> None:
                 label=_once(axes, "peg (truth)"),
             )
         )  # fmt: skip
-    for touch in document.truth.contacts:
+    for touch in truth.contacts:
         axes.plot(
             touch.x_cm, touch.y_cm, "x", color=_TRUTH, ms=8, mew=2, zorder=6,
             label=_once(axes, "true contact point"),

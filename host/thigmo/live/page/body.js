@@ -74,8 +74,10 @@ function drawDensity({ y0, y1 }, X) {
   }
 }
 
+const has = Number.isFinite;
+
 function drawCurvature(values, { y0, y1 }, X) {
-  const known = values.filter((value, n) => n >= 10 || values[n + 10] !== null).filter((value) => value !== null && value !== undefined && !Number.isNaN(value));
+  const known = values.filter((value, n) => has(value) && (n >= 10 || values[n + 10] !== null));
   least = Math.max(least, ...known.map(Math.abs));
   const most = Math.ceil(least * 100) / 100, Y = (value) => (y0 + y1) / 2 - value / most * (y1 - y0) / 2;
   for (const value of [-most, 0, most]) {
@@ -89,7 +91,6 @@ function drawCurvature(values, { y0, y1 }, X) {
     sensors[side].forEach((arc, n) => {
       const read = values[first + n], free = values[10 + first + n], colour = `var(--${side})`;
       const x = X(arc) + (side === "left" ? -5 : 5);
-      const has = (value) => value !== null && value !== undefined && !Number.isNaN(value);
       if (has(read) && has(free)) make("line", { x1: x, x2: x, y1: Y(read), y2: Y(free), stroke: colour, "stroke-width": 1.5, "stroke-opacity": .45 }, layer);
       if (has(free)) make("line", { x1: x - 7, x2: x + 7, y1: Y(free), y2: Y(free), stroke: colour, "stroke-width": 2, "stroke-opacity": .75 }, layer);
       if (has(read)) {

@@ -1,7 +1,7 @@
 // A finished run: all of it is loaded, and the player moves the moment that is shown. The space bar
 // stays the stop's, also here; P plays, the arrow keys go a second back and forth.
 
-import { $, COLUMN, COLUMNS, add, hold, reset, store, time, under } from "./store.js";
+import { $, BOARD, COLUMN, COLUMNS, add, hold, reset, store, time, under, until } from "./store.js";
 import { make } from "./svg.js";
 
 const CHANNELS = ["state", "shape", "posterior", "contacts", "grid"];
@@ -22,8 +22,7 @@ export async function loadRecord() {
   store.origin = facts.origin_s;
   const values = new Float32Array(rows), count = values.length / COLUMNS;
   for (let n = 0; n < COLUMNS; n++) {
-    const column = Array.from(values.subarray(n * count, (n + 1) * count), (value) => Number.isNaN(value) ? null : value);
-    store.columns[n] = column;
+    store.columns[n] = Array.from(values.subarray(n * count, (n + 1) * count), (value) => Number.isNaN(value) ? null : value);
   }
   for (let n = 0; n < 10; n++) {
     const expected = store.columns[COLUMN.expected + n];
@@ -41,14 +40,7 @@ export async function loadRecord() {
 
 export const loaded = () => end > 0;
 
-function before(list, t, at) {
-  let low = 0, high = list.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (at(list[middle]) <= t + 1e-9) low = middle + 1; else high = middle;
-  }
-  return low;
-}
+const before = (list, t) => until(list, t, (each) => time(each.t_s));
 
 export function seek(t) {
   store.now = Math.min(Math.max(t, 0), end);
@@ -56,31 +48,30 @@ export function seek(t) {
   store.trail = [];
   store.touched = null;
   for (const channel of CHANNELS) {
-    const list = slow[channel], n = before(list, store.now, (each) => time(each.t_s));
+    const list = slow[channel], n = before(list, store.now);
     if (channel === "shape") {
       // The trail of the stage, thinned.
-      const since = stageBegan(), first = before(list, since, (each) => time(each.t_s));
+      const since = stageBegan(), first = before(list, since);
       const step = Math.ceil((n - first) / 120) || 1;
       for (let k = first; k < n; k += step) store.trail.push(list[k].poses);
       if (n) store.last.shape = list[n - 1];
     } else if (channel === "posterior") {
       if (!n) continue;
       const found = (store.last.posterior = list[n - 1]);
-      const at = before(slow.shape, time(found.t_s), (each) => time(each.t_s));
+      const at = before(slow.shape, time(found.t_s));
       store.touched = under(found, slow.shape.slice(Math.max(0, at - 400), at).map((each) => each.poses));
     } else if (n) {
       hold(list[n - 1]);
     }
   }
-  const n = before(boards, store.now, (each) => each.t);
-  store.board = n ? boards[n - 1] : { state: "", activity: "", faults: [] };
+  store.board = boards[until(boards, store.now, (each) => each.t) - 1] ?? BOARD;
   $("scrub").value = store.now;
   $("scrub").setAttribute("aria-valuetext", `${store.now.toFixed(1)} s`);
   $("position").textContent = `${store.now.toFixed(1)} of ${end.toFixed(1)} s`;
 }
 
 function stageBegan() {
-  const n = before(slow.state, store.now, (each) => time(each.t_s));
+  const n = before(slow.state, store.now);
   const stage = slow.state[n - 1]?.stage_cm;
   let first = n - 1;
   while (first > 0 && slow.state[first - 1].stage_cm === stage) first--;

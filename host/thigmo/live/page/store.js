@@ -15,26 +15,28 @@ const KEPT = 40_000; // rows: more than three minutes of full telemetry
 const TRAIL = 400; // shapes of a stage
 const SWEEPING = ["SWEEP", "REST", "MEASURE", "LOCALIZE"];
 
-export const store = {
-  page: null, // what the server says of itself and of the run
-  columns: Array.from({ length: COLUMNS + 10 }, () => []),
+export const BOARD = { state: "", activity: "", faults: [] };
+// What is known of a run before its first message.
+const nothing = () => ({
   last: {}, // message of each slow channel that holds now
   events: [],
   trail: [],
   touched: null, // the shape on which the posterior lies
-  board: { state: "", activity: "", faults: [] },
+  board: BOARD,
   origin: null, // robot time at the start of the run
   now: 0,
   dropped: 0,
+});
+export const store = {
+  page: null, // what the server says of itself and of the run
+  columns: Array.from({ length: COLUMNS + 10 }, () => []),
   drawnEpoch: 0,
+  ...nothing(),
 };
 
 export function reset() {
   for (const column of store.columns) column.length = 0;
-  Object.assign(store, {
-    last: {}, events: [], trail: [], touched: null, origin: null, now: 0, dropped: 0,
-    board: { state: "", activity: "", faults: [] },
-  });
+  Object.assign(store, nothing());
 }
 
 export function addRows(message) {
@@ -64,18 +66,10 @@ export function addRows(message) {
 }
 
 export function add(message) {
-  switch (message.channel) {
-    case "event":
-      store.events.push(message);
-      break;
-    case "log":
-      store.events.push({
-        ...message, severity: message.level, message: message.text, next: "", name: "log",
-      });
-      break;
-    default:
-      hold(message);
-  }
+  const { channel, level: severity, text } = message;
+  if (channel === "event") store.events.push(message);
+  else if (channel === "log") store.events.push({ ...message, severity, message: text, next: "", name: "log" });
+  else hold(message);
 }
 
 // A message of a slow channel holds until the next one.
@@ -120,16 +114,18 @@ function mostBent(shapes, side) {
 export const time = (t_s) => t_s - (store.origin ?? 0);
 export const latest = (column) => store.columns[column][index()];
 
-// Row that is shown: the last one up to now.
-export function index() {
-  const t = store.columns[0];
-  let low = 0, high = t.length;
+// How many entries of a list, in the order of their times, are of a time or before it.
+export function until(list, t, at) {
+  let low = 0, high = list.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (t[middle] <= store.now + 1e-9) low = middle + 1; else high = middle;
+    if (at(list[middle]) <= t + 1e-9) low = middle + 1; else high = middle;
   }
-  return low - 1;
+  return low;
 }
+
+// Row that is shown: the last one up to now.
+export const index = () => until(store.columns[0], store.now, (t) => t) - 1;
 
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 export const $ = (id) => document.getElementById(id);

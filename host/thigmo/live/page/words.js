@@ -134,7 +134,6 @@ function drawBanners(lost) {
   if (store.dropped && performance.now() - store.droppedAt < 5000) {
     told.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
   }
-  if (page?.missing) told.push(["warning", page.missing, ""]);
   const key = JSON.stringify(told);
   if (key === listed.banners) return;
   listed.banners = key;
