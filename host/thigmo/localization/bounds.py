@@ -104,8 +104,6 @@ def identifiability(
     noise: npt.ArrayLike,
     span: npt.ArrayLike = 0.0,
     offset_error: float = 0.0,
-    arcs: npt.ArrayLike | None = None,
-    moments: npt.ArrayLike | None = None,
     separations: npt.ArrayLike | None = None,
 ) -> Identifiability:
     """Bounds for a proposed layout.
@@ -116,13 +114,10 @@ def identifiability(
         noise: standard deviation of a reading, scalar or (N,).
         span: scalar or (N,).
         offset_error: standard deviation of an error that all readings share.
-        arcs: (A,) places to look at; 107 even ones if not given.
-        moments: (M,) moments at the base over EI; six from 0.1 to 1.2 over the length if not
-            given (0.002 to 0.023 1/cm for 53 cm).
         separations: (S,) of two contacts; twelve even ones if not given.
 
     Raises:
-        DataError: as `localize`; an arc or separation that is not within the length.
+        DataError: as `localize`; a separation that is not within the length.
     """
     total = everted_length(length)
     x = vector(position, "position")
@@ -133,40 +128,27 @@ def identifiability(
     if not (sigma > 0.0).all():
         raise DataError("noise is not above zero", "give the standard deviation of a reading")
     shared = positive(offset_error, "offset_error")
-    places = np.linspace(0.0, total, 107) if arcs is None else _within(arcs, total, "arcs")
-    gaps = (
-        np.linspace(1.0, 12.0, 12) / 13.0 * total
-        if separations is None
-        else _within(separations, total, "separations")
-    )
-    strength = np.geomspace(0.1, 1.2, 6) / total if moments is None else np.atleast_1d(moments)
-    lever = np.maximum(places, 1e-9 * total)
+    if separations is None:
+        gaps = np.linspace(1.0, 12.0, 12) / 13.0 * total
+    else:
+        gaps = np.atleast_1d(np.asarray(separations, dtype=np.float64))
+    if not ((gaps >= 0.0) & (gaps <= total * (1.0 + 1e-9))).all():
+        raise DataError("separations are not all within the length", "check the units")
+    # From 0.002 to 0.023 1/cm for 53 cm. The bounds fall in proportion as the moment grows.
+    moment = np.geomspace(0.1, 1.2, 6) / total
+    places = np.linspace(0.0, total, 107)
+    lever, near = np.maximum(places, 1e-9 * total), np.maximum(total - gaps, 1e-9 * total)
     felt = np.sqrt(((phi(places[:, None], x, width) / sigma) ** 2).sum(axis=1)) / lever
-    bound = np.array([
-        [
-            arc_bounds(place, moment / arm, x, width, sigma, total, shared)[0]
-            for place, arm in zip(places, lever, strict=True)
-        ]
-        for moment in strength
-    ])  # fmt: skip
-    near = np.maximum(total - gaps, 1e-9 * total)
-    pair = np.array([
-        [
-            arc_bounds(
-                [base, total], [-0.8 * moment / base, moment / total],
-                x, width, sigma, total, shared,
-            )
-            for base in near
-        ]
-        for moment in strength
-    ])  # fmt: skip
+
+    told = x, width, sigma, total, shared
+    one = [arc_bounds(arc, 1.0 / arm, *told)[0] for arc, arm in zip(places, lever, strict=True)]
+    two = [arc_bounds([arc, total], [-0.8 / arc, 1.0 / total], *told) for arc in near]
     return Identifiability(
-        places, np.asarray(strength), bound, np.abs(strength)[:, None] * felt, gaps, pair, total
+        arc=places,
+        moment=moment,
+        bound=np.array(one) / moment[:, None],
+        signal=moment[:, None] * felt,
+        separation=gaps,
+        pair_bound=np.array(two) / moment[:, None, None],
+        length=total,
     )
-
-
-def _within(values: npt.ArrayLike, length: float, name: str) -> Array:
-    out = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if not (np.isfinite(out).all() and (out >= 0.0).all() and (out <= length * (1 + 1e-9)).all()):
-        raise DataError(f"{name} are not all within the length", "check the units")
-    return out

@@ -32,7 +32,6 @@ from thigmo.localization.result import Contact, LocalizeResult, Status
 MOST_CONTACTS = 3
 METHODS = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
-_NONE = np.zeros(0)
 
 
 def localize(
@@ -173,7 +172,7 @@ def _options(
         raise DataError(
             "position and curvature differ in length", "give one position for each reading"
         )
-    white = _NONE if noise is None else vector(noise, "noise", count)
+    white = np.zeros(0) if noise is None else vector(noise, "noise", count)
     if noise is not None and not white.size:
         raise DataError("noise is empty", "give one standard deviation, or None if it is unknown")
     widths, gains = vector(span, "span", count), vector(gain_error, "gain_error", count)
@@ -238,7 +237,6 @@ def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeR
         math.nan,
         {},
         objective=found.objective,
-        optimum_set=tuple(contact.intervals for contact in contacts),
         length=total,
     )
 

@@ -22,9 +22,9 @@ from scipy.special import logsumexp, ndtr
 
 from thigmo.errors import DataError
 from thigmo.localization import priors
-from thigmo.localization.bodies import LENGTH, Body, bodies
+from thigmo.localization.bodies import LENGTH, Bodies, Body, bodies
 from thigmo.localization.readings import everted_length, positive, vector
-from thigmo.localization.result import Contact, LocalizeResult, Status
+from thigmo.localization.result import Contact, LocalizeResult
 
 Array = npt.NDArray[np.float64]
 
@@ -74,7 +74,6 @@ class ContactFilter:
         critical_curvature: as in `localize`; None for a base that does not fold.
         tube_radius: 1.75/53 of the length if not given.
         peg_radius: of the obstacle; 0.6 tube radii if not given.
-        width_limit: as in `localize`.
 
     Raises:
         DataError: as `localize`; `most_curvature` is zero.
@@ -97,7 +96,6 @@ class ContactFilter:
         critical_curvature: float | None = None,
         tube_radius: float | None = None,
         peg_radius: float | None = None,
-        width_limit: float | None = None,
     ) -> None:
         x = vector(position, "position")
         count, total = x.size, everted_length(length)
@@ -120,7 +118,6 @@ class ContactFilter:
             positive(place_error, "place_error") / scale,
         )
         self._table = bodies(self._body)
-        self._limit = priors.WIDTH_SHARE if width_limit is None else width_limit / total
 
         def each(value: npt.ArrayLike, name: str, unit: float = 1.0) -> Array:
             return np.array(np.broadcast_to(vector(value, name, count), count) * unit)
@@ -181,25 +178,23 @@ class ContactFilter:
             self._take(frame, float(bend))
 
     def _take(self, readings: Array, free: float) -> None:
+        def placed(values: Array) -> Array:
+            """(A, G, ..) as (K, ..): at each place, and zero at none."""
+            flat = values.reshape(-1, *values.shape[2:])
+            return np.concatenate([flat, np.zeros((1, *flat.shape[1:]))])
+
         there = np.isfinite(readings)
         held, follows, _ = self._at(free)
-        above = held[..., 0, :]
-        displaced = 0.5 * (held[..., 2, :] - held[..., 1, :])
-        columns = np.zeros((*above.shape, _OWN + _SHARED))
+        above = placed(held[..., 0, :])
+        columns = np.ones((*above.shape, _OWN + _SHARED))
         columns[..., 0] = free + above
-        columns[..., 1] = columns[..., 4] = 1.0
-        columns[..., 2] = displaced
+        columns[..., 2] = 0.5 * placed(held[..., 2, :] - held[..., 1, :])
         columns[..., 3] = columns[..., 6] = above
-        columns[..., 5] = free * (1.0 + follows)
-        columns[..., 7:] = _slopes(above)
-        flat = columns.reshape(-1, *columns.shape[2:])
-        nowhere = np.zeros((1, *flat.shape[1:]))
-        nowhere[..., [0, 5]] = free
-        nowhere[..., [1, 4]] = 1.0
-        design = np.concatenate([flat, nowhere])[:, there] / self._noise[there, None]
+        columns[..., 5] = free * (1.0 + placed(follows))
+        columns[..., 7:] = placed(_slopes(held[..., 0, :]))
         excess = np.where(there, readings, 0.0) - free
-        left = excess - np.concatenate([above.reshape(-1, len(there)), np.zeros((1, len(there)))])
-        left = left[:, there] / self._noise[there]
+        design = columns[:, there] / self._noise[there, None]
+        left = (excess - above)[:, there] / self._noise[there]
         self._information[:, there] += design[..., :, None] * design[..., None, :]
         self._told[:, there] += design * left[..., None]
         self._power[:, there] += left**2
@@ -291,18 +286,23 @@ class ContactFilter:
         weighed = self._weigh()
         # A model that leaves more than the noise is believed by so much less.
         worse = max(1.0, float(weighed.square.min()) / max(self._seen, 1))
-        table, (*_, arc) = self._table, self._at(self._free)
-        weight = table.weight.ravel()
+        weight = self._table.weight.ravel()
         log = weighed.log / worse
         with np.errstate(divide="ignore"):
             log[:, :-1] += priors.CONTACT + np.log(weight / weight.sum())
         mass = np.exp(log - logsumexp(log))
-        return self._answer(mass, arc.ravel(), weighed, worse)
-
-    def _answer(self, mass: Array, arc: Array, weighed: _Weighed, worse: float) -> LocalizeResult:
+        arc = self._at(self._free)[2].ravel()
         touching = np.append(np.isfinite(arc), False)
         probability = float(mass[:, touching].sum())
-        log_odds = math.log(max(probability, 1e-300) / max(1.0 - probability, 1e-300))
+        result = self._explained(mass, probability, worse)
+        if probability >= 0.5:
+            self._add_contact(
+                result, _Where(mass * touching, arc, weighed, self._table), probability
+            )
+        return result
+
+    def _explained(self, mass: Array, probability: float, worse: float) -> LocalizeResult:
+        """The answer but for its contact."""
         # Of each sensor: bad in one of two ways, with an obstacle or without.
         parts = np.stack([mass[:, -1], mass[:, :-1].sum(axis=1)], axis=1)
         bad = parts[1:].reshape(len(self._noise), 2, 2).sum(axis=1)
@@ -313,64 +313,66 @@ class ContactFilter:
                 f"{kind}, sensor {sensor} bad": share
                 for kind, share in zip(kinds, each, strict=True)
             }
-        name = max(hypotheses, key=hypotheses.__getitem__)
         worst = int(bad.sum(axis=1).argmax())
         discarded = (worst,) if bad[worst].sum() > parts[0].sum() else ()
-        noise = float(self._noise.mean()) / self._scale
-        tail = "; a sensor looks bad in all frames (see `discarded`)" if discarded else ""
+        found = probability >= 0.5
+        message = "one place of the room explains all frames" if found else "no obstacle is certain"
+        if discarded:
+            message += "; a sensor looks bad in all frames (see `discarded`)"
         if worse > 2.0:
-            tail += f"; what is left of the readings is {math.sqrt(worse):.1f} times their noise"
-        if probability < 0.5:
-            hint = probability >= 2.0 * priors.EXCLUDED
-            status: Status = "below detection" if hint else "no contact"
-            return LocalizeResult(
-                status, (), name, f"no obstacle is certain{tail}", noise, log_odds, hypotheses,
-                discarded, length=LENGTH * self._scale,
-            )  # fmt: skip
-        table = self._table
-        where = _Where.of(mass, arc, weighed, (len(table.arc), len(table.touch)), touching)
+            message += f"; what is left of the readings is {math.sqrt(worse):.1f} times their noise"
+        hint = probability >= 2.0 * priors.EXCLUDED
+        return LocalizeResult(
+            "below detection" if hint else "no contact",
+            (),
+            max(hypotheses, key=hypotheses.__getitem__),
+            message,
+            float(self._noise.mean()) / self._scale,
+            math.log(max(probability, 1e-300) / max(1.0 - probability, 1e-300)),
+            hypotheses,
+            discarded,
+            length=LENGTH * self._scale,
+        )
+
+    def _add_contact(self, result: LocalizeResult, where: _Where, probability: float) -> None:
+        scale, way = self._scale, self._way
         share = where.density()
         edges = np.linspace(0.0, 1.0, _BINS + 1)
+        arcs = edges * result.length
         order = np.argsort(-share, kind="stable")
         kept = np.sort(order[: int(np.searchsorted(np.cumsum(share[order]), priors.LEVEL)) + 1])
         runs = np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1)
-        scale = self._scale
-        pieces = tuple(
-            (float(edges[run[0]]) * LENGTH * scale, float(edges[run[-1] + 1]) * LENGTH * scale)
-            for run in runs
-        )
+        pieces = tuple((float(arcs[run[0]]), float(arcs[run[-1] + 1])) for run in runs)
         interval = pieces[0][0], pieces[-1][1]
         sure = probability > 1.0 - priors.EXCLUDED and (
-            interval[1] - interval[0] <= self._limit * LENGTH * scale
+            interval[1] - interval[0] <= priors.WIDTH_SHARE * result.length
         )
-        status = "localized" if sure else "ambiguous"
-        arc_found = LENGTH * float(np.interp(0.5, np.append(0.0, np.cumsum(share)), edges))
-        peg, touch = where.typical(arc_found, table.peg, table.touch)
+        result.status = "localized" if sure else "ambiguous"
+        arc = LENGTH * float(np.interp(0.5, np.append(0.0, np.cumsum(share)), edges))
+        peg, touch = where.typical(arc)
         body = self._body.against(peg, touch, self._free)
+        force = 0.0
+        end: float | None = None
         # Where the body slips off that very peg, its nearest point.
-        contact = body.contacts[-1] if body.contacts else None
-        at = contact.arc if contact else arc_found
-        end = None
-        if contact and contact.kind != "side":
-            x, y, heading = body.pose(LENGTH)
-            across = (contact.y - y) * math.cos(heading) - (contact.x - x) * math.sin(heading)
-            end = self._way * across * scale
+        if body.contacts:
+            contact = body.contacts[-1]
+            arc, force = contact.arc, contact.normal
+            if contact.kind != "side":
+                x, y, heading = body.pose(LENGTH)
+                across = (contact.y - y) * math.cos(heading) - (contact.x - x) * math.sin(heading)
+                end = way * across * scale
         felt = Contact(
-            at * scale, self._way * (contact.normal if contact else 0.0) / scale**2, interval,
-            status, pieces, probability=probability, end_offset=end,
+            arc * scale, way * force / scale**2, interval, result.status, pieces,
+            probability=probability, end_offset=end,
         )  # fmt: skip
-        return LocalizeResult(
-            status, (felt,), name, f"one place of the room explains all frames{tail}", noise,
-            log_odds, hypotheses, discarded,
-            parameters={
-                "peg_x": float(peg[0]) * scale,
-                "peg_y": self._way * float(peg[1]) * scale,
-                "fold_angle": self._way * body.fold_angle,
-            },
-            length=LENGTH * scale,
-            bent=(body.s * scale, self._way * (body.curvature - self._free) / scale),
-            cells=(edges * LENGTH * scale, share),
-        )  # fmt: skip
+        result.contacts = (felt,)
+        result.parameters = {
+            "peg_x": float(peg[0]) * scale,
+            "peg_y": way * float(peg[1]) * scale,
+            "fold_angle": way * body.fold_angle,
+        }
+        result.bent = body.s * scale, way * (body.curvature - self._free) / scale
+        result.cells = arcs, share
 
 
 def _precision(deviation: Array) -> Array:
@@ -399,63 +401,49 @@ class _Weighed(NamedTuple):
     covariance: Array
 
 
-class _Where(NamedTuple):
+class _Where:
     """Places that the readings leave, J of them, each with a normal density in its cell.
 
-    Attributes:
-        mass: (J,) posterior.
-        place: (J,) index of the place on the grid of `shape`.
-        shift: (J, 2) mean in cells, along the outline and of the touch.
-        arc, deviation: (J,) of the contact.
-        shape: (A, G).
+    `mass` (H, K) of each hypothesis and place, `arc` (K,) of the contacts there.
     """
 
-    mass: Array
-    place: npt.NDArray[np.int64]
-    shift: Array
-    arc: Array
-    deviation: Array
-    shape: tuple[int, int]
-
-    @classmethod
-    def of(
-        cls, mass: Array, arc: Array, weighed: _Weighed, shape: tuple[int, int], use: Array
-    ) -> _Where:
-        kept = mass * use
-        health, place = np.nonzero(kept > _NEGLIGIBLE * kept.max())
-        slope = np.nan_to_num(_slopes(arc.reshape(shape)).reshape(-1, 2)[place])
-        shift = weighed.mean[health, place, -2:]
-        covariance = weighed.covariance[health, place][:, -2:, -2:]
+    def __init__(self, mass: Array, arc: Array, weighed: _Weighed, table: Bodies) -> None:
+        self._table = table
+        health, self._place = np.nonzero(mass > _NEGLIGIBLE * mass.max())
+        slope = np.nan_to_num(self._at_places(_slopes(arc.reshape(table.weight.shape))))
+        # Mean in cells, along the outline and of the touch.
+        self._shift = weighed.mean[health, self._place, -2:]
+        covariance = weighed.covariance[health, self._place][:, -2:, -2:]
         variance = np.einsum("ji,jik,jk->j", slope, covariance, slope)
-        return cls(
-            kept[health, place] / kept[health, place].sum(), place, shift,
-            np.minimum(arc[place] + (slope * shift).sum(axis=1), LENGTH),
-            np.sqrt(np.maximum(variance, 0.0)), shape,
-        )  # fmt: skip
+        self._mass = mass[health, self._place] / mass[health, self._place].sum()
+        self._arc = np.minimum(arc[self._place] + (slope * self._shift).sum(axis=1), LENGTH)
+        self._deviation = np.sqrt(np.maximum(variance, 0.0))
+
+    def _at_places(self, values: Array) -> Array:
+        return values.reshape(-1, *values.shape[2:])[self._place]
 
     def density(self) -> Array:
         """Mass in even bins from the base to the end, of which no contact is beyond."""
         edges = np.linspace(0.0, LENGTH, _BINS + 1)
         edges[0], edges[-1] = -np.inf, np.inf
-        below = ndtr((edges - self.arc[:, None]) / np.maximum(self.deviation, 1e-3)[:, None])
-        share = self.mass @ np.diff(below, axis=1)
+        below = ndtr((edges - self._arc[:, None]) / np.maximum(self._deviation, 1e-3)[:, None])
+        share = self._mass @ np.diff(below, axis=1)
         return np.asarray(share / share.sum())
 
-    def typical(self, arc: float, peg: Array, touch: Array) -> tuple[Array, float]:
+    def typical(self, arc: float) -> tuple[Array, float]:
         """Mean peg, and curvature of touch, of the places whose contact is near an arc."""
-        on_end = self.arc >= LENGTH * (1.0 - 1e-9)
-        near = np.abs(self.arc - arc) < 1.5 * LENGTH / _BINS + self.deviation
-        if (self.mass * near * on_end).sum() > 0.5 * (self.mass * near).sum():
+        on_end = self._arc >= LENGTH * (1.0 - 1e-9)
+        near = np.abs(self._arc - arc) < 1.5 * LENGTH / _BINS + self._deviation
+        if (self._mass * near * on_end).sum() > 0.5 * (self._mass * near).sum():
             near = on_end
         elif (near & ~on_end).any():
             near &= ~on_end
-        mass = np.where(near, self.mass, 0.0)
+        mass = np.where(near, self._mass, 0.0)
         mass = mass / mass.sum()
 
         def mean(values: Array) -> Array:
-            flat = values.reshape(-1, values.shape[-1])[self.place]
-            steps = _slopes(values).reshape(-1, values.shape[-1], 2)[self.place]
-            return np.asarray(mass @ (flat + (steps * self.shift[:, None]).sum(axis=-1)))
+            steps = self._at_places(_slopes(values)) * self._shift[:, None]
+            return np.asarray(mass @ (self._at_places(values) + steps.sum(axis=-1)))
 
-        touches = np.broadcast_to(touch, self.shape)[..., None]
-        return mean(peg), float(mean(touches)[0])
+        touch = np.broadcast_to(self._table.touch, self._table.weight.shape)
+        return mean(self._table.peg), float(mean(touch[..., None])[0])

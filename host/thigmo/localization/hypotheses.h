@@ -9,7 +9,6 @@
 #pragma once
 
 #include <functional>
-#include <iterator>
 #include <utility>
 
 #include "loads.h"
@@ -30,14 +29,11 @@ struct Settings {
 
 enum class Load { none, hinge, contact, end, fold, spread, contact_hinge, two, three, end_fold };
 
-struct Hypothesis {
+struct Hypothesis : Fit {
   Load load;
   double log_weight;                 // log evidence plus log prior odds
   std::vector<Marginal> contacts{};  // base to tip
   int numbers = 0;                   // how many numbers of its own it fits
-  double misfit = INFINITY;          // squared whitened residual
-  double noise = 1.0;                // likeliest factor of the noise
-  Nodes curvature{};                 // of the body
   int bad = -1;                      // index of the bad reading
   bool held = false;                 // whether something holds the end
   // Further numbers: fold's or hinge's angle, place of the hinge, half width of a spread contact;
@@ -79,7 +75,7 @@ class Weighing {
     free();
     // Beyond this misfit the noise may be larger than stated.
     const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    std::size_t one = weigh_one(frame_.rest, doubtful);
+    std::size_t one = weigh_one(bad_, readings.log_bad, frame_.rest, doubtful);
     const bool misfit = readings.known && found[one].misfit > limit_;
     if (readings.known) explained = found[0].misfit - found[one].misfit;
     if (explained < found[one].misfit) explained = 0.0;
@@ -90,7 +86,7 @@ class Weighing {
       white_ = Whitened(frame_, frame_.shared);
       found.clear();
       free();
-      one = weigh_one(bent, INFINITY);
+      one = weigh_one(bad_, readings.log_bad, bent, INFINITY);
     }
     const Nodes bent = found[one].curvature;
     const bool held = settings_.held_end == Settings::Held::yes;
@@ -163,17 +159,15 @@ class Weighing {
     return out;
   }
 
-  void doubt(const Hypothesis& of, const Fit& fit, double log_odds,
-             std::function<void(int)> weigh) {
+  void doubt(const Hypothesis& of, double log_odds, std::function<void(int)> weigh) {
     if (of.misfit < limit_) return;
-    doubts_.push_back({of.log_weight, log_odds, frame_, fit.loads, std::move(weigh)});
-    for (std::size_t i = 0; i < fit.known.size(); ++i)
-      doubts_.back().left.excess[i] -= fit.known[i];
+    doubts_.push_back({of.log_weight, log_odds, frame_, of.loads, std::move(weigh)});
+    for (std::size_t i = 0; i < of.known.size(); ++i) doubts_.back().left.excess[i] -= of.known[i];
   }
 
   void free() {
     const Whitened::At& likeliest = white_.likeliest();
-    Hypothesis plain{Load::none, white_.log_density()};
+    Hypothesis plain{{}, Load::none, white_.log_density()};
     plain.misfit = likeliest.square, plain.noise = likeliest.factor;
     plain.curvature = frame_.rest;
     found.push_back(plain);
@@ -200,14 +194,7 @@ class Weighing {
   double odds_of_bad(int index) const { return index < 0 ? 0.0 : readings.log_bad[index]; }
 
   Hypothesis hypothesis(Load load, const Fit& fit, double weight, int numbers, int bad) const {
-    return {load,
-            fit.log_evidence + weight + odds_of_bad(bad),
-            {},
-            numbers,
-            fit.misfit,
-            fit.noise,
-            fit.curvature,
-            bad};
+    return {fit, load, fit.log_evidence + weight + odds_of_bad(bad), {}, numbers, bad};
   }
 
   Hypothesis contact(Load load, OneContact fit, double weight, int numbers, int bad) const {
@@ -217,39 +204,31 @@ class Weighing {
   }
 
   // One contact, then one beside each rival that is worth weighing: on the same grid, and by
-  // itself where that may change the answer. `bad` is the rival's index.
-  std::vector<Hypothesis> contact_and(const Columns& column, const Row& log_odds,
-                                      const Nodes& start, double doubtful) const {
+  // itself where that may change the answer. `bad` is the rival's index. Returns the index of the
+  // contact alone; rivals are weighed if it leaves no more than the misfit `doubtful`.
+  std::size_t weigh_one(const Columns& column, const Row& log_odds, const Nodes& start,
+                        double doubtful) {
     const double weight = contact_ + std::log(unfolded_);
     const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless, doubtful};
     std::vector<RivalContact> beside;
-    std::vector<Hypothesis> out;
     OneContact alone = one_contact(white_, prior_, kCells, 0.0, start, &rivals, &beside);
-    out.push_back(contact(Load::contact, std::move(alone), weight, 2, -1));
-    const double matters = std::max(best(), out[0].log_weight) + kMatters;
+    const std::size_t first = found.size();
+    found.push_back(contact(Load::contact, std::move(alone), weight, 2, -1));
+    const double matters = best() + kMatters;
     for (RivalContact& other : beside) {
       const double odds = weight + log_odds[other.index];
       if (other.contact.log_evidence + odds > matters) {
         other.contact =
-            one_contact(with(column, other.index), prior_, kCells, 0.0, out[0].curvature);
+            one_contact(with(column, other.index), prior_, kCells, 0.0, found[first].curvature);
       }
-      out.push_back(contact(Load::contact, std::move(other.contact), odds, 2, -1));
-      out.back().bad = other.index;
+      found.push_back(contact(Load::contact, std::move(other.contact), odds, 2, -1));
+      found.back().bad = other.index;
     }
-    return out;
-  }
-
-  // Returns the index of the contact whose readings are all good; beside bad ones it is weighed if
-  // it leaves no more than a misfit.
-  std::size_t weigh_one(const Nodes& start, double doubtful) {
-    std::vector<Hypothesis> contacts = contact_and(bad_, readings.log_bad, start, doubtful);
-    const std::size_t first = found.size();
-    std::move(contacts.begin(), contacts.end(), std::back_inserter(found));
     return first;
   }
 
-  EndWrench add_end(const Whitened& white, const Nodes& start, bool held, double weight, int bad) {
-    EndWrench fit = end_wrench(white, prior_, settings_.radius, held, start);
+  void add_end(const Whitened& white, const Nodes& start, bool held, double weight, int bad) {
+    const EndWrench fit = end_wrench(white, prior_, settings_.radius, held, start);
     Hypothesis out = hypothesis(Load::end, fit, weight, 3, bad);
     const double cell = priors_.end_cell;
     out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
@@ -260,7 +239,6 @@ class Weighing {
       out.offset = std::clamp(fit.load[2] / fit.load[1], -settings_.radius, settings_.radius);
     }
     found.push_back(std::move(out));
-    return fit;
   }
 
   void end(const Nodes& start, bool held) {
@@ -268,8 +246,9 @@ class Weighing {
     const bool bends = readings.turn > priors_.end_turn;
     if (!held) weight += bends ? priors_.end : priors_.end_straight;
     if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
-    const EndWrench fit = add_end(white_, start, held, weight, -1);
-    doubt(found.back(), fit, weight - contact_, [this, shape = fit.curvature, held, weight](int i) {
+    add_end(white_, start, held, weight, -1);
+    const Hypothesis& plain = found.back();
+    doubt(plain, weight - contact_, [this, shape = plain.curvature, held, weight](int i) {
       add_end(with(bad_, i), shape, held, weight, i);
     });
   }
@@ -298,20 +277,20 @@ class Weighing {
       found.back().load = Load::end_fold;
       found.back().numbers = 4;
     }
-    const FoldedContact fit = add_fold(share, start, -1);
-    if (!(fit.log_evidence > -INFINITY)) return;
-    doubt(found.back(), fit, std::log(std::max(1.0 - unfolded_, 1e-12)),
+    if (!add_fold(share, start, -1)) return;
+    doubt(found.back(), std::log(std::max(1.0 - unfolded_, 1e-12)),
           [this, share, start](int i) { add_fold(share, start, i); });
   }
 
-  FoldedContact add_fold(const Row& share, const Nodes& start, int bad) {
+  // Returns whether any place is possible.
+  bool add_fold(const Row& share, const Nodes& start, int bad) {
     const double error = settings_.critical_error;
     FoldedContact fit = folded_contact(with(bad_, bad), prior_, error, share, kCells, start);
-    if (!(fit.log_evidence > -INFINITY)) return fit;
+    if (!(fit.log_evidence > -INFINITY)) return false;
     const double weight = contact_ + std::log(std::max(1.0 - unfolded_, 1e-12));
     found.push_back(contact(Load::fold, fit, weight, 3, bad));
     found.back().angle = priors_.angle * fit.angle[fit.top];
-    return fit;
+    return true;
   }
 
   void spread(const Nodes& start) {
@@ -350,19 +329,18 @@ class Weighing {
     }
     const Row alone = white_.log_densities(columns);
     for (int h = 0; h < columns.size(); ++h) {
-      Hypothesis& free = found.emplace_back(Hypothesis{Load::hinge, alone[h] + log_odds[h]});
+      Hypothesis& free = found.emplace_back(Hypothesis{{}, Load::hinge, alone[h] + log_odds[h]});
       free.at = place[h];
       free.curvature = frame_.rest;
       free.numbers = 1;
       if (folds && place[h] < 4.0 * settings_.radius) log_odds[h] = priors_.base_fold;
     }
     if (place.empty()) return;
-    std::vector<Hypothesis> contacts = contact_and(columns, log_odds, start, INFINITY);
-    for (std::size_t k = 1; k < contacts.size(); ++k) {
-      Hypothesis& kinked = found.emplace_back(std::move(contacts[k]));
-      kinked.load = Load::contact_hinge;
-      kinked.numbers = 3;
-      kinked.at = place[std::exchange(kinked.bad, -1)];
+    const auto first = static_cast<std::ptrdiff_t>(weigh_one(columns, log_odds, start, INFINITY));
+    for (auto kinked = found.erase(found.begin() + first); kinked != found.end(); ++kinked) {
+      kinked->load = Load::contact_hinge;
+      kinked->numbers = 3;
+      kinked->at = place[std::exchange(kinked->bad, -1)];
     }
   }
 
@@ -410,7 +388,7 @@ class Weighing {
         hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
     out.contacts = fit.contacts;
     if (count == 2 && bad < 0) {
-      doubt(out, fit, priors_.another, [this](int i) { add_several(2, kPairCells, i); });
+      doubt(out, priors_.another, [this](int i) { add_several(2, kPairCells, i); });
     }
     return fit.misfit;
   }

@@ -29,22 +29,10 @@ Array<Dimensions> array(Row values, const std::array<std::size_t, Dimensions>& s
 }
 Array<1> array(const Row& values) { return array<1>(values, {values.size()}); }
 
-Matrix columns(const Table& from, std::size_t sensors) {
-  Matrix out(static_cast<int>(from.shape(0)), static_cast<int>(sensors));
-  if (out.rows > 0 && from.shape(1) != sensors) {
-    throw nb::value_error("shared errors need one value for each reading");
-  }
+Matrix matrix(const Table& from) {
+  Matrix out(static_cast<int>(from.shape(0)), static_cast<int>(from.shape(1)));
   std::copy(from.data(), from.data() + out.value.size(), out.value.begin());
   return out;
-}
-
-void check_sizes(const Input& in) {
-  const std::size_t n = in.curvature.size();
-  const auto fits = [n](const Row& values) { return values.size() == n || values.size() == 1; };
-  if (in.position.size() != n || !fits(in.span) || !fits(in.free) || !fits(in.body) ||
-      !(in.noise.empty() || fits(in.noise)) || !fits(in.gain) || !fits(in.bad_odds)) {
-    throw nb::value_error("arrays differ in length");
-  }
 }
 
 constexpr const char* kStatuses[] = {"no contact", "below detection", "ambiguous", "localized"};
@@ -100,17 +88,17 @@ NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
     const auto numbers = [&](const char* name) { return nb::cast<Row>(values[name]); };
-    new (self) Priors{numbers("moments"),      numbers("half_widths"),   numbers("noise_levels"),
-                      number("least_lever"),   number("contact"),        number("end"),
-                      number("end_straight"),  number("held"),           number("another"),
-                      number("spread"),        number("hinge"),          number("base_fold"),
-                      number("bad_deviation"), number("angle"),          number("near_fold"),
-                      number("strong"),        number("straight"),       number("end_turn"),
-                      number("shape_rests"),   number("level"),          number("excluded"),
-                      number("five_sigma"),    number("second_gain"),    number("noise_factor"),
-                      number("noise_odds"),    number("hopeless"),       number("trust"),
-                      number("end_cell"),      number("misfit_deviate"), number("noise_deviate"),
-                      number("contact_unsure")};
+    new (self) Priors{numbers("MOMENTS"),      numbers("HALF_WIDTHS"),   numbers("NOISE_LEVELS"),
+                      number("LEAST_LEVER"),   number("CONTACT"),        number("END"),
+                      number("END_STRAIGHT"),  number("HELD"),           number("ANOTHER"),
+                      number("SPREAD"),        number("HINGE"),          number("BASE_FOLD"),
+                      number("BAD_DEVIATION"), number("ANGLE"),          number("NEAR_FOLD"),
+                      number("STRONG"),        number("STRAIGHT"),       number("END_TURN"),
+                      number("SHAPE_RESTS"),   number("LEVEL"),          number("EXCLUDED"),
+                      number("FIVE_SIGMA"),    number("SECOND_GAIN"),    number("NOISE_FACTOR"),
+                      number("NOISE_ODDS"),    number("HOPELESS"),       number("TRUST"),
+                      number("END_CELL"),      number("MISFIT_DEVIATE"), number("NOISE_DEVIATE"),
+                      number("CONTACT_UNSURE")};
   });
 
   nb::class_<Settings>(m, "Settings")
@@ -213,7 +201,7 @@ NB_MODULE(_posterior, m) {
              new (self) Input{};
              self->position = row(position), self->span = row(span), self->noise = row(noise);
              self->gain = row(gain), self->bad_odds = row(bad_odds);
-             self->shared = columns(shared, position.size());
+             self->shared = matrix(shared);
              self->offset = offset, self->map = map;
              self->length = length, self->radius = radius;
            })
@@ -223,7 +211,6 @@ NB_MODULE(_posterior, m) {
                        const Settings& settings, const Priors& priors) {
     Input input = sensors;
     input.curvature = row(curvature), input.free = row(free), input.body = row(body);
-    check_sizes(input);
     nb::gil_scoped_release released;
     return answer_by_method(input, priors, settings);
   });
@@ -234,10 +221,6 @@ NB_MODULE(_posterior, m) {
     const std::size_t n = curvature.shape(1), count = curvature.shape(0);
     Input input = sensors;
     input.curvature.resize(n), input.free.resize(free.shape(1)), input.body = input.free;
-    check_sizes(input);
-    if (free.shape(0) != count && free.shape(0) != 1) {
-      throw nb::value_error("free needs one row, or one for each row");
-    }
     Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
     {
       nb::gil_scoped_release released;

@@ -103,11 +103,5 @@ def compiled() -> _posterior.Priors:
 
 
 _kept: tuple[tuple[object, ...], _posterior.Priors] | None = None
-_NAMES = (
-    "moments", "least_lever", "contact", "end", "end_straight", "held", "another", "spread",
-    "hinge", "base_fold", "bad_deviation", "angle", "half_widths", "near_fold", "strong",
-    "straight", "end_turn", "shape_rests", "level", "excluded", "five_sigma", "second_gain",
-    "noise_factor", "noise_odds", "hopeless", "trust", "end_cell", "misfit_deviate",
-    "noise_deviate", "contact_unsure", "noise_levels",
-)  # fmt: skip
-_of = itemgetter(*(name.upper() for name in _NAMES))
+_NAMES = tuple(name for name in globals() if name.isupper())
+_of = itemgetter(*_NAMES)

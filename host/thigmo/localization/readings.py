@@ -7,7 +7,6 @@ look like a right one.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,7 @@ def vector(value: npt.ArrayLike, name: str, count: int | None = None) -> Array:
         DataError: not numeric, not one row, or of another length.
     """
     if isinstance(value, float):
-        return _one(value)
+        return np.array([value])
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -39,14 +38,6 @@ def vector(value: npt.ArrayLike, name: str, count: int | None = None) -> Array:
             f"{name} is neither a scalar nor one value for each reading", "give a scalar or (N,)"
         )
     return array if array.flags.c_contiguous else np.ascontiguousarray(array)
-
-
-@lru_cache(maxsize=64)
-def _one(value: float) -> Array:
-    """A number as an array, kept: most options are the same in every call."""
-    array = np.array([value])
-    array.flags.writeable = False
-    return array
 
 
 def positive(value: float, name: str) -> float:
@@ -98,7 +89,7 @@ def columns(shared: npt.ArrayLike | None, count: int) -> Array:
         DataError: of another shape, or not finite.
     """
     if shared is None:
-        return _none(count)
+        return np.zeros((0, count))
     try:
         table = np.asarray(shared, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -108,11 +99,6 @@ def columns(shared: npt.ArrayLike | None, count: int) -> Array:
             f"shared_errors has shape {table.shape}", "give (N, K): one row for each reading"
         )
     return np.ascontiguousarray(table.T)
-
-
-@lru_cache(maxsize=64)
-def _none(count: int) -> Array:
-    return np.zeros((0, count))
 
 
 def check_layout(

@@ -84,8 +84,8 @@ class LocalizeResult:
         discarded: indices of readings that the likeliest explanation takes for bad.
         parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `half_width`,
             `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only.
-        optimum_set: for each contact the arcs at which that minimum is attained.
+        objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only; the
+            `intervals` of their contacts are where it is attained.
         length: of the body.
         bent: arcs, and curvature above the free one there, where a filter over frames answers.
         cells: edges of cells of the arc, and the posterior mass in each, likewise.
@@ -101,7 +101,6 @@ class LocalizeResult:
     discarded: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     objective: float | None = None
-    optimum_set: tuple[tuple[Range, ...], ...] = ()
     length: float = 1.0
     bent: tuple[Array, Array] | None = None
     cells: tuple[Array, Array] | None = None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.localization import identifiability
+from thigmo.localization import arc_bounds
 from thigmo.studies.rod import readings as true_readings
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
@@ -106,9 +106,7 @@ def test_intervals_cover_what_they_claim_and_the_estimate_is_efficient(many):
         if contact.status == "localized":
             confident += 1
             wrong += not covered
-        bound = identifiability(
-            BOTH, length=LENGTH, span=SPAN, noise=SIGMA, arcs=[arc], moments=[moment]
-        ).bound[0, 0]
+        (bound,) = arc_bounds(arc, moment / arc, BOTH, SPAN, SIGMA, LENGTH)
         if bound < 2.0 and 12.25 + 3 * bound < arc < LENGTH - 2 * bound:
             scaled.append((contact.arc - arc, bound))
     assert 0.92 <= inside / scenes <= 0.98
