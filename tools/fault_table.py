@@ -60,10 +60,10 @@ def main() -> None:
         "covered by",
     ]  # fmt: skip
     lines = [f"- {claim}" for claim in found.claims]
-    for title, table in zip(TITLES, found.tables, strict=True):
+    for title, table in zip(TITLES, found.tables.values(), strict=True):
         lines += ["", f"## {title}", ""]
         lines += ["| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
-        lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in table.rows]
+        lines += ["| " + " | ".join(str(cell) for cell in row.values()) + " |" for row in table]
     PAGE.write_text(HEAD + "\n".join(lines) + "\n")
     for claim in found.claims:
         print(claim)

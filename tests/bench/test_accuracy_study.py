@@ -99,15 +99,18 @@ def test_scores_count_what_they_say() -> None:
         (1, 1, 0, 100.0, 9.0, 1),
         (0, nan, 0, nan, 1.0, 0),
     ]
-    score = Score.of(np.array(rows, dtype=float))
+    score = Score.of("none", "peg", False, np.array(rows, dtype=float))
     assert (score.count, score.found, score.wrong) == (4, 0.75, 0.25)
     assert score.covered == pytest.approx(2 / 3)
     assert score.wrong_against_others == 0.5
-    assert score.ratio == pytest.approx(np.sqrt(40.0 / 20.0))
+    assert score.rmse_over_bound == pytest.approx(np.sqrt(40.0 / 20.0))
 
 
 def test_an_error_told_is_no_worse_than_one_that_is_not() -> None:
-    told, untold = (Score.of(judge(Task(0, "bent", "map 10 %", t, 0, 25))) for t in (True, False))
+    told, untold = (
+        Score.of("map 10 %", "bent", told, judge(Task(0, "bent", "map 10 %", told, None, 0, 25)))
+        for told in (True, False)
+    )
     assert told.covered > untold.covered
     assert told.wrong <= untold.wrong
 
@@ -115,9 +118,9 @@ def test_an_error_told_is_no_worse_than_one_that_is_not() -> None:
 def test_the_study_makes_its_tables_claims_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accuracy, "BATCH", 2)
     outcome = accuracy.run(Context(scale="quick"))
-    errors, odds = outcome.tables
+    errors, odds = outcome.tables["rows"], outcome.tables["odds"]
     groups = sum(len(e.groups) * (2 if e.tell else 1) for e in ERRORS.values())
-    assert len(errors.rows) == groups
-    assert len(odds.rows) == len(accuracy.ODDS) * len(TOUCHED) * (1 + len(BAD))
+    assert len(errors) == groups
+    assert len(odds) == len(accuracy.ODDS) * len(TOUCHED) * (1 + len(BAD))
     assert set(outcome.figures) == {"told", "odds"}
     assert len(outcome.claims) == 12

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from thigmo.cli.main import app
 from thigmo.errors import DataError
 from thigmo.studies import Context, Outcome
-from thigmo.studies.engine import Cell, Table, connect_cluster
+from thigmo.studies.engine import connect_cluster
 
 distributed = pytest.importorskip("distributed", reason="needs `pip install thigmo[bench]`")
 
@@ -43,8 +43,8 @@ def test_a_study_spreads_over_a_cluster_and_keeps_its_order() -> None:
 
 def study(context: Context) -> Outcome:
     """A table of which process did what."""
-    rows: list[tuple[Cell, ...]] = [*context.map(work, range(12), "norms")]
-    return Outcome([Table("norms", ("norm", "process"), rows)])
+    found = context.map(work, range(12), "norms")
+    return Outcome({"norms": [{"norm": norm, "process": process} for norm, process in found]})
 
 
 def test_the_command_runs_a_study_on_a_cluster_by_its_address(

@@ -15,7 +15,7 @@ from thigmo.errors import RunFolderError
 from thigmo.mechanics import push
 from thigmo.studies import STUDIES, Context, Outcome, load
 from thigmo.studies.attempt import attempt
-from thigmo.studies.engine import Claim, Table, write
+from thigmo.studies.engine import Claim, write
 from thigmo.studies.exploration import visit
 from thigmo.studies.rod import readings
 from thigmo.studies.speed_accuracy import SCENES, Score, pareto
@@ -72,7 +72,7 @@ def test_the_pareto_front_holds_what_nothing_beats() -> None:
 
 
 def test_an_outcome_is_written_whole(tmp_path: Path) -> None:
-    outcome = Outcome([Table("t", ("x", "y"), [(1, 2.5), (2, 3.5)])], {}, [Claim("c", 1.0, 2.0)])
+    outcome = Outcome({"t": [{"x": 1, "y": 2.5}, {"x": 2, "y": 3.5}]}, {}, [Claim("c", 1.0, 2.0)])
     write(outcome, "study", tmp_path / "new")
     assert (tmp_path / "new/study-t.csv").read_text().splitlines() == ["x,y", "1,2.5", "2,3.5"]
     assert json.loads((tmp_path / "new/study-claims.json").read_text())[0]["holds"] is True
@@ -103,7 +103,7 @@ def test_a_stopped_study_leaves_its_finished_parts(
 ) -> None:
     def stopped(context: Context) -> Outcome:
         context.map(abs, [-1, 2], "first")
-        context.save(Outcome([Table("first", ("x",), [(1,)])], {}, [Claim("c", 1.0, 2.0)]))
+        context.save(Outcome({"first": [{"x": 1}]}, {}, [Claim("c", 1.0, 2.0)]))
         raise KeyboardInterrupt
 
     monkeypatch.setattr("thigmo.studies.load", lambda name: stopped)

@@ -21,12 +21,12 @@ def test_every_promise_of_the_campaign_holds(campaign: Outcome) -> None:
 
 
 def test_every_failure_is_noticed_somewhere_or_has_its_cover(campaign: Outcome) -> None:
-    table, fitted = campaign.tables
-    assert len(table.rows) == len(FAILURES) * len(QUICK)
-    assert len(fitted.rows) == len(FAILURES)
+    table, fitted = campaign.tables.values()
+    assert len(table) == len(FAILURES) * len(QUICK)
+    assert len(fitted) == len(FAILURES)
     for failure in FAILURES:
-        mine = [row for row in table.rows if row[0] == failure.name]
-        assert any(row[2] != "not noticed" for row in mine) or failure.covered, failure.name
+        mine = [row["noticed_as"] for row in table if row["failure"] == failure.name]
+        assert any(noticed != "not noticed" for noticed in mine) or failure.covered, failure.name
 
 
 @pytest.mark.parametrize(
@@ -41,9 +41,9 @@ def test_every_failure_is_noticed_somewhere_or_has_its_cover(campaign: Outcome) 
     ],
 )
 def test_failures_have_their_names(campaign: Outcome, name: str, state: str, noticed: str) -> None:
-    table, _ = campaign.tables
-    (row,) = [row for row in table.rows if row[:2] == (name, state)]
-    assert noticed in str(row[2])
+    table, _ = campaign.tables.values()
+    (row,) = [row for row in table if (row["failure"], row["state"]) == (name, state)]
+    assert noticed in str(row["noticed_as"])
 
 
 def test_valves_end_what_no_output_of_the_board_ends() -> None:

@@ -40,7 +40,7 @@ def design(
         raise DataError(f"--columns is {columns}", "give 1 or more")
     from thigmo.localization import identifiability
     from thigmo.report.design_figure import draw_design
-    from thigmo.studies.engine import Outcome, Table, write
+    from thigmo.studies.engine import Outcome, write
 
     position = places * columns
     found = identifiability(
@@ -73,8 +73,9 @@ def design(
         for m, moment in enumerate(found.moment)
         for s, gap in enumerate(found.separation)
     ]
-    tables = [Table.of("one-contact", one), Table.of("two-contacts", two)]
-    paths = write(Outcome(tables, {"bounds": draw_design(found, position, span)}), "design", out)
+    outcome = Outcome({"one-contact": one, "two-contacts": two})
+    outcome.figures["bounds"] = draw_design(found, position, span)
+    paths = write(outcome, "design", out)
     if as_json:
         print_json({"one_contact": one, "two_contacts": two, "files": [str(p) for p in paths]})
         return

@@ -6,7 +6,7 @@ Progress is a bar on a terminal, on a pipe a line now and then; both on stderr. 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -18,7 +18,7 @@ from thigmo.cli import ending
 from thigmo.cli.output import print_json
 
 if TYPE_CHECKING:
-    from thigmo.studies.engine import Context, Outcome, Study, Table
+    from thigmo.studies.engine import Context, Outcome, Record, Study
 
 Tell = Callable[[str, int, int], None]
 
@@ -62,21 +62,22 @@ def report(name: str, outcome: Outcome, out: Path, as_json: bool) -> dict[str, A
     paths = write(outcome, name, out)
     if not as_json:
         if outcome.summary:
-            _show(outcome.summary)
+            _show(name, outcome.summary)
         for line in (*outcome.claims, *outcome.notes):
             typer.echo(f"  {line}")
         typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
     return {"study": name, **outcome.record(), "files": [str(path) for path in paths]}
 
 
-def _show(table: Table) -> None:
+def _show(name: str, rows: Sequence[Record]) -> None:
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
 
-    shown = RichTable(*table.columns, title=table.name)
-    for row in table.rows:
-        shown.add_row(*(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row))
+    shown = RichTable(*rows[0], title=name)
+    for row in rows:
+        cells = (f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row.values())
+        shown.add_row(*cells)
     console = Console()
     # Words are not cut: a table whose words need more than the terminal has goes beyond it.
     needed = Measurement.get(console, console.options.update_width(1000), shown).minimum

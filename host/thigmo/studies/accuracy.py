@@ -8,7 +8,7 @@ too: contacts found, and bad readings believed, over the odds that a reading is 
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from thigmo.report.axes import BLUE, RED
 from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, records, share
 from thigmo.studies.misfit import of_one_contact
 from thigmo.studies.reading_errors import BAD, ERRORS, OTHER_NOISE, Frame, ask
 from thigmo.studies.rod import Floats
@@ -34,17 +34,21 @@ RESOLVABLE = 5.0  # cm: errors are held against the Cramer-Rao bound where that 
 ODDS = (1e-4, 1e-3, 1e-2, 5e-2)
 
 
+Case = tuple[str, str, bool, float | None]
+"""Group, error, whether it is told, and the odds of a bad reading (None: the usual ones)."""
+
+
 @dataclass(frozen=True)
 class Task:
-    """A batch of frames: one group, one error, told or not, at given odds of a bad reading."""
+    """A batch of frames of a `Case`."""
 
     seed: int
     group: str
     error: str
     told: bool
+    odds: float | None
     number: int
     size: int
-    odds: float | None = None
 
 
 def other_readings_tell(frames: list[Frame]) -> Bools:
@@ -115,83 +119,77 @@ class Score:
         covered: of those, intervals that hold the true place.
         wrong: of all frames, localized where nothing is.
         wrong_against_others: likewise of the frames in which the other readings tell of a bad one.
-        ratio: root mean square of errors over that of bounds, where the bound is small.
+        rmse_over_bound: root mean square of errors over that of bounds, where the bound is small.
     """
 
+    error: str
+    group: str
+    told: bool
     count: int
     found: float
     covered: float
     wrong: float
     wrong_against_others: float
-    ratio: float
+    rmse_over_bound: float
 
     @classmethod
-    def of(cls, frames: Floats) -> Score:
+    def of(cls, error: str, group: str, told: bool, frames: Floats) -> Score:
         """From the rows of `judge`."""
-        found, covered, wrong, error, bound, tells = frames.T
-        felt = np.isfinite(error)
+        found, covered, wrong, off, bound, tells = frames.T
+        felt = np.isfinite(off)
         fine = felt & (bound < RESOLVABLE)
+        ratio = np.sqrt(off[fine].sum() / (bound[fine] ** 2).sum()) if fine.any() else np.nan
+        against_others = share(wrong[tells > 0.5])
         return cls(
-            len(frames),
-            float(found.mean()),
-            float(covered[felt].mean()) if felt.any() else float("nan"),
-            float(wrong.mean()),
-            float(wrong[tells > 0.5].mean()) if (tells > 0.5).any() else float("nan"),
-            float(np.sqrt(error[fine].sum() / (bound[fine] ** 2).sum())) if fine.any() else np.nan,
-        )
+            error, group, told, len(frames), share(found), share(covered[felt]), share(wrong),
+            against_others, float(ratio),
+        )  # fmt: skip
 
 
-def _claims(scores: dict[tuple[str, str, bool], Score]) -> list[Claim]:
+def _claims(scores: list[Score]) -> list[Claim]:
     """The promises: of clean frames, of errors told, of bad readings and of other noise."""
-    clean = {group: scores[group, "none", False] for group in ERRORS["none"].groups}
+    clean = {s.group: s for s in scores if s.error == "none"}
     limits = {"pressed": 1.15, "bent": 1.2, "peg": 1.2, "corner": 1.0}
-    claims = [Claim(f"{g}: RMSE over bound", clean[g].ratio, most) for g, most in limits.items()]
-    for group, share in (("bent", 0.85), ("peg", 0.9)):
-        least = share - 2.0 * np.sqrt(share * (1.0 - share) / clean[group].count)
-        text = f"{group}: contacts found ({share:g} within two standard errors)"
+    claims = [
+        Claim(f"{group}: RMSE over bound", clean[group].rmse_over_bound, most)
+        for group, most in limits.items()
+    ]
+    for group, promised in (("bent", 0.85), ("peg", 0.9)):
+        least = promised - 2.0 * np.sqrt(promised * (1.0 - promised) / clean[group].count)
+        text = f"{group}: contacts found ({promised:g} within two standard errors)"
         claims.append(Claim(text, clean[group].found, least, at_most=False))
-    told = [
-        score
-        for (group, error, is_told), score in scores.items()
-        if group not in ("free", "free, bent") and (is_told or error == "none")
-    ]
-    told_free = [
-        score
-        for (group, error, is_told), score in scores.items()
-        if group in ("free", "free, bent") and (is_told or error == "none")
-    ]
-    other = [s for (_, error, _), s in scores.items() if error in OTHER_NOISE]
-    bad = [s.wrong_against_others for (_, error, _), s in scores.items() if error in BAD]
+    fair = [s for s in scores if s.told or s.error == "none"]
+    told = [s for s in fair if not s.group.startswith("free")]
+    told_free = [s for s in fair if s.group.startswith("free")]
+    other = [s for s in scores if s.error in OTHER_NOISE]
+    covered = [s.covered for s in other if not np.isnan(s.covered)]
+    bad = [s.wrong_against_others for s in scores if s.error in BAD]
     return [
         *claims,
         Claim("errors told: least coverage", min(s.covered for s in told), 0.93, at_most=False),
         Claim("errors told: localized and wrong, most", max(s.wrong for s in told), 0.03),
         Claim("errors told: false contacts, most", max(s.found for s in told_free), 0.01),
         Claim("one bad reading that others tell of: localized and wrong", np.nanmax(bad), 0.03),
-        Claim(
-            "other noise than stated: least coverage",
-            min(s.covered for s in other if not np.isnan(s.covered)),
-            0.9,
-            at_most=False,
-        ),
+        Claim("other noise than stated: least coverage", min(covered), 0.9, at_most=False),
         Claim("other noise than stated: localized and wrong", max(s.wrong for s in other), 0.05),
     ]
 
 
-def _told_figure(scores: dict[tuple[str, str, bool], Score]) -> Figure:
+def _told_figure(scores: list[Score]) -> Figure:
     """Coverage and wrong answers under each error that can be told: told, and not."""
-    pairs = [(g, error) for g, error, told in scores if told and not g.startswith("free")]
+    touched = [s for s in scores if not s.group.startswith("free")]
+    pairs = [(s.error, s.group) for s in touched if s.told]
     figure, (left, right) = panels(1, 2, size=(5.5, 0.3 * len(pairs) + 1.4), share=True)
     rows = np.arange(len(pairs))
     for told, color in ((False, RED), (True, BLUE)):
-        some = [scores[group, error, told] for group, error in pairs]
+        some = [s for s in touched if s.told == told and (s.error, s.group) in pairs]
         place = rows + (0.2 if told else -0.2)
         left.barh(place, [100 * s.covered for s in some], 0.4, color=color)
         label = "told" if told else "not told"
         right.barh(place, [100 * s.wrong for s in some], 0.4, color=color, label=label)
     left.axvline(95.0, color="black", linewidth=0.8)
     right.axvline(3.0, color="black", linewidth=0.8, label="stated (left), promised (right)")
-    names = [error if error.startswith(group) else f"{error}, {group}" for group, error in pairs]
+    names = [error if error.startswith(group) else f"{error}, {group}" for error, group in pairs]
     left.set_yticks(rows, names, fontsize=8)
     left.set(xlabel="intervals that hold the contact (%)", xlim=(40, 100), ylim=(len(pairs), -1))
     right.set_xlabel("localized where nothing is (% of frames)")
@@ -199,68 +197,63 @@ def _told_figure(scores: dict[tuple[str, str, bool], Score]) -> Figure:
     return figure
 
 
-def _odds_figure(rows: list[tuple[Cell, ...]]) -> Figure:
+def _odds_figure(prices: list[Record]) -> Figure:
     """Contacts found, and bad readings believed, over the odds that are passed."""
-    figure, (left, right) = panels(1, 2, size=(4.6, 3.6))
-
-    def over_odds(error: str, column: int) -> dict[str, list[tuple[float, float]]]:
-        return {
-            group: [(float(r[0]), 100 * float(r[column])) for r in rows if r[1:3] == (group, error)]
+    figure, axes = panels(1, 2, size=(4.6, 3.6))
+    for axis, error, title, what, label in (
+        (axes[0], "none", "all readings good", "found", "contacts found (%)"),
+        (axes[1], BAD[0], BAD[0], "wrong", "localized where nothing is (%)"),
+    ):
+        lines = {
+            group: [
+                (float(price["odds"]), 100 * float(price[what]))
+                for price in prices
+                if (price["group"], price["error"]) == (group, error)
+            ]
             for group in TOUCHED
         }
-
-    label, smallest = "odds of a bad reading", BAD[0]
-    found = over_odds("none", 3)
-    curves(left, found, legend=False, xscale="log", xlabel=label, ylabel="contacts found (%)")
-    wrong = "localized where nothing is (%)"
-    curves(
-        right, over_odds(smallest, 4), legend=False, xscale="log", xlabel=label, ylabel=wrong,
-        title=smallest,
-    )  # fmt: skip
-    left.set_title("all readings good")
+        curves(
+            axis, lines, legend=False, xscale="log", xlabel="odds of a bad reading", ylabel=label,
+            title=title,
+        )  # fmt: skip
     legend_below(figure)
     return figure
 
 
 def run(context: Context) -> Outcome:
     """The study: every error on every group, told and not; then the odds of a bad reading."""
-    full = context.count(min(BATCH, 50), 3000)  # shares of 1 % to a fifth
-    parts = [(k, min(BATCH, full - BATCH * k)) for k in range(-(-full // BATCH))]
-    outcome = Outcome()
-    scores: dict[tuple[str, str, bool], Score] = {}
-    names = ("count", "found", "covered", "wrong", "wrong_against_others", "rmse_over_bound")
-    columns = ("error", "group", "told", *names)
-    rows: list[tuple[Cell, ...]] = []
-    outcome.tables.append(Table("rows", columns, rows))
-    for name, error in ERRORS.items():
-        cases = [
-            (group, told)
-            for group in error.groups
-            for told in ((False, True) if error.tell else (False,))
+    batches = parts(context.count(min(BATCH, 50), 3000), BATCH)  # shares of 1 % to a fifth
+    few = batches[: max(1, len(batches) // 5)]
+
+    def score(part: str, some: list[tuple[int, int]], cases: list[Case]) -> list[Score]:
+        tasks = [Task(context.seed, *case, *batch) for case in cases for batch in some]
+        got = iter(context.map(judge, tasks, part))
+        return [
+            Score.of(error, group, told, np.concatenate([next(got) for _ in some]))
+            for group, error, told, _ in cases
         ]
-        tasks = [Task(context.seed, g, name, told, *part) for g, told in cases for part in parts]
-        got = iter(context.map(judge, tasks, name))
-        for group, told in cases:
-            score = Score.of(np.concatenate([next(got) for _ in parts]))
-            scores[group, name, told] = score
-            rows.append((name, group, told, *astuple(score)))
+
+    outcome = Outcome()
+    scores: list[Score] = []
+    for name, error in ERRORS.items():
+        ways = (False, True) if error.tell else (False,)
+        scores += score(
+            name, batches, [(g, name, told, None) for g in error.groups for told in ways]
+        )
+        outcome.tables["rows"] = records(scores)
         context.save(outcome)
     outcome.claims += _claims(scores)
-    prices: list[tuple[Cell, ...]] = []
-    cells = [(odds, group, error) for odds in ODDS for group in TOUCHED for error in ("none", *BAD)]
-    some = parts[: max(1, len(parts) // 5)]
-    tasks = [
-        Task(context.seed, g, error, False, *part, odds)
-        for odds, g, error in cells
-        for part in some
+    cases: list[Case] = [
+        (group, name, False, odds) for odds in ODDS for group in TOUCHED for name in ("none", *BAD)
     ]
-    got = iter(context.map(judge, tasks, "odds of a bad reading"))
-    for odds, group, name in cells:
-        score = Score.of(np.concatenate([next(got) for _ in some]))
-        prices.append((odds, group, name, score.found, score.wrong, score.covered))
-    outcome.tables.append(
-        Table("odds", ("odds", "group", "error", "found", "wrong", "covered"), prices)
-    )
-    outcome.figures["told"] = _told_figure(scores)
-    outcome.figures["odds"] = _odds_figure(prices)
+    priced = zip(cases, score("odds of a bad reading", few, cases), strict=True)
+    prices: list[Record] = [
+        {
+            "odds": odds or 0.0, "group": s.group, "error": s.error, "found": s.found,
+            "wrong": s.wrong, "covered": s.covered,
+        }
+        for (*_, odds), s in priced
+    ]  # fmt: skip
+    outcome.tables["odds"] = prices
+    outcome.figures |= {"told": _told_figure(scores), "odds": _odds_figure(prices)}
     return outcome

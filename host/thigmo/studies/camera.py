@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome
 
 if TYPE_CHECKING:
     from thigmo.camera import Lens, Sheet
@@ -312,7 +312,8 @@ def run(context: Context) -> Outcome:
             outcome.claims.append(Claim(f"{text} ({way})", errors[what], 0.3, unit="cm"))
         text = f"place error over the stated one sigma, rms ({way})"
         outcome.claims.append(Claim(text, errors["place_chi"], 2))
-    names = next(iter(found.values()))
-    rows = [{"quantity": n} | {way: round(e[n], 6) for way, e in found.items()} for n in names]
-    outcome.tables.append(Table.of("errors", rows))
+    outcome.tables["errors"] = [
+        {"quantity": name, **{way: round(errors[name], 6) for way, errors in found.items()}}
+        for name in found["cards only"]
+    ]
     return outcome

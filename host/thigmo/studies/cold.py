@@ -14,7 +14,7 @@ from pathlib import Path
 from time import perf_counter
 
 from thigmo.errors import DataError
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.scenes import LENGTH, SIGMA, SPAN, one_contact
 from thigmo.studies.timing import one_core
 
@@ -63,7 +63,7 @@ def run(context: Context) -> Outcome:
             times[what] = first_run_s(command, folder / what)
             context.progress("first commands", len(times), len(commands))
     return Outcome(
-        [Table("cold", ("command", "time_s"), list(times.items()))],
+        {"cold": [{"command": what, "time_s": time} for what, time in times.items()]},
         claims=[
             Claim(f"first `thigmo {what}`, nothing cached, one core", time, PROMISED_S[what],
                   unit="s")

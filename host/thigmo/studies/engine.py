@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.errors import DataError, RunFolderError
 
@@ -30,23 +31,23 @@ Cell = float | int | str | bool
 WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
 
 
-@dataclass(frozen=True)
-class Table:
-    """Rows with named columns; units stand in the column names."""
+Record = Mapping[str, Cell]
+"""A line of a table; units stand in the names of its columns."""
 
-    name: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[Cell, ...]]
 
-    @classmethod
-    def of(cls, name: str, records: Iterable[Any]) -> Table:
-        """A table of records: mappings, or objects whose attributes are cells (a first one)."""
-        plain = [one if isinstance(one, Mapping) else vars(one) for one in records]
-        return cls(name, tuple(plain[0]), [tuple(one.values()) for one in plain])
+def records(found: Iterable[Any]) -> list[Record]:
+    """Lines of objects whose attributes are cells."""
+    return [dict(vars(one)) for one in found]
 
-    def records(self) -> list[dict[str, Cell]]:
-        """Its rows as mappings."""
-        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
+def share(flags: Sequence[Any] | NDArray[Any]) -> float:
+    """Share of those that hold; NaN of none."""
+    return float(np.mean(flags)) if len(flags) else float("nan")
+
+
+def parts(total: int, size: int) -> list[tuple[int, int]]:
+    """Number and size of each batch of at most `size` that together make `total`."""
+    return [(k, min(size, total - size * k)) for k in range(-(-total // size))]
 
 
 @dataclass(frozen=True)
@@ -88,22 +89,22 @@ class Outcome:
     """What a study found.
 
     Attributes:
-        tables, figures: written into the folder.
+        tables, figures: written into the folder, by name; no table is empty.
         claims: written, and printed with their verdicts.
         notes: sentences that are printed.
         summary: a table that is printed.
     """
 
-    tables: list[Table] = field(default_factory=list)
+    tables: dict[str, Sequence[Record]] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
     claims: list[Claim] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    summary: Table | None = None
+    summary: Sequence[Record] | None = None
 
     def record(self) -> dict[str, Any]:
         """What programs are told: the rows of the comparison, if there is one, claims and notes."""
         return {
-            "rows": [row for t in self.tables if t.name == "rows" for row in t.records()],
+            "rows": self.tables.get("rows", []),
             "claims": [claim.record() for claim in self.claims],
             "notes": self.notes,
         }
@@ -210,16 +211,14 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
     paths: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for table in outcome.tables:
-            path = folder / f"{name}-{table.name}.csv"
+        for label, rows in outcome.tables.items():
+            path = folder / f"{name}-{label}.csv"
             with path.open("w", newline="") as file:
-                writer = csv.writer(file)
-                writer.writerow(table.columns)
-                writer.writerows(table.rows)
+                writer = csv.DictWriter(file, list(rows[0]))
+                writer.writeheader()
+                writer.writerows(rows)
             as_json = path.with_suffix(".json")
-            as_json.write_text(
-                json.dumps(table.records(), indent=1, default=lambda number: number.item())
-            )
+            as_json.write_text(json.dumps(rows, indent=1, default=lambda number: number.item()))
             paths += [path, as_json]
         for label, figure in outcome.figures.items():
             path = folder / f"{name}-{label}.png"

@@ -9,7 +9,6 @@ is a false contact. The map for planners of every room with pegs is held against
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -25,7 +24,7 @@ from thigmo.exploration.map import best_contact
 from thigmo.record import RunDocument
 from thigmo.report.axes import GREEN, ORANGE, RED
 from thigmo.studies import charts, maps
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, Record, records, share
 from thigmo.studies.rooms import explored
 
 if TYPE_CHECKING:
@@ -193,25 +192,21 @@ def _outcome(runs: list[tuple[Explored, list[maps.Mapped]]]) -> Outcome:
         [level for one, levels in runs if KINDS[one.kind].calibrated is known for level in levels]
         for known in (True, False)
     )
-    levels = maps.summary(right)
+    levels, rows = maps.summary(right), _by_kind(found)
     return Outcome(
-        [Table.of("runs", found), _by_kind(found), levels],
+        {"runs": records(found), "rows": rows, "levels": levels},
         {"explorations": _figure(found), "map": maps.figure(levels)},
         _claims(found) + maps.claims(levels),
         [
             *maps.notes("maps of robots as calibrated", levels)[1:],  # the first is promised
             *maps.notes("maps of other robots", maps.summary(wrong)),
         ],
-        _by_kind(found),
+        rows,
     )
 
 
-def _share(flags: Sequence[bool | int]) -> float:
-    return float(np.mean([bool(flag) for flag in flags])) if flags else nan
-
-
-def _by_kind(found: list[Explored]) -> Table:
-    lines = []
+def _by_kind(found: list[Explored]) -> list[Record]:
+    lines: list[Record] = []
     for kind in KINDS:
         mine = [one for one in found if one.kind == kind]
         errors = [one.error_x_cm for one in mine if not np.isnan(one.error_x_cm)]
@@ -225,7 +220,7 @@ def _by_kind(found: list[Explored]) -> Table:
             "aborted": sum(one.status.startswith("aborted") for one in mine),
             "median_error_x_cm": float(np.median(errors)) if errors else nan,
         })  # fmt: skip
-    return Table.of("rows", lines)
+    return lines
 
 
 def _claims(found: list[Explored]) -> list[Claim]:
@@ -243,9 +238,10 @@ def _claims(found: list[Explored]) -> list[Claim]:
         pegs = [one for one in some if KINDS[one.kind].peg]
         claims += [
             Claim(f"{text}: localized and wrong, of rooms with a peg",
-                  _share([one.wrong for one in pegs]), wrong),
-            Claim(f"{text}: pegs missed", _share([one.missed for one in pegs]), missed),
-            Claim(f"{text}: runs with false contacts", _share([one.false for one in some]), false),
+                  share([one.wrong for one in pegs]), wrong),
+            Claim(f"{text}: pegs missed", share([one.missed for one in pegs]), missed),
+            Claim(f"{text}: runs with false contacts", share([one.false > 0 for one in some]),
+                  false),
         ]  # fmt: skip
     return claims
 
@@ -273,7 +269,7 @@ def _figure(found: list[Explored]) -> Figure:
         ("with false contacts", "0.5", "false"),
     )):  # fmt: skip
         shares = [
-            100 * _share([getattr(one, what) for one in found if one.kind == kind])
+            100 * share([getattr(one, what) > 0 for one in found if one.kind == kind])
             if what != "missed" or KINDS[kind].peg
             else 0.0
             for kind in kinds

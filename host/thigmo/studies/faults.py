@@ -20,7 +20,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.robot import Robot
-from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, Record
 
 if TYPE_CHECKING:
     from thigmo.emulator.board import Board
@@ -253,38 +253,35 @@ def run(context: Context) -> Outcome:
     return outcome(cases, visits)
 
 
-def _table(name: str, visited: list[tuple[Case, Visit]]) -> Table:
-    """A table of visits."""
-    rows: list[tuple[Cell, ...]] = []
-    for case, one in visited:
-        failure = case.failure
-        bare = not one.noticed or failure.valve or failure.spool
-        rows.append(
-            (
-                failure.name, case.state, one.noticed or "not noticed",
-                "" if one.safe_s is None else one.safe_s, round(one.peak_psi, 1),
-                round(one.steady_psi, 1), round(one.moved_cm, 2), failure.covered if bare else "",
-            )
-        )  # fmt: skip
-    columns = ("failure", "state", "noticed_as", "safe_s", "peak_psi", "steady_psi", "grown_cm",
-               "covered_by")  # fmt: skip
-    return Table(name, columns, rows)
+def _line(case: Case, one: Visit) -> Record:
+    failure = case.failure
+    bare = not one.noticed or failure.valve or failure.spool
+    return {
+        "failure": failure.name,
+        "state": case.state,
+        "noticed_as": one.noticed or "not noticed",
+        "safe_s": "" if one.safe_s is None else one.safe_s,
+        "peak_psi": round(one.peak_psi, 1),
+        "steady_psi": round(one.steady_psi, 1),
+        "grown_cm": round(one.moved_cm, 2),
+        "covered_by": failure.covered if bare else "",
+    }
 
 
 def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     """Tables and claims of visits."""
     pairs = list(zip(cases, visits, strict=True))
-    plain, fitted = ([(c, v) for c, v in pairs if c.fitted is has] for has in (False, True))
+    lines = {
+        name: [_line(c, v) for c, v in pairs if c.fitted is has]
+        for name, has in (("failures", False), ("failures_with_valves", True))
+    }
     seen = [(c, v) for c, v in pairs if v.noticed]
     air = [v for c, v in seen if not c.failure.valve or c.fitted]
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
     blind = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
     unseen = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
-    tables = [_table("failures", plain)]
-    if fitted:
-        tables.append(_table("failures_with_valves", fitted))
     return Outcome(
-        tables,
+        {name: some for name, some in lines.items() if some},
         {},
         [
             Claim(

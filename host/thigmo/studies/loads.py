@@ -8,8 +8,8 @@ too (`misfit`), so that a promise counts only the frames that it speaks of.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -18,10 +18,10 @@ from scipy.stats import chi2
 
 from thigmo.localization import arc_bounds, localize
 from thigmo.studies import misfit
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import MOST_FREE, Scenes, holds, signs
+from thigmo.studies.touches import MOST_FREE, Draw, Scenes, holds, signs, straight
 
 BATCH = 50  # frames of one group that a process takes at a time
 FEW = (2, 3, 5, 10)  # readings
@@ -49,7 +49,7 @@ class Group:
         noise: standard deviation of a reading.
     """
 
-    draw: Callable[[np.random.Generator, int], Scenes]
+    draw: Draw
     count: int = 1500
     options: dict[str, Any] = field(default_factory=dict)
     against_free: bool = False
@@ -89,36 +89,41 @@ class Seen:
 
 
 def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
-    size = rng.uniform(0.005, MOST_FREE, count) if bent else np.zeros(count)
+    size = rng.uniform(0.005, MOST_FREE, count) if bent else 0.0
     return signs(rng, count) * size
 
 
-def _most(free: Floats, bent: bool) -> Floats | float:
-    """Largest moment of a contact at the base (1/cm)."""
-    return np.minimum(CRITICAL, 0.9 * np.abs(free)) if bent else CRITICAL
+def _push(rng: np.random.Generator, free: Floats, least: float) -> Floats:
+    """Contacts' moments at the base (1/cm): against the bend, or to either side of straight ones.
+
+    `least` is the smallest, over the largest.
+    """
+    bent = bool(free.any())
+    most = np.minimum(CRITICAL, 0.9 * np.abs(free)) if bent else CRITICAL
+    moment = rng.uniform(least, 1.0, len(free)) * most
+    return (-np.sign(free) if bent else signs(rng, len(free))) * moment
 
 
-def nothing(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
-    """Straight bodies that touch nothing."""
-    return Scenes(np.zeros((count, position.size)), position, np.zeros(count), np.empty((count, 0)))
+def _read(
+    arcs: Floats, forces: Floats, position: Floats, free: Floats, kink: Floats | float = 0.0
+) -> Scenes:
+    bodies = solve(arcs, forces, length=LENGTH, free_curvature=free[:, None], kink=kink)
+    return Scenes(bodies.readings(position, SPAN), position, free, arcs)
 
 
 def one(rng: np.random.Generator, count: int) -> Scenes:
     """Straight bodies with one clear contact."""
     arcs = rng.uniform(15.0, LENGTH, (count, 1))
     forces = signs(rng, count)[:, None] * rng.uniform(0.003, 0.011, (count, 1)) / arcs
-    clean = solve(arcs, forces, length=LENGTH).readings(BOTH, SPAN)
-    return Scenes(clean, BOTH, np.zeros(count), arcs)
+    return _read(arcs, forces, BOTH, np.zeros(count))
 
 
 def near_base(bent: bool, rng: np.random.Generator, count: int) -> Scenes:
     """A contact that only the first sensors see."""
-    free, position = _free(rng, count, bent), COLUMN if bent else BOTH
+    free = _free(rng, count, bent)
     arcs = rng.uniform(5.0, NEAR_CM, (count, 1))
-    moment = rng.uniform(0.2, 1.0, count) * _most(free, bent)
-    forces = (-np.sign(free) if bent else signs(rng, count)) * moment
-    bodies = solve(arcs, forces[:, None] / arcs, length=LENGTH, free_curvature=free[:, None])
-    return Scenes(bodies.readings(position, SPAN), position, free, arcs)
+    forces = _push(rng, free, 0.2)[:, None] / arcs
+    return _read(arcs, forces, COLUMN if bent else BOTH, free)
 
 
 def two(
@@ -127,27 +132,23 @@ def two(
     """Two contacts at least 18.5 cm apart, the distal one near the tip."""
     free = _free(rng, count, bent)
     distal = rng.uniform(45.0, LENGTH, count)
-    proximal = rng.uniform(18.0, distal - 18.5)
-    # Against the bend. Opposed moments partly cancel at the base, those of one side add up.
-    moment = rng.uniform(0.3, 1.0, count) * _most(free, bent)
-    sign = -np.sign(free) if bent else signs(rng, count)
-    shares = (-1.0, 1.5) if opposed else (0.5, 0.5)
-    arcs = np.stack([proximal, distal], axis=1)
-    forces = np.array(shares) * (sign * moment)[:, None] / arcs
-    bodies = solve(arcs, forces, length=LENGTH, free_curvature=free[:, None])
-    return Scenes(bodies.readings(position, SPAN), position, free, arcs)
+    arcs = np.stack([rng.uniform(18.0, distal - 18.5), distal], axis=1)
+    # Opposed moments partly cancel at the base, those of one side add up.
+    shares = np.array((-1.0, 1.5) if opposed else (0.5, 0.5))
+    return _read(arcs, shares * _push(rng, free, 0.3)[:, None] / arcs, position, free)
 
 
 def pair(
     gap: float, first: float, moments: tuple[float, float], _: np.random.Generator, count: int
 ) -> Scenes:
     """The same two opposed contacts each time."""
-    position = np.tile(first + 10.0 * np.arange(5), 2)
-    arcs = np.array([[LENGTH - gap, LENGTH]])
-    clean = solve(arcs, np.array([moments]) / arcs, length=LENGTH).readings(position, SPAN)
-    return Scenes(
-        np.repeat(clean, count, axis=0), position, np.zeros(count), np.repeat(arcs, count, axis=0)
-    )
+    arcs = np.tile([LENGTH - gap, LENGTH], (count, 1))
+    return _read(arcs, np.array(moments) / arcs, _layout(first), np.zeros(count))
+
+
+def _layout(first: float) -> Floats:
+    """Ten sensors, the first of a column at `first`."""
+    return np.tile(first + 10.0 * np.arange(5), 2)
 
 
 def held_rod(rng: np.random.Generator, count: int) -> Scenes:
@@ -172,36 +173,26 @@ def held_rod(rng: np.random.Generator, count: int) -> Scenes:
 
 def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> Scenes:
     """A kink anywhere, and a contact or none."""
-    free, position = _free(rng, count, bent), COLUMN if bent else BOTH
+    free = _free(rng, count, bent)
     kink = signs(rng, count) * rng.uniform(0.2, 1.0, count)
     places = np.stack([rng.uniform(3.0, 50.0, count), rng.uniform(8.0, LENGTH, count)], axis=1)
-    moment = touched * rng.uniform(0.2, 1.0, count) * _most(free, bent)
-    sign = -np.sign(free) if bent else signs(rng, count)
     kinks, forces = np.zeros((2, count, 2))
-    kinks[:, 0], forces[:, 1] = kink, sign * moment / places[:, 1]
+    kinks[:, 0], forces[:, 1] = kink, touched * _push(rng, free, 0.2) / places[:, 1]
     order = np.argsort(places, axis=1)
     arcs, kinks, forces = (np.take_along_axis(v, order, 1) for v in (places, kinks, forces))
-    clean = solve(arcs, forces, length=LENGTH, free_curvature=free[:, None], kink=kinks).readings(
-        position, SPAN
-    )
-    seen = misfit.of_one_contact(clean, position, free)
-    return Scenes(
-        clean, position, free, places[:, 1:] if touched else np.empty((count, 0)), stands_out=seen
-    )
+    scenes = _read(arcs, forces, COLUMN if bent else BOTH, free, kinks)
+    seen = misfit.of_one_contact(scenes.curvature, scenes.position, free)
+    return replace(scenes, arcs=places[:, 1 : 1 + touched], stands_out=seen)
 
 
 def _groups() -> dict[str, Group]:
-    both, column = BOTH, COLUMN
     groups: dict[str, Group] = {}
-    for known in (True, False):
-        noise = {} if known else {"noise": None}
-        label = "known" if known else "unknown"
+    for label, noise, count in (("known", {}, 3000), ("unknown", {"noise": None}, 1000)):
         for n in FEW:
-            where = both if n == 10 else column[:n]
-            groups[f"free, {n} readings, noise {label}"] = Group(
-                partial(nothing, where), 3000, noise
-            )
-        groups[f"one contact, noise {label}"] = Group(one, 3000 if known else 1000, noise)
+            where = BOTH if n == 10 else COLUMN[:n]
+            name = f"free, {n} readings, noise {label}"
+            groups[name] = Group(partial(straight, where), 3000, noise)
+        groups[f"one contact, noise {label}"] = Group(one, count, noise)
     for bent in (False, True):
         body = "bent" if bent else "straight"
         for odds in ODDS:
@@ -213,8 +204,8 @@ def _groups() -> dict[str, Group]:
             groups[f"{name}, {body}"] = Group(partial(kinked, touched, bent))
     for opposed in (True, False):
         kind = "opposed" if opposed else "on one side"
-        groups[f"two {kind}, straight"] = Group(partial(two, opposed, False, both))
-        for position in (both, column):
+        groups[f"two {kind}, straight"] = Group(partial(two, opposed, False, BOTH))
+        for position in (BOTH, COLUMN):
             groups[f"two {kind}, bent, {position.size} readings"] = Group(
                 partial(two, opposed, True, position)
             )
@@ -222,8 +213,7 @@ def _groups() -> dict[str, Group]:
         for first in LAYOUTS if gap == TOLD_APART_CM else (5.0,):
             for moments in PAIRS:
                 arcs = np.array([LENGTH - gap, LENGTH])
-                where = np.tile(first + 10.0 * np.arange(5), 2)
-                bound = arc_bounds(arcs, moments / arcs, where, SPAN, SIGMA, LENGTH).max()
+                bound = arc_bounds(arcs, moments / arcs, _layout(first), SPAN, SIGMA, LENGTH).max()
                 if gap == TOO_CLOSE_CM or bound < PLACED_CM:
                     name = f"{gap:g} cm apart, first sensor at {first:g} cm, {moments[1]:g} 1/cm"
                     groups[name] = Group(partial(pair, gap, first, moments))
@@ -252,44 +242,30 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
         stands_out = free - least
     fits = least < chi2.isf(0.01, scenes.position.size - 2)
     told = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS, **group.options}
-    return [
-        _see(frame, scenes.position, {**told, "free_curvature": free}, arcs, float(out), bool(fit))
-        for frame, free, arcs, out, fit in zip(
-            frames, scenes.free, scenes.arcs, stands_out, fits, strict=True
+    seen = []
+    for frame, free, arcs, out, fit in zip(
+        frames, scenes.free, scenes.arcs, stands_out, fits, strict=True
+    ):
+        result = localize(frame, scenes.position, free_curvature=free, **told)
+        placed = [contact for contact in result.contacts if contact.status == "localized"]
+        off = (float(np.abs(arcs - c.arc).min(initial=np.inf)) for c in placed)
+        seen.append(
+            Seen(
+                found=len(result.contacts),
+                likely=sum(contact.probability > 0.5 for contact in result.contacts),
+                localized=bool(placed),
+                ambiguous=result.status == "ambiguous",
+                none=1.0 / (1.0 + float(np.exp(min(result.log_odds, 500.0)))),
+                held=sum(holds(arcs, contact.interval) for contact in result.contacts),
+                wrong=any(not holds(arcs, contact.interval) for contact in placed),
+                off_cm=max(off, default=0.0),
+                hinge="hinge" in result.hypothesis or "folded" in result.hypothesis,
+                open="not excluded" in result.message,
+                stands_out=float(out),
+                fits=bool(fit),
+            )
         )
-    ]
-
-
-def _see(
-    frame: Floats, position: Floats, told: dict[str, Any], arcs: Floats, out: float, fits: bool
-) -> Seen:
-    result = localize(frame, position, **told)
-
-    placed = [contact for contact in result.contacts if contact.status == "localized"]
-    return Seen(
-        found=len(result.contacts),
-        likely=sum(contact.probability > 0.5 for contact in result.contacts),
-        localized=bool(placed),
-        ambiguous=result.status == "ambiguous",
-        none=1.0 / (1.0 + float(np.exp(min(result.log_odds, 500.0)))),
-        held=sum(holds(arcs, contact.interval) for contact in result.contacts),
-        wrong=any(not holds(arcs, contact.interval) for contact in placed),
-        off_cm=max((float(np.abs(arcs - c.arc).min(initial=np.inf)) for c in placed), default=0.0),
-        hinge="hinge" in result.hypothesis or "folded" in result.hypothesis,
-        open="not excluded" in result.message,
-        stands_out=out,
-        fits=fits,
-    )
-
-
-def batches(count: int) -> list[int]:
-    """Sizes of the batches that make `count` frames."""
-    return [min(BATCH, count - start) for start in range(0, count, BATCH)]
-
-
-def share(flags: Sequence[bool]) -> float:
-    """Share of the frames with a property; NaN of none."""
-    return float(np.mean(flags)) if flags else float("nan")
+    return seen
 
 
 def _coverage(frames: Sequence[Seen]) -> float:
@@ -303,91 +279,79 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
     def some(start: str) -> list[list[Seen]]:
         return [frames for name, frames in seen.items() if name.startswith(start)]
 
-    def lone_wrong(start: str) -> list[float]:
-        return [share([f.wrong and f.found == 1 for f in frames]) for frames in some(start)]
+    def most(groups: Iterable[list[Seen]], what: Callable[[Seen], bool]) -> float:
+        return max(share([what(f) for f in frames]) for frames in groups)
+
+    def at_least(text: str, value: float, limit: float) -> Claim:
+        return Claim(text, value, limit, at_most=False)
 
     claims = []
     for noise in ("known", "unknown"):
-        free = [share([f.likely > 0 for f in seen[f"free, {n} readings, noise {noise}"]])
-                for n in FEW]  # fmt: skip
-        more = share([f.likely > 1 for f in seen[f"one contact, noise {noise}"]])
+        free = [seen[f"free, {n} readings, noise {noise}"] for n in FEW]
+        one = [seen[f"one contact, noise {noise}"]]
         claims += [
-            Claim(f"noise {noise}: false contacts, 2 to 10 readings, most", max(free), 0.01),
-            Claim(f"noise {noise}: false second contacts", more, 0.05),
-        ]
+            Claim(f"noise {noise}: false contacts, 2 to 10 readings, most",
+                  most(free, lambda f: f.likely > 0), 0.01),
+            Claim(f"noise {noise}: false second contacts", most(one, lambda f: f.likely > 1), 0.05),
+        ]  # fmt: skip
     base = [[f for f in frames if f.stands_out >= STANDS_OUT] for frames in some("near the base")]
-    usual = [f for name in ("straight", "bent")
-             for f in seen[f"near the base, {name}, odds {ODDS[0]:g}"]]  # fmt: skip
-    claims += [
-        Claim("near the base, 5 standard errors or more: not listed, most",
-              max(share([f.found == 0 for f in frames]) for frames in base), 0.0),
-        Claim("of these, P(no contact) over 0.05 and not ambiguous, most",
-              max(share([f.none > 0.05 and f.localized for f in frames]) for frames in base), 0.0),
-        Claim("more than 25 cm from the end: contacts found",
-              share([f.likely > 0 for f in usual]), 0.83, at_most=False),
-    ]  # fmt: skip
-    opposed = seen["two opposed, straight"]
-    beside = some("two on one side")
-    single = [f for frames in beside for f in frames if f.found == 1 and f.fits]
-    claims += [
-        Claim("two opposed contacts, straight: both found",
-              share([f.likely == 2 for f in opposed]), 0.78, at_most=False),
-        Claim("two opposed, one answered: localized where neither is, most",
-              max(lone_wrong("two opposed")), 0.05),
-        Claim("two on one side that one does not explain: localized where neither is, most",
-              max(share([f.wrong and f.found == 1 and not f.fits for f in frames])
-                  for frames in beside), 0.05),
-        Claim("two on one side that one explains: others said not to be excluded",
-              share([f.open for f in single]), 1.0, at_most=False),
-        Claim("two opposed, both answered: least coverage of an interval",
-              min(_coverage([f for f in frames if f.found == 2]) for frames in some("two opposed")),
-              0.93, at_most=False),
-        Claim("told apart at 18.5 cm, least share",
-              min(share([f.found == 2 for f in frames]) for frames in some("18.5")), 0.9,
-              at_most=False),
-        Claim("13 cm apart: ambiguous, or localized where they are, least share",
-              min(share([not f.wrong for f in frames]) for frames in some("13 cm")), 0.95,
-              at_most=False),
-    ]  # fmt: skip
+    usual = [f for body in ("straight", "bent")
+             for f in seen[f"near the base, {body}, odds {ODDS[0]:g}"]]  # fmt: skip
+    opposed, beside = some("two opposed"), some("two on one side")
+    explained = [f for frames in beside for f in frames if f.found == 1 and f.fits]
+    both = [[f for f in frames if f.found == 2] for frames in opposed]
     rods = seen["rod held at its end"]
-    claims += [
-        Claim("rod held at its end: the end in the interval",
-              share([f.held > 0 for f in rods]), 0.95, at_most=False),
+    told = [f for frames in some("kink") for f in frames if f.stands_out >= SEEN_KINK]
+    hidden = [[f for f in frames if f.stands_out < SEEN_KINK] for frames in some("kink and")]
+    return [
+        *claims,
+        Claim("near the base, 5 standard errors or more: not listed, most",
+              most(base, lambda f: f.found == 0), 0.0),
+        Claim("of these, P(no contact) over 0.05 and not ambiguous, most",
+              most(base, lambda f: f.none > 0.05 and f.localized), 0.0),
+        at_least("more than 25 cm from the end: contacts found",
+                 share([f.likely > 0 for f in usual]), 0.83),
+        at_least("two opposed contacts, straight: both found",
+                 share([f.likely == 2 for f in seen["two opposed, straight"]]), 0.78),
+        Claim("two opposed, one answered: localized where neither is, most",
+              most(opposed, lambda f: f.wrong and f.found == 1), 0.05),
+        Claim("two on one side that one does not explain: localized where neither is, most",
+              most(beside, lambda f: f.wrong and f.found == 1 and not f.fits), 0.05),
+        at_least("two opposed, both answered: least coverage of an interval",
+                 min(map(_coverage, both)), 0.93),
+        at_least("two on one side that one explains: others said not to be excluded",
+                 share([f.open for f in explained]), 1.0),
+        at_least("told apart at 18.5 cm, least share",
+                 min(share([f.found == 2 for f in frames]) for frames in some("18.5")), 0.9),
+        at_least("13 cm apart: ambiguous, or localized where they are, least share",
+                 min(share([not f.wrong for f in frames]) for frames in some("13 cm")), 0.95),
+        at_least("rod held at its end: the end in the interval",
+                 share([f.held > 0 for f in rods]), 0.95),
         Claim("rod held at its end: localized more than 5 % of its length from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods]), 0.0),
-    ]  # fmt: skip
-    kinks = [f for frames in some("kink") for f in frames]
-    told = [f for f in kinks if f.stands_out >= SEEN_KINK]
-    touched = [[f for f in frames if f.stands_out < SEEN_KINK] for frames in some("kink and")]
-    claims += [
         Claim("kinks of 3 standard errors or more: not found, and a contact localized",
               share([f.localized and not f.hinge for f in told]), 0.0),
         Claim("of these, localized where nothing is", share([f.wrong for f in told]), 0.03),
-        Claim("kinks that hardly show: least coverage",
-              min(share([f.held > 0 for f in frames if f.found]) for frames in touched), 0.93,
-              at_most=False),
+        at_least("kinks that hardly show: least coverage",
+                 min(share([f.held > 0 for f in frames if f.found]) for frames in hidden), 0.93),
         Claim("kinks that hardly show: localized and wrong, most",
-              max(share([f.wrong for f in frames]) for frames in touched), 0.03),
+              most(hidden, lambda f: f.wrong), 0.03),
     ]  # fmt: skip
-    return claims
 
 
-def _row(name: str, seen: list[Seen]) -> dict[str, float | int | str]:
+def _row(name: str, seen: list[Seen]) -> Record:
     clear = SEEN_KINK if name.startswith("kink") else STANDS_OUT
     return {
         "group": name,
         "count": len(seen),
-        "none": share([f.likely == 0 for f in seen]),
-        "one": share([f.likely == 1 for f in seen]),
-        "two": share([f.likely == 2 for f in seen]),
-        "localized": share([f.localized for f in seen]),
-        "ambiguous": share([f.ambiguous for f in seen]),
+        **{count: share([f.likely == n for f in seen])
+           for n, count in enumerate(("none", "one", "two"))},
+        **{what: share([getattr(f, what) for f in seen]) for what in ("localized", "ambiguous")},
         "covered": _coverage(seen),
-        "wrong": share([f.wrong for f in seen]),
-        "hinge": share([f.hinge for f in seen]),
+        **{what: share([getattr(f, what) for f in seen]) for what in ("wrong", "hinge")},
         "stand_out": sum(f.stands_out >= clear for f in seen),
         "localized_most_off_cm": max(f.off_cm for f in seen),
-    }
+    }  # fmt: skip
 
 
 def run(context: Context) -> Outcome:
@@ -395,10 +359,10 @@ def run(context: Context) -> Outcome:
     tasks = [
         (name, (context.seed, g, b), size)
         for g, (name, group) in enumerate(GROUPS.items())
-        for b, size in enumerate(batches(context.count(min(20, group.count), group.count)))
+        for b, size in parts(context.count(min(20, group.count), group.count), BATCH)
     ]
     seen: dict[str, list[Seen]] = {name: [] for name in GROUPS}
     for (name, *_), found in zip(tasks, context.map(see, tasks, "frames"), strict=True):
         seen[name] += found
-    table = Table.of("rows", [_row(name, frames) for name, frames in seen.items()])
-    return Outcome([table], claims=_claims(seen), summary=table)
+    rows = [_row(name, frames) for name, frames in seen.items()]
+    return Outcome({"rows": rows}, claims=_claims(seen), summary=rows)

@@ -22,7 +22,7 @@ from thigmo.record import RunDocument
 from thigmo.record.occupancy import FREE
 from thigmo.report.axes import GREEN, RED
 from thigmo.studies import charts
-from thigmo.studies.engine import Cell, Claim, Table
+from thigmo.studies.engine import Claim, Record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,12 +84,12 @@ def judge(
     return Mapped(seed, sigmas, felt_all, felt_free, missed_all, missed_free, area)
 
 
-def summary(found: Sequence[Mapped]) -> Table:
+def summary(found: Sequence[Mapped]) -> list[Record]:
     """All rooms together, a line a level."""
-    return Table.of("levels", [_level(found, sigmas) for sigmas in LEVELS])
+    return [_level(found, sigmas) for sigmas in LEVELS]
 
 
-def claims(levels: Table) -> list[Claim]:
+def claims(levels: list[Record]) -> list[Claim]:
     """What is promised of the maps that a run of a calibrated robot writes."""
     chosen = _written(levels)
     return [
@@ -103,7 +103,7 @@ def claims(levels: Table) -> list[Claim]:
     ]
 
 
-def notes(whose: str, levels: Table) -> list[str]:
+def notes(whose: str, levels: list[Record]) -> list[str]:
     """What maps cost, and what is not promised."""
     chosen = _written(levels)
     return [
@@ -115,9 +115,9 @@ def notes(whose: str, levels: Table) -> list[str]:
     ]
 
 
-def _written(levels: Table) -> dict[str, Cell]:
+def _written(levels: list[Record]) -> Record:
     """At the level of the maps that runs write."""
-    (chosen,) = (row for row in levels.records() if row["sigmas"] == SIGMAS)
+    (chosen,) = (row for row in levels if row["sigmas"] == SIGMAS)
     return chosen
 
 
@@ -137,21 +137,20 @@ def _level(found: Sequence[Mapped], sigmas: float) -> dict[str, float | int]:
     }
 
 
-def figure(levels: Table) -> Figure:
+def figure(levels: list[Record]) -> Figure:
     """What a level saves and what it costs."""
     drawn, (left, right) = charts.panels(1, 2, size=(5.0, 3.6), title="The map for planners")
-    rows = levels.records()
-    sigmas = [float(row["sigmas"]) for row in rows]
+    sigmas = [float(row["sigmas"]) for row in levels]
     for label, color, what in (
         ("pegs that were felt", GREEN, "felt_free_%"),
         ("pegs that were missed", RED, "missed_free_%"),
     ):
-        left.plot(sigmas, [float(row[what]) for row in rows], "o-", color=color, label=label)
+        left.plot(sigmas, [float(row[what]) for row in levels], "o-", color=color, label=label)
     left.axhline(0.1, color="0.6", linestyle=":", label="promised")
     left.set_yscale("symlog", linthresh=0.1)
     left.set(ylabel="of the cells inside, free (%)", ylim=(0, 100))
     left.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
-    right.plot(sigmas, [float(row["kept_%"]) for row in rows], "o-")
+    right.plot(sigmas, [float(row["kept_%"]) for row in levels], "o-")
     right.set(ylabel="free space kept (%)", ylim=(0, 105))
     for axis in (left, right):
         axis.axvline(SIGMAS, color="0.85", linewidth=5, zorder=0)

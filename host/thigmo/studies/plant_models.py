@@ -15,7 +15,7 @@ import numpy as np
 
 from thigmo.mechanics import ModelChoice, Peg, Rod, Tube
 from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, Record
 
 LENGTH = 53.0
 _STEPS = 200
@@ -90,7 +90,7 @@ def run(context: Context) -> Outcome:
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
         for found in context.map(partial(compare, kind=kind), seeds, kind):
             runs += found
-    rows = []
+    rows: list[Record] = []
     for kind in _KINDS:
         for way, _, _ in _WAYS:
             mine = [r for r in runs if r.kind == kind and r.way == way]
@@ -114,7 +114,7 @@ def run(context: Context) -> Outcome:
     axis.set(xlabel="time of a step (us)", ylabel="largest error of position (cm)")
     axis.legend()
     return Outcome(
-        [Table.of("models", rows)],
+        {"models": rows},
         {"time-error": figure},
         [
             Claim("error above the stated tolerance, worst scene", max(excess), 0.0, unit="cm"),

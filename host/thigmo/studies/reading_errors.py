@@ -30,84 +30,75 @@ class Frame:
     told: dict[str, Any]
 
 
+Spoil = Callable[[np.random.Generator, Frame], Frame]
+
+
 @dataclass(frozen=True)
 class Error:
     """One kind of error: how it changes a frame, and how `localize` is told.
 
     Attributes:
-        groups: of scenes that it is tried on.
         spoil: readings without noise and free curvature to those with the error.
         tell: keyword arguments of `localize`, from the frame; None if it cannot be told.
+        groups: of scenes that it is tried on.
     """
 
-    groups: tuple[str, ...]
-    spoil: Callable[[np.random.Generator, Frame], Frame]
+    spoil: Spoil
     tell: Callable[[Frame], dict[str, Any]] | None = None
+    groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")
 
 
-def _white(rng: np.random.Generator, frame: Frame) -> Frame:
-    noise = SIGMA * rng.standard_normal(frame.curvature.size)
-    return replace(frame, curvature=frame.curvature + noise)
+def _noisy(rng: np.random.Generator, frame: Frame, curvature: Floats, size: float = 1.0) -> Frame:
+    """The frame with these readings instead, and white noise on them."""
+    noise = size * SIGMA * rng.standard_normal(curvature.size)
+    return replace(frame, curvature=curvature + noise)
+
+
+def _white(size: float = 1.0) -> Spoil:
+    return lambda rng, frame: _noisy(rng, frame, frame.curvature, size)
 
 
 def _gains(size: float) -> Error:
     def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
         gains = 1.0 + size * rng.standard_normal(frame.curvature.size)
-        return _white(rng, replace(frame, curvature=frame.curvature * gains))
+        return _noisy(rng, frame, frame.curvature * gains)
 
-    return Error((*TOUCHED, "free", "free, bent"), spoil, lambda frame: {"gain_error": size})
+    return Error(spoil, lambda frame: {"gain_error": size})
 
 
 def _map(size: float) -> Error:
     def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
-        return _white(rng, replace(frame, free=frame.free / (1.0 + size * rng.standard_normal())))
+        free = frame.free / (1.0 + size * rng.standard_normal())
+        return _noisy(rng, replace(frame, free=free), frame.curvature)
 
-    return Error((*BENT, "free, bent"), spoil, lambda frame: {"map_error": size})
+    return Error(spoil, lambda frame: {"map_error": size}, (*BENT, "free, bent"))
 
 
-def _offset(size: float) -> Error:
-    def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
-        return _white(rng, replace(frame, curvature=frame.curvature + size * rng.standard_normal()))
-
-    return Error((*TOUCHED, "free", "free, bent"), spoil, lambda frame: {"offset_error": size})
+def _offset(rng: np.random.Generator, frame: Frame) -> Frame:
+    return _noisy(rng, frame, frame.curvature + OFFSET * rng.standard_normal())
 
 
 def _bad(offset: float | None) -> Error:
     """One reading is off by `offset`, or says nothing but zero."""
 
     def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
-        readings = _white(rng, frame).curvature
+        readings = _noisy(rng, frame, frame.curvature).curvature
         which = rng.integers(readings.size)
         sign = rng.choice([-1.0, 1.0])
         readings[which] = 0.0 if offset is None else readings[which] + sign * offset
         return replace(frame, curvature=readings)
 
-    return Error((*TOUCHED, "free", "free, bent"), spoil)
+    return Error(spoil)
 
 
-def _noise(draw: Callable[[np.random.Generator, Floats], Floats]) -> Error:
-    def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
-        return replace(frame, curvature=draw(rng, frame.curvature))
-
-    return Error((*TOUCHED, "free", "free, bent"), spoil)
+def _student(rng: np.random.Generator, frame: Frame) -> Frame:
+    noise = SIGMA * rng.standard_t(4.0, frame.curvature.size) / np.sqrt(2.0)
+    return replace(frame, curvature=frame.curvature + noise)
 
 
-def _student(rng: np.random.Generator, clean: Floats) -> Floats:
-    noise: Floats = SIGMA * rng.standard_t(4.0, clean.size) / np.sqrt(2.0)
-    return clean + noise
-
-
-def _twice(rng: np.random.Generator, clean: Floats) -> Floats:
-    return clean + 2.0 * SIGMA * rng.standard_normal(clean.size)
-
-
-def _half(rng: np.random.Generator, clean: Floats) -> Floats:
-    return clean + 0.5 * SIGMA * rng.standard_normal(clean.size)
-
-
-def _counted(rng: np.random.Generator, clean: Floats) -> Floats:
-    counts: Floats = np.round((clean + SIGMA * rng.standard_normal(clean.size)) / STEP)
-    return counts * STEP
+def _counted(rng: np.random.Generator, frame: Frame) -> Frame:
+    noisy = _noisy(rng, frame, frame.curvature).curvature
+    return replace(frame, curvature=np.round(noisy / STEP) * STEP)
 
 
 def _tell_friction(frame: Frame) -> dict[str, Any]:
@@ -136,22 +127,19 @@ def _tell_uneven(frame: Frame) -> dict[str, Any]:
 
 
 ERRORS: dict[str, Error] = {
-    "none": Error(tuple(GROUPS)[:6], _white),
-    "gains 3 %": _gains(0.03),
-    "gains 5 %": _gains(0.05),
-    "gains 10 %": _gains(0.1),
-    "map 5 %": _map(0.05),
-    "map 10 %": _map(0.1),
-    "offset": _offset(OFFSET),
-    "friction": Error(("friction",), _white, _tell_friction),
-    "stiffness 20 %": Error(("uneven",), _white, _tell_uneven),
+    "none": Error(_white(), groups=tuple(GROUPS)[:6]),
+    **{f"gains {percent} %": _gains(percent / 100) for percent in (3, 5, 10)},
+    **{f"map {percent} %": _map(percent / 100) for percent in (5, 10)},
+    "offset": Error(_offset, lambda frame: {"offset_error": OFFSET}),
+    "friction": Error(_white(), _tell_friction, ("friction",)),
+    "stiffness 20 %": Error(_white(), _tell_uneven, ("uneven",)),
     "one reading 2e-3 off": _bad(2e-3),
     "one reading 8e-3 off": _bad(8e-3),
     "one reading stuck": _bad(None),
-    "Student's noise": _noise(_student),
-    "noise twice stated": _noise(_twice),
-    "noise half stated": _noise(_half),
-    "counts": _noise(_counted),
+    "Student's noise": Error(_student),
+    "noise twice stated": Error(_white(2.0)),
+    "noise half stated": Error(_white(0.5)),
+    "counts": Error(_counted),
 }
 BAD = ("one reading 2e-3 off", "one reading 8e-3 off", "one reading stuck")
 OTHER_NOISE = ("Student's noise", "noise twice stated", "noise half stated", "counts")

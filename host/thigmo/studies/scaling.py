@@ -16,7 +16,7 @@ import numpy as np
 
 from thigmo.localization import localize, localize_batch
 from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.scenes import (
     BOTH,
     LENGTH,
@@ -32,8 +32,6 @@ from thigmo.studies.timing import least_us, one_core
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from thigmo.studies.engine import Cell
 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 BATCHES = (1, 10, 100, 1000, 10_000)
@@ -109,14 +107,15 @@ def _measured(context: Context) -> Outcome:
     rows = np.array([one_contact(context.rng(3, i)).curvature for i in range(BATCHES[-1])])
     by_batch = [(size, _row_us(rows[:size], max(repeats // 10, 1))) for size in BATCHES]
     outcome.claims.append(Claim("localize_batch, a row", by_batch[-1][1], ROW_US, unit="us"))
-    found: list[tuple[Cell, ...]] = [
-        (name, *point) for name, points in by_sensors.items() for point in points
-    ]
-    outcome.tables = [
-        Table("promises", ("what", "time_us"), list(times.items())),
-        Table("sensors", ("contacts", "sensors", "time_us"), found),
-        Table("batch", ("rows", "row_us"), list(by_batch)),
-    ]
+    outcome.tables = {
+        "promises": [{"what": what, "time_us": time} for what, time in times.items()],
+        "sensors": [
+            {"contacts": name, "sensors": sensors, "time_us": time}
+            for name, points in by_sensors.items()
+            for sensors, time in points
+        ],
+        "batch": [{"rows": size, "row_us": time} for size, time in by_batch],
+    }
     outcome.figures["scaling"] = _figure(by_sensors, by_batch)
     return outcome
 

@@ -21,7 +21,7 @@ from thigmo.report.axes import GREEN
 from thigmo.studies import charts
 from thigmo.studies.attempt import attempt, mean_and_failures, mean_over
 from thigmo.studies.baselines import BASELINES
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, records
 from thigmo.studies.pegs import any_peg
 from thigmo.studies.scenes import Case, actuated, few_sensors, one_contact, two_contacts
 
@@ -162,7 +162,7 @@ def run(context: Context) -> Outcome:
     outcome = Outcome()
     for scene in SCENES:
         scores += score(context, scene, context.count(12, 400 if scene == CLAIMED else 150))
-        outcome.tables = [Table.of("methods", scores)]
+        outcome.tables["methods"] = records(scores)
         context.save(outcome)
     outcome.figures["chart"] = chart(scores)
     here = {s.method: s for s in scores if s.scene == CLAIMED}

@@ -12,6 +12,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from thigmo.localization import METHODS
 from thigmo.studies import charts
 from thigmo.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read
 
 if TYPE_CHECKING:
@@ -152,16 +153,15 @@ def errors_of(context: Context, stress: Stress, cases: int) -> Floats:
     return found.reshape(*shape, cases, len(stress.methods))
 
 
-def tabulate(stress: Stress, errors: Floats) -> Table:
+def tabulate(stress: Stress, errors: Floats) -> list[Record]:
     """A line a method and cell."""
-    rows = []
-    for (r, row), (c, column) in (
-        (a, b) for a in enumerate(stress.rows) for b in enumerate(stress.columns)
-    ):
+    lines: list[Record] = []
+    for (r, row), (c, column) in product(enumerate(stress.rows), enumerate(stress.columns)):
         for m, method in enumerate(stress.methods):
-            rows.append((method, row, column, *mean_and_failures(errors[r, c, :, m])))
-    names = ("method", stress.row_label, stress.column_label or "-", "mean_cm", "failures")
-    return Table(stress.name, names, rows)
+            mean, failures = mean_and_failures(errors[r, c, :, m])
+            conditions = {stress.row_label: row, stress.column_label or "-": column}
+            lines.append({"method": method, **conditions, "mean_cm": mean, "failures": failures})
+    return lines
 
 
 def pooled(stress: Stress, errors: Floats) -> list[dict[str, str | float | int]]:
@@ -230,9 +230,9 @@ def _short(value: float, measure: int) -> str:
     return f"{value:.0f}" if measure or value >= 9.95 else f"{value:.1f}"
 
 
-def _lines(stress: Stress, errors: Floats, title: str) -> Figure:
-    """Mean error and failures over the rows, all columns together."""
-    figure, axes = charts.panels(1, 2, size=(5.0, 4.0), title=title)
+def _lines(stress: Stress, errors: Floats) -> Figure:
+    """Mean error and failures over the rows."""
+    figure, axes = charts.panels(1, 2, size=(5.0, 4.0), title=stress.row_label)
     for axis, (label, measure, top) in zip(axes, _MEASURES, strict=True):
         series = {
             method: [
@@ -254,27 +254,16 @@ def run(context: Context) -> Outcome:
     for stress in STRESSES:
         # A general optimiser takes long from a bad start.
         errors = errors_of(context, stress, max(cases // 4, 1) if stress.starts else cases)
-        outcome.tables.append(tabulate(stress, errors))
+        outcome.tables[stress.name] = tabulate(stress, errors)
+        _, *others = pooled(stress, errors)
         lines += pooled(stress, errors)
-        best = max(lines[-len(stress.methods) + 1 :], key=lambda line: line["default_over_it"])
+        best = max(others, key=lambda line: line["default_over_it"])
+        text = "default method's mean error over that of the best other"
         outcome.claims.append(
-            Claim(
-                f"{stress.name}: default method's mean error over that of the best other "
-                f"({best['method']})",
-                float(best["default_over_it"]),
-                1.0,
-            )
+            Claim(f"{stress.name}: {text} ({best['method']})", float(best["default_over_it"]), 1.0)
         )
-        context.save(Outcome([outcome.tables[-1]], claims=outcome.claims))
-        if len(stress.columns) == 1:
-            outcome.figures[stress.name] = _lines(stress, errors, stress.row_label)
-            continue
-        outcome.figures[stress.name] = _maps(stress, errors)
-        if stress.starts:
-            title = (
-                "The same readings (half of them with a folded base) from each starting point; "
-                f"{' and '.join(STARTLESS)} take none"
-            )
-            outcome.figures["by-start"] = _lines(stress, errors, title)
-    outcome.tables.append(Table.of("rows", lines))
+        context.save(Outcome({stress.name: outcome.tables[stress.name]}, claims=outcome.claims))
+        draw = _maps if len(stress.columns) > 1 else _lines
+        outcome.figures[stress.name] = draw(stress, errors)
+    outcome.tables["rows"] = lines
     return outcome

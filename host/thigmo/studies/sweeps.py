@@ -8,14 +8,14 @@ localized contact whose 95 % interval does not hold the place is wrong; shares a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from thigmo.localization import ContactFilter, LocalizeResult, localize
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, parts, records
 from thigmo.studies.pegs import Rooms, rooms
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, SIGMA, SPAN
@@ -51,19 +51,19 @@ def _zeros(rng: np.random.Generator, seen: Inflation) -> Inflation:
     return Inflation(seen.curvature + zeros, seen.free, {"zero_error": ZERO})
 
 
-def _offset(size: float) -> Callable[[np.random.Generator, Inflation], Inflation]:
+def _bad(offset: float | None) -> Callable[[np.random.Generator, Inflation], Inflation]:
+    """One sensor is off by `offset`, or says nothing but zero."""
+
     def spoil(rng: np.random.Generator, seen: Inflation) -> Inflation:
         curvature = seen.curvature.copy()
-        curvature[:, rng.integers(COLUMN.size)] += size * rng.choice([-1.0, 1.0])
+        sensor = curvature[:, rng.integers(COLUMN.size)]
+        if offset is None:
+            sensor[:] = 0.0
+        else:
+            sensor += offset * rng.choice([-1.0, 1.0])
         return seen._replace(curvature=curvature)
 
     return spoil
-
-
-def _stuck(rng: np.random.Generator, seen: Inflation) -> Inflation:
-    curvature = seen.curvature.copy()
-    curvature[:, rng.integers(COLUMN.size)] = 0.0
-    return seen._replace(curvature=curvature)
 
 
 def _more_noise(rng: np.random.Generator, seen: Inflation) -> Inflation:
@@ -72,9 +72,9 @@ def _more_noise(rng: np.random.Generator, seen: Inflation) -> Inflation:
 
 
 BAD = {
-    "a sensor off by 2e-3 1/cm": _offset(2e-3),
-    "a sensor off by 8e-3 1/cm": _offset(8e-3),
-    "a sensor stuck at zero": _stuck,
+    "a sensor off by 2e-3 1/cm": _bad(2e-3),
+    "a sensor off by 8e-3 1/cm": _bad(8e-3),
+    "a sensor stuck at zero": _bad(None),
 }
 OTHER_NOISE = "twice the noise, not told"
 TOLD: dict[str, Callable[[np.random.Generator, Inflation], Inflation]] = {
@@ -173,14 +173,13 @@ class Score:
 
 def run(context: Context) -> Outcome:
     """The study: every error, by the last frame and by all."""
-    count = context.count(BATCH, 160)
-    parts = [(k, min(BATCH, count - BATCH * k)) for k in range(-(-count // BATCH))]
+    batches = parts(context.count(BATCH, 160), BATCH)
     scores: dict[tuple[str, str], Score] = {}
     for error in ERRORS:
-        got = context.map(judge, [Task(context.seed, error, *part) for part in parts], error)
+        got = context.map(judge, [Task(context.seed, error, *part) for part in batches], error)
         for method in METHODS:
-            rows = np.concatenate([some[method] for some in got])
-            scores[error, method] = Score.of(error, method, rows)
+            judged = np.concatenate([some[method] for some in got])
+            scores[error, method] = Score.of(error, method, judged)
     whole = {error: scores[error, "all frames"] for error in ERRORS}
     claims = [
         Claim("errors told: least coverage", min(whole[e].covered for e in TOLD), 0.93, False),
@@ -193,5 +192,5 @@ def run(context: Context) -> Outcome:
             whole["none"].mean_error_cm / scores["none", "last frame"].mean_error_cm, 1.0,
         ),
     ]  # fmt: skip
-    table = Table.of("rows", (asdict(score) for score in scores.values()))
-    return Outcome(tables=[table], claims=claims, summary=table)
+    rows = records(scores.values())
+    return Outcome({"rows": rows}, claims=claims, summary=rows)

@@ -7,7 +7,8 @@ of an estimator that knows all but place and force. Used by the studies of accur
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -30,7 +31,7 @@ class Scenes:
         position: (N,).
         free: (S,) free curvature.
         arcs: (S, C) contacts; C is 0 for free bodies.
-        bound: (S,) Cramer-Rao standard deviation (cm) of a contact's place where there is one.
+        bound: (S,) Cramer-Rao standard deviation (cm) of a contact's place; infinite without one.
         stands_out: (S,) misfit of what a promise speaks of, where that depends on no noise.
     """
 
@@ -38,7 +39,7 @@ class Scenes:
     position: Floats
     free: Floats
     arcs: Floats
-    bound: Floats = field(default_factory=lambda: np.empty(0))
+    bound: Floats | float = np.inf
     stands_out: Floats | None = None
 
 
@@ -146,17 +147,15 @@ def corners(rng: np.random.Generator, count: int) -> Scenes:
     return _pegs(rng, count, "corner")
 
 
-def untouched(rng: np.random.Generator, count: int) -> Scenes:
-    """A straight body that touches nothing."""
-    none = np.empty((count, 0))
-    return Scenes(np.zeros((count, 10)), BOTH, np.zeros(count), none, np.full(count, np.inf))
+def straight(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
+    """Straight bodies that touch nothing."""
+    return Scenes(np.zeros((count, position.size)), position, np.zeros(count), np.empty((count, 0)))
 
 
 def untouched_bent(rng: np.random.Generator, count: int) -> Scenes:
     """A bent body that touches nothing."""
     free = signs(rng, count) * rng.uniform(0.0, MOST_FREE, count)
-    none = np.empty((count, 0))
-    return Scenes(np.tile(free[:, None], 5), COLUMN, free, none, np.full(count, np.inf))
+    return Scenes(np.tile(free[:, None], 5), COLUMN, free, np.empty((count, 0)))
 
 
 GROUPS: dict[str, Draw] = {
@@ -164,7 +163,7 @@ GROUPS: dict[str, Draw] = {
     "bent": bent,
     "peg": pegs,
     "corner": corners,
-    "free": untouched,
+    "free": partial(straight, BOTH),
     "free, bent": untouched_bent,
     "friction": rubbed,
     "uneven": uneven,

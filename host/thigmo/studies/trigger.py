@@ -23,7 +23,7 @@ from thigmo.emulator.scene import PegTable, Scene
 from thigmo.link.protocol import PARAMETERS
 from thigmo.report.axes import CYCLE
 from thigmo.studies import charts
-from thigmo.studies.engine import Cell, Claim, Context, Outcome, Table
+from thigmo.studies.engine import Cell, Claim, Context, Outcome, Record
 from thigmo.studies.trigger_sessions import (
     RISE_MS,
     Setting,
@@ -161,7 +161,7 @@ def run(context: Context) -> Outcome:
         own = [ms for task, ms in zip(touched, of_touched, strict=True) if task.step == step]
         late[step] = np.concatenate(own, axis=1)
     return Outcome(
-        tables=[_alarm_table(alarms, few, many), _latency_table(late)],
+        tables={"alarms": _alarm_table(alarms, few, many), "latency": _latency_table(late)},
         figures={"chart": _figure(alarms, late)},
         claims=_claims(alarms, late),
     )
@@ -200,28 +200,25 @@ def chosen(alarms: Sequence[float], steps: Sequence[float], pegs: Sequence[float
     return min((n for n in allowed if pegs[n] < shortest + EQUAL_MS), key=lambda n: steps[n])
 
 
-def _alarm_table(alarms: dict[tuple[str, float], Floats], few: int, many: int) -> Table:
+def _alarm_table(alarms: dict[tuple[str, float], Floats], few: int, many: int) -> list[Record]:
     hours = 2 * RISE_MS / 3.6e6  # of sweeping, a sweep
-    return Table.of(
-        "alarms",
-        [
-            {
-                "noise_part": part,
-                "times_default": level,
-                "samples_averaged": 2**setting.filter_log2,
-                "debounce_ms": setting.debounce_ms,
-                "empty_sweeps": _SWEEPS * (many if (part, level) == DECIDING else few),
-                "false_alarms_per_100_sweeps": round(float(rate), 2),
-                "false_alarms_per_hour_of_sweeping": round(float(rate) / 100 / hours, 1),
-            }
-            for (part, level), rates in alarms.items()
-            for setting, rate in zip(settings(), rates, strict=True)
-        ],
-    )
+    return [
+        {
+            "noise_part": part,
+            "times_default": level,
+            "samples_averaged": 2**setting.filter_log2,
+            "debounce_ms": setting.debounce_ms,
+            "empty_sweeps": _SWEEPS * (many if (part, level) == DECIDING else few),
+            "false_alarms_per_100_sweeps": round(float(rate), 2),
+            "false_alarms_per_hour_of_sweeping": round(float(rate) / 100 / hours, 1),
+        }
+        for (part, level), rates in alarms.items()
+        for setting, rate in zip(settings(), rates, strict=True)
+    ]
 
 
-def _latency_table(late: dict[float, Floats]) -> Table:
-    rows: list[dict[str, Cell]] = []
+def _latency_table(late: dict[float, Floats]) -> list[Record]:
+    rows: list[Record] = []
     for n, setting in enumerate(settings()):
         row: dict[str, Cell] = {
             "samples_averaged": 2**setting.filter_log2,
@@ -234,7 +231,7 @@ def _latency_table(late: dict[float, Floats]) -> Table:
                 row[f"{name}_{what}_ms"] = round(quantile(values, share, early=early), 1)
             row[f"{name}_missed"] = int(np.isinf(values).sum())
         rows.append(row)
-    return Table.of("latency", rows)
+    return rows
 
 
 def _claims(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> list[Claim]:

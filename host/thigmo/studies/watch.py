@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.errors import DataError
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3
 _RATE_HZ = 200
@@ -62,17 +62,13 @@ def _run(context: Context) -> Outcome:
     }
     same = alone["contacts"] == watched["contacts"] and alone["stages"] == watched["stages"]
     return Outcome(
-        [
-            Table("late", ("drawn", *late), [(len(ages_s), *late.values())]),
-            Table(
-                "explorations",
-                ("pages", "robot_time_s", "wall_time_s"),
-                [
-                    (pages, found["robot_time_s"], found["wall_time_s"])
-                    for pages, found in ((0, alone), (_VIEWERS, watched))
-                ],
-            ),
-        ],
+        {
+            "late": [{"drawn": len(ages_s), **late}],
+            "explorations": [
+                {"pages": pages, **{what: found[what] for what in ("robot_time_s", "wall_time_s")}}
+                for pages, found in ((0, alone), (_VIEWERS, watched))
+            ],
+        },
         claims=[
             *(
                 Claim(f"age of a reading on the screen, {name}", value, _PROMISED_S[name], unit="s")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from thigmo.errors import DataError
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.experiments import figures, thesis
 from thigmo.studies.experiments.compare import THEIRS, Row, Solved, row, shown, solve
 from thigmo.studies.experiments.trial import Trial
@@ -41,7 +41,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
         rows += [row(name, f"{condition}, {n}", solved, m) for n, m in remedies.items()]
         every += solved
     outcome = Outcome(
-        [Table.of("answers", _answers(every)), Table.of("rows", rows)],
+        {"answers": _answers(every), "rows": rows},
         figures.FIGURES[name](every, rows),
         [
             Claim(f"{name}, {r['condition']}: {measure}", r[value], r[allowed], unit="cm")
@@ -52,7 +52,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
             )
         ],
         [f"{name}, {r['condition']}{note}" for r in rows for note in _remarks(r)],
-        Table.of(name, map(shown, rows)),
+        [shown(r) for r in rows],
     )
     alone = sum(trial.passed is None for trial in trials)
     if name == "actuated" and alone:

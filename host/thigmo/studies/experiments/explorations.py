@@ -23,7 +23,7 @@ from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
-from thigmo.studies.engine import Outcome, Table
+from thigmo.studies.engine import Outcome, Record
 from thigmo.studies.experiments import explored, thesis
 from thigmo.studies.experiments.attendant import Place
 from thigmo.studies.experiments.folder import Folder, Row, Say, Verdict
@@ -218,17 +218,19 @@ def evaluate(folder: ExplorationFolder) -> Outcome:
         if len(ways) == len(WAYS)
     ]
     outcome = explored.compared(runs) if runs else Outcome()
+    each: list[Record] = []
     for number, ways in sorted(made.items()):
-        for way, text in WAYS.items():
-            if way in ways:
-                x, plane, time = ways[way]
-                outcome.notes.append(
-                    f"trial {number}, {text}: |x error| {x:.2f} cm, in the plane {plane:.2f} cm, "
-                    f"{time:.0f} s"
-                )
-    names = ("number", "protocol", "error_x_cm", "error_cm", "robot_time_s")
-    each = [(number, way, *ways[way]) for number, ways in sorted(made.items()) for way in ways]
-    outcome.tables.append(Table("each", names, each))
+        for way in (way for way in WAYS if way in ways):
+            x, plane, time = ways[way]
+            each.append({
+                "number": number, "protocol": way, "error_x_cm": x, "error_cm": plane,
+                "robot_time_s": time,
+            })  # fmt: skip
+            outcome.notes.append(
+                f"trial {number}, {WAYS[way]}: |x error| {x:.2f} cm, in the plane {plane:.2f} cm, "
+                f"{time:.0f} s"
+            )
+    outcome.tables["each"] = each
     return outcome
 
 

@@ -20,7 +20,7 @@ from thigmo.report.axes import BLUE, ORANGE, RED
 from thigmo.robot import SensorTable
 from thigmo.studies import charts
 from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.engine import Claim, Context, Outcome, Table
+from thigmo.studies.engine import Claim, Context, Outcome, records
 from thigmo.studies.experiments import schematics, thesis
 from thigmo.studies.rooms import explored
 
@@ -104,7 +104,7 @@ def compared(runs: list[Run]) -> Outcome:
     ours = [one.ours_x_cm for one in runs]
     times = [sum(getattr(one, what) for one in runs) for what in ("ours_s", "thesis_protocol_s")]
     return Outcome(
-        [Table.of("runs", runs)],
+        {"runs": records(runs)},
         {"errors": _figure(runs)},
         [
             Claim(

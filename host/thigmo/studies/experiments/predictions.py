@@ -16,7 +16,7 @@ import numpy as np
 
 from thigmo.config import TanhMap
 from thigmo.studies import charts
-from thigmo.studies.engine import Context, Outcome, Table
+from thigmo.studies.engine import Context, Outcome, records
 from thigmo.studies.experiments import conditions, thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
 from thigmo.studies.experiments.fit import frozen
@@ -109,7 +109,7 @@ def run(robots: int, trials: int, context: Context) -> Outcome:
     """Every setting, over robots built anew for it from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
     found = [cell for some in context.map(_rows, items, "changed constants") for cell in some]
-    return Outcome([Table.of("cells", found)], {"constants": _figure(found)}, notes=remarks(found))
+    return Outcome({"cells": records(found)}, {"constants": _figure(found)}, notes=remarks(found))
 
 
 def remarks(found: list[Cell]) -> list[str]:

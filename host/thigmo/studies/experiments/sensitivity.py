@@ -71,7 +71,7 @@ def run(trials: int, context: Context) -> Outcome:
         ("posterior (default)", 2),
     )
     return Outcome(
-        [tabulate(STUDY, errors)],
+        {STUDY.name: tabulate(STUDY, errors)},
         {"sensitivity": _figure(means)},
         [
             Claim(
