@@ -84,10 +84,8 @@ class Body(Model):
 
     def zone_at(self, length_cm: float) -> int:
         """Index of the pressure zone that holds at an everted length (boundaries belong below)."""
-        for index, zone in enumerate(self.zones):
-            if length_cm <= zone.until_cm + 1e-6:
-                return index
-        return len(self.zones) - 1
+        beyond = sum(length_cm > zone.until_cm + 1e-6 for zone in self.zones)
+        return min(beyond, len(self.zones) - 1)
 
 
 class FlexSensor(Model):

@@ -8,7 +8,7 @@ the localizer; the names are those of its arguments.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -53,15 +53,9 @@ class ReadingErrors:
         Args:
             added_noise: further noise of this frame's readings, such as creep; scalar or (N,).
         """
-        return {
-            "noise": np.sqrt(self.noise**2 + self.zero_error**2 + np.square(added_noise)),
-            "gain_error": self.gain_error,
-            "offset_error": self.offset_error,
-            "map_error": self.map_error,
-            "critical_curvature": self.critical_curvature,
-            "critical_curvature_error": self.critical_curvature_error,
-            "tube_radius": self.tube_radius,
-        }
+        told = {each.name: getattr(self, each.name) for each in fields(self)}
+        frame = np.square(told.pop("zero_error")) + np.square(added_noise)
+        return told | {"noise": np.sqrt(self.noise**2 + frame)}
 
 
 def reading_errors(

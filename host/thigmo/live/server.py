@@ -69,6 +69,36 @@ class WatchOptions:
         return self.host not in ("127.0.0.1", "::1", "localhost")
 
 
+class _Run:
+    """What is known of the run that is looked at, which is nothing of the one before.
+
+    Args:
+        hello: whose run it is; None before the first.
+    """
+
+    def __init__(self, hello: Hello | None) -> None:
+        folder = hello.folder if hello else ""
+        self.hello = hello
+        self.over = asyncio.Event()
+        self.pausing = False
+        self.failure = ""
+        self.truth = facts.Truth(folder)
+        self.body = facts.body(folder)
+        self.pegs: list[dict[str, float]] = []
+        # What a page that comes later has missed.
+        self.held: dict[str, str] = {}
+        self.events: deque[str] = deque(maxlen=500)
+        self.history: deque[str] = deque(maxlen=_HISTORY_ROWS)
+        self.history_s = float("-inf")
+        self.board = ""
+        self.past: PastRun | None = None  # its record, once somebody looks back at it
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is over."""
+        return self.over.is_set()
+
+
 class PageServer:
     """Serves the page.
 
@@ -86,23 +116,10 @@ class PageServer:
         self._watched = Watched(options.url) if options.past is None else None
         self._viewers: dict[web.WebSocketResponse, Viewer] = {}
         self._operator: web.WebSocketResponse | None = None
-        self._run: Hello | None = None
-        self._ended = False
+        self._run = _Run(None)
         self._started: StartedRun | None = None
-        self._looked_back: PastRun | None = None  # the run that has just ended
-        self._failure = ""
         self._tasks: set[asyncio.Task[None]] = set()
-        self._pausing = False
-        self._truth = facts.Truth("")
-        self._body = facts.body("")
-        self._pegs: list[dict[str, float]] = []
         self._way: Way = "none"
-        self._held: dict[str, str] = {}
-        self._events: deque[str] = deque(maxlen=500)
-        self._history: deque[str] = deque(maxlen=_HISTORY_ROWS)
-        self._history_s = float("-inf")
-        self._board = ""
-        self._seen = asyncio.Event()  # the run has ended
         self._left_s = time.monotonic()  # when somebody last looked
 
     # The application.
@@ -145,25 +162,16 @@ class PageServer:
             await asyncio.sleep(_TICK_S)
 
     def _take(self, taken: Taken) -> None:
-        if taken.run is not self._run:
+        if taken.run is not self._run.hello:
             self._begin(taken.run)
         self._pass_on(taken.messages)
-        if taken.ended and not self._ended:
-            self._ended = True
-            self._seen.set()
+        if taken.ended and not self._run.ended:
+            self._run.over.set()
             self._tell()
 
     def _begin(self, run: Hello | None) -> None:
-        """Another run is under way: whatever was of the last one is forgotten."""
-        self._run, self._ended, self._pausing, self._failure = run, False, False, ""
-        folder = run.folder if run else ""
-        self._truth, self._body, self._pegs = facts.Truth(folder), facts.body(folder), []
-        self._held.clear()
-        self._events.clear()
-        self._history.clear()
-        self._history_s = float("-inf")
-        self._seen.clear()
-        self._looked_back = None
+        """Another run is under way."""
+        self._run = _Run(run)
         if self._started is not None and not self._started.runs:
             self._started = None  # it was another one, and so was its failure
         for viewer in self._viewers.values():
@@ -177,34 +185,34 @@ class PageServer:
             self._pass_readings(readings)
         shapes = [each for each in messages if isinstance(each, BodyShape)]
         for shape in shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)]:
-            text = self._held[BodyShape.CHANNEL] = to_json(shape).decode()
+            text = self._run.held[BodyShape.CHANNEL] = to_json(shape).decode()
             for viewer in self._viewers.values():
                 viewer.add_shape(text)
         for message in messages:
             if isinstance(message, Telemetry | BodyShape):
                 continue
             if isinstance(message, RunState) and message.paused:
-                self._pausing = False
+                self._run.pausing = False
             channel, text = message.CHANNEL, to_json(message).decode()
             holds = channel in RETAINED
             if holds:
-                self._held[channel] = text
+                self._run.held[channel] = text
             elif isinstance(message, Event):
-                self._events.append(text)
+                self._run.events.append(text)
             for viewer in self._viewers.values():
                 viewer.add(channel, text, holds=holds)
 
     def _pass_readings(self, readings: list[Telemetry]) -> None:
         kept = readings[thinned(len(readings), _MOST_ROWS_A_TICK)]
-        rows = [row_text(each) for each in kept]
+        rows, run = [row_text(each) for each in kept], self._run
         for reading, row in zip(kept, rows, strict=True):
-            if not 0 <= reading.t_s - self._history_s < _HISTORY_S:
-                self._history.append(row)
-                self._history_s = reading.t_s
+            if not 0 <= reading.t_s - run.history_s < _HISTORY_S:
+                run.history.append(row)
+                run.history_s = reading.t_s
         last = kept[-1]
-        self._board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
+        run.board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
         for viewer in self._viewers.values():
-            viewer.add_rows(rows, self._board)
+            viewer.add_rows(rows, run.board)
 
     async def _pulse(self) -> None:
         """Tell every page four times a second how things are; also that the server is there."""
@@ -212,15 +220,16 @@ class PageServer:
             if self._viewers:
                 self._left_s = time.monotonic()
             self._way = await asyncio.to_thread(way_to, self._moving)
-            if self._run is not None and not self._ended:
-                self._pegs = await asyncio.to_thread(self._truth.pegs)
+            run = self._run
+            if self._moving:
+                run.pegs = await asyncio.to_thread(run.truth.pegs)
             self._tell()
             await asyncio.sleep(_PULSE_S)
 
     @property
     def _moving(self) -> Hello | None:
         """The run that is under way."""
-        return None if self._ended else self._run
+        return None if self._run.ended else self._run.hello
 
     def _tell(self) -> None:
         for socket, viewer in self._viewers.items():
@@ -234,16 +243,16 @@ class PageServer:
         heard_s = self._watched.heard_s if self._watched else 0.0
         return {
             "channel": "page",
-            "mode": "idle" if run is None else "record" if viewer.looks_back else "live",
-            "run": _run_facts(run) if run else None,
-            "ended": self._ended,
-            "body": self._body,
-            "truth": self._pegs,
+            "mode": "idle" if run.hello is None else "record" if viewer.looks_back else "live",
+            "run": _run_facts(run.hello) if run.hello else None,
+            "ended": run.ended,
+            "body": run.body,
+            "truth": run.pegs,
             "start": {"url": plan.url, "virtual": plan.virtual} if plan else None,
             "starting": self._starting,
             "question": started.question if started else "",
-            "failure": self._failure or (started.failure() if started else ""),
-            "pausing": self._pausing,
+            "failure": run.failure or (started.failure() if started else ""),
+            "pausing": run.pausing,
             "operator": self._operator is socket,
             "operated": self._operator is not None and self._operator is not socket,
             "viewers": len(self._viewers),
@@ -288,12 +297,13 @@ class PageServer:
 
     def _give_past(self, viewer: Viewer) -> None:
         """What a page that comes later has missed."""
-        for channel, text in self._held.items():
+        run = self._run
+        for channel, text in run.held.items():
             viewer.add(channel, text, holds=True)
-        for text in self._events:
+        for text in run.events:
             viewer.add(Event.CHANNEL, text, holds=False)
-        if self._history:
-            viewer.add_rows(self._history, self._board, most=_HISTORY_ROWS)
+        if run.history:
+            viewer.add_rows(run.history, run.board, most=_HISTORY_ROWS)
 
     async def _obey(self, socket: web.WebSocketResponse, viewer: Viewer, text: str) -> None:
         try:
@@ -323,7 +333,7 @@ class PageServer:
         elif command in ("pause", "resume") and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
                 self._watched.send("pause" if command == "pause" else "resume")
-                self._pausing = command == "pause"
+                self._run.pausing = command == "pause"
 
     async def _start(self, *, realtime: bool) -> None:
         plan = self._plan
@@ -341,9 +351,10 @@ class PageServer:
 
     async def _stop_virtual(self, run: Hello) -> Stopped:
         assert self._watched is not None
+        over = self._run.over
         try:
             self._watched.send("stop")
-            await asyncio.wait_for(self._seen.wait(), _STOP_S)
+            await asyncio.wait_for(over.wait(), _STOP_S)
         except ThigmoError:
             return Stopped()  # it has just ended
         except TimeoutError:
@@ -353,22 +364,20 @@ class PageServer:
     async def _look_back(self, viewer: Viewer) -> None:
         """Show a page the run that has just ended, from its record."""
         run = self._run
-        if run is None or not self._ended or not run.folder:
+        if run.hello is None or not run.ended or not run.hello.folder:
             return
-        if self._looked_back is None:
+        if run.past is None:
             try:
-                past = await asyncio.to_thread(PastRun, Path(run.folder))
+                run.past = await asyncio.to_thread(PastRun, Path(run.hello.folder))
             except ThigmoError as error:
-                self._failure = str(error)
-                return
-            if run is self._moving or run is not self._run:
-                return  # another run has begun
-            self._looked_back = past
+                run.failure = str(error)
+            if run.past is None or run is not self._run:
+                return  # it cannot be read, or another run has begun
         viewer.looks_back = True
         self._tell()
 
     def _shown(self) -> PastRun:
-        past = self._past or self._looked_back
+        past = self._past or self._run.past
         if past is None:
             raise web.HTTPNotFound(text="No run has ended yet.")
         return past

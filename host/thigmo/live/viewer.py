@@ -71,7 +71,7 @@ class Viewer:
         self._due.set()
 
     def forget(self) -> None:
-        """Drop what waits: it is of a run that is no longer shown."""
+        """Drop what waits: it has been sent, or is of a run that is no longer shown."""
         self._rows.clear()
         self._once.clear()
         self._shapes.clear()
@@ -109,8 +109,5 @@ class Viewer:
         if self._rows:
             rows = ",".join(self._rows)
             parts.append(f'{{"channel":"telemetry",{self._board},"rows":[{rows}]}}')
-        self._last.clear()
-        self._once.clear()
-        self._shapes.clear()
-        self._rows.clear()
+        self.forget()
         return f"[{','.join(parts)}]" if parts else None

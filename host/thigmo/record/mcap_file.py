@@ -19,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata, Schema
+from mcap.records import Channel, Chunk, Metadata
 
 from thigmo.errors import RunFolderError
 
@@ -45,7 +45,6 @@ class McapContents:
 
     Attributes:
         channels: by their number.
-        schemas: by their number.
         metadata: of all metadata records.
         messages: channel number, log time in ns, and data of each, in the file's order.
         gaps: places at which something is missing.
@@ -53,7 +52,6 @@ class McapContents:
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
-    schemas: dict[int, Schema] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
     messages: list[tuple[int, int, bytes]] = field(default_factory=list)
     gaps: int = 0
@@ -105,7 +103,7 @@ def _take(
     try:
         if opcode == Opcode.CHUNK:
             _take_chunk(content, wanted, found)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+        else:
             _take_definition(opcode, content, found)
     except _DamagedError:
         return "damaged"  # its length is right
@@ -116,13 +114,10 @@ def _take(
 
 def _take_definition(opcode: int, content: bytes, found: McapContents) -> None:
     stream = ReadDataStream(BytesIO(content))
-    if opcode == Opcode.SCHEMA:
-        schema = Schema.read(stream)
-        found.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
+    if opcode == Opcode.CHANNEL:
         channel = Channel.read(stream)
         found.channels[channel.id] = channel
-    else:
+    elif opcode == Opcode.METADATA:
         found.metadata |= Metadata.read(stream).metadata
 
 
@@ -157,7 +152,7 @@ def _take_chunk(content: bytes, wanted: Callable[[str], bool], found: McapConten
             if channel is None or wanted(channel.topic):
                 body = records[place + _MESSAGE.size : place + length]
                 found.messages.append((number, log_ns, body))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        else:
             _take_definition(opcode, records[place : place + length], found)
         place += length
 
