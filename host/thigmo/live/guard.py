@@ -28,46 +28,39 @@ _HEADERS = {
 }
 
 
-class Guard:
-    """Checks of every request.
+def guard(token: str | None) -> Middleware:
+    """Checks of every request, as aiohttp calls them.
 
     Args:
         token: that requests must have; None on loopback.
     """
 
-    def __init__(self, token: str | None) -> None:
-        self._token = token
+    @web.middleware
+    async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:
+        refusal = _refusal(request, token)
+        if refusal is not None:
+            raise web.HTTPForbidden(text=refusal, headers=_HEADERS)
+        if token is not None and "token" in request.query:
+            response = web.HTTPFound("/", headers=_HEADERS)
+            response.set_cookie(_cookie(request), token, httponly=True, samesite="Lax", path="/")
+            raise response
+        return await handler(request)
 
-    def middleware(self) -> Middleware:
-        """The checks, as aiohttp calls them."""
+    return checked
 
-        @web.middleware
-        async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:
-            refusal = self._refusal(request)
-            if refusal is not None:
-                raise web.HTTPForbidden(text=refusal, headers=_HEADERS)
-            if self._token is not None and "token" in request.query:
-                response = web.HTTPFound("/", headers=_HEADERS)
-                response.set_cookie(
-                    _cookie(request), self._token, httponly=True, samesite="Lax", path="/"
-                )
-                raise response
-            return await handler(request)
 
-        return checked
-
-    def _refusal(self, request: web.Request) -> str | None:
-        name, _, _ = request.host.rpartition(":") if ":" in request.host else (request.host, "", "")
-        if self._token is None and name not in _LOOPBACK:
-            return f"This page is not {request.host}. Open it at 127.0.0.1."
-        acts = request.method not in ("GET", "HEAD") or request.path == "/stream"
-        if acts and request.headers.get("Origin") != f"http://{request.host}":
-            return "This request does not come from the page itself."
-        if self._token is not None:
-            given = request.query.get("token") or request.cookies.get(_cookie(request), "")
-            if not hmac.compare_digest(given.encode(), self._token.encode()):
-                return "This page needs its token. Open the address that `thigmo watch` printed."
-        return None
+def _refusal(request: web.Request, token: str | None) -> str | None:
+    name, _, _ = request.host.rpartition(":") if ":" in request.host else (request.host, "", "")
+    if token is None and name not in _LOOPBACK:
+        return f"This page is not {request.host}. Open it at 127.0.0.1."
+    acts = request.method not in ("GET", "HEAD") or request.path == "/stream"
+    if acts and request.headers.get("Origin") != f"http://{request.host}":
+        return "This request does not come from the page itself."
+    if token is not None:
+        given = request.query.get("token") or request.cookies.get(_cookie(request), "")
+        if not hmac.compare_digest(given.encode(), token.encode()):
+            return "This page needs its token. Open the address that `thigmo watch` printed."
+    return None
 
 
 def _cookie(request: web.Request) -> str:

@@ -22,7 +22,7 @@ from aiohttp import WSMsgType, web
 
 from thigmo.errors import ThigmoError
 from thigmo.live import facts
-from thigmo.live.guard import Guard, add_headers
+from thigmo.live.guard import add_headers, guard
 from thigmo.live.past import PastRun
 from thigmo.live.rows import board, row_text, thinned
 from thigmo.live.starting import StartedRun, StartPlan
@@ -114,8 +114,8 @@ class PageServer:
         self.token = secrets.token_urlsafe(16) if options.token else None
         self._past = PastRun(options.past) if options.past else None
         self._watched = Watched(options.url) if options.past is None else None
-        self._viewers: dict[web.WebSocketResponse, Viewer] = {}
-        self._operator: web.WebSocketResponse | None = None
+        self._viewers: set[Viewer] = set()
+        self._operator: Viewer | None = None
         self._run = _Run(None)
         self._started: StartedRun | None = None
         self._tasks: set[asyncio.Task[None]] = set()
@@ -126,7 +126,7 @@ class PageServer:
 
     def application(self) -> web.Application:
         """The aiohttp application."""
-        app = web.Application(middlewares=[Guard(self.token).middleware()])
+        app = web.Application(middlewares=[guard(self.token)])
         app.on_response_prepare.append(add_headers)
         app.router.add_get("/", self._index)
         app.router.add_get("/stream", self._stream)
@@ -145,8 +145,8 @@ class PageServer:
         yield
         for task in tasks:
             task.cancel()
-        for socket in list(self._viewers):
-            await socket.close(code=1001)
+        for viewer in list(self._viewers):
+            await viewer.socket.close(code=1001)
         if self._watched is not None:
             await asyncio.to_thread(self._watched.close)
         if self._started is not None and self._started.runs:
@@ -174,7 +174,7 @@ class PageServer:
         self._run = _Run(run)
         if self._started is not None and not self._started.runs:
             self._started = None  # it was another one, and so was its failure
-        for viewer in self._viewers.values():
+        for viewer in self._viewers:
             viewer.looks_back = False  # who looks at a robot that moves must be able to stop it
             viewer.forget()
         self._tell()
@@ -186,7 +186,7 @@ class PageServer:
         shapes = [each for each in messages if isinstance(each, BodyShape)]
         for shape in shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)]:
             text = self._run.held[BodyShape.CHANNEL] = to_json(shape).decode()
-            for viewer in self._viewers.values():
+            for viewer in self._viewers:
                 viewer.add_shape(text)
         for message in messages:
             if isinstance(message, Telemetry | BodyShape):
@@ -199,7 +199,7 @@ class PageServer:
                 self._run.held[channel] = text
             elif isinstance(message, Event):
                 self._run.events.append(text)
-            for viewer in self._viewers.values():
+            for viewer in self._viewers:
                 viewer.add(channel, text, holds=holds)
 
     def _pass_readings(self, readings: list[Telemetry]) -> None:
@@ -211,7 +211,7 @@ class PageServer:
                 run.history_s = reading.t_s
         last = kept[-1]
         run.board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
-        for viewer in self._viewers.values():
+        for viewer in self._viewers:
             viewer.add_rows(rows, run.board)
 
     async def _pulse(self) -> None:
@@ -232,10 +232,10 @@ class PageServer:
         return None if self._run.ended else self._run.hello
 
     def _tell(self) -> None:
-        for socket, viewer in self._viewers.items():
-            viewer.add("page", json.dumps(self._page(socket, viewer)), holds=True)
+        for viewer in self._viewers:
+            viewer.add("page", json.dumps(self._page(viewer)), holds=True)
 
-    def _page(self, socket: web.WebSocketResponse, viewer: Viewer) -> dict[str, Any]:
+    def _page(self, viewer: Viewer) -> dict[str, Any]:
         """What a page is told of the server, the run and its own part."""
         if self._past is not None:
             return {"channel": "page", "mode": "record", "stop": "none", **self._past.page()}
@@ -253,8 +253,8 @@ class PageServer:
             "question": started.question if started else "",
             "failure": run.failure or (started.failure() if started else ""),
             "pausing": run.pausing,
-            "operator": self._operator is socket,
-            "operated": self._operator is not None and self._operator is not socket,
+            "operator": self._operator is viewer,
+            "operated": self._operator not in (None, viewer),
             "viewers": len(self._viewers),
             "stop": self._way,
             "silent_s": round(time.monotonic() - heard_s, 1),
@@ -277,20 +277,20 @@ class PageServer:
         socket = web.WebSocketResponse(heartbeat=10.0, compress=False, max_msg_size=4096)
         await socket.prepare(request)
         viewer = Viewer(socket)
-        self._viewers[socket] = viewer
+        self._viewers.add(viewer)
         if self._operator is None:
-            self._operator = socket
-        viewer.add("page", json.dumps(self._page(socket, viewer)), holds=True)
+            self._operator = viewer
+        viewer.add("page", json.dumps(self._page(viewer)), holds=True)
         self._give_past(viewer)
         sender = asyncio.create_task(viewer.send_on())
         try:
             async for message in socket:
                 if message.type is WSMsgType.TEXT:
-                    await self._obey(socket, viewer, message.data)
+                    await self._obey(viewer, message.data)
         finally:
             sender.cancel()
-            del self._viewers[socket]
-            if self._operator is socket:
+            self._viewers.remove(viewer)
+            if self._operator is viewer:
                 self._operator = None
             self._tell()
         return socket
@@ -305,7 +305,7 @@ class PageServer:
         if run.history:
             viewer.add_rows(run.history, run.board, most=_HISTORY_ROWS)
 
-    async def _obey(self, socket: web.WebSocketResponse, viewer: Viewer, text: str) -> None:
+    async def _obey(self, viewer: Viewer, text: str) -> None:
         try:
             told = json.loads(text)
             command = told.get("command")
@@ -314,13 +314,13 @@ class PageServer:
         if "ack" in told:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
-            self._operator = socket
+            self._operator = viewer
         elif command == "record":
             # Reading the record takes a while, in which this page must be heard.
             task = asyncio.create_task(self._look_back(viewer))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
-        elif socket is self._operator:
+        elif viewer is self._operator:
             await self._operate(command, told)
         if command:
             self._tell()

@@ -24,12 +24,13 @@ class Viewer:
     """A page behind its WebSocket.
 
     Attributes:
+        socket: the WebSocket.
         looks_back: it shows the run that has just ended, with its player.
         dropped: readings that it has missed.
     """
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
-        self._socket = socket
+        self.socket = socket
         self._rows: deque[str] = deque()
         self._board = ""
         self._once: deque[str] = deque(maxlen=_MOST_EVENTS)
@@ -84,7 +85,7 @@ class Viewer:
 
     async def send_on(self) -> None:
         """Send what waits, until the page has gone."""
-        while not self._socket.closed:
+        while not self.socket.closed:
             await self._due.wait()
             self._due.clear()
             if self._under_way >= _UNANSWERED:
@@ -94,7 +95,7 @@ class Viewer:
                 continue
             self._under_way += 1
             try:
-                await self._socket.send_str(batch)
+                await self.socket.send_str(batch)
             except ConnectionError:
                 return
 

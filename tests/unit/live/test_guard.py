@@ -9,7 +9,7 @@ import aiohttp
 import pytest
 from aiohttp import web
 
-from thigmo.live.guard import Guard, add_headers
+from thigmo.live.guard import add_headers, guard
 
 Ask = Callable[[aiohttp.ClientSession, str], Awaitable[int]]
 
@@ -21,7 +21,7 @@ def _ask(token: str | None, ask: Ask) -> int:
         return web.Response(text="ok")
 
     async def run() -> int:
-        app = web.Application(middlewares=[Guard(token).middleware()])
+        app = web.Application(middlewares=[guard(token)])
         app.on_response_prepare.append(add_headers)
         app.router.add_get("/", ok)
         app.router.add_get("/stream", ok)
