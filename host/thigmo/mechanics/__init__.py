@@ -9,7 +9,6 @@ from thigmo.mechanics.contact import Peg, PegContact
 from thigmo.mechanics.elastica import (
     Model,
     ModelChoice,
-    PointForce,
     Rod,
     Solution,
     Tube,
@@ -24,7 +23,6 @@ __all__ = [
     "ModelChoice",
     "Peg",
     "PegContact",
-    "PointForce",
     "Rod",
     "Solution",
     "Tube",

@@ -53,14 +53,6 @@ class Rod:
     ) -> None:
         """Take forces at places around the skin and a fold for given: one integration."""
 
-    def load(
-        self,
-        loads: Sequence[tuple[float, float, float, float, float]],
-        free_curvature: Floats,
-        length: float,
-    ) -> bool:
-        """Raise given forces in steps; False if that finds no equilibrium."""
-
     def save(self) -> Rod:
         """A copy to come back to with `restore`."""
 
@@ -79,71 +71,21 @@ class Rod:
     def pose(self, arc: float) -> tuple[float, float, float]:
         """(x, y, heading) of the centreline at an arc length."""
 
+    def locate(self, x: float, y: float, radius: float) -> tuple[float, float]:
+        """(gap, arc) of a peg: distance from the skin and the arc of the closest point."""
+
     def _contacts(self) -> list[_ContactRow]: ...
     def axial_push(self) -> float:
         """Force (1/cm^2) with which pegs push the tip back towards the base."""
 
-    @property
-    def touching(self) -> int:
-        """Number of pegs in contact."""
-
-    @property
-    def base_moment(self) -> float:
-        """Contact moment at the base (1/cm)."""
-
-    @property
-    def fold_angle(self) -> float:
-        """Fold angle at the base (rad)."""
-
-    @property
-    def length(self) -> float:
-        """Everted length (cm); 0 before the first step."""
-
-    @property
-    def free_curvature(self) -> float:
-        """Free curvature at the base (1/cm)."""
-
-    @property
-    def free_curvature_nodes(self) -> Floats:
-        """Free curvature as given: one value, or nodes over [0, length]."""
-
-    @property
-    def diameter_cm(self) -> float:
-        """Inflated diameter."""
-
-    @property
-    def critical_moment(self) -> float | None:
-        """Moment at which the base folds (1/cm); body pressure changes it. None = never."""
-
-    @critical_moment.setter
-    def critical_moment(self, value: float | None) -> None: ...
-    @property
-    def status(self) -> Status:
-        """How the last equilibrium was found; see `Solution`."""
-
-    @property
-    def model(self) -> Model:
-        """Model of the last step."""
-
-    @property
-    def error_bound_cm(self) -> float:
-        """Bound on the error of positions in the last step."""
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Steps by each model that was used."""
-
-def pose(
-    nodes: Floats, fold_angle: float, diameter: float, arc: float
-) -> tuple[float, float, float]:
-    """(x, y, heading) at an arc length of a body of these nodes (n, 5)."""
-
-def averages_into(
-    nodes: Floats, fold_angle: float, diameter: float, centers: Floats, spans: Floats, out: Floats
-) -> None:
-    """As `Rod.averages_into`, of a body of these nodes (n, 5)."""
-
-def locate(
-    nodes: Floats, fold_angle: float, diameter: float, x: float, y: float, radius: float
-) -> tuple[float, float]:
-    """(gap, arc) of a peg beside a body of these nodes (n, 5)."""
+    touching: int  # pegs in contact
+    base_moment: float  # of contacts, 1/cm
+    fold_angle: float  # at the base, rad
+    length: float  # everted, cm; 0 before the first step
+    free_curvature: Floats  # as given: one value, or nodes over [0, length]
+    diameter_cm: float  # inflated
+    critical_moment: float | None  # the base folds there, 1/cm; body pressure changes it
+    status: Status  # how the last equilibrium was found; see `Solution`
+    model: Model  # of the last step
+    error_bound_cm: float  # of positions in the last step
+    counts: dict[str, int]  # steps by each model that was used

@@ -1,4 +1,4 @@
-"""Large deflections of the body against round pegs, under point forces, or pushed to a given force.
+"""Large deflections of the body against round pegs, or pushed to a given force.
 
 Use `solve` for one equilibrium, `Rod` to follow a robot through time (each step starts from the
 last), and `push` for the direct question "what does the body do when a contact presses with force f
@@ -48,24 +48,6 @@ class Tube:
         return self.diameter_cm / 2
 
 
-@dataclass(frozen=True, slots=True)
-class PointForce:
-    """A given force at an arc length (1/cm^2): following the body, or dead in the workspace.
-
-    Attributes:
-        arc: where (cm from the base).
-        normal: following component along the body's left normal; positive bends left.
-        tangential: following component along the tangent.
-        x, y: dead component.
-    """
-
-    arc: float
-    normal: float = 0.0
-    tangential: float = 0.0
-    x: float = 0.0
-    y: float = 0.0
-
-
 @dataclass(frozen=True)
 class Solution:
     """One equilibrium.
@@ -95,7 +77,7 @@ class Solution:
     fold_angle: float
     base_moment: float
     status: Status
-    _nodes: Floats = field(repr=False)
+    _body: _rod.Rod = field(repr=False)
 
     def averages(self, centers: npt.ArrayLike, spans: npt.ArrayLike) -> Floats:
         """Mean curvature (1/cm) over spans (cm) centred at arcs (cm), fold included; shape (N,).
@@ -105,12 +87,12 @@ class Solution:
         x = np.ascontiguousarray(np.atleast_1d(np.asarray(centers, dtype=np.float64)))
         width = np.ascontiguousarray(np.broadcast_to(np.asarray(spans, dtype=np.float64), x.shape))
         out = np.empty_like(x)
-        _rod.averages_into(self._nodes, self.fold_angle, self.tube.diameter_cm, x, width, out)
+        self._body.averages_into(x, width, out)
         return out
 
     def pose(self, arc: float) -> tuple[float, float, float]:
         """(x, y, heading) of the centreline at an arc length."""
-        return _rod.pose(self._nodes, self.fold_angle, self.tube.diameter_cm, arc)
+        return self._body.pose(arc)
 
     @property
     def tip(self) -> tuple[float, float, float]:
@@ -123,9 +105,7 @@ class Solution:
 
     def locate(self, peg: Peg) -> tuple[float, float]:
         """(gap, arc) of a peg: distance from the skin and the arc of the closest point."""
-        return _rod.locate(
-            self._nodes, self.fold_angle, self.tube.diameter_cm, peg.x, peg.y, peg.radius
-        )
+        return self._body.locate(peg.x, peg.y, peg.radius)
 
 
 def _curvature_nodes(free_curvature: npt.ArrayLike) -> Floats:
@@ -185,13 +165,12 @@ class Rod(_rod.Rod):
 
     def solution(self) -> Solution:
         """The present equilibrium."""
-        nodes = self.nodes()
-        s, heading, curvature, x, y = nodes.T
+        s, heading, curvature, x, y = self.nodes().T
         return Solution(
             s=s, heading=heading, curvature=curvature, x=x, y=y, length=self.length,
-            free_curvature=self.free_curvature_nodes, tube=self.tube, contacts=self.contacts(),
+            free_curvature=self.free_curvature, tube=self.tube, contacts=self.contacts(),
             fold_angle=self.fold_angle, base_moment=self.base_moment, status=self.status,
-            _nodes=nodes,
+            _body=self.save(),
         )  # fmt: skip
 
 
@@ -205,38 +184,26 @@ def solve(
     *,
     tube: Tube | None = None,
     pegs: Sequence[Peg] = (),
-    forces: Sequence[PointForce] = (),
     cell_cm: float = 1.0,
 ) -> Solution:
-    """Equilibrium of the body among pegs and under given forces.
+    """Equilibrium of the body among pegs.
 
     With pegs the answer depends on how the body came there: it starts straight at its full length
     and the free curvature then rises in steps (pegs that overlap the straight body push it aside).
-    Forces are raised in steps too. Use `Rod` for another history.
+    Use `Rod` for another history.
 
     Args:
         free_curvature: g, 1/cm: one value, or nodes evenly spaced over [0, length], linear between.
         length: everted length, cm.
         tube: diameter and fold; default 3.5 cm without a fold.
         pegs: round obstacles.
-        forces: point forces; not together with pegs.
         cell_cm: mesh width.
 
     Raises:
-        DataError: bad values, pegs together with forces, or no equilibrium under the forces.
+        DataError: bad values.
     """
-    g = _curvature_nodes(free_curvature)
     rod = Rod(tube or Tube(), pegs, cell_cm=cell_cm)
-    if not forces:
-        rod.step(g, length)
-        return rod.solution()
-    if pegs:
-        raise DataError("pegs and given forces cannot be combined", "use one or the other")
-    loads = [(f.arc, f.normal, f.tangential, f.x, f.y) for f in forces]
-    if not np.all(np.isfinite(loads)) or not all(0 <= f.arc <= length for f in forces):
-        raise DataError("forces must be finite and act between 0 and the length")
-    if not rod.load(loads, g, length):
-        raise DataError("no equilibrium found under these forces", "reduce them")
+    rod.step(_curvature_nodes(free_curvature), length)
     return rod.solution()
 
 

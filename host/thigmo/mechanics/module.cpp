@@ -24,9 +24,7 @@ namespace {
 
 using Values = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Table = nb::ndarray<const double, nb::shape<-1, 5>, nb::c_contig, nb::device::cpu>;
 using PegRows = std::vector<std::tuple<double, double, double>>;
-using LoadRows = std::vector<std::tuple<double, double, double, double, double>>;
 
 constexpr const char* kModels[] = {"arc", "beam", "elastica"};
 constexpr const char* kStatuses[] = {"converged", "relaxed", "approximate"};
@@ -67,21 +65,6 @@ auto array_of(std::vector<double> values, std::array<std::size_t, kDimensions> s
                                                                shape.data(), owner);
 }
 
-Centreline line_of(const Table& nodes, double fold_angle, double diameter) {
-  return {reinterpret_cast<const Node*>(nodes.data()),
-          static_cast<int>(nodes.shape(0)),
-          {fold_angle, diameter}};
-}
-
-void fill_means(const Centreline& line, const Values& centers, const Values& spans,
-                const Result& out) {
-  for (std::size_t i = 0; i < std::min({centers.size(), spans.size(), out.size()}); ++i) {
-    out.data()[i] = line.mean(centers.data()[i], spans.data()[i]);
-  }
-}
-
-auto tuple_of(const Pose& pose) { return std::make_tuple(pose.x, pose.y, pose.heading); }
-
 }  // namespace
 
 NB_MODULE(_rod, m) {
@@ -113,49 +96,44 @@ NB_MODULE(_rod, m) {
           nb::arg("free_curvature"), nb::arg("length"), nb::call_guard<nb::gil_scoped_release>())
       .def("reset", &Rod::reset)
       .def("assume_free", &Rod::assume_free, nb::arg("free_curvature"), nb::arg("length"))
-      .def(
-          "_place", [](Rod& rod, const PegRows& pegs) { rod.place(pegs_of(pegs)); },
-          nb::arg("pegs"))
-      .def(
-          "press",
-          [](Rod& rod, const Values& force, const Values& place, double fold_angle, const Values& g,
-             double length) {
-            std::vector<Contact> contacts;
-            for (std::size_t j = 0; j < force.size(); ++j) {
-              contacts.push_back({static_cast<int>(j), force.data()[j], place.data()[j]});
-            }
-            rod.press(std::move(contacts), fold_angle, vector_of(g), length);
-          },
-          nb::arg("force"), nb::arg("place"), nb::arg("fold_angle"), nb::arg("free_curvature"),
-          nb::arg("length"))
-      .def(
-          "load",
-          [](Rod& rod, const LoadRows& rows, const Values& g, double length) {
-            std::vector<Load> loads;
-            for (const auto& [arc, normal, tangential, x, y] : rows) {
-              loads.push_back({arc, normal, tangential, x, y});
-            }
-            return rod.load(loads, vector_of(g), length);
-          },
-          nb::arg("loads"), nb::arg("free_curvature"), nb::arg("length"))
+      .def("_place", [](Rod& rod, const PegRows& pegs) { rod.place(pegs_of(pegs)); })
+      .def("press",
+           [](Rod& rod, const Values& force, const Values& place, double fold_angle,
+              const Values& g, double length) {
+             std::vector<Contact> contacts;
+             for (std::size_t j = 0; j < force.size(); ++j) {
+               contacts.push_back({static_cast<int>(j), force.data()[j], place.data()[j]});
+             }
+             rod.press(std::move(contacts), fold_angle, vector_of(g), length);
+           })
       .def("save", [](const Rod& rod) { return Rod(rod); })
-      .def(
-          "restore", [](Rod& rod, const Rod& saved) { rod = saved; }, nb::arg("saved"))
+      .def("restore", [](Rod& rod, const Rod& saved) { rod = saved; })
       .def("nodes",
            [](const Rod& rod) {
              const auto* first = reinterpret_cast<const double*>(rod.nodes().data());
              const std::size_t rows = rod.nodes().size();
              return array_of<2>({first, first + 5 * rows}, {rows, 5});
            })
-      .def(
-          "averages_into",
-          [](const Rod& rod, const Values& centers, const Values& spans, const Result& out) {
-            fill_means(rod.centreline(), centers, spans, out);
-          },
-          nb::arg("centers"), nb::arg("spans"), nb::arg("out"))
-      .def(
-          "pose", [](const Rod& rod, double arc) { return tuple_of(rod.centreline().pose(arc)); },
-          nb::arg("arc"))
+      .def("averages_into",
+           [](const Rod& rod, const Values& centers, const Values& spans, const Result& out) {
+             const Centreline line = rod.centreline();
+             for (std::size_t i = 0; i < std::min({centers.size(), spans.size(), out.size()});
+                  ++i) {
+               out.data()[i] = line.mean(centers.data()[i], spans.data()[i]);
+             }
+           })
+      .def("pose",
+           [](const Rod& rod, double arc) {
+             const Pose pose = rod.centreline().pose(arc);
+             return std::make_tuple(pose.x, pose.y, pose.heading);
+           })
+      .def("locate",
+           [](const Rod& rod, double x, double y, double radius) {
+             const double tube = 0.5 * rod.diameter();
+             const Gap gap = rod.centreline().gap_to({x, y, radius}, tube);
+             return std::make_tuple(gap.distance,
+                                    skin_at(gap.place, rod.length(), tube, radius).arc);
+           })
       .def("_contacts",
            [](const Rod& rod) {
              nb::list rows;
@@ -170,9 +148,8 @@ NB_MODULE(_rod, m) {
       .def_prop_ro("base_moment", &Rod::base_moment)
       .def_prop_ro("fold_angle", &Rod::fold_angle)
       .def_prop_ro("length", &Rod::length)
-      .def_prop_ro("free_curvature", [](const Rod& rod) { return rod.natural()[0]; })
       .def_prop_ro(
-          "free_curvature_nodes",
+          "free_curvature",
           [](const Rod& rod) { return array_of<1>(rod.natural(), {rod.natural().size()}); },
           nb::rv_policy::automatic)
       .def_prop_ro("diameter_cm", &Rod::diameter)
@@ -193,29 +170,4 @@ NB_MODULE(_rod, m) {
         }
         return counts;
       });
-  m.def(
-      "pose",
-      [](const Table& nodes, double fold_angle, double diameter, double arc) {
-        return tuple_of(line_of(nodes, fold_angle, diameter).pose(arc));
-      },
-      nb::arg("nodes"), nb::arg("fold_angle"), nb::arg("diameter"), nb::arg("arc"));
-  m.def(
-      "averages_into",
-      [](const Table& nodes, double fold_angle, double diameter, const Values& centers,
-         const Values& spans, const Result& out) {
-        fill_means(line_of(nodes, fold_angle, diameter), centers, spans, out);
-      },
-      nb::arg("nodes"), nb::arg("fold_angle"), nb::arg("diameter"), nb::arg("centers"),
-      nb::arg("spans"), nb::arg("out"));
-  m.def(
-      "locate",
-      [](const Table& nodes, double fold_angle, double diameter, double x, double y,
-         double radius) {
-        const Centreline line = line_of(nodes, fold_angle, diameter);
-        const Gap gap = line.gap_to({x, y, radius}, 0.5 * diameter);
-        return std::make_tuple(gap.distance,
-                               skin_at(gap.place, line.length(), 0.5 * diameter, radius).arc);
-      },
-      nb::arg("nodes"), nb::arg("fold_angle"), nb::arg("diameter"), nb::arg("x"), nb::arg("y"),
-      nb::arg("radius"));
 }

@@ -203,7 +203,6 @@ std::vector<double> Rod::packed() const {
     z.push_back(contact.place);
   }
   if (reactions_.folding != 0) z.push_back(reactions_.fold_angle);
-  if (has_dead_loads()) z.push_back(reactions_.base_heading);
   return z;
 }
 
@@ -215,17 +214,10 @@ Rod::Reactions Rod::unpacked(const std::vector<double>& z) const {
     contact.place = *next++;
   }
   reactions.fold_angle = reactions.folding != 0 ? *next++ : 0.0;
-  reactions.base_heading = has_dead_loads() ? *next++ : 0.0;
   return reactions;
 }
 
-bool Rod::has_dead_loads() const {
-  return std::any_of(loads_.begin(), loads_.end(),
-                     [](const Load& load) { return load.x != 0.0 || load.y != 0.0; });
-}
-
-// Peg's centre minus the contact's locus (cm), then the equations of fold and dead loads scaled to
-// cm.
+// Peg's centre minus the contact's locus (cm), then the fold's equation scaled to cm.
 void Rod::residual(const std::vector<double>& z, std::vector<double>& out) const {
   const Reactions reactions = unpacked(z);
   std::vector<Pose> frames;
@@ -249,57 +241,41 @@ void Rod::residual(const std::vector<double>& z, std::vector<double>& out) const
   if (reactions.folding != 0) {
     out[n++] = (reactions.folding * base.moment - room_.critical) * room_.length * room_.length;
   }
-  if (has_dead_loads()) out[n++] = (base.heading - reactions.base_heading) * room_.length;
 }
 
-// Integrates from the distal end to the base, on an even grid plus the places of the loads and the
-// fold's end. `frames` receives each contact's section, in the frame of the distal end as the
+// Integrates from the distal end to the base, on an even grid plus the places of the contacts and
+// the fold's end. `frames` receives each contact's section, in the frame of the distal end as the
 // result; `nodes`, if wanted, the whole body in the frame of the base.
 Section Rod::shoot(const Reactions& reactions, std::vector<Pose>& frames,
                    std::vector<Node>* nodes) const {
   struct Event {
-    double arc;
-    int contact, load;
+    Skin on;
+    std::size_t contact;
   };
-  std::vector<Event> events;  // the most distal first
-  const auto insert = [&events](const Event& event) {
-    const auto before = [](const Event& a, const Event& b) { return a.arc > b.arc; };
-    events.insert(std::upper_bound(events.begin(), events.end(), event, before), event);
-  };
-  const int contacts = static_cast<int>(reactions.contacts.size());
-  for (int j = 0; j < contacts; ++j) insert({skin(reactions.contacts[j]).arc, j, -1});
-  for (int i = 0; i < static_cast<int>(loads_.size()); ++i) {
-    insert({std::clamp(loads_[i].arc, 0.0, room_.length), -1, i});
+  std::vector<Event> events;
+  for (const Contact& contact : reactions.contacts) {
+    events.push_back({skin(contact), events.size()});
   }
-  frames.resize(contacts);
+  std::sort(events.begin(), events.end(), [](const Event& a, const Event& b) {
+    return a.on.arc != b.on.arc ? a.on.arc > b.on.arc : a.contact < b.contact;
+  });
+  frames.resize(events.size());
   if (nodes) nodes->clear();
 
   const Fold fold{reactions.fold_angle, diameter()};
-  const double ca = std::cos(reactions.base_heading);
-  const double sa = std::sin(reactions.base_heading);
   const double h = room_.length / room_.cells;
-  double s = nodes ? room_.length : events.empty() ? 0.0 : events.front().arc;
+  double s = nodes ? room_.length : events.empty() ? 0.0 : events.front().on.arc;
   double turned = room_.natural.turn(s) + fold.turn(s);
   Section at{};
   int k = static_cast<int>(std::ceil(s / h - kTiny)) - 1;
   auto event = events.begin();
   while (true) {
-    for (; event != events.end() && event->arc >= s - kTiny; ++event) {
-      double tangential, normal;
-      if (event->contact >= 0) {
-        const Contact& contact = reactions.contacts[event->contact];
-        const Skin on = skin(contact);
-        frames[event->contact] = {at.x, at.y, at.heading};
-        tangential = -contact.force * on.out_t;
-        normal = -contact.force * on.out_n;
-        if (!is_side(on.kind)) at.moment += -on.offset * tangential;
-      } else {
-        const Load& load = loads_[event->load];
-        tangential = load.tangential;
-        normal = load.normal;
-        at.n_x += ca * load.x - sa * load.y;
-        at.n_y += sa * load.x + ca * load.y;
-      }
+    for (; event != events.end() && event->on.arc >= s - kTiny; ++event) {
+      const Skin& on = event->on;
+      const double force = reactions.contacts[event->contact].force;
+      const double tangential = -force * on.out_t, normal = -force * on.out_n;
+      frames[event->contact] = {at.x, at.y, at.heading};
+      if (!is_side(on.kind)) at.moment += -on.offset * tangential;
       const double c = std::cos(at.heading);
       const double d = std::sin(at.heading);
       at.n_x += tangential * c - normal * d;
@@ -317,7 +293,7 @@ Section Rod::shoot(const Reactions& reactions, std::vector<Pose>& frames,
         on_grid = false;
       }
     };
-    if (event != events.end()) stop_at(event->arc);
+    if (event != events.end()) stop_at(event->on.arc);
     if (fold.angle != 0.0 && fold.width < s - kTiny) stop_at(fold.width);
     if (on_grid) --k;
     const double middle = 0.5 * (s + to);

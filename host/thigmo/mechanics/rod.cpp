@@ -34,11 +34,6 @@ std::vector<double> refined(const std::vector<double>& values, std::size_t size)
   return fine;
 }
 
-std::vector<double> scaled(std::vector<double> values, double factor) {
-  for (double& value : values) value *= factor;
-  return values;
-}
-
 std::vector<Peg> checked(std::vector<Peg> pegs) {
   for (const Peg& peg : pegs) {
     if (!(peg.radius > 1e-3 && std::isfinite(peg.x + peg.y + peg.radius))) {
@@ -171,8 +166,7 @@ void Rod::place(std::vector<Peg> pegs) {
 
 void Rod::reset() {
   reactions_ = {};
-  jacobian_.clear();
-  determinant_sign_ = 0;
+  forget_jacobian();
   tip_.reset();
   bend_.clear();
   room_.length = 0.0;
@@ -193,6 +187,10 @@ void Rod::set_critical(double critical) {
     reactions_.folding = 0;
     reactions_.fold_angle = 0.0;
   }
+  forget_jacobian();
+}
+
+void Rod::forget_jacobian() {
   jacobian_.clear();
   determinant_sign_ = 0;
 }
@@ -213,8 +211,8 @@ double Rod::travel(const std::vector<double>& natural, double length) const {
 void Rod::follow(const std::vector<double>& natural, double length) {
   if (room_.length == 0.0) {
     // Start straight, except that a rod that no peg can touch starts where it is.
-    const bool free = room_.pegs.empty() && loads_.empty() && largest(natural) * length < 50.0;
-    advance(free ? natural : scaled(natural, 0.0), length, 0.0);
+    const bool free = room_.pegs.empty() && largest(natural) * length < 50.0;
+    advance(free ? natural : std::vector<double>(natural.size()), length, 0.0);
   }
   const std::size_t size = std::max(natural.size(), room_.natural.values().size());
   const std::vector<double> from = refined(room_.natural.values(), size);
@@ -266,46 +264,13 @@ void Rod::remesh(double length) {
   room_.cells = cells;
 }
 
-bool Rod::load(const std::vector<Load>& loads, const std::vector<double>& natural, double length) {
-  double heaviest = 0.0;
-  for (const Load& load : loads) heaviest = std::max(heaviest, std::hypot(load.x, load.y));
-  double step = 1.0;
-  if (heaviest > 0.0) {
-    step /= std::max(1.0, std::ceil(heaviest * length * length + largest(natural) * length));
-  }
-  const auto raise_to = [&](double share) {
-    loads_ = loads;
-    for (Load& load : loads_) {
-      load = {load.arc, share * load.normal, share * load.tangential, share * load.x,
-              share * load.y};
-    }
-    tip_.reset();
-    advance(scaled(natural, share), length, 0.0);
-    return !nodes_.empty();
-  };
-  raise_to(0.0);
-  double done = 0.0;
-  while (done < 1.0 - 1e-12) {
-    const Rod before = *this;
-    const double next = std::min(1.0, done + step);
-    if (raise_to(next)) {
-      done = next;
-    } else {
-      *this = before;
-      step /= 2.0;
-      if (step < 1e-4) return false;
-    }
-  }
-  return true;
-}
-
 void Rod::press(std::vector<Contact> contacts, double fold_angle,
                 const std::vector<double>& natural, double length) {
   reset();
   room_.length = length;
   room_.cells = cells_for(length);
   room_.natural = {natural, length};
-  reactions_ = {std::move(contacts), 0, fold_angle, 0.0};
+  reactions_ = {std::move(contacts), 0, fold_angle};
   std::vector<Pose> frames;
   base_moment_ = shoot(reactions_, frames, &nodes_).moment;
   model_ = Model::kElastica;
@@ -313,44 +278,34 @@ void Rod::press(std::vector<Contact> contacts, double fold_angle,
 
 // One quasi-static step from the last state.
 void Rod::solve(double travel) {
-  const Reactions before = reactions_;
+  const double fold_before = reactions_.fold_angle;
   const std::optional<Node> tip_before = tip_;
   bool found = find_reactions();
   // A solution much farther away than the tip may move is checked by relaxation.
   if (found && tip_before && apart(nodes_.back(), *tip_before) > 5.0 * travel + 0.3) found = false;
   status_ = Status::kConverged;
-  if (!found && loads_.empty()) {
+  if (!found) {
     status_ = Status::kRelaxed;
-    Relaxed relaxed = relax(room_, bend_, before.fold_angle);
-    Reactions near{std::move(relaxed.contacts), 0, 0.0, 0.0};
+    Relaxed relaxed = relax(room_, bend_, fold_before);
+    Reactions near{std::move(relaxed.contacts), 0, 0.0};
     if (std::fabs(relaxed.fold_angle) > 1e-3) {
       near.folding = relaxed.fold_angle > 0.0 ? 1 : -1;
       near.fold_angle = relaxed.fold_angle;
     }
-    jacobian_.clear();
-    determinant_sign_ = 0;
+    forget_jacobian();
     reactions_ = near;
     found = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
     if (!found) {
       // The relaxed shape is an equilibrium to the accuracy of penalties.
       status_ = Status::kApproximate;
-      jacobian_.clear();
-      determinant_sign_ = 0;
+      forget_jacobian();
       reactions_ = std::move(near);
       nodes_ = std::move(relaxed.nodes);
       base_moment_ = relaxed.bend[0];
-      found = true;
     }
   }
   model_ = Model::kElastica;
   elastica_current_ = true;
-  if (!found) {
-    status_ = Status::kApproximate;
-    reactions_ = before;
-    jacobian_.clear();
-    nodes_.clear();
-    return;
-  }
   tip_ = nodes_.back();
   // Contact curvature at the cells' middles, for the next relaxation.
   std::size_t k = 0;

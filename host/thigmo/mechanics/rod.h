@@ -35,11 +35,6 @@ enum class Model { kArc, kBeam, kElastica };
 // How the rod's last equilibrium was found; kApproximate: to the accuracy of penalties only.
 enum class Status { kConverged, kRelaxed, kApproximate };
 
-// A given force at an arc: following the body along its left normal and its tangent, and dead.
-struct Load {
-  double arc, normal, tangential, x, y;
-};
-
 // What a touching peg does, in the terms of Python's PegContact.
 struct ContactReport {
   int peg;
@@ -108,8 +103,6 @@ class Rod {
   // Take given contacts and a given fold: one integration, nothing is solved.
   void press(std::vector<Contact> contacts, double fold_angle, const std::vector<double>& natural,
              double length);
-  // Raise given forces and the natural curvature in steps; false if that finds no equilibrium.
-  bool load(const std::vector<Load>& loads, const std::vector<double>& natural, double length);
 
   Centreline centreline() const;
   const std::vector<Node>& nodes() const { return nodes_; }
@@ -134,7 +127,6 @@ class Rod {
     std::vector<Contact> contacts;
     int folding = 0;  // sign of the moment at which the base folds, 0 while it does not
     double fold_angle = 0.0;
-    double base_heading = 0.0;  // seen from the tip; dead loads only
   };
 
   bool try_arc(double natural, double length);
@@ -145,6 +137,7 @@ class Rod {
   void advance(const std::vector<double>& natural, double length, double travel);
   void remesh(double length);
   void solve(double travel);
+  void forget_jacobian();
   bool find_reactions();
   bool newton(int& determinant_sign);
   Section shoot(const Reactions& reactions, std::vector<Pose>& frames,
@@ -152,7 +145,6 @@ class Rod {
   void residual(const std::vector<double>& z, std::vector<double>& out) const;
   std::vector<double> packed() const;
   Reactions unpacked(const std::vector<double>& z) const;
-  bool has_dead_loads() const;
   double weight(const std::vector<double>& z, int unknown) const;
   void set_free(std::vector<Node> nodes, double natural, double length);
   double travel(const std::vector<double>& natural, double length) const;
@@ -162,7 +154,6 @@ class Rod {
   double cell_;
   std::optional<Model> choice_;
   double tolerance_;
-  std::vector<Load> loads_;
 
   Room room_;  // length 0: not placed yet
   Reactions reactions_;

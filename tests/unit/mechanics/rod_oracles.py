@@ -7,25 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.mechanics import Peg, PointForce, Solution
+from thigmo.mechanics import Peg, Solution
 
 Floats = npt.NDArray[np.float64]
 
 
-def moment_imbalance(found: Solution, forces: Sequence[PointForce] = ()) -> float:
-    """Largest difference between the carried moment and that of all forces beyond a node."""
-    pushes = [(c.arc, c.x, c.y, c.force_x, c.force_y) for c in found.contacts]
-    for force in forces:
-        x, y, heading = found.pose(force.arc)
-        c, s = np.cos(heading), np.sin(heading)
-        pushes.append((
-            force.arc, x, y, force.tangential * c - force.normal * s + force.x,
-            force.tangential * s + force.normal * c + force.y,
-        ))  # fmt: skip
+def moment_imbalance(found: Solution) -> float:
+    """Largest difference between the carried moment and that of all contacts beyond a node."""
     moment = np.zeros(found.s.size)
-    for arc, x, y, force_x, force_y in pushes:
-        beyond = found.s <= arc + 1e-9
-        moment += beyond * ((x - found.x) * force_y - (y - found.y) * force_x)
+    for c in found.contacts:
+        beyond = found.s <= c.arc + 1e-9
+        moment += beyond * ((c.x - found.x) * c.force_y - (c.y - found.y) * c.force_x)
     return float(np.abs(carried_moment(found) - moment).max())
 
 

@@ -9,25 +9,30 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from rod_oracles import bending_energy, moment_imbalance
+from scipy.integrate import quad
 
 from thigmo.errors import DataError
-from thigmo.mechanics import Peg, PointForce, Tube, peg_for, push, solve
+from thigmo.mechanics import Peg, Tube, peg_for, push, solve
 from thigmo.studies import rod
 
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 
 
-@pytest.mark.parametrize(
-    ("load", "deflection"), [(1, 0.30172), (2, 0.49346), (5, 0.71379), (10, 0.81061)]
-)
-def test_cantilever_under_dead_tip_load_agrees_with_mattiasson(
-    load: float, deflection: float
-) -> None:
+@pytest.mark.parametrize("turn", [0.2, 0.8, 1.5, 2.5])
+def test_cantilever_under_a_force_across_its_tip_agrees_with_its_integrals(turn: float) -> None:
+    """Of the angle from the tip: curvature^2 = 2 f sin(angle), so arc and reach are integrals."""
     length = 53.0
-    force = PointForce(arc=length, y=load / length**2)
-    found = solve(0.0, length, forces=[force])
-    assert found.tip[1] / length == pytest.approx(deflection, abs=1e-5)
-    assert moment_imbalance(found, [force]) < 1e-9
+    # The substitution angle = v^2 takes the root out of the integrand.
+    arc = quad(lambda v: 2.0 * v / np.sqrt(2.0 * np.sin(v * v)), 0.0, np.sqrt(turn))[0]
+    force = (arc / length) ** 2
+    found = push(force, length, free_curvature=0.0, length=length)
+    x, y, heading = found.tip
+    assert heading == pytest.approx(turn, abs=1e-6)
+    # The base's lever, along the tip, and so its moment.
+    assert x * cos(heading) + y * sin(heading) == pytest.approx(
+        np.sqrt(2.0 * np.sin(turn) / force), abs=1e-4
+    )
+    assert moment_imbalance(found) < 1e-9
 
 
 @pytest.mark.parametrize("g", [-0.05, -1e-7, 0.0, 0.02, 0.11])
