@@ -7,7 +7,7 @@ measured, except what is marked as the room's truth, which only the emulator kno
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
@@ -88,36 +88,29 @@ def plot_map(
             passed(shape for shape in stage.shapes if shape.side == side), radius_cm
         )
     ]
-    _room(axes, document, swept, radius_cm, prior)
+
+    def room(on: Axes) -> None:
+        """All that is in the room."""
+        _robot(on, document.stages, swept, radius_cm)
+        for obstacle in prior:
+            _prior(on, obstacle)
+        for number, contact in enumerate(document.contacts, 1):
+            _contact(on, contact, number if len(document.contacts) > 1 else None)
+        if document.truth is not None:
+            _truth(on, document.truth)
+
+    room(axes)
     _frame(axes, document)
-    _zooms(axes, document, swept, radius_cm, prior)
+    _zooms(axes, document.contacts, swept, room)
     _legend(axes)
     return axes
 
 
-def _room(
-    axes: Axes,
-    document: RunDocument,
-    swept: list[NDArray[np.float64]],
-    radius_cm: float,
-    prior: Sequence[Obstacle],
-) -> None:
-    """All that is in the room."""
-    _robot(axes, document.stages, swept, radius_cm)
-    for obstacle in prior:
-        _prior(axes, obstacle)
-    for number, contact in enumerate(document.contacts, 1):
-        _contact(axes, contact, number if len(document.contacts) > 1 else None)
-    if document.truth is not None:
-        _truth(axes, document.truth)
-
-
 def _zooms(
     axes: Axes,
-    document: RunDocument,
+    contacts: list[MapContact],
     swept: list[NDArray[np.float64]],
-    radius_cm: float,
-    prior: Sequence[Obstacle],
+    room: Callable[[Axes], None],
 ) -> None:
     """Enlarged views of the surest contact on each side, in the corners beside the base.
 
@@ -132,7 +125,7 @@ def _zooms(
     points = np.concatenate([np.zeros((1, 2)), *swept])
     for y_cm, corner_cm in ((1.0, top - side_cm), (-1.0, bottom)):
         corner = Bbox.from_bounds(left, corner_cm, side_cm, side_cm)
-        mine = [c for c in document.contacts if (c.y_cm >= 0) == (y_cm > 0)]
+        mine = [c for c in contacts if (c.y_cm >= 0) == (y_cm > 0)]
         if not mine or corner.count_contains(points):
             continue
         contact = min(mine, key=lambda c: c.interval_cm[1] - c.interval_cm[0])
@@ -140,7 +133,7 @@ def _zooms(
         if corner.overlaps(Bbox.from_bounds(x, y, 2 * _ZOOM_CM, 2 * _ZOOM_CM)):
             continue
         zoom = axes.inset_axes((left, corner_cm, side_cm, side_cm), transform=axes.transData)
-        _room(zoom, document, swept, radius_cm, prior)
+        room(zoom)
         zoom.set(
             xlim=(x, x + 2 * _ZOOM_CM), ylim=(y, y + 2 * _ZOOM_CM), xticks=[], yticks=[],
             aspect="equal",
