@@ -72,29 +72,20 @@ class Bounded(Generic[T]):
             self._changed.notify_all()
 
 
-class Subscription(Closing):
+class Subscription(Bounded[Message], Closing):
     """Messages for one listener, oldest first. A context manager and an iterator, which ends when
     the subscription or the hub is closed.
     """
 
     def __init__(self, hub: Hub, channels: frozenset[str], size: int) -> None:
-        self._queue: Bounded[Message] = Bounded(size)
+        super().__init__(size)
         self._hub = hub
-        hub.attach(self._queue.put, channels, self._queue.close)
-
-    @property
-    def dropped(self) -> int:
-        """Messages lost so far because the listener was slow."""
-        return self._queue.dropped
-
-    def get(self, timeout_s: float | None = None) -> Message | None:
-        """The next message; None if none comes in time, or none will come any more."""
-        return self._queue.get(timeout_s)
+        hub.attach(self.put, channels, super().close)
 
     def close(self) -> None:
         """Listen no more; may be called twice."""
-        self._hub.detach(self._queue.put)
-        self._queue.close()
+        self._hub.detach(self.put)
+        super().close()
 
     def __iter__(self) -> Iterator[Message]:
         while (message := self.get()) is not None:
