@@ -11,23 +11,25 @@ the map's `scale_se`. Errors that rows of a trial share are told from trial to t
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo.calibrate.lag import Lag
-from thigmo.calibrate.verdict import Verdict, listed
-from thigmo.config import RobotConfig, Side, TanhMap, ZoneMap
+from thigmo.calibrate.columns import grouped, sides_of
+from thigmo.calibrate.lag import Lag, tanh_curve
+from thigmo.calibrate.verdict import StepResult, Verdict, listed
+from thigmo.config import SIDES, RobotConfig, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 Branch = Literal["inflate", "deflate"]
-BRANCHES: tuple[Branch, Branch] = ("inflate", "deflate")
+BRANCHES: tuple[Branch, ...] = get_args(Branch)
 
 _REJECT = 4.0
 _ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
@@ -60,11 +62,6 @@ class BendReadings:
     trial: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        n = len(self.pressure_psi)
-        if not all(
-            len(v) == n for v in (self.curvature, self.curvature_se, self.branch, self.trial)
-        ):
-            raise DataError("bend readings: columns differ in length", "check the arrays")
         unknown = set(self.branch) - set(BRANCHES)
         if unknown:
             raise DataError(f"unknown branch '{unknown.pop()}'", "use inflate or deflate")
@@ -83,32 +80,19 @@ class BendReadings:
             DataError: missing or malformed columns.
         """
         table = Table.read(path)
-        side = table.words("side")
-        if set(side) - {"left", "right"}:
-            raise DataError(f"{path}: side must be left or right", "mend that column")
-        body = table.numbers("body_pressure_psi")
+        keys = sides_of(table), table.numbers("body_pressure_psi").tolist()
         branch = table.words("branch", "inflate")
-        columns = (
-            table.numbers("pressure_psi"),
-            table.numbers("curvature"),
-            table.numbers("curvature_se", 2e-4),
-            table.whole("trial", 0),
-        )
-        found = []
-        for s in ("left", "right"):
-            for pressure in sorted(set(body.tolist())):
-                pick = np.array([a == s for a in side]) & (body == pressure)
-                if pick.any():
-                    p, k, e, t = (column[pick] for column in columns)
-                    names = tuple(b for b, take in zip(branch, pick, strict=True) if take)
-                    found.append(
-                        cls("left" if s == "left" else "right", pressure, p, k, e, names, t)
-                    )
-        return found
+        p, k = table.numbers("pressure_psi"), table.numbers("curvature")
+        e, trial = table.numbers("curvature_se", 2e-4), table.whole("trial", 0)
+        return [
+            cls(side, body, p[own], k[own], e[own], tuple(branch[r] for r in own), trial[own])
+            for (side, body), own in grouped(zip(*keys, strict=True))
+            if np.isfinite(body)
+        ]
 
 
 @dataclass(frozen=True)
-class ActuatorResult:
+class ActuatorResult(StepResult):
     """One muscle at one body pressure.
 
     Attributes:
@@ -130,30 +114,25 @@ class ActuatorResult:
     used: NDArray[np.bool_]
     verdict: Verdict
     lag: Lag | None = None
+    EVIDENCE: ClassVar = ("readings", "used")
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
         return {
             "side": self.readings.side,
-            "zone": self.zone.model_dump(),
-            "g_se": self.g_se,
-            "full_scale": self.full_scale,
-            "offset_se": self.offset_se,
+            **super().as_data(),
             "rows": len(self.used),
-            "rows_left_out": [int(i) for i in np.nonzero(~self.used)[0]],
-            "lag": None if self.lag is None else asdict(self.lag),
-            "verdict": self.verdict.as_data(),
+            "rows_left_out": np.flatnonzero(~self.used).tolist(),
         }
 
-    def apply(self, config: RobotConfig) -> RobotConfig:
+    def write(self, config: RobotConfig) -> None:
         """Put the map into the zone of its body pressure (within 10 %).
 
         Raises:
             DataError: no zone of the configuration has that body pressure.
         """
-        made = config.model_copy(deep=True)
-        actuator = made.actuators.side(self.readings.side)
-        gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in made.body.zones]
+        actuator = config.actuators.side(self.readings.side)
+        gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
         zone = int(np.argmin(gaps))
         if gaps[zone] > 0.1:
             raise DataError(
@@ -167,13 +146,43 @@ class ActuatorResult:
         if self.lag is not None:
             # The board has one constant, and looks for contacts while pressure rises.
             actuator.lag_s = self.lag.inflate_s
-        return made
+
+
+@dataclass(frozen=True)
+class ActuatorResults(StepResult):
+    """Both muscles at every body pressure that was measured."""
+
+    each: tuple[ActuatorResult, ...]
+    verdict: Verdict
+
+    def write(self, config: RobotConfig) -> None:
+        """All maps."""
+        for result in self.each:
+            result.write(config)
+        for side in SIDES:
+            spreads = [r.offset_se for r in self.each if r.readings.side == side]
+            if spreads:
+                config.actuators.side(side).offset_se = max(spreads)
+
+
+def together(found: Sequence[ActuatorResult]) -> ActuatorResults:
+    """Maps with one verdict over all of them."""
+    names = [f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi" for r in found]
+    bad = [f"{name}: {r.verdict.reason}" for name, r in zip(names, found, strict=True)
+           if not r.verdict.good]  # fmt: skip
+    notes = tuple(
+        f"{name}: {text}"
+        for name, r in zip(names, found, strict=True)
+        for text in ((r.verdict.reason,) if r.verdict.good else ()) + r.verdict.notes
+    )
+    worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
+    good = f"{len(found)} maps, g to {100 * worst:.2f} % or better"
+    return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], notes))
 
 
 def _map_values(p: Array, parameters: Array) -> Array:
     """g(p) for (log amplitude, log scale, offset)."""
-    amplitude, scale, offset = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
-    return np.asarray(amplitude * (np.tanh((p - offset) / scale) - np.tanh(-offset / scale)))
+    return tanh_curve(p, np.exp(parameters[0]), np.exp(parameters[1]), parameters[2])
 
 
 def fit_actuator(readings: BendReadings) -> ActuatorResult:
@@ -185,17 +194,15 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     sign = 1.0 if readings.side == "left" else -1.0
     p, k = readings.pressure_psi, readings.curvature
     finite = np.isfinite(p) & np.isfinite(k)
-    lost = int((~finite).sum())
     if finite.sum() < 8 or np.ptp(p[finite]) < 6:
         raise DataError(
             f"{int(finite.sum())} usable bends of the {readings.side} muscle",
             "take 0..20 psi in steps of 2, three trials",
         )
     notes: list[str] = []
-    if lost:
-        rows = np.nonzero(~finite)[0].tolist()
-        notes.append(f"left out {listed(readings.names(), rows)}: the camera lost the body; clear "
-                     "the view to take it again")  # fmt: skip
+    if not finite.all():
+        lost = listed(readings.names(), np.flatnonzero(~finite).tolist())
+        notes.append(f"left out {lost}: the camera lost the body; clear the view to take it again")
     firm = finite & (p > 0.5 * p[finite].max())
     if np.median(sign * k[firm]) < 0:
         verdict = Verdict(
@@ -206,46 +213,39 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         )
         zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
         return ActuatorResult(readings, zone, np.inf, 0.0, np.inf, finite, verdict)
-    branch = np.array([BRANCHES.index("inflate" if b == "inflate" else "deflate")
-                       for b in readings.branch])  # fmt: skip
-    present = sorted(set(branch[finite].tolist()))
-    trials = sorted(set(readings.trial[finite].tolist()))
-    slot = np.array([trials.index(t) if t in trials else 0 for t in readings.trial.tolist()])
+    branch = np.array([BRANCHES.index(b) for b in readings.branch])
+    present = np.unique(branch[finite]).tolist()
+    trials = np.unique(readings.trial[finite])
+    slot = np.minimum(np.searchsorted(trials, readings.trial), len(trials) - 1)
     used = finite.copy()
     top = float(np.quantile(np.abs(k[finite]), 0.9))
     sigma, offset_sigma = 0.03 * max(top, 1e-3), _ONE_TRIAL_SE
-    best = np.zeros(0)
-    jacobian = np.zeros((0, 0))
     maps = 3 * len(present)
 
     def residuals(x: Array, rows: NDArray[np.bool_], spread: float, loose: float) -> Array:
         made = np.zeros(len(p))
         for j, b in enumerate(present):
             pick = branch == b
-            made[pick] = _map_values(np.maximum(p[pick], 0.0), x[3 * j : 3 * j + 3])
+            made[pick] = _map_values(p[pick], x[3 * j : 3 * j + 3])
         made = sign * made + x[maps:][slot]
         error = np.hypot(spread, readings.curvature_se)
         # Weak priors keep a saturation that the data do not reach within reason.
-        priors = [(x[3 * j + 2] - 4.0) / 8.0 for j in range(len(present))]
-        priors += [(x[3 * j + 1] - np.log(10.0)) / 1.5 for j in range(len(present))]
-        return np.concatenate([((k - made) / error)[rows], x[maps:] / loose, np.array(priors)])
+        priors = [(x[2:maps:3] - 4.0) / 8.0, (x[1:maps:3] - np.log(10.0)) / 1.5]
+        return np.concatenate([((k - made) / error)[rows], x[maps:] / loose, *priors])
 
-    each = np.log(max(top, 1e-3))
-    low = np.concatenate(
-        [np.tile([each - 1.5, 0.0, -10.0], len(present)), np.full(len(trials), -0.05)]
-    )
-    high = np.concatenate(
-        [np.tile([each + 2.0, 4.0, 25.0], len(present)), np.full(len(trials), 0.05)]
-    )
-    start = np.concatenate([np.tile([each, np.log(8.0), 4.0], len(present)), np.zeros(len(trials))])
+    def unknowns(each: list[float], offset: float) -> Array:
+        return np.append(np.tile(each, len(present)), np.full(len(trials), offset))
+
+    size = float(np.log(max(top, 1e-3)))
+    best = unknowns([size, np.log(8.0), 4.0], 0.0)
+    bounds = (unknowns([size - 1.5, 0.0, -10.0], -0.05), unknowns([size + 2.0, 4.0, 25.0], 0.05))
     for attempt in range(8):
         # Cauchy at first: a tenth of wild readings must not pull the start.
         fit = least_squares(
-            residuals, best if len(best) else start, args=(used, sigma, offset_sigma),
-            bounds=(low, high),
+            residuals, best, args=(used, sigma, offset_sigma), bounds=bounds,
             loss="cauchy" if attempt < 2 else "linear", f_scale=2.0, x_scale="jac",
         )  # fmt: skip
-        best, jacobian = fit.x, np.asarray(fit.jac, float)
+        best = fit.x
         scaled = residuals(best, finite, 1.0, 1.0)[: finite.sum()]
         raw = np.full(len(p), np.nan)
         raw[finite] = scaled * np.hypot(1.0, readings.curvature_se[finite])
@@ -257,12 +257,12 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         offsets = best[maps:]
         if len(trials) > 1:
             offset_sigma = float(max(2e-4, np.sqrt(np.mean(offsets**2))))
-        limit = _REJECT * np.hypot(sigma, readings.curvature_se)
-        kept = finite & (np.nan_to_num(np.abs(raw), nan=np.inf) < limit)
+        kept = finite & (np.abs(raw) < _REJECT * np.hypot(sigma, readings.curvature_se))
         if attempt > 3 and (kept == used).all():
             break
         if kept.sum() >= maps + len(trials) + 3:
             used = kept
+    jacobian = np.asarray(fit.jac, float)
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     grid = np.linspace(0.0, 18.0, 37)
     fit_se, top_se, shape_se, built = 0.0, 0.0, 0.0, {}
@@ -282,11 +282,8 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         # What the map's scale does not account for is the shape's error.
         rest = np.maximum(variance - (share * values) ** 2, 0.0)
         shape_se = max(shape_se, float(np.sqrt(rest.max())))
-        built[BRANCHES[b]] = TanhMap(
-            amplitude=float(np.exp(x[0])),
-            scale_psi=float(np.exp(x[1])),
-            offset_psi=float(x[2]),
-        )
+        amplitude, scale = np.exp(x[:2]).tolist()
+        built[BRANCHES[b]] = TanhMap(amplitude=amplitude, scale_psi=scale, offset_psi=float(x[2]))
     # A camera errs alike in all pictures of a place: its error does not average out.
     camera_se = float(np.median(readings.curvature_se[finite]))
     g_se = float(np.hypot(fit_se, camera_se))
@@ -299,16 +296,30 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         notes.append(f"only the {BRANCHES[present[0]]} branch was measured; used for both")
     inflate = built.get("inflate") or built["deflate"]
     deflate = built.get("deflate") or inflate
-    out = int((finite & ~used).sum())
+    out, total = np.flatnonzero(finite & ~used).tolist(), int(finite.sum())
     if out:
-        rows = np.nonzero(finite & ~used)[0].tolist()
-        notes.append(f"left out {out} of {int(finite.sum())} bends as outliers "
-                     f"({listed(readings.names(), rows)})")  # fmt: skip
-    spread = float(np.std(best[maps:], ddof=1)) if len(trials) > 1 else offset_sigma
-    moved = [t for t, o in zip(trials, best[maps:], strict=True)
-             if abs(o - np.median(best[maps:])) > 3e-3]  # fmt: skip
+        names = listed(readings.names(), out)
+        notes.append(f"left out {len(out)} of {total} bends as outliers ({names})")
+    offsets = best[maps:]
+    spread = float(np.std(offsets, ddof=1)) if len(trials) > 1 else offset_sigma
+    moved = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
     full = float(inflate.curvature(highest))
-    verdict = _verdict(readings, g_se, full, out, int(finite.sum()), moved, notes)
+    share = g_se / max(full, 1e-9)
+    good = False
+    if len(moved):
+        names = ", ".join(map(str, moved.tolist()))
+        notes.append(f"trial {names} is bent by a constant against the others")
+        reason = (
+            "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
+            "and repeat those trials"
+        )
+    elif len(out) > 0.3 * total:
+        reason = "a third of the bends disagree with any smooth map"
+    elif share > 0.02:
+        reason = f"g is known to {100 * share:.1f} % of full scale only; add trials"
+    else:
+        good, reason = True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
+    verdict = Verdict(good, reason, tuple(notes))
     zone = ZoneMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
@@ -343,34 +354,3 @@ def _trial_gain(
     between = max(squares - own * (trials - 1) / trials, 0.0)
     counted = trials - 1 + _TRIAL_GAIN_COUNT
     return float(np.sqrt((between + _TRIAL_GAIN_COUNT * _TRIAL_GAIN**2) / counted))
-
-
-def _verdict(
-    readings: BendReadings,
-    g_se: float,
-    full: float,
-    out: int,
-    total: int,
-    moved: list[int],
-    notes: list[str],
-) -> Verdict:
-    share = g_se / max(full, 1e-9)
-    if moved:
-        notes.append(
-            f"trial {', '.join(str(t) for t in moved)} is bent by a constant against the others"
-        )
-        return Verdict(
-            False,
-            "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
-            "and repeat those trials",
-            tuple(notes),
-        )
-    if out > 0.3 * total:
-        return Verdict(False, "a third of the bends disagree with any smooth map", tuple(notes))
-    if share > 0.02:
-        return Verdict(
-            False, f"g is known to {100 * share:.1f} % of full scale only; add trials", tuple(notes)
-        )
-    return Verdict(
-        True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)", tuple(notes)
-    )

@@ -1,29 +1,26 @@
 """Critical curvature: the contact moment at which the base folds (thesis, section 2.3.3).
 
 In each trial the tip is pushed hard until the base folds. The sensors beyond the fold still obey
-the beam, and tell the moment at the base: by the thesis's regression over them (a line through
-their curvatures, read off at s = 0), or, better, with the tip as the known place of the force, so
-that one number is fitted instead of two.
+the beam, and tell the moment at the base. The tip is the known place of the force, so one number is
+fitted; the thesis's line through their curvatures, read off at s = 0, takes two.
 """
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.regression import fit_linear
-from thigmo.calibrate.verdict import Verdict
-from thigmo.config import SIDES, RobotConfig
+from thigmo.calibrate.columns import of_sensors, sensors_of
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
-Method = Literal["known tip", "thesis"]
 
 
 @dataclass(frozen=True)
@@ -44,16 +41,15 @@ class PushReadings:
     def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> PushReadings:
         """From a CSV: curvature_left_0 .. curvature_right_N, body_pressure_psi, length_cm."""
         table = Table.read(path)
-        blocks = [table.block(f"curvature_{s}_", len(config.sensors.column(s))) for s in SIDES]
         body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
         length = table.numbers("length_cm", config.body.length_cm)
         if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
             raise DataError(f"{path}: body pressure or length varies", "one file for each")
-        return cls(np.hstack(blocks), float(body[0]), float(length[0]))
+        return cls(of_sensors(table, "curvature", config), float(body[0]), float(length[0]))
 
 
 @dataclass(frozen=True)
-class BucklingResult:
+class BucklingResult(StepResult):
     """Critical curvature at one body pressure.
 
     Attributes:
@@ -62,7 +58,6 @@ class BucklingResult:
         each: (t,) per trial; nan = did not fold or could not be read.
         excess: (t,) how much more the base sensors show than the beam says, 1/cm.
         body_pressure_psi: at which it holds.
-        method: how.
         verdict: in words.
     """
 
@@ -71,39 +66,22 @@ class BucklingResult:
     each: Array
     excess: Array
     body_pressure_psi: float
-    method: Method
     verdict: Verdict
 
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "critical_curvature": self.critical_curvature,
-            "critical_se": self.critical_se,
-            "each": self.each.tolist(),
-            "excess": self.excess.tolist(),
-            "body_pressure_psi": self.body_pressure_psi,
-            "method": self.method,
-            "verdict": self.verdict.as_data(),
-        }
-
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """Critical curvature, its error and its body pressure into a copy."""
-        made = config.model_copy(deep=True)
-        made.body.critical_curvature = self.critical_curvature
-        made.body.critical_curvature_se = self.critical_se
-        made.body.critical_pressure_psi = self.body_pressure_psi
-        return made
+    def write(self, config: RobotConfig) -> None:
+        """Critical curvature, its error and its body pressure."""
+        config.body.critical_curvature = self.critical_curvature
+        config.body.critical_curvature_se = self.critical_se
+        config.body.critical_pressure_psi = self.body_pressure_psi
 
 
-def fit_buckling(
-    readings: PushReadings, config: RobotConfig, *, method: Method = "known tip"
-) -> BucklingResult:
+def fit_buckling(readings: PushReadings, config: RobotConfig) -> BucklingResult:
     """Critical curvature over the trials.
 
     Raises:
         DataError: no sensor lies beyond the fold, or the columns disagree with the configuration.
     """
-    sensors = [s for side in SIDES for s in config.sensors.column(side)]
+    sensors = sensors_of(config)
     k = np.atleast_2d(readings.curvature)
     if k.shape[1] != len(sensors):
         raise DataError(f"{k.shape[1]} columns for {len(sensors)} sensors", "use this robot's file")
@@ -126,29 +104,27 @@ def fit_buckling(
     shallow, unread = [], []
     for trial, row in enumerate(k):
         pick = beyond & np.isfinite(row)
+        if pick.sum() >= 2:
+            pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
         if pick.sum() < 2:
             unread.append(trial)
             continue
-        pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
-        if pick.sum() < 2:
-            unread.append(trial)
-            continue
-        estimate, error = _moment(row[pick], center[pick], span[pick], noise[pick], length, method)
+        estimate, error = _moment(row[pick], center[pick], span[pick], noise[pick], length)
         base = healthy & near & np.isfinite(row)
         sign = np.sign(estimate) or 1.0
         base &= (way == 0) | (way == sign)
-        over = np.nan
+        over, least = np.nan, 0.0
         if base.any():
             # A beam without a fold would show this at the base sensors.
             lever = _levers(abs(estimate), center[base], span[base], length)
             gap = sign * row[base] - abs(estimate) * lever
             over = float(np.mean(gap))
-            if over < 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error)):
-                shallow.append(trial)
-                excess[trial] = over
-                continue
+            least = 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error))
         excess[trial] = over
-        each[trial], own[trial] = abs(estimate), error
+        if over < least:
+            shallow.append(trial)
+        else:
+            each[trial], own[trial] = abs(estimate), error
     for rows, what in (
         (shallow, "the base did not fold: push harder"),
         (unread, "too few readings"),
@@ -168,9 +144,7 @@ def fit_buckling(
     n = int(kept.sum())
     if n == 0:
         verdict = Verdict(False, "no trial shows a fold; push the tip harder", tuple(notes))
-        return BucklingResult(
-            float("nan"), float("inf"), each, excess, readings.body_pressure_psi, method, verdict
-        )
+        return BucklingResult(np.nan, np.inf, each, excess, readings.body_pressure_psi, verdict)
     mean = float(each[kept].mean())
     # A handful of trials tells their scatter poorly: never less than the readings' own error.
     scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
@@ -188,23 +162,14 @@ def fit_buckling(
         reason += "; three or more trials are needed"
     elif not good:
         reason += "; take more trials or calibrate the flex sensors better"
-    return BucklingResult(
-        mean, se, each, excess, readings.body_pressure_psi, method,
-        Verdict(good, reason, tuple(notes)),
-    )  # fmt: skip
+    verdict = Verdict(good, reason, tuple(notes))
+    return BucklingResult(mean, se, each, excess, readings.body_pressure_psi, verdict)
 
 
 def _moment(
-    row: Array, center: Array, span: Array, noise: Array, length: float, method: Method
+    row: Array, center: Array, span: Array, noise: Array, length: float
 ) -> tuple[float, float]:
     """Contact moment at the base (1/cm, signed) and its standard error in one trial."""
-    if method == "thesis":
-        design = np.column_stack([np.ones(len(row)), center])
-        if len(row) < 4:
-            line, covariance = np.polyfit(center, row, 1), np.zeros((2, 2))
-            return float(line[1]), float(noise.mean() + covariance[1, 1])
-        fit = fit_linear(design, row, noise, reject=len(row) >= 6)
-        return float(fit.coefficients[0]), fit.se(0)
     sign = float(np.sign(np.median(row))) or 1.0
     estimate = 0.01
     error = 0.0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.verdict import Verdict
+from thigmo.calibrate.columns import places_of
+from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 
@@ -34,9 +35,7 @@ class CheckReadings:
         bend_ohm: readings (m,) with one muscle at `bend_psi`, by side.
         bend_psi: muscle pressure of those readings.
         bend_seen: curvature by camera, by side; empty without a camera.
-        held_psi: (t, 2) time (s) and pressure while a muscle is held, by side, for the leak;
-            the drive is `held_drive`.
-        held_drive: (t,) transducer duty 0..1 during the hold, by side.
+        held_psi: (t, 2) time (s) and pressure while a muscle is held, by side, for the leak.
         zone: pressure zone in use.
     """
 
@@ -45,27 +44,15 @@ class CheckReadings:
     bend_psi: float
     bend_seen: dict[Side, float]
     held_psi: dict[Side, Array]
-    held_drive: dict[Side, Array] = field(default_factory=dict)
     zone: int = 0
 
 
 @dataclass(frozen=True)
-class CheckResult:
+class CheckResult(StepResult):
     """All findings."""
 
     findings: tuple[Finding, ...]
     verdict: Verdict
-
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "findings": [{"what": f.what, "mark": f.mark, "text": f.text} for f in self.findings],
-            "verdict": self.verdict.as_data(),
-        }
-
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """A check changes nothing: a copy."""
-        return config.model_copy(deep=True)
 
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
@@ -74,7 +61,7 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     Raises:
         DataError: columns that disagree with the configuration.
     """
-    sensors = [(side, k) for side in SIDES for k in range(len(config.sensors.column(side)))]
+    sensors = places_of(config)
     rest = np.atleast_2d(readings.rest_ohm)
     if rest.shape[1] != len(sensors):
         raise DataError(f"{rest.shape[1]} columns for {len(sensors)} sensors", "use its robot.toml")
@@ -89,15 +76,11 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
             findings.extend(_bent(side, readings, zero, sensors, config))
         if side in readings.held_psi:
             findings.append(_leak(side, readings))
-    bad = [f for f in findings if f.mark == "bad"]
-    warned = [f for f in findings if f.mark == "warning"]
-    if bad:
-        verdict = Verdict(False, f"{bad[0].what}: {bad[0].text}",
-                          tuple(f"{f.what}: {f.text}" for f in (bad + warned)[1:]))  # fmt: skip
-    else:
-        verdict = Verdict(True, "the robot is as robot.toml says",
-                          tuple(f"{f.what}: {f.text}" for f in warned))  # fmt: skip
-    return CheckResult(tuple(findings), verdict)
+    bad, warned = (
+        [f"{f.what}: {f.text}" for f in findings if f.mark == mark] for mark in ("bad", "warning")
+    )
+    first, *notes = [*(bad or ["the robot is as robot.toml says"]), *warned]
+    return CheckResult(tuple(findings), Verdict(not bad, first, tuple(notes)))
 
 
 def _at_rest(side: Side, k: int, zero: float, values: Array, config: RobotConfig) -> Finding:
@@ -130,20 +113,24 @@ def _bent(
     sign = 1.0 if side == "left" else -1.0
     expected = sign * maps[readings.zone].inflate.curvature(readings.bend_psi)
     found: list[Finding] = []
+
+    def add(what: str, mark: Mark, text: str) -> None:
+        found.append(Finding(what, mark, text))
+
     seen = readings.bend_seen.get(side)
     what = f"{side} muscle"
     if seen is not None:
         if seen * sign < -0.002:
-            found.append(Finding(what, "bad", "bends the robot to the other side: the muscles' "
-                                 "tubes are swapped, or the camera is mirrored"))  # fmt: skip
+            add(what, "bad", "bends the robot to the other side: the muscles' tubes are swapped, "
+                "or the camera is mirrored")  # fmt: skip
         elif abs(seen) < 0.3 * abs(expected):
-            found.append(Finding(what, "bad", f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were "
-                                 "expected: no air, a leak, or a wrong map"))  # fmt: skip
+            add(what, "bad", f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were expected: no air, "
+                "a leak, or a wrong map")  # fmt: skip
         elif abs(seen - expected) > 0.15 * abs(expected):
-            found.append(Finding(what, "warning", f"bends by {seen:+.4f} 1/cm, the map says "
-                                 f"{expected:+.4f}: recalibrate the actuator"))  # fmt: skip
+            add(what, "warning", f"bends by {seen:+.4f} 1/cm, the map says {expected:+.4f}: "
+                "recalibrate the actuator")  # fmt: skip
         else:
-            found.append(Finding(what, "ok", f"bends by {seen:+.4f} 1/cm as mapped"))
+            add(what, "ok", f"bends by {seen:+.4f} 1/cm as mapped")
     bent = readings.bend_ohm[side]
     shares: dict[Side, list[float]] = {"left": [], "right": []}
     target = seen if seen is not None else expected
@@ -154,23 +141,20 @@ def _bent(
         share = (bent[column] - zero[column]) * sensor.scale_per_ohm / target
         shares[of].append(float(share))
         if of != side and abs(share) < 0.15:
-            found.append(Finding(f"sensor {of} {k}", "bad", "does not answer to bending: dead, or "
-                                 "its pouch is loose"))  # fmt: skip
+            add(f"sensor {of} {k}", "bad",
+                "does not answer to bending: dead, or its pouch is loose")  # fmt: skip
     far: Side = "right" if side == "left" else "left"
     if len(shares[far]) >= 2 and len(shares[side]) >= 2:
         off = {s: float(np.median(np.abs(np.array(v) - 1))) for s, v in shares.items()}
         if off[far] > 0.3 and off[side] < 0.5 * off[far] and (off[side] < 0.3):
-            text = (
-                f"with the {side} muscle the {side} sensors fit and the others do not: "
-                "the columns are swapped"
-            )
-            found.append(Finding("sensor columns", "bad", text))
+            add("sensor columns", "bad", f"with the {side} muscle the {side} sensors fit and the "
+                "others do not: the columns are swapped")  # fmt: skip
         elif float(np.median(shares[far])) < -0.3:
-            found.append(Finding("sensor columns", "bad", "read bends with the wrong sign: swapped "
-                                 "sides, or an old robot.toml"))  # fmt: skip
+            add("sensor columns", "bad",
+                "read bends with the wrong sign: swapped sides, or an old robot.toml")  # fmt: skip
         elif off[far] > 0.15:
             text = f"read {100 * off[far]:.0f} % off the bend: recalibrate flex"
-            found.append(Finding(f"{far} sensors", "warning", text))
+            add(f"{far} sensors", "warning", text)
     return found
 
 
@@ -183,14 +167,6 @@ def _leak(side: Side, readings: CheckReadings) -> Finding:
     t, p = record[:, 0], record[:, 1]
     slope = float(np.polyfit(t, p, 1)[0])
     sag = -slope * float(np.ptp(t))
-    drive = readings.held_drive.get(side)
-    rise = 0.0
-    if drive is not None and len(drive) == len(t):
-        rise = float(np.polyfit(t, drive, 1)[0]) * float(np.ptp(t))
     if sag > 0.5:
         return Finding(what, "bad", f"pressure falls by {sag:.1f} psi during the hold: a leak")
-    if rise > 0.05:
-        return Finding(
-            what, "warning", f"drive rises by {100 * rise:.0f} % during the hold: a leak"
-        )
     return Finding(what, "ok", f"holds within {abs(sag):.2f} psi")

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.calibrate.regression import fit_linear
-from thigmo.calibrate.verdict import Verdict, listed
+from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
+TIP_SE_CM = 0.08  # one sigma of a camera place along or across the robot
 
 
 @dataclass(frozen=True)
-class EncoderResult:
+class EncoderResult(StepResult):
     """Counts per cm of line.
 
     Attributes:
@@ -36,23 +37,16 @@ class EncoderResult:
     length_cm: Array
     counts: Array
     used: NDArray[np.bool_]
-    payout_ratio: float
     verdict: Verdict
+    EVIDENCE: ClassVar = ("length_cm", "counts", "used")
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
-        return {
-            "counts_per_cm": self.counts_per_cm,
-            "counts_se": self.counts_se,
-            "rows_left_out": [int(i) for i in np.nonzero(~self.used)[0]],
-            "verdict": self.verdict.as_data(),
-        }
+        return {**super().as_data(), "rows_left_out": np.flatnonzero(~self.used).tolist()}
 
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """Counts per cm into a copy of the configuration."""
-        made = config.model_copy(deep=True)
-        made.spool.counts_per_cm = self.counts_per_cm
-        return made
+    def write(self, config: RobotConfig) -> None:
+        """Counts per cm."""
+        config.spool.counts_per_cm = self.counts_per_cm
 
 
 def read_encoder(path: str | os.PathLike[str]) -> tuple[Array, Array]:
@@ -61,9 +55,7 @@ def read_encoder(path: str | os.PathLike[str]) -> tuple[Array, Array]:
     return table.numbers("counts"), table.numbers("length_cm")
 
 
-def fit_encoder(
-    counts: Array, length_cm: Array, config: RobotConfig, length_se_cm: float = 0.08
-) -> EncoderResult:
+def fit_encoder(counts: Array, length_cm: Array, config: RobotConfig) -> EncoderResult:
     """Slope of counts over length, in order of growth.
 
     A slip of the line (the spool turns, the tip does not) shifts all later rows: detected and said.
@@ -72,7 +64,6 @@ def fit_encoder(
         DataError: fewer than four usable rows.
     """
     counts, length = np.asarray(counts, float), np.asarray(length_cm, float)
-    ratio = config.spool.payout_ratio
     notes: list[str] = []
     missing = ~(np.isfinite(counts) & np.isfinite(length))
     lost = int(missing.sum())
@@ -84,16 +75,17 @@ def fit_encoder(
         raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
     # Counts are exact, the camera is not: length over counts, then inverted.
     design = np.column_stack([np.ones(len(counts)), counts])
-    fit = fit_linear(design, length, length_se_cm)
+    fit = fit_linear(design, length, TIP_SE_CM)
     per_count, se = float(fit.coefficients[1]), fit.se(1)
-    slip = _slip(counts, length, length_se_cm)
-    value = 1 / (per_count * ratio) if per_count > 0 else float("nan")
-    error = se / per_count * value if per_count > 0 else float("inf")
+    slip = _slip(counts, length)
+    value, error = config.spool.counts_per_cm, float("inf")
+    if per_count > 0:
+        value = 1 / (per_count * config.spool.payout_ratio)
+        error = se / per_count * value
     if per_count <= 0:
         verdict = Verdict(
             False, "counts fall while the robot grows: swap the encoder's A and B", tuple(notes)
         )
-        value = config.spool.counts_per_cm
     elif slip is not None:
         row, size = slip
         verdict = Verdict(
@@ -111,7 +103,7 @@ def fit_encoder(
         if fit.used.sum() >= 6:
             curved = fit_linear(
                 np.column_stack([np.ones(len(unit)), unit, unit**2]),
-                np.where(fit.used, length, np.nan), length_se_cm, reject=False,
+                np.where(fit.used, length, np.nan), TIP_SE_CM, reject=False,
             )  # fmt: skip
             if abs(curved.coefficients[2]) > 4 * curved.se(2):
                 bow = float(curved.coefficients[2]) / 4
@@ -124,10 +116,10 @@ def fit_encoder(
             + ("" if good else "; take more lengths"),
             tuple(notes),
         )
-    return EncoderResult(value, error, length, counts, fit.used, ratio, verdict)
+    return EncoderResult(value, error, length, counts, fit.used, verdict)
 
 
-def _slip(counts: Array, length: Array, se: float) -> tuple[int, float] | None:
+def _slip(counts: Array, length: Array) -> tuple[int, float] | None:
     """Row and size of a lasting offset in length at equal slope; None = none."""
     good = np.nonzero(np.isfinite(counts) & np.isfinite(length))[0]
     best: tuple[float, int, float] | None = None
@@ -135,7 +127,7 @@ def _slip(counts: Array, length: Array, se: float) -> tuple[int, float] | None:
         step = (np.arange(len(good)) >= at).astype(float)
         design = np.column_stack([np.ones(len(good)), counts[good], step])
         try:
-            fit = fit_linear(design, length[good], se, reject=False)
+            fit = fit_linear(design, length[good], TIP_SE_CM, reject=False)
         except DataError:
             continue
         size, error = float(fit.coefficients[2]), fit.se(2)
@@ -164,7 +156,7 @@ class PressureZero:
 
 
 @dataclass(frozen=True)
-class PressureResult:
+class PressureResult(StepResult):
     """Both pressure sensors' zeros, in ADC counts; the board holds them (`pressure_zero`)."""
 
     zeros: tuple[PressureZero, ...]
@@ -172,22 +164,11 @@ class PressureResult:
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
-        return {
-            "zeros": [
-                {key: getattr(z, key) for key in PressureZero.__dataclass_fields__}
-                for z in self.zeros
-            ],
-            "pressure_zero": self.board_values(),
-            "verdict": self.verdict.as_data(),
-        }
+        return {**super().as_data(), "pressure_zero": self.board_values()}
 
     def board_values(self) -> list[int]:
         """The board's parameter `pressure_zero`, in 1/64 count, left then right."""
         return [round(z.zero_count * 64) for z in self.zeros]
-
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """The zeros are the board's, not the configuration's: a copy."""
-        return config.model_copy(deep=True)
 
 
 def fit_pressure_zero(

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from thigmo.camera import (
     AxisDoubtfulError,
     CameraModel,
-    Centerline,
-    Painted,
     PictureSource,
     Seen,
     Sheet,
     Sighting,
+    look,
 )
+from thigmo.camera.centerline import Centerline
 from thigmo.camera.sheet import card_decals, tip_decal
-from thigmo.camera.sight import TipSighting, look, see_tip
+from thigmo.camera.source import Painted
 from thigmo.errors import DataError
 
 
@@ -51,14 +51,6 @@ class Eyes:
         if dowel_radius_cm is not None:
             radii = (0.8 * dowel_radius_cm, 1.2 * dowel_radius_cm)
             self.wanted = replace(self.wanted, obstacle_radius_cm=radii)
-
-    def tip(self) -> TipSighting:
-        """The tip.
-
-        Raises:
-            CameraError: as named.
-        """
-        return see_tip(self.source.read(), self.camera, self.sheet, self.wanted.diameter_cm)
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis; a pushed tip's place needs its marker, a free bend does not.

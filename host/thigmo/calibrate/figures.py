@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import singledispatch
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thigmo.calibrate.actuator import ActuatorResult
+from thigmo.calibrate.actuator import ActuatorResult, ActuatorResults
 from thigmo.calibrate.buckling import BucklingResult
 from thigmo.calibrate.check import CheckResult
 from thigmo.calibrate.encoder import EncoderResult, PressureResult
 from thigmo.calibrate.flex import FlexResult
 from thigmo.calibrate.hysteresis import HysteresisResult
-from thigmo.calibrate.muscles import ActuatorResults
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
@@ -39,6 +40,27 @@ def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
         raise DataError(f"cannot write {path}: {error}", "choose another folder") from error
 
 
+@contextmanager
+def _panel(
+    path: Path, verdict: Verdict, x: str, y: str, size: tuple[float, float] = (6, 4)
+) -> Iterator[Axes]:
+    """Axes of a figure, which is labelled and written at the end."""
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots()
+    yield axes
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    many = len(axes.get_legend_handles_labels()[0]) > 6
+    axes.legend(fontsize=7 if many else None, ncols=2 if many else 1)
+    _finish(figure, path, verdict)
+
+
+def _mean(axes: Axes, mean: float, se: float) -> None:
+    """A line, and its 95 % interval."""
+    axes.axhline(mean, color="k", lw=1, label="mean")
+    axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)
+
+
 @singledispatch
 def draw(result: StepResult, path: Path) -> None:
     """Draw a step's data and fit.
@@ -57,18 +79,16 @@ def _flex(result: FlexResult, path: Path) -> None:
     grid = figure.subplots(2, columns, squeeze=False)
     for axes in grid.flat[:]:
         axes.set_visible(False)  # where a side has fewer sensors than the other
-    kinds = np.array(result.readings.kind)
-    active = np.array(result.readings.active)
+    readings, good = result.rows.readings, result.rows.good
+    kinds, active = np.array(readings.kind), np.array(readings.active)
     for column, fit in enumerate(result.sensors):
         axes = grid[SIDES.index(fit.side), fit.index]
         axes.set_visible(True)
-        k = result.model_curvature[:, column]
-        ohm = result.readings.ohm[:, column] / 1000
+        k, ohm = result.rows.model[:, column], readings.ohm[:, column] / 1000
         for kind, (mark, color) in _MARK.items():
-            pick = (kinds == kind) & (active != fit.side) & result.row_good
+            pick = (kinds == kind) & (active != fit.side) & good
             axes.plot(k[pick], ohm[pick], mark, color=color, ms=4, label=kind)
-        out = ~result.row_good
-        axes.plot(k[out], ohm[out], "x", color=RED, ms=5, label="left out")
+        axes.plot(k[~good], ohm[~good], "x", color=RED, ms=5, label="left out")
         if fit.healthy:
             low, high = float(np.nanmin(k)), float(np.nanmax(k))
             if fit.valid_direction > 0:
@@ -77,7 +97,7 @@ def _flex(result: FlexResult, path: Path) -> None:
                 high = 0.0
             line = np.array([low, high])
             axes.plot(line, (fit.zero_ohm + line / fit.scale_per_ohm) / 1000, "k-", lw=1)
-        seen = ohm[np.isfinite(ohm) & result.row_good]
+        seen = ohm[np.isfinite(ohm) & good]
         if len(seen):
             low, high = (float(v) for v in np.quantile(seen, [0.02, 0.98]))
             room = max(0.4 * (high - low), 0.2)
@@ -94,25 +114,23 @@ def _flex(result: FlexResult, path: Path) -> None:
 @draw.register
 def _actuator(result: ActuatorResult, path: Path) -> None:
     """Curvature against pressure with both maps."""
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
-    axes = figure.subplots()
     r = result.readings
     branch = np.array(r.branch)
     sign = 1.0 if r.side == "left" else -1.0
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
     curves = (("inflate", "^", BLUE, result.zone.inflate),
               ("deflate", "v", ORANGE, result.zone.deflate))  # fmt: skip
-    for name, mark, color, curve in curves:
-        pick = (branch == name) & result.used
-        axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
-        axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
-    out = ~result.used
-    axes.plot(r.pressure_psi[out], r.curvature[out], "x", color=RED, label="left out")
-    axes.set_xlabel("muscle pressure (psi)")
-    axes.set_ylabel("free curvature (1/cm)")
-    axes.set_title(f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9)
-    axes.legend()
-    _finish(figure, path, result.verdict)
+    labels = "muscle pressure (psi)", "free curvature (1/cm)"
+    with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:
+        for name, mark, color, curve in curves:
+            pick = (branch == name) & result.used
+            axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
+            axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
+        out = ~result.used
+        axes.plot(r.pressure_psi[out], r.curvature[out], "x", color=RED, label="left out")
+        axes.set_title(
+            f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9
+        )
 
 
 @draw.register
@@ -126,96 +144,64 @@ def _actuators(results: ActuatorResults, path: Path) -> None:
 @draw.register
 def _buckling(result: BucklingResult, path: Path) -> None:
     """Every trial's estimate and the mean."""
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(np.arange(1, len(result.each) + 1), result.each, "o", label="trial")
-    if np.isfinite(result.critical_curvature):
-        mean, se = result.critical_curvature, result.critical_se
-        axes.axhline(mean, color="k", lw=1, label="mean")
-        axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)
-    axes.axhline(0.01108, color=RED, ls=":", label="thesis")
-    axes.set_xlabel("trial")
-    axes.set_ylabel("critical curvature (1/cm)")
-    axes.legend()
-    _finish(figure, path, result.verdict)
+    with _panel(path, result.verdict, "trial", "critical curvature (1/cm)") as axes:
+        axes.plot(np.arange(1, len(result.each) + 1), result.each, "o", label="trial")
+        if np.isfinite(result.critical_curvature):
+            _mean(axes, result.critical_curvature, result.critical_se)
+        axes.axhline(0.01108, color=RED, ls=":", label="thesis")
 
 
 @draw.register
 def _hysteresis(result: HysteresisResult, path: Path) -> None:
     """Decays with their laws."""
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
-    axes = figure.subplots()
-    for number, record in enumerate(result.records):
-        color = CYCLE[number % len(CYCLE)]
-        rest = float(np.nanmedian(record.curvature[-max(3, len(record.curvature) // 8) :]))
-        axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
-    t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
-    for fit in result.sensors:
-        axes.plot(t, fit.law.left(t)[0], "-", lw=1, label=f"{fit.side} {fit.index}")
-    axes.set_xlabel("time since eversion (s)")
-    axes.set_ylabel("reading less its rest (1/cm)")
-    axes.legend(fontsize=7, ncols=2)
-    _finish(figure, path, result.verdict)
+    labels = "time since eversion (s)", "reading less its rest (1/cm)"
+    with _panel(path, result.verdict, *labels, size=(8, 4.5)) as axes:
+        for number, record in enumerate(result.records):
+            color = CYCLE[number % len(CYCLE)]
+            rest = float(np.nanmedian(record.curvature[-max(3, len(record.curvature) // 8) :]))
+            axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
+        t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
+        for fit in result.sensors:
+            axes.plot(t, fit.law.left(t)[0], "-", lw=1, label=f"{fit.side} {fit.index}")
 
 
 @draw.register
 def _stiffness(result: StiffnessResult, path: Path) -> None:
     """Ratio of every picture and the mean."""
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(np.arange(1, len(result.each) + 1), result.each, "o")
-    axes.axhline(result.ratio, color="k", lw=1)
-    low, high = (result.ratio + s * 1.96 * result.ratio_se for s in (-1, 1))
-    axes.axhspan(low, high, color="k", alpha=0.1)
-    axes.axhline(1.0, color="0.5", ls=":")
-    axes.set_xlabel("picture")
-    axes.set_ylabel("stiffness under sensors / in gaps")
-    _finish(figure, path, result.verdict)
+    with _panel(path, result.verdict, "picture", "stiffness under sensors / in gaps") as axes:
+        axes.plot(np.arange(1, len(result.each) + 1), result.each, "o", label="picture")
+        _mean(axes, result.ratio, result.ratio_se)
+        axes.axhline(1.0, color="0.5", ls=":")
 
 
 @draw.register
 def _noise(result: NoiseResult, path: Path) -> None:
-    """The three parts of every sensor."""
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    axes = figure.subplots()
-    at = np.arange(len(result.sensors))
-    parts: list[tuple[str, Any]] = [
-        ("white", [s.white for s in result.sensors]),
-        ("per eversion", [s.per_eversion for s in result.sensors]),
-        ("within a sweep", [s.hysteresis for s in result.sensors]),
-    ]
-    for number, (name, values) in enumerate(parts):
-        axes.bar(at + 0.25 * (number - 1), np.nan_to_num(values), 0.25, label=name)
-    axes.set_xticks(at, [f"{s.side} {s.index}" for s in result.sensors], rotation=45, fontsize=7)
-    axes.set_ylabel("one sigma (1/cm)")
-    axes.legend()
-    _finish(figure, path, result.verdict)
+    """Both parts of every sensor."""
+    with _panel(path, result.verdict, "", "one sigma (1/cm)", size=(8, 4)) as axes:
+        at = np.arange(len(result.sensors))
+        white = [s.white for s in result.sensors]
+        axes.bar(at - 0.2, white, 0.4, label="white")
+        swept = np.nan_to_num([s.hysteresis for s in result.sensors])
+        axes.bar(at + 0.2, swept, 0.4, label="within a sweep")
+        names = [f"{s.side} {s.index}" for s in result.sensors]
+        axes.set_xticks(at, names, rotation=45, fontsize=7)
 
 
 @draw.register
 def _encoder(result: EncoderResult, path: Path) -> None:
     """Counts against length."""
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(result.length_cm[result.used], result.counts[result.used], "o", label="used")
-    axes.plot(result.length_cm[~result.used], result.counts[~result.used], "x", color=RED,
-              label="left out")  # fmt: skip
-    axes.set_xlabel("length by camera (cm)")
-    axes.set_ylabel("encoder counts")
-    axes.legend()
-    _finish(figure, path, result.verdict)
+    with _panel(path, result.verdict, "length by camera (cm)", "encoder counts") as axes:
+        for pick, mark, label in ((result.used, "o", "used"), (~result.used, "x", "left out")):
+            color = BLUE if mark == "o" else RED
+            axes.plot(result.length_cm[pick], result.counts[pick], mark, color=color, label=label)
 
 
 @draw.register
 def _pressure(result: PressureResult, path: Path) -> None:
     """The zeros."""
-    figure = Figure(figsize=(5, 3.5), layout="constrained")
-    axes = figure.subplots()
-    axes.bar([z.side for z in result.zeros], [z.zero_count for z in result.zeros])
-    axes.axhline(102.4, color="k", ls=":", label="data sheet")
-    axes.set_ylabel("count at 0 psi")
-    axes.legend()
-    _finish(figure, path, result.verdict)
+    with _panel(path, result.verdict, "", "count at 0 psi", size=(5, 3.5)) as axes:
+        axes.bar([z.side for z in result.zeros], [z.zero_count for z in result.zeros])
+        axes.axhline(102.4, color="k", ls=":", label="data sheet")
 
 
 @draw.register

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.calibrate.columns import of_sensors, places_of
+from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 
@@ -54,20 +55,6 @@ class FlexReadings:
             object.__setattr__(self, "block", np.zeros(n, np.int64))
         if not self.name:
             object.__setattr__(self, "name", tuple(f"row {row + 1}" for row in range(n)))
-        shapes = {
-            "t_s": self.t_s.shape == (n,),
-            "tip_cm": self.tip_cm.shape == (n, 2),
-            "curvature": self.curvature.shape == (n,),
-            "curvature_se": self.curvature_se.shape == (n,),
-            "active": len(self.active) == n,
-            "ohm": self.ohm.ndim == 2 and len(self.ohm) == n,
-            "intended_y_cm": self.intended_y_cm.shape == (n,),
-            "block": self.block.shape == (n,),
-            "name": len(self.name) == n,
-        }
-        for name, good in shapes.items():
-            if not good:
-                raise DataError(f"flex readings: {name} does not have {n} rows", "check the arrays")
         unknown = set(self.kind) - set(KINDS)
         if unknown:
             raise DataError(f"unknown kind '{unknown.pop()}'", f"use one of {', '.join(KINDS)}")
@@ -82,9 +69,7 @@ class FlexReadings:
             DataError: missing or malformed columns.
         """
         table = Table.read(path)
-        ohm = np.hstack(
-            [table.block(f"ohm_{side}_", len(config.sensors.column(side))) for side in SIDES]
-        )
+        ohm = of_sensors(table, "ohm", config)
         length = table.numbers("length_cm", config.body.length_cm)
         if not np.isfinite(length).all() or np.ptp(length) > 1e-9:
             raise DataError(f"{path}: length_cm varies", "calibrate at one length")
@@ -144,11 +129,8 @@ class FlexReadings:
             "intended_y_cm": self.intended_y_cm.tolist(),
             "block": self.block.tolist(),
         }
-        column = 0
-        for side in SIDES:
-            for k in range(len(config.sensors.column(side))):
-                columns[f"ohm_{side}_{k}"] = self.ohm[:, column].tolist()
-                column += 1
+        for (side, k), ohm in zip(places_of(config), self.ohm.T, strict=True):
+            columns[f"ohm_{side}_{k}"] = ohm.tolist()
         write_table(path, columns)
 
 
@@ -156,23 +138,3 @@ def _typical(values: Array) -> float:
     """The median of what was measured; NaN if nothing was."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else float("nan")
-
-
-def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
-    """Rows of two recordings at the same length, the second after the first."""
-    if abs(first.length_cm - second.length_cm) > 0.1:
-        raise DataError("the recordings are of different lengths", "calibrate at one length")
-    later = float(first.t_s.max(initial=0.0)) + 1.0 - float(second.t_s.min(initial=0.0))
-    return replace(
-        first,
-        kind=first.kind + second.kind,
-        t_s=np.concatenate([first.t_s, second.t_s + later]),
-        tip_cm=np.vstack([first.tip_cm, second.tip_cm]),
-        curvature=np.concatenate([first.curvature, second.curvature]),
-        curvature_se=np.concatenate([first.curvature_se, second.curvature_se]),
-        active=first.active + second.active,
-        ohm=np.vstack([first.ohm, second.ohm]),
-        intended_y_cm=np.concatenate([first.intended_y_cm, second.intended_y_cm]),
-        block=np.concatenate([first.block, second.block + first.block.max(initial=0) + 1]),
-        name=first.name + second.name,
-    )

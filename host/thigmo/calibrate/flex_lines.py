@@ -8,26 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.calibrate.correlation import Candidates, OrderedFit, candidates, mixed
 from thigmo.calibrate.regression import LinearFit, fit_linear
-from thigmo.config import Side
+from thigmo.config import SIDES, Side
 from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
 _ONE_WAY = 0.85  # a slope below this share of the other direction's does not count
 _LOOP = 5e-4  # 1/cm, one sigma over sensors of the loop's half width and of a session's zero
-_LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
+LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
 # Drop-outs: readings within this share of the range are the same value; this share of rows is many.
 _ALIKE, _MANY = 2e-3, 0.03
 
 
-def loop_turns(model: Array, block: NDArray[np.int64], width: float = _LOOP_WIDTHS[1]) -> Array:
+def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTHS[1]) -> Array:
     """(n, m) where each sensor is in its loop: 1 after long bending to the left, -1 to the right.
 
     It turns over within `width` of curvature (Dahl's model of friction), and starts between the
@@ -48,54 +48,6 @@ def loop_turns(model: Array, block: NDArray[np.int64], width: float = _LOOP_WIDT
     return turn
 
 
-def loop_width(
-    ohm: Array,
-    model: Array,
-    error: Array,
-    block: NDArray[np.int64],
-    rows: NDArray[np.bool_],
-    on_body: NDArray[np.bool_],
-) -> float:
-    """The curvature over which the sensors' loops turn over, of a few, by the least scatter."""
-    scores = []
-    for width in _LOOP_WIDTHS:
-        fits = fit_each(ohm, model, error, loop_turns(model, block, width), block, rows, on_body)
-        scores.append(sum(np.log(max(f.sigma, 1e-9)) for f in fits if working(f) and f is not None))
-    return _LOOP_WIDTHS[int(np.argmin(scores))]
-
-
-def fit_each(
-    ohm: Array,
-    model: Array,
-    error: Array,
-    turn: Array,
-    block: NDArray[np.int64],
-    rows: NDArray[np.bool_],
-    on_body: NDArray[np.bool_],
-) -> list[LinearFit | None]:
-    """A robust line for each sensor; None where it cannot be had."""
-    fits: list[LinearFit | None] = []
-    for column in range(ohm.shape[1]):
-        pick = rows[:, column] & np.isfinite(ohm[:, column])
-        if not on_body[column] or pick.sum() < 6:
-            fits.append(None)
-            continue
-        part = np.where(pick, ohm[:, column], np.nan)
-        fits.append(fit_line(part, model[:, column], error[:, column], turn[:, column], block))
-    return fits
-
-
-def fit_line(
-    ohm: Array, model: Array, error: Array, turn: Array, block: NDArray[np.int64]
-) -> LinearFit | None:
-    """R = R0 + b (k + h turn + z of the session): zero, slope, b h of the loop, and the rest.
-
-    The loop's half width h and the sessions' zeros z are small beforehand (`_LOOP`): one row more
-    for each says so, which matters where a sensor was only ever read while bending grew.
-    """
-    return _with_loop(ohm, model[:, None], model, error, turn, block)
-
-
 class Column(NamedTuple):
     """One sensor's rows, (n,) each: readings (nan where left out), and what they are fitted by."""
 
@@ -106,60 +58,72 @@ class Column(NamedTuple):
     block: NDArray[np.int64]
     sweep: NDArray[np.int64]
 
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(n,) whether there is a reading."""
+        return np.isfinite(self.ohm)
 
-def honest_lines(columns: Sequence[tuple[Column, Array]]) -> list[OrderedFit | None]:
-    """As `fit_line`, sensor by sensor, with errors that hold from sweep to sweep.
+    def design(self, slopes: Array) -> Array:
+        """Columns of the line: zero, slopes (n, q), loop, and each later session's zero."""
+        later = [(self.block == session).astype(float) for session in np.unique(self.block)[1:]]
+        return np.column_stack([np.ones(len(self.turn)), slopes, self.turn, *later])
+
+
+def fit_line(column: Column, slopes: Array | None = None) -> LinearFit | None:
+    """R = R0 + b (k + h turn + z of the session): zero, slope, b h of the loop, and the rest.
+
+    The loop's half width h and the sessions' zeros z are small beforehand (`_LOOP`): one row more
+    for each says so, which matters where a sensor was only ever read while bending grew.
 
     Args:
-        columns: rows of each sensor, and (n, q) what its answer is made of.
+        column: rows of a sensor.
+        slopes: (n, q) what its answer is made of, instead of k.
 
     Returns:
-        None for a sensor whose line cannot be had.
+        None where it cannot be had.
     """
-    return mixed([_candidates(column, slopes) for column, slopes in columns])
-
-
-def _candidates(column: Column, slopes: Array) -> Candidates | None:
-    ohm, model, error, turn, block, sweep = column
-    if np.isfinite(ohm).sum() < 6:
+    if column.seen.sum() < 6:
         return None
-    fit = _with_loop(ohm, slopes, model, error, turn, block)
-    if fit is None:
-        return None
-    design = _design(slopes, turn, block)
-    slope = abs(float(fit.coefficients[1]))
-    prior = np.full(design.shape[1], slope * _LOOP)
-    prior[: 1 + slopes.shape[1]] = np.inf
-    return candidates(fit, design, ohm, slope * error, block, sweep, slope * model, prior)
-
-
-def _design(slopes: Array, turn: Array, block: NDArray[np.int64]) -> Array:
-    """Columns of the line: zero, slopes, loop, and each later session's zero."""
-    later = [(block == session).astype(float) for session in sorted(set(block.tolist()))[1:]]
-    return np.column_stack([np.ones(len(turn)), slopes, turn, *later])
-
-
-def _with_loop(
-    ohm: Array, slopes: Array, model: Array, error: Array, turn: Array, block: NDArray[np.int64]
-) -> LinearFit | None:
-    """Fit of a zero, the columns of `slopes` (n, q), the loop and the sessions' zeros."""
+    slopes = column.model[:, None] if slopes is None else slopes
     n, q = slopes.shape
-    design = _design(slopes, turn, block)
+    design = column.design(slopes)
     extra = design.shape[1] - 1 - q
     prior = np.hstack([np.zeros((extra, 1 + q)), np.eye(extra)])
     try:
-        plain = fit_linear(np.column_stack([np.ones(n), model]), ohm)
+        plain = fit_linear(np.column_stack([np.ones(n), column.model]), column.ohm)
         slope = abs(float(plain.coefficients[1]))
         # Errors of the abscissa are carried over by the slope.
         fit = fit_linear(
             np.vstack([design, prior]),
-            np.append(ohm, np.zeros(extra)),
-            np.append(slope * error, np.full(extra, slope * _LOOP)),
+            np.append(column.ohm, np.zeros(extra)),
+            np.append(slope * column.error, np.full(extra, slope * _LOOP)),
             firm=extra,
         )
     except DataError:
         return None
     return replace(fit, used=fit.used[:n], residuals=fit.residuals[:n])
+
+
+def honest_lines(
+    columns: Sequence[Column], slopes: Sequence[Array | None]
+) -> list[OrderedFit | None]:
+    """As `fit_line`, sensor by sensor, with errors that hold from sweep to sweep."""
+    return mixed([_candidates(*one) for one in zip(columns, slopes, strict=True)])
+
+
+def _candidates(column: Column, slopes: Array | None) -> Candidates | None:
+    fit = fit_line(column, slopes)
+    if fit is None:
+        return None
+    slopes = column.model[:, None] if slopes is None else slopes
+    design = column.design(slopes)
+    slope = abs(float(fit.coefficients[1]))
+    prior = np.full(design.shape[1], slope * _LOOP)
+    prior[: 1 + slopes.shape[1]] = np.inf
+    return candidates(
+        fit, design, column.ohm, slope * column.error, column.block, column.sweep,
+        slope * column.model, prior,
+    )  # fmt: skip
 
 
 def sweeps_of(
@@ -216,15 +180,7 @@ def working(fit: LinearFit | None) -> bool:
 
 
 def directions_of(
-    ohm: Array,
-    model: Array,
-    error: Array,
-    turn: Array,
-    block: NDArray[np.int64],
-    rows: NDArray[np.bool_],
-    fits: list[LinearFit | None],
-    sides: list[Side],
-    sweep: NDArray[np.int64],
+    columns: Sequence[Column], fits: Sequence[LinearFit | None], sides: Sequence[Side]
 ) -> NDArray[np.int64]:
     """(m,) bending direction that each sensor answers to; 0 = both alike.
 
@@ -234,54 +190,44 @@ def directions_of(
     surely differs from its column stands for itself.
     """
     ratio, spread = np.full(len(fits), np.nan), np.full(len(fits), np.inf)
-    asked: list[tuple[int, tuple[Column, Array]]] = []
-    for column, both in enumerate(fits):
-        pick = rows[:, column] & np.isfinite(ohm[:, column])
-        k = model[:, column]
+    asked = []
+    for number, (column, fit) in enumerate(zip(columns, fits, strict=True)):
+        k = column.model[column.seen]
         # A side that was hardly bent tells nothing.
-        bent = 0.1 * float(np.abs(k[pick]).max(initial=1e-3))
-        enough = [int((pick & (sign * k > bent)).sum()) >= 3 for sign in (1, -1)]
-        if both is None or not all(enough):
+        bent = 0.1 * float(np.abs(k).max(initial=1e-3))
+        if fit is not None and all((sign * k > bent).sum() >= 3 for sign in (1, -1)):
+            asked.append(number)
+    halves = [
+        np.column_stack([np.clip(columns[n].model, 0, None), np.clip(columns[n].model, None, 0)])
+        for n in asked
+    ]
+    made = honest_lines([columns[n] for n in asked], halves)
+    for number, split in zip(asked, made, strict=True):
+        if split is None:
             continue
-        halves = np.column_stack([np.clip(k, 0, None), np.clip(k, None, 0)])
-        rows_of = Column(
-            np.where(pick, ohm[:, column], np.nan), k, error[:, column], turn[:, column], block,
-            sweep,
-        )  # fmt: skip
-        asked.append((column, (rows_of, halves)))
-    made = honest_lines([one for _, one in asked])
-    for (column, _), fit in zip(asked, made, strict=True):
-        if fit is None:
-            continue
-        split = fit.line
-        left, right = (float(v) for v in split.coefficients[1:3])
+        left, right = (float(v) for v in split.line.coefficients[1:3])
         strong = max(abs(left), abs(right))
         # A slope that is lost in noise, or of the wrong sign, counts as a tenth of the other.
         sizes = [max(v * np.sign(left + right), 0.1 * strong) for v in (left, right)]
-        ratio[column] = np.log(sizes[0] / sizes[1])
-        spread[column] = np.hypot(split.se(1) / sizes[0], split.se(2) / sizes[1])
+        ratio[number] = np.log(sizes[0] / sizes[1])
+        spread[number] = np.hypot(split.line.se(1) / sizes[0], split.line.se(2) / sizes[1])
     found = np.zeros(len(fits), np.int64)
     limit = -np.log(_ONE_WAY)
-    for side in sorted(set(sides)):
-        known = np.array([s == side for s in sides]) & np.isfinite(ratio)
+    for side in SIDES:
+        alike = np.array([s == side for s in sides])
+        known = alike & np.isfinite(ratio)
         if not known.any():
             continue
         weights = 1 / np.maximum(spread[known], 0.02) ** 2
         pooled = float((weights * ratio[known]).sum() / weights.sum())
         scatter = float((weights * (ratio[known] - pooled) ** 2).sum()) / max(1, known.sum() - 1)
         column_se = float(np.sqrt(max(1.0, scatter) / weights.sum()))
-        alike = np.array([s == side for s in sides])
         if abs(pooled) - 4 * column_se > limit:
             apart = (np.abs(ratio - pooled) > 5 * spread) & (np.abs(ratio) + 2 * spread < limit)
             found[alike & ~apart] = 1 if pooled > 0 else -1
         alone = alike & (np.abs(ratio) - 4 * spread > limit)
         found[alone] = np.sign(ratio[alone]).astype(np.int64)
     return found
-
-
-def as_direction(direction: np.int64) -> Literal[-1, 0, 1]:
-    """A direction as the configuration has it."""
-    return 0 if direction == 0 else (1 if direction > 0 else -1)
 
 
 def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]]:
@@ -291,26 +237,24 @@ def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]
         Share of the answer at the largest bend that goes beyond a straight line, its standard
         error, and the rows' departure from a line through them (rms, relative).
     """
-    slopes = []
+    slopes: list[Array] = []
     for column in columns:
-        size = np.abs(np.where(np.isfinite(column.ohm), column.model, 0.0))
-        largest = max(float(np.nan_to_num(size).max(initial=0.0)), 1e-9)
+        largest = max(
+            float(np.abs(np.nan_to_num(column.model[column.seen])).max(initial=0.0)), 1e-9
+        )
         slopes.append(
             np.column_stack([column.model, np.abs(column.model) * column.model / largest])
         )
     found = []
-    for column, bends, made in zip(
-        columns, slopes, honest_lines(list(zip(columns, slopes, strict=True))), strict=True
-    ):
-        if made is None:
+    made = honest_lines(columns, slopes)
+    for column, bends, fit in zip(columns, slopes, made, strict=True):
+        if fit is None:
             found.append((0.0, 0.0, 0.0))
             continue
-        total = float(made.line.coefficients[1:3].sum())
-        seen = np.isfinite(column.ohm)
-        k, answer = column.model[seen], bends[seen] @ made.line.coefficients[1:3]
+        straight, curved = fit.line.coefficients[1:3].tolist()
+        k, answer = column.model[column.seen], bends[column.seen] @ [straight, curved]
         line = np.polynomial.Polynomial.fit(k, answer, 1)
         departure = float(np.std(answer - line(k))) / max(float(np.std(answer)), 1e-300)
-        found.append(
-            (float(made.line.coefficients[2]) / total, made.line.se(2) / abs(total), departure)
-        )
+        total = straight + curved
+        found.append((curved / total, fit.line.se(2) / abs(total), departure))
     return found

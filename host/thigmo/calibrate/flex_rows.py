@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from thigmo.calibrate.columns import places_of, sensors_of
+from thigmo.calibrate.encoder import TIP_SE_CM
 from thigmo.calibrate.flex_data import FlexReadings
-from thigmo.calibrate.flex_lines import working
+from thigmo.calibrate.flex_lines import (
+    LOOP_WIDTHS,
+    Column,
+    fit_line,
+    loop_turns,
+    sweeps_of,
+    working,
+)
 from thigmo.calibrate.regression import LinearFit, fit_linear
 from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
@@ -19,31 +28,67 @@ from thigmo.mechanics import push
 from thigmo.mechanics.spans import phi
 
 Array = NDArray[np.float64]
-Deflection = Literal["large", "small"]
 
-TIP_SE_CM = 0.08  # one sigma of a camera place across the robot
+_OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
 _WRONG_SIDE = -0.3
 
 
-def tip_curvature(
-    y_tip: float,
-    x_tip: float,
-    length_cm: float,
-    centers: Array,
-    spans: Array,
-    deflection: Deflection = "large",
-) -> Array:
-    """Mean curvature (m,) under each sensor when the tip is pushed to y_tip.
+@dataclass
+class Rows:
+    """Readings beside the curvature that they should show, (n, m), and which of them count.
 
-    `large`: the rod is bent by a force normal to it at its tip until the tip stands at y_tip.
-    `small`: F/EI = 3 y_tip / x_tip^3 and k = F/EI (x_tip - s) (thesis, (2.12) and (2.9)).
+    Attributes:
+        readings: as they were taken.
+        ohm: of working wires; nan elsewhere.
+        model: curvature that each sensor should show, 1/cm.
+        error: its standard error.
+        on_body: (m,) sensors that are everted.
+        usable: (n, m) what a sensor can answer.
+        good: (n,) rows that can be trusted.
+        sweep: (n,) number of each row's sweep.
+        loop_width: curvature over which the sensors' loops turn.
+    """
+
+    readings: FlexReadings
+    ohm: Array
+    model: Array
+    error: Array
+    on_body: NDArray[np.bool_]
+    usable: NDArray[np.bool_]
+    good: NDArray[np.bool_]
+    sweep: NDArray[np.int64]
+    loop_width: float = LOOP_WIDTHS[1]
+
+    def columns(self) -> list[Column]:
+        """Of each sensor, with the readings that count."""
+        counts = self.usable & self.good[:, None] & self.on_body
+        ohm, block = np.where(counts, self.ohm, np.nan), self.readings.block
+        turn = loop_turns(self.model, block, self.loop_width)
+        each = zip(ohm.T, self.model.T, self.error.T, turn.T, strict=True)
+        return [Column(*one, block, self.sweep) for one in each]
+
+    def lines(self) -> list[LinearFit | None]:
+        """A robust line of each sensor; None where it cannot be had."""
+        return [fit_line(column) for column in self.columns()]
+
+    def find_loop_width(self) -> None:
+        """Of a few, that with the least scatter."""
+        scores = []
+        for width in LOOP_WIDTHS:
+            self.loop_width = width
+            fits = [fit for fit in self.lines() if fit is not None and working(fit)]
+            scores.append(sum(np.log(max(fit.sigma, 1e-9)) for fit in fits))
+        self.loop_width = LOOP_WIDTHS[int(np.argmin(scores))]
+
+
+def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) -> Array:
+    """Mean curvature (m,) under each sensor of a rod bent by a force normal to its tip at y_tip.
+
+    The thesis's (2.12) and (2.9) are its limit for small deflections.
 
     Raises:
         DataError: a place that the tip cannot reach.
     """
-    if deflection == "small":
-        force = 3 * y_tip / x_tip**3
-        return np.asarray(force * phi(x_tip, centers, spans), float)
     if abs(y_tip) >= 0.75 * length_cm:
         raise DataError(
             f"the tip cannot stand {y_tip:.1f} cm aside at {length_cm:.1f} cm of length",
@@ -63,24 +108,16 @@ def tip_curvature(
     return np.asarray(np.sign(y_tip) * bent.averages(centers, spans), float)
 
 
-def model_rows(
-    readings: FlexReadings,
-    config: RobotConfig,
-    centers: Array,
-    spans: Array,
-    deflection: Deflection,
-    tip_se_cm: float,
-    notes: list[str],
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Curvature (n, m) that each row should show, its standard error, and which rows have one."""
-    n = len(readings.kind)
-    model = np.full((n, len(centers)), np.nan)
-    error = np.zeros((n, len(centers)))
-    length = readings.length_cm
+def model_rows(readings: FlexReadings, config: RobotConfig, notes: list[str]) -> Rows:
+    """What each row should show, and which rows can be used."""
+    n, length = len(readings.kind), readings.length_cm
+    sensors = sensors_of(config)
+    centers = np.array([sensor.center_cm for sensor in sensors])
+    spans = np.array([sensor.span_cm for sensor in sensors])
+    model, error = np.full((n, len(sensors)), np.nan), np.zeros((n, len(sensors)))
     lost, wrong, folded = [], [], []
     # The straight robot, as the camera sees it, is y = 0.
-    straight = np.array([k == "straight" for k in readings.kind])
-    aside = readings.tip_cm[straight, 1]
+    aside = readings.tip_cm[np.array(readings.kind) == "straight", 1]
     aside = aside[np.isfinite(aside)]
     ahead = float(np.median(aside)) if len(aside) else 0.0
     if abs(ahead) > 2.0:
@@ -89,9 +126,11 @@ def model_rows(
             "measure the cards' places again"
         )
     # The fold at the base: F L = critical moment, y = F L^3 / 3.
-    reach = config.body.critical_curvature * length**2 / 3 if deflection == "large" else np.inf
+    reach = config.body.critical_curvature * length**2 / 3
+    per_cm = phi(length, centers, spans) * 3 / length**3
     for row, kind in enumerate(readings.kind):
         x, y = readings.tip_cm[row] - np.array([0.0, ahead])
+        asked = readings.intended_y_cm[row]
         if kind == "straight":
             model[row] = 0.0
         elif kind == "bend":
@@ -99,25 +138,33 @@ def model_rows(
             error[row] = readings.curvature_se[row]
             if not np.isfinite(readings.curvature[row]):
                 lost.append(row)
-        elif not (np.isfinite(y) and (np.isfinite(x) or deflection == "large")):
+        elif not (np.isfinite(y) and np.isfinite(x)):
             lost.append(row)
+        elif np.isfinite(asked) and asked * y < 0 and min(abs(asked), abs(y)) > 3 * TIP_SE_CM:
+            wrong.append(row)
+        elif abs(y) > 1.02 * reach:
+            folded.append(row)
         else:
-            asked = readings.intended_y_cm[row]
-            if np.isfinite(asked) and asked * y < 0 and min(abs(asked), abs(y)) > 3 * tip_se_cm:
-                wrong.append(row)
-                continue
-            if abs(y) > 1.02 * reach:
-                folded.append(row)
-                continue
-            model[row] = tip_curvature(y, x, length, centers, spans, deflection)
-            per_cm = phi(length, centers, spans) * 3 / length**3
-            error[row] = per_cm * tip_se_cm
+            model[row] = tip_curvature(y, length, centers, spans)
+            error[row] = per_cm * TIP_SE_CM
     names = readings.name
     _note(notes, names, lost, "the camera lost the marker or the body", "clear the view")
     _note(notes, names, wrong, "the tip stood on the other side than asked for",
           "push it to the side asked for")  # fmt: skip
     _note(notes, names, folded, "the tip was pushed so far that the base folds", "push it less")
-    return model, error, np.isfinite(model).all(axis=1)
+    in_range = (readings.ohm > _OHM_RANGE[0]) & (readings.ohm < _OHM_RANGE[1])
+    # In a free bend only the side opposite to the active muscle reads well.
+    sides = np.array([side for side, _ in places_of(config)])
+    return Rows(
+        readings,
+        np.where(in_range, readings.ohm, np.nan),
+        model,
+        error,
+        centers + spans / 2 <= length + 1e-6,
+        np.array(readings.active)[:, None] != sides,
+        np.isfinite(model).all(axis=1),
+        sweeps_of(readings.block, readings.kind, readings.active, model),
+    )
 
 
 def _note(
@@ -127,83 +174,57 @@ def _note(
         notes.append(f"left out {listed(names, rows)}: {what}; {cure} to take it again")
 
 
-def usable_readings(readings: FlexReadings, sensors: list[tuple[Side, int]]) -> NDArray[np.bool_]:
-    """(n, m): in a free bend only the side opposite to the active muscle reads well."""
-    return np.array([[side != active for side, _ in sensors] for active in readings.active])
-
-
-def judge_rows(
-    readings: FlexReadings,
-    ohm: Array,
-    model: Array,
-    turn: Array,
-    fits: list[LinearFit | None],
-    usable: NDArray[np.bool_],
-    good: NDArray[np.bool_],
-    on_body: NDArray[np.bool_],
-    notes: list[str],
-) -> NDArray[np.bool_]:
-    """Rows on which the sensors agree among themselves but not with the camera.
+def judge_rows(rows: Rows, notes: list[str]) -> None:
+    """Leave out rows on which the sensors agree among themselves but not with the camera.
 
     For each row the factor `share` by which the curvature seen by the sensors differs from the
     camera's is their weighted median. Alone and near -1: the tip stood on the other side. From
     some row on: the camera (or the base) has moved. Alone otherwise: the place is wrong.
     """
-    live = [c for c in range(len(fits)) if working(fits[c])]
-    n = len(good)
-    share, scatter = np.full(n, np.nan), np.full(n, np.nan)
-    offset = np.full(n, np.nan)
-    for row in np.nonzero(good)[0]:
-        columns = [c for c in live if usable[row, c] and np.isfinite(ohm[row, c])]
-        if len(columns) < 3:
-            continue
-        lines = [fits[c] for c in columns]
+    names, tip_cm = rows.readings.name, rows.readings.tip_cm
+    fits = rows.lines()
+    live = [(c, fit) for c, fit in zip(rows.columns(), fits, strict=True)
+            if fit is not None and working(fit)]  # fmt: skip
+    share, scatter = np.full((2, len(names)), np.nan)
+    if live:
+        lines = [fit.coefficients for _, fit in live]
         seen = np.array(
-            [(ohm[row, c] - f.coefficients[0]) / f.coefficients[1]
-             for c, f in zip(columns, lines, strict=True) if f is not None]
-        )  # fmt: skip
-        noise = np.array([f.sigma / abs(f.coefficients[1]) for f in lines if f is not None])
-        noise = np.maximum(noise, 1e-6)
-        should = model[row, columns]
-        size = float(np.abs(should).max())
-        if size > 3 * float(np.median(noise)):
-            ratios, weights = seen / should, np.abs(should) / noise
-            share[row] = _weighted_median(ratios, weights)
-            scatter[row] = 1.25 / np.sqrt(float((weights**2).sum()))
-            offset[row] = share[row] - 1
-    wrong_side = [
-        int(r) for r in np.nonzero(share < _WRONG_SIDE)[0] if share[r] + 3 * scatter[r] < 0
-    ]
-    _note(notes, readings.name, wrong_side,
+            [(c.ohm - line[0]) / line[1] for (c, _), line in zip(live, lines, strict=True)]
+        )
+        should = np.array([c.model for c, _ in live])
+        noise = np.array([max(fit.sigma / abs(fit.coefficients[1]), 1e-6) for _, fit in live])
+        for row in np.flatnonzero(np.isfinite(seen).sum(axis=0) >= 3):
+            known = np.isfinite(seen[:, row])
+            bend, spread = should[known, row], noise[known]
+            if np.abs(bend).max() > 3 * np.median(spread):
+                weights = np.abs(bend) / spread
+                share[row] = _weighted_median(seen[known, row] / bend, weights)
+                scatter[row] = 1.25 / np.sqrt(weights @ weights)
+    wrong_side = np.flatnonzero((share < _WRONG_SIDE) & (share + 3 * scatter < 0)).tolist()
+    _note(notes, names, wrong_side,
           "the sensors say that the robot was bent to the other side than the camera saw",
           "check which side is +y")  # fmt: skip
-    kept = good.copy()
-    kept[wrong_side] = False
-    tips = np.array([k == "tip" for k in readings.kind])
-    moved = _moved(readings, ohm, model, turn, fits, usable & kept[:, None], tips & kept, live)
+    rows.good[wrong_side] = False
+    tips = np.array(rows.readings.kind) == "tip"
+    moved = _moved(rows, fits, tips & rows.good)
     if moved is not None:
         since, shift = moved
-        kept[since:] &= ~tips[since:]
+        rows.good[since:] &= ~tips[since:]
         notes.append(
-            f"left out {readings.name[since]} and all later tip places: the camera or the base "
+            f"left out {names[since]} and all later tip places: the camera or the base "
             f"moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera locate` and "
             "take them again"
         )
-    rows = np.nonzero(kept & np.isfinite(offset) & tips)[0]
-    miss_cm = offset[rows] * readings.tip_cm[rows, 1]
-    miss_se = np.hypot(scatter[rows] * np.abs(readings.tip_cm[rows, 1]), TIP_SE_CM)
-    if len(rows) >= 4:
-        middle = float(np.median(miss_cm))
-        odd = [
-            int(r)
-            for r, m, e in zip(rows, miss_cm, miss_se, strict=True)
-            if abs(m - middle) > max(4.5 * e, 0.5)
-        ]
-        if odd and len(odd) <= 0.35 * len(rows):
-            _note(notes, readings.name, odd, "the sensors agree that the tip stood elsewhere",
+    places = np.flatnonzero(rows.good & np.isfinite(share) & tips)
+    if len(places) >= 4:
+        y = tip_cm[places, 1]
+        miss_cm, miss_se = (share[places] - 1) * y, np.hypot(scatter[places] * y, TIP_SE_CM)
+        off = np.abs(miss_cm - np.median(miss_cm)) > np.maximum(4.5 * miss_se, 0.5)
+        odd = places[off].tolist()
+        if len(odd) <= 0.35 * len(places):
+            _note(notes, names, odd, "the sensors agree that the tip stood elsewhere",
                   "hold it still")  # fmt: skip
-            kept[odd] = False
-    return kept
+            rows.good[odd] = False
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
@@ -213,52 +234,36 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 def _moved(
-    readings: FlexReadings,
-    ohm: Array,
-    model: Array,
-    turn: Array,
-    fits: list[LinearFit | None],
-    usable: NDArray[np.bool_],
-    tips: NDArray[np.bool_],
-    live: list[int],
+    rows: Rows, fits: Sequence[LinearFit | None], tips: NDArray[np.bool_]
 ) -> tuple[int, float] | None:
     """Row from which the tip's places are shifted sideways (cm) for all sensors; None = none.
 
     For each possible row, each sensor's line gets a step in the pattern that a shifted place
     leaves; the sensors must agree on its size.
     """
-    places = np.nonzero(tips)[0]
+    readings = []
+    for column, fit in zip(rows.columns(), fits, strict=True):
+        if fit is None or not working(fit) or column.seen.sum() < 8:
+            continue
+        size = np.where(column.seen, np.abs(fit.residuals), np.nan)
+        kept = np.nan_to_num(size, nan=np.inf) < 12 * np.nanmedian(size)
+        if kept.sum() >= 8:
+            readings.append((column, np.where(kept, column.ohm, np.nan)))
+    aside = np.abs(rows.readings.tip_cm[:, 1])
     best: tuple[float, int, float] | None = None
-    for first in places[3:-2].tolist():
-        late = tips & (np.arange(len(tips)) >= first)
+    for first in np.flatnonzero(tips)[3:-2].tolist():
+        late = tips & (np.arange(len(tips)) >= first) & (aside > 0.5)
         shifts, errors = [], []
-        for column in live:
-            fit = fits[column]
-            rows = usable[:, column] & np.isfinite(ohm[:, column])
-            if fit is None or rows.sum() < 8:
-                continue
-            size = np.where(rows & np.isfinite(fit.residuals), np.abs(fit.residuals), np.nan)
-            rows &= np.nan_to_num(size, nan=np.inf) < 12 * np.nanmedian(size)
-            if rows.sum() < 8:
-                continue
+        for column, ohm in readings:
             # Curvature at this sensor for each cm that the tip stands aside.
-            aside = np.abs(readings.tip_cm[:, 1])
-            pattern = np.where(
-                late & (aside > 0.5), np.abs(model[:, column]) / np.maximum(aside, 0.5), 0.0
-            )
-            if np.ptp(pattern[rows]) == 0:
+            pattern = np.where(late, np.abs(column.model) / np.maximum(aside, 0.5), 0.0)
+            design = np.column_stack([np.ones(len(ohm)), column.model, pattern, column.turn])
+            try:
+                line = fit_linear(design, ohm, reject=False)
+            except DataError:
                 continue
-            design = np.column_stack(
-                [np.ones(len(rows)), model[:, column], pattern, turn[:, column]]
-            )[rows]
-            line, _, rank, _ = np.linalg.lstsq(design, ohm[rows, column], rcond=None)
-            if rank < 4:
-                continue
-            rest = ohm[rows, column] - design @ line
-            variance = float(rest @ rest) / max(1, int(rows.sum()) - 4)
-            covariance = np.linalg.inv(design.T @ design) * variance
-            shifts.append(line[2] / line[1])
-            errors.append(float(np.sqrt(covariance[2, 2])) / abs(line[1]))
+            shifts.append(line.coefficients[2] / line.coefficients[1])
+            errors.append(line.se(2) / abs(line.coefficients[1]))
         if len(shifts) < 3:
             continue
         weights = 1 / np.square(errors)
@@ -267,7 +272,7 @@ def _moved(
         agree = float((weights * (np.array(shifts) - shift) ** 2).sum()) / len(shifts) < 6
         if abs(shift) > 0.4 and certainty > 6 and agree and (best is None or certainty > best[0]):
             best = (certainty, first, shift)
-    return None if best is None else (best[1], best[2])
+    return None if best is None else best[1:]
 
 
 def mirrored(readings: FlexReadings) -> bool:
@@ -277,14 +282,7 @@ def mirrored(readings: FlexReadings) -> bool:
     return len(same) >= 4 and float(np.mean(same < 0)) > 0.5
 
 
-def columns_swapped(
-    readings: FlexReadings,
-    sensors: list[tuple[Side, int]],
-    ohm: Array,
-    model: Array,
-    good: NDArray[np.bool_],
-    on_body: NDArray[np.bool_],
-) -> bool:
+def columns_swapped(rows: Rows, sides: Sequence[Side]) -> bool:
     """Whether the columns of sensors are exchanged.
 
     In a free bend the side of the active muscle wrinkles. If instead the other side's readings
@@ -292,24 +290,20 @@ def columns_swapped(
     """
     ratios: list[float] = []
     for side in SIDES:
-        rows = good & np.array([a == side for a in readings.active])
-        spread = {}
-        for which in SIDES:
-            values = []
-            for column, (of, _) in enumerate(sensors):
-                if of != which or not on_body[column] or rows.sum() < 6:
-                    continue
-                design = np.column_stack([np.ones(len(good)), model[:, column]])
-                try:
-                    fit = fit_linear(design, np.where(rows, ohm[:, column], np.nan))
-                except DataError:
-                    continue
-                reach = np.ptp(model[rows, column])
-                steep = abs(float(fit.coefficients[1])) * reach
-                scatter = float(np.sqrt(np.nanmean(fit.residuals**2)))
-                values.append(scatter / max(steep, 1e-9))
-            spread[which] = float(np.median(values)) if values else np.nan
-        other: Side = "right" if side == "left" else "left"
-        ratios.append(spread[other] / max(spread[side], 1e-9))
-    known = [r for r in ratios if np.isfinite(r)]
-    return len(known) > 0 and min(known) > 3.0
+        bent = rows.good & (np.array(rows.readings.active) == side)
+        spread: dict[Side, list[float]] = {"left": [], "right": []}
+        for column in np.flatnonzero(rows.on_body & (bent.sum() >= 6)).tolist():
+            model = rows.model[:, column]
+            design = np.column_stack([np.ones(len(model)), model])
+            try:
+                fit = fit_linear(design, np.where(bent, rows.ohm[:, column], np.nan))
+            except DataError:
+                continue
+            steep = abs(float(fit.coefficients[1])) * float(np.ptp(model[bent]))
+            scatter = float(np.sqrt(np.nanmean(fit.residuals**2)))
+            spread[sides[column]].append(scatter / max(steep, 1e-9))
+        if spread["left"] and spread["right"]:
+            other: Side = "right" if side == "left" else "left"
+            active = float(np.median(spread[side]))
+            ratios.append(float(np.median(spread[other])) / max(active, 1e-9))
+    return len(ratios) > 0 and min(ratios) > 3.0

@@ -7,16 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from thigmo.calibrate.actuator import BendReadings, fit_actuator
+from thigmo.calibrate.actuator import BendReadings, fit_actuator, together
 from thigmo.calibrate.buckling import PushReadings, fit_buckling
+from thigmo.calibrate.columns import of_sensors
 from thigmo.calibrate.encoder import fit_encoder, fit_pressure_zero, read_encoder
-from thigmo.calibrate.flex import FlexReadings, fit_flex
+from thigmo.calibrate.flex import fit_flex
+from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.hysteresis import CreepRecord, fit_hysteresis
-from thigmo.calibrate.muscles import ActuatorResults, summary
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
 from thigmo.calibrate.verdict import StepResult
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
 
@@ -24,16 +25,15 @@ Path = str | os.PathLike[str]
 
 
 def _actuator(path: Path, config: RobotConfig) -> StepResult:
-    found = tuple(fit_actuator(readings) for readings in BendReadings.read_all(path))
+    found = [fit_actuator(readings) for readings in BendReadings.read_all(path)]
     if not found:
         raise DataError(f"{path} holds no bends", "give one line for each bend")
-    return ActuatorResults(found, summary(found))
+    return together(found)
 
 
 def _noise(path: Path, config: RobotConfig) -> StepResult:
     table = Table.read(path)
-    blocks = [table.block(f"curvature_{s}_", len(config.sensors.column(s))) for s in SIDES]
-    return fit_noise(table.numbers("t_s"), np.hstack(blocks), config)
+    return fit_noise(table.numbers("t_s"), of_sensors(table, "curvature", config), config)
 
 
 def _pressure(path: Path, config: RobotConfig) -> StepResult:

@@ -10,23 +10,30 @@ check (the keys of `STEPS`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.actuator import ActuatorResult, BendReadings, fit_actuator
+from thigmo.calibrate.actuator import (
+    ActuatorResult,
+    ActuatorResults,
+    BendReadings,
+    fit_actuator,
+    together,
+)
 from thigmo.calibrate.bench import SAME_CM, Bench, Row
 from thigmo.calibrate.buckling import BucklingResult, PushReadings, fit_buckling
 from thigmo.calibrate.check import CheckResult, run_check
+from thigmo.calibrate.columns import places_of, scales_of, sensors_of
 from thigmo.calibrate.encoder import EncoderResult, PressureResult, fit_encoder, fit_pressure_zero
-from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex
+from thigmo.calibrate.flex import FlexResult, fit_flex
+from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.hysteresis import CreepRecord, HysteresisResult, fit_hysteresis
 from thigmo.calibrate.lag import fit_lag
-from thigmo.calibrate.muscles import ActuatorResults, summary
 from thigmo.calibrate.noise import NoiseResult, fit_noise
 from thigmo.calibrate.procedures import (
     bend_rows,
@@ -41,7 +48,7 @@ from thigmo.calibrate.procedures import (
 )
 from thigmo.calibrate.stiffness import AxisPoints, StiffnessResult, fit_stiffness
 from thigmo.calibrate.verdict import StepResult
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SIDES
 from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
@@ -64,7 +71,6 @@ def pressure(bench: Bench) -> PressureResult:
     full = bench.robot.parameter("pressure_full_cpsi")[0] / 100
     psi = np.column_stack([record.left_psi, record.right_psi])
     result = fit_pressure_zero(zero + psi * span / full, 102.4, float(span.mean()), full)
-    bench.finish("pressure", result)
     if result.verdict.good:
         bench.robot.set_parameter("pressure_zero", result.board_values())
         bench.robot.save()
@@ -74,11 +80,7 @@ def pressure(bench: Bench) -> PressureResult:
 def encoder(bench: Bench) -> EncoderResult:
     """Counts per cm from the growth rows."""
     rows = growth_rows(bench)
-    counts = np.array([row["counts"] for row in rows], float)
-    seen = np.array([_number(row["seen_cm"]) for row in rows])
-    result = fit_encoder(counts, seen, bench.config)
-    bench.finish("encoder", result)
-    return result
+    return fit_encoder(_column(rows, "counts"), _column(rows, "seen_cm"), bench.config)
 
 
 def hysteresis(bench: Bench) -> HysteresisResult:
@@ -90,21 +92,17 @@ def hysteresis(bench: Bench) -> HysteresisResult:
     for row in rows:
         length = float(row["encoder_cm"])
         ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
-        column = 0
-        for side in SIDES:
-            for index, sensor in enumerate(config.sensors.column(side)):
-                end = sensor.center_cm + sensor.span_cm / 2
-                if before + SAME_CM < end <= length and sensor.healthy:
-                    # Everted when the tip passed its end, a little before growth stopped.
-                    since = t + (length - end) / float(row["speed_cm_s"])
-                    rest = float(np.nanmedian(ohm[-max(3, len(ohm) // 10) :, column]))
-                    k = (ohm[:, column] - rest) * sensor.scale_per_ohm
-                    records.append(CreepRecord(side, index, since, k))
-                column += 1
+        sensors = zip(places_of(config), sensors_of(config), ohm.T, strict=True)
+        for (side, index), sensor, own in sensors:
+            end = sensor.center_cm + sensor.span_cm / 2
+            if before + SAME_CM < end <= length and sensor.healthy:
+                # Everted when the tip passed its end, a little before growth stopped.
+                since = t + (length - end) / float(row["speed_cm_s"])
+                rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))
+                k = (own - rest) * sensor.scale_per_ohm
+                records.append(CreepRecord(side, index, since, k))
         before = length
-    result = fit_hysteresis(records, config)
-    bench.finish("hysteresis", result)
-    return result
+    return fit_hysteresis(records, config)
 
 
 def actuator(bench: Bench) -> ActuatorResults:
@@ -119,9 +117,9 @@ def actuator(bench: Bench) -> ActuatorResults:
             readings = BendReadings(
                 side,
                 bench.config.body.zones[zone].pressure_psi,
-                np.array([r["psi"] for r in mine], float),
-                np.array([_number(r["k"]) for r in mine]),
-                np.nan_to_num(np.array([_number(r["k_se"]) for r in mine]), nan=2e-4),
+                _column(mine, "psi"),
+                _column(mine, "k"),
+                np.nan_to_num(_column(mine, "k_se"), nan=2e-4),
                 tuple(r["branch"] for r in mine),
                 np.array([r["trial"] for r in mine], np.int64),
             )
@@ -133,9 +131,7 @@ def actuator(bench: Bench) -> ActuatorResults:
                 if lag.inflate_se_s < _LAG_SE_S:
                     result = replace(result, lag=lag)
             found.append(result)
-    results = ActuatorResults(tuple(found), summary(found))
-    bench.finish("actuator", results)
-    return results
+    return together(found)
 
 
 def flex(bench: Bench) -> FlexResult:
@@ -148,7 +144,6 @@ def flex(bench: Bench) -> FlexResult:
     readings = flex_readings([*tips, *bends], bench.config.body.length_cm)
     result = fit_flex(readings, bench.config)
     readings.write(bench.session.folder / "flex.csv", bench.config)
-    bench.finish("flex", result)
     return result
 
 
@@ -157,26 +152,23 @@ def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
 
     Zeros change with every eversion, so readings count from the rest of their own session.
     """
-    kept = rows
-    none = float("nan")
-    block = np.cumsum([n > 0 and r["rest"] != kept[n - 1]["rest"] for n, r in enumerate(kept)])
-    rest = np.array([[_number(v) for v in r["rest"]] for r in kept])
-    ohm = np.array([[_number(v) for v in r["ohm"]] for r in kept])
+    block = np.cumsum([n > 0 and r["rest"] != rows[n - 1]["rest"] for n, r in enumerate(rows)])
+    rest = _column(rows, "rest")
     # A dead sensor has no rest.
-    level = [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else none for c in rest.T]
+    level = [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in rest.T]
     return FlexReadings(
-        tuple(r.get("kind", "bend") for r in kept),
-        np.arange(len(kept), dtype=float),
-        np.array([[_number(v) for v in r.get("tip", (None, None))] for r in kept]),
-        np.array([_number(r.get("k")) for r in kept]),
-        np.nan_to_num(np.array([_number(r.get("k_se")) for r in kept])),
+        tuple(r.get("kind", "bend") for r in rows),
+        np.arange(len(rows), dtype=float),
+        _column(rows, "tip", (None, None)),
+        _column(rows, "k"),
+        np.nan_to_num(_column(rows, "k_se")),
         # A vented muscle wrinkles nothing: such a row is good for both sides.
-        tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in kept),
-        ohm - rest + level,
+        tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in rows),
+        _column(rows, "ohm") - rest + level,
         length_cm,
-        np.array([none if r.get("asked") is None else float(r["asked"]) for r in kept]),
+        _column(rows, "asked"),
         block.astype(np.int64),
-        tuple(r["key"] for r in kept),
+        tuple(r["key"] for r in rows),
     )
 
 
@@ -188,21 +180,18 @@ def stiffness(bench: Bench) -> StiffnessResult:
         for r in rows
         if r.get("points") is not None
     ]
-    result = fit_stiffness(pictures, bench.config)
-    bench.finish("stiffness", result)
-    return result
+    return fit_stiffness(pictures, bench.config)
 
 
 def buckling(bench: Bench) -> BucklingResult:
     """Critical curvature from hard pushes: run it after flex."""
     rows = push_rows(bench)
-    scale = _scales(bench.config)
-    gone = np.array([[_number(v) for v in r["ohm"]] for r in rows]) * scale
-    rest = np.array([[_number(v) for v in r["rest"]] for r in rows]) * scale
+    scale = scales_of(bench.config)
+    gone, rest = _column(rows, "ohm") * scale, _column(rows, "rest") * scale
     flex_done = bench.session.done("flex")
     if flex_done is not None:
         # Each push ends on the other side of the sensors' loops than the rest before it.
-        loop = np.array([_number(s["hysteresis"]) for s in flex_done["sensors"]])
+        loop = _column(flex_done["sensors"], "hysteresis")
         walk = np.empty((2 * len(rows), gone.shape[1]))
         walk[0::2], walk[1::2] = 0.0, gone - rest
         block = np.zeros(len(walk), np.int64)
@@ -211,24 +200,19 @@ def buckling(bench: Bench) -> BucklingResult:
         gone -= np.nan_to_num(loop) * turn[1::2]
     body = bench.config.body
     readings = PushReadings(gone - rest, body.zones[-1].pressure_psi, body.length_cm)
-    result = fit_buckling(readings, bench.config)
-    bench.finish("buckling", result)
-    return result
+    return fit_buckling(readings, bench.config)
 
 
 def noise(bench: Bench) -> NoiseResult:
     """Noise at rest; hysteresis within a sweep from the bends, if they were taken."""
     rows = rest_rows(bench)
-    config = bench.config
-    scale = _scales(config)
-    ohm = np.array([[_number(v) for v in r["ohm"]] for r in rows])
+    scale = scales_of(bench.config)
+    ohm = _column(rows, "ohm")
     rising, falling = _loops(bench, scale)
-    result = fit_noise(
-        np.array([r["t_s"] for r in rows], float), (ohm - np.nanmedian(ohm, axis=0)) * scale,
-        config, rising=rising, falling=falling,
+    return fit_noise(
+        _column(rows, "t_s"), (ohm - np.nanmedian(ohm, axis=0)) * scale, bench.config,
+        rising=rising, falling=falling,
     )  # fmt: skip
-    bench.finish("noise", result)
-    return result
 
 
 def _loops(bench: Bench, scale: Array) -> tuple[Array | None, Array | None]:
@@ -240,9 +224,7 @@ def _loops(bench: Bench, scale: Array) -> tuple[Array | None, Array | None]:
         twin = rows.get(key.replace("inflate", "deflate"))
         if row["branch"] != "inflate" or twin is None or row["k"] is None or twin["k"] is None:
             continue
-        up, down = (
-            np.array([_number(v) for v in r["ohm"]]) * scale - float(r["k"]) for r in (row, twin)
-        )
+        up, down = _column([row, twin], "ohm") * scale - _column([row, twin], "k")[:, None]
         # The active side wrinkles.
         dull = slice(0, a_side) if row["side"] == "left" else slice(a_side, None)
         up[dull] = np.nan
@@ -254,17 +236,12 @@ def _loops(bench: Bench, scale: Array) -> tuple[Array | None, Array | None]:
 
 def check(bench: Bench) -> CheckResult:
     """A short check of the whole robot."""
-    result = run_check(check_readings(bench), bench.config)
-    bench.finish("check", result)
-    return result
+    return run_check(check_readings(bench), bench.config)
 
 
-def _scales(config: RobotConfig) -> Array:
-    return np.array([s.scale_per_ohm for side in SIDES for s in config.sensors.column(side)])
-
-
-def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)
+def _column(rows: Sequence[Row], key: str, missing: Any = None) -> Array:
+    """What rows hold under a key, (n,) or (n, m); nan where a row has none."""
+    return np.array([row.get(key, missing) for row in rows], float)
 
 
 STEPS: dict[str, Callable[[Bench], StepResult]] = {
@@ -312,4 +289,6 @@ def run(bench: Bench, step: str, *, again: bool = False) -> StepResult:
         bench.configure()  # no length is taken from a robot that does not look vented
     else:
         bench.start()
-    return STEPS[step](bench)
+    result = STEPS[step](bench)
+    bench.finish(step, result)
+    return result

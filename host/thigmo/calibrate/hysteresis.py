@@ -9,14 +9,15 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo.calibrate.verdict import Verdict
+from thigmo.calibrate.columns import grouped, sides_of
+from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
@@ -44,18 +45,12 @@ class CreepRecord:
     def read_all(cls, path: str | os.PathLike[str]) -> list[CreepRecord]:
         """From a CSV: side, index, eversion, t_s, curvature."""
         table = Table.read(path)
-        sides = table.words("side")
-        index = table.whole("index")
-        eversion = table.whole("eversion", 0)
+        keys = sides_of(table), table.whole("index").tolist(), table.whole("eversion", 0).tolist()
         t, k = table.numbers("t_s"), table.numbers("curvature")
-        keys = sorted(set(zip(sides, index.tolist(), eversion.tolist(), strict=True)))
-        found = []
-        for side, number, event in keys:
-            if side not in ("left", "right"):
-                raise DataError(f"{path}: side must be left or right", "mend that column")
-            pick = np.array([s == side for s in sides]) & (index == number) & (eversion == event)
-            found.append(cls("left" if side == "left" else "right", number, t[pick], k[pick]))
-        return found
+        return [
+            cls(side, index, t[rows], k[rows])
+            for (side, index, _), rows in grouped(zip(*keys, strict=True))
+        ]
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,6 @@ class CreepFit:
     Attributes:
         side, index: which sensor.
         law: decay, with the spread from eversion to eversion.
-        each: (e, 2) tau and amplitude of every eversion.
         usable_s: when readings add less than their own noise, compensated.
         good: the law may be used.
         reason: why.
@@ -74,49 +68,33 @@ class CreepFit:
     side: Side
     index: int
     law: Settling
-    each: Array
     usable_s: float
     good: bool
     reason: str
 
 
 @dataclass(frozen=True)
-class HysteresisResult:
+class HysteresisResult(StepResult):
     """All sensors."""
 
     sensors: tuple[CreepFit, ...]
     verdict: Verdict
     records: tuple[CreepRecord, ...]
+    EVIDENCE: ClassVar = ("records",)
 
     def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "sensors": [
-                {
-                    "side": fit.side,
-                    "index": fit.index,
-                    "tau_s": fit.law.tau_s,
-                    "tau_se_s": fit.law.tau_se_s,
-                    "amplitude": fit.law.amplitude,
-                    "amplitude_sd": fit.law.amplitude_sd,
-                    "usable_s": fit.usable_s,
-                    "good": fit.good,
-                    "reason": fit.reason,
-                }
-                for fit in self.sensors
-            ],
-            "verdict": self.verdict.as_data(),
-        }
+        """Plain data; each sensor's law beside its use."""
+        data = super().as_data()
+        data["sensors"] = [{**fit.pop("law"), **fit} for fit in data["sensors"]]
+        return data
 
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """Decay time and amplitude into a copy of the configuration."""
-        made = config.model_copy(deep=True)
+    def write(self, config: RobotConfig) -> None:
+        """Decay time and amplitude."""
         for fit in self.sensors:
             if fit.good:
-                sensor = made.sensors.column(fit.side)[fit.index]
+                sensor = config.sensors.column(fit.side)[fit.index]
                 sensor.settle_tau_s = fit.law.tau_s
                 sensor.settle_amplitude = fit.law.amplitude
-        return made
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
@@ -192,29 +170,25 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
         fits.append(_law(side, index, found, errors, sensor.noise))
     bad = [fit for fit in fits if not fit.good]
     notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in bad)
-    if len(bad) == len(fits):
-        return HysteresisResult(
-            tuple(fits), Verdict(False, "no sensor shows a decay that can be fitted", tuple(notes)),
-            tuple(records),
-        )  # fmt: skip
-    ready = max(fit.usable_s for fit in fits if fit.good)
-    verdict = Verdict(
-        True, f"compensated readings count from {ready:.0f} s after eversion", tuple(notes)
-    )
+    good = len(bad) < len(fits)
+    reason = "no sensor shows a decay that can be fitted"
+    if good:
+        ready = max(fit.usable_s for fit in fits if fit.good)
+        reason = f"compensated readings count from {ready:.0f} s after eversion"
+    verdict = Verdict(good, reason, tuple(notes))
     return HysteresisResult(tuple(fits), verdict, tuple(records))
 
 
 def _law(side: Side, index: int, found: list[Array], errors: list[Array], noise: float) -> CreepFit:
-    empty = np.zeros((0, 2))
     if not found:
-        return CreepFit(side, index, Settling(8.0), empty, 60.0, False, "no usable record")
+        return CreepFit(side, index, Settling(8.0), 60.0, False, "no usable record")
     each = np.array(found)
     amplitude_se = np.array([np.sqrt(c[1, 1]) for c in errors])
     tau_se = np.array([np.sqrt(c[0, 0]) for c in errors])
     clear = np.abs(each[:, 1]) > 4 * amplitude_se
     if not clear.any():
         law = Settling(8.0, 4.0, 0.0, float(amplitude_se.mean()))
-        return CreepFit(side, index, law, each[:, :2], 0.0, True, "no creep beyond the noise")
+        return CreepFit(side, index, law, 0.0, True, "no creep beyond the noise")
     weights = 1 / tau_se[clear] ** 2
     tau = float((weights * each[clear, 0]).sum() / weights.sum())
     # Eversions differ in tau more than each one's error says: take whichever is larger.
@@ -230,4 +204,4 @@ def _law(side: Side, index: int, found: list[Array], errors: list[Array], noise:
         if good
         else f"tau of {tau:.1f} +- {tau_error:.1f} s is no decay; record for longer"
     )
-    return CreepFit(side, index, law, each[:, :2], law.usable_after_s(noise), good, reason)
+    return CreepFit(side, index, law, law.usable_after_s(noise), good, reason)

@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from thigmo.calibrate.flex_lines import loop_turns
+from thigmo.calibrate.regression import lasting
 from thigmo.config import Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
@@ -78,11 +79,16 @@ def _deflating(psi: Array, reversal_psi: float) -> Array:
     return made
 
 
+def tanh_curve(psi: Array, amplitude: float, scale_psi: float, offset_psi: float) -> Array:
+    """`TanhMap.curvature` (n,) at pressures (n,)."""
+    rise = np.tanh((np.maximum(psi, 0.0) - offset_psi) / scale_psi) - np.tanh(
+        -offset_psi / scale_psi
+    )
+    return np.asarray(amplitude * rise)
+
+
 def _curve(made: TanhMap, psi: Array) -> Array:
-    """Free curvature (n,) at pressures (n,)."""
-    p = np.maximum(psi, 0.0)
-    turn = np.tanh((p - made.offset_psi) / made.scale_psi)
-    return np.asarray(made.amplitude * (turn - np.tanh(-made.offset_psi / made.scale_psi)))
+    return tanh_curve(psi, made.amplitude, made.scale_psi, made.offset_psi)
 
 
 def fit_lag(
@@ -136,9 +142,7 @@ def fit_lag(
         diff_step=[1e-2] * 5, x_scale=0.1,
     )  # fmt: skip
     rest, slopes = fit.fun, np.asarray(fit.jac, float)
-    along = float(np.corrcoef(rest[1:], rest[:-1])[0, 1])
-    along = min(0.98, max(0.0, along)) if np.isfinite(along) else 0.0
-    variance = float(rest @ rest) / max(1, len(t) - 9) * (1 + along) / (1 - along)
+    variance = float(rest @ rest) / max(1, len(t) - 9) * lasting(rest, 0.98)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
     inflate, deflate = np.array([1.0, 0.0, 1.0, 0.0, 1.0]), np.array([0.0, 1.0, 1.0, 0.0, 1.0])
     return Lag(

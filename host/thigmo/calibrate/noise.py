@@ -1,17 +1,17 @@
-"""Noise in its three parts: white, within a sweep, and per eversion (docs/methods.md, Noise)."""
+"""Noise at rest and within a sweep (docs/methods.md, Noise)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from thigmo.calibrate.verdict import Verdict
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.calibrate.columns import places_of
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ class SensorNoise:
         white_se: its standard error.
         drift_per_min: slope at rest, 1/cm a minute.
         slow: scatter beyond white noise of ten-reading means, 1/cm.
-        per_eversion: spread of the zero from eversion to eversion, 1/cm (nan = unknown).
+
         hysteresis: half the gap between rising and falling pressure, 1/cm (nan = unknown).
         dropouts: share of wild readings.
     """
@@ -38,39 +38,26 @@ class SensorNoise:
     white_se: float
     drift_per_min: float
     slow: float
-    per_eversion: float
     hysteresis: float
     dropouts: float
 
 
 @dataclass(frozen=True)
-class NoiseResult:
+class NoiseResult(StepResult):
     """All sensors."""
 
     sensors: tuple[SensorNoise, ...]
     verdict: Verdict
 
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "sensors": [
-                {key: getattr(s, key) for key in SensorNoise.__dataclass_fields__}
-                for s in self.sensors
-            ],
-            "verdict": self.verdict.as_data(),
-        }
-
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """White noise, and what no average takes away, into a copy of the configuration."""
-        made = config.model_copy(deep=True)
+    def write(self, config: RobotConfig) -> None:
+        """White noise, and what no average takes away."""
         for s in self.sensors:
-            sensor = made.sensors.column(s.side)[s.index]
+            sensor = config.sensors.column(s.side)[s.index]
             if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
                 sensor.noise = s.white
                 # Rest shows drift, bends show the loop: flex may have seen more of both.
                 lasting = float(np.hypot(s.slow, np.nan_to_num(s.hysteresis)))
                 sensor.zero_se = max(sensor.zero_se, lasting)
-        return made
 
 
 def fit_noise(
@@ -78,7 +65,6 @@ def fit_noise(
     curvature: Array,
     config: RobotConfig,
     *,
-    zeros: Array | None = None,
     rising: Array | None = None,
     falling: Array | None = None,
 ) -> NoiseResult:
@@ -88,14 +74,14 @@ def fit_noise(
         t_s: (n,) times of averaged readings of the resting robot.
         curvature: (n, m) readings, 1/cm.
         config: for the sensors' names.
-        zeros: (e, m) settled rest readings after each eversion.
+
         rising: (s, m) readings at a pressure, rising.
         falling: (s, m) readings at the same pressures, falling.
 
     Raises:
         DataError: fewer than 20 readings, or columns that disagree with the configuration.
     """
-    sensors = [(side, k) for side in SIDES for k in range(len(config.sensors.column(side)))]
+    sensors = places_of(config)
     y = np.asarray(curvature, float)
     if y.ndim != 2 or y.shape[1] != len(sensors) or len(y) != len(t_s):
         raise DataError(f"{y.shape} readings for {len(sensors)} sensors", "use this robot's file")
@@ -108,24 +94,15 @@ def fit_noise(
             notes.append(f"sensor {side} {k} (0 = at the base) gives no readings: check its wire")
             continue
         white, white_se, drift, drift_se, slow, dropouts = part
-        per = _spread(zeros, column)
         gap = float("nan")
         if rising is not None and falling is not None:
             gap = abs(float(np.nanmedian(falling[:, column] - rising[:, column]))) / 2
-        found.append(SensorNoise(side, k, white, white_se, drift, slow, per, gap, dropouts))
+        found.append(SensorNoise(side, k, white, white_se, drift, slow, gap, dropouts))
         if dropouts > 0.05:
             notes.append(f"{side} {k}: {100 * dropouts:.0f} % wild readings; check its wire")
         if abs(drift) > max(5e-4, 4 * drift_se):
             notes.append(f"{side} {k} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
     return NoiseResult(tuple(found), _verdict(found, notes))
-
-
-def _spread(zeros: Array | None, column: int) -> float:
-    if zeros is None or len(zeros) < 2:
-        return float("nan")
-    values = zeros[:, column]
-    values = values[np.isfinite(values)]
-    return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
 
 
 def _rest(t: Array, y: Array) -> tuple[float, float, float, float, float, float] | None:

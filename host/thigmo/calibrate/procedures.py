@@ -64,6 +64,11 @@ def growth_rows(bench: Bench) -> list[Row]:
     return list(bench.session.rows("growth").values())
 
 
+def _press(bench: Bench, side: str, psi: float, ramp_psi_s: float = 0.0) -> None:
+    """Bring one muscle to a pressure."""
+    bench.robot.press(**{f"{side}_psi": psi, "ramp_psi_s": ramp_psi_s})
+
+
 def bend_set_points(bench: Bench, side: Side) -> list[tuple[str, float]]:
     """Branch and pressure, up and down."""
     top = bench.config.actuators.side(side).max_pressure_psi
@@ -88,10 +93,8 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
             target = float(psi)
             if target == 0.0:
                 bench.robot.vent()
-            elif side == "left":
-                bench.robot.press(left_psi=target, ramp_psi_s=_RAMP_PSI_S)
             else:
-                bench.robot.press(right_psi=target, ramp_psi_s=_RAMP_PSI_S)
+                _press(bench, side, target, _RAMP_PSI_S)
             bench.robot.wait(_STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
             reading = bench.robot.read(_READ_S)
 
@@ -103,7 +106,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
             return {
                 "zone": zone, "body_psi": body, "trial": int(trial), "side": side,
                 "branch": branch,
-                "psi": reading.left_psi if side == "left" else reading.right_psi,
+                "psi": getattr(reading, f"{side}_psi"),
                 "ohm": bench.ohm(reading).tolist(), "rest": bench.rest, "t_s": reading.t_s,
                 **seen,
             }  # fmt: skip
@@ -227,14 +230,11 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
         parts = []
         for seconds in _RAMPS_S:
             for target in (top, _RAMP_END_PSI):
-                if side == "left":
-                    bench.robot.press(left_psi=target, ramp_psi_s=top / seconds)
-                else:
-                    bench.robot.press(right_psi=target, ramp_psi_s=top / seconds)
+                _press(bench, side, target, top / seconds)
                 parts.append(bench.robot.record(seconds + _RAMP_STOP_S))
         bench.robot.vent()
         t = np.concatenate([p.t_s for p in parts])
-        psi = np.concatenate([p.left_psi if side == "left" else p.right_psi for p in parts])
+        psi = np.concatenate([getattr(p, f"{side}_psi") for p in parts])
         far = len(bench.config.sensors.left) if side == "left" else 0
         ohm = np.concatenate([bench.ohm(p)[:, far : far + len(sensors)] for p in parts])
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
@@ -243,14 +243,14 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
 
     ready = partial(bench.ready_to_bend, zone)
     row = bench.rows("lag", [f"ramp {side} zone {zone}"], take, prepare=ready)[0]
-    live = [n for n, s in enumerate(sensors) if s.healthy]
-    if not live:
-        return None
     t, ohm = np.array(row["t_s"], float), np.array(row["ohm"], float)
     later = later_s(1 << bench.robot.parameter("oversample_log2")[0])
-    read = [np.interp(t + (later if n else 0.0), t, ohm[:, n]) for n in live]
-    k = np.mean([o * sensors[n].scale_per_ohm for n, o in zip(live, read, strict=True)], axis=0)
-    return t, np.array(row["psi"], float), k
+    bends = [
+        np.interp(t + (later if n else 0.0), t, ohm[:, n]) * sensor.scale_per_ohm
+        for n, sensor in enumerate(sensors)
+        if sensor.healthy
+    ]
+    return (t, np.array(row["psi"], float), np.mean(bends, axis=0)) if bends else None
 
 
 def check_readings(bench: Bench) -> CheckReadings:
@@ -263,14 +263,10 @@ def check_readings(bench: Bench) -> CheckReadings:
     seen: dict[Side, float] = {}
     held: dict[Side, Array] = {}
     for side in SIDES:
-        if side == "left":
-            bench.robot.press(left_psi=top)
-        else:
-            bench.robot.press(right_psi=top)
+        _press(bench, side, top)
         bench.robot.wait(_STEADY_S)
         record = bench.robot.record(4.0)
-        psi = record.left_psi if side == "left" else record.right_psi
-        held[side] = np.column_stack([record.t_s - record.t_s[0], psi])
+        held[side] = np.column_stack([record.t_s - record.t_s[0], getattr(record, f"{side}_psi")])
         bent[side] = bench.mean_ohm(record)
         shot = bench.seen(
             lambda: {"k": float(bench.eyes.axis(free_bend=True).coefficients[2])}, {"k": None}

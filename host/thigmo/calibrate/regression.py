@@ -175,3 +175,15 @@ def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
     variance = np.maximum(sigma2 + e**2, 1e-300)
     normal = (a / variance[:, None]).T @ a
     return coefficients, np.asarray(np.linalg.pinv(normal), float), float(np.sqrt(sigma2))
+
+
+def lasting(residuals: Array, most: float) -> float:
+    """Factor on the variance of residuals (n,) in order that last: neighbours err together.
+
+    Args:
+        residuals: of a fit that took them as independent.
+        most: correlation of neighbours above which it is not believed.
+    """
+    along = float(np.corrcoef(residuals[1:], residuals[:-1])[0, 1])
+    along = min(most, max(0.0, along)) if np.isfinite(along) else 0.0
+    return (1 + along) / (1 - along)

@@ -17,10 +17,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from thigmo.calibrate.verdict import StepResult
-from thigmo.config import SIDES, RobotConfig, ZoneMap
+from thigmo.calibrate.verdict import StepResult, plain
+from thigmo.config import SIDES, FlexSensor, RobotConfig, ZoneMap
 from thigmo.errors import DataError
 
 
@@ -87,7 +85,7 @@ class Session:
                 path.write_bytes(text[: text.rfind(b"\n") + 1])
         try:
             with path.open("a") as file:
-                file.write(json.dumps(row, default=_plain) + "\n")
+                file.write(json.dumps(plain(row)) + "\n")
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
@@ -118,8 +116,7 @@ class Session:
         """Store a result and its figure; a good one goes into robot.toml. Returns the backup."""
         from thigmo.calibrate.figures import draw  # takes Matplotlib with it
 
-        data = json.dumps(result.as_data(), indent=1, default=_plain)
-        (self.folder / f"{step}.json").write_text(data)
+        (self.folder / f"{step}.json").write_text(json.dumps(result.as_data(), indent=1))
         draw(result, self.folder / f"{step}.png")
         if not result.verdict.good:
             return None
@@ -133,12 +130,10 @@ class Session:
 def blank(config: RobotConfig) -> RobotConfig:
     """A robot of that geometry whose constants nobody has measured: where calibration begins."""
     made, fresh = config.model_copy(deep=True), RobotConfig()
-    start = fresh.sensors.left[0]
     for side in SIDES:
-        for sensor in made.sensors.column(side):
-            for key in type(sensor).model_fields:
-                if key not in ("center_cm", "span_cm"):
-                    setattr(sensor, key, getattr(start, key))
+        places = [(sensor.center_cm, sensor.span_cm) for sensor in made.sensors.column(side)]
+        unmeasured = [FlexSensor(center_cm=center, span_cm=span) for center, span in places]
+        setattr(made.sensors, side, unmeasured)
         actuator = made.actuators.side(side)
         actuator.lag_s = fresh.actuators.left.lag_s
         actuator.offset_se = fresh.actuators.left.offset_se
@@ -147,11 +142,3 @@ def blank(config: RobotConfig) -> RobotConfig:
     made.body.critical_curvature_se = fresh.body.critical_curvature_se
     made.spool.counts_per_cm = fresh.spool.counts_per_cm
     return made
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value)} has no JSON form")

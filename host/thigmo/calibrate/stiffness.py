@@ -11,14 +11,15 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from thigmo.calibrate.verdict import Verdict
-from thigmo.config import SIDES, RobotConfig
+from thigmo.calibrate.columns import grouped, sensors_of
+from thigmo.calibrate.regression import lasting
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -42,17 +43,14 @@ class AxisPoints:
         """From a CSV: picture, x_cm, y_cm, force_arc_cm."""
         table = Table.read(path)
         picture = table.whole("picture")
-        points = np.column_stack([table.numbers("x_cm"), table.numbers("y_cm")])
-        arc = table.numbers("force_arc_cm")
-        seen = np.isfinite(points).all(axis=1) & np.isfinite(arc)
-        return [
-            cls(points[seen & (picture == number)], float(arc[seen & (picture == number)][0]))
-            for number in sorted(set(picture[seen].tolist()))
-        ]
+        rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
+        seen = np.isfinite(rows).all(axis=1)
+        picture, rows = picture[seen], rows[seen]
+        return [cls(rows[own, :2], float(rows[own[0], 2])) for _, own in grouped(picture.tolist())]
 
 
 @dataclass(frozen=True)
-class StiffnessResult:
+class StiffnessResult(StepResult):
     """Stiffness under sensors over stiffness in gaps.
 
     Attributes:
@@ -67,19 +65,6 @@ class StiffnessResult:
     each: Array
     verdict: Verdict
 
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "ratio": self.ratio,
-            "ratio_se": self.ratio_se,
-            "each": self.each.tolist(),
-            "verdict": self.verdict.as_data(),
-        }
-
-    def apply(self, config: RobotConfig) -> RobotConfig:
-        """Nothing in the configuration depends on it: a copy."""
-        return config.model_copy(deep=True)
-
 
 def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:
     """Ratio of stiffness under sensors to that in gaps.
@@ -90,9 +75,8 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     length = config.body.length_cm
     fine = np.arange(0.0, length + 1e-9, 0.1)
     gap = np.ones(len(fine))
-    for side in SIDES:
-        for sensor in config.sensors.column(side):
-            gap[np.abs(fine - sensor.center_cm) <= sensor.span_cm / 2] = 0.0
+    for sensor in sensors_of(config):
+        gap[np.abs(fine - sensor.center_cm) <= sensor.span_cm / 2] = 0.0
     share = float(gap.mean())
     if not 0.05 < share < 0.95:
         raise DataError("sensors cover all of the body or none of it", "there is no gap to compare")
@@ -127,23 +111,17 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     ratio = float((weights * kept).sum() / weights.sum())
     scatter = float(np.sqrt((weights * (kept - ratio) ** 2).sum() / max(1, len(kept) - 1)))
     error = float(weights.sum() ** -0.5) * max(1.0, scatter)
-    alike = abs(ratio - 1) < 3 * error
     if error > 0.15:
-        verdict = Verdict(
-            False,
+        reason = (
             f"ratio {ratio:.2f} +- {error:.2f}: too uncertain, take more pictures (`thigmo "
-            f"calibrate stiffness --pictures {3 * len(pictures)} --again`); nothing else needs it",
-            tuple(notes),
+            f"calibrate stiffness --pictures {3 * len(pictures)} --again`); nothing else needs it"
         )
     else:
-        words = (
-            "as stiff under sensors as between"
-            if alike
-            else ("stiffer under the sensors" if ratio > 1 else "softer under the sensors")
-        )
-        verdict = Verdict(
-            True, f"the body is {words}: ratio {ratio:.3f} +- {error:.3f}", tuple(notes)
-        )
+        words = "stiffer under the sensors" if ratio > 1 else "softer under the sensors"
+        if abs(ratio - 1) < 3 * error:
+            words = "as stiff under sensors as between"
+        reason = f"the body is {words}: ratio {ratio:.3f} +- {error:.3f}"
+    verdict = Verdict(error <= 0.15, reason, tuple(notes))
     return StiffnessResult(ratio, error, values, verdict)
 
 
@@ -181,9 +159,7 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
         residuals, start, loss="soft_l1", f_scale=0.05, x_scale=[0.1, 0.01, 1e-5, 0.1]
     )
     rest = residuals(fit.x)
-    along = float(np.corrcoef(rest[1:], rest[:-1])[0, 1])
-    along = min(0.9, max(0.0, along)) if np.isfinite(along) else 0.0
-    variance = float(rest @ rest) / max(1, len(rest) - 4) * (1 + along) / (1 - along)
+    variance = float(rest @ rest) / max(1, len(rest) - 4) * lasting(rest, 0.9)
     slopes = np.asarray(fit.jac, float)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
     return float(fit.x[3]), float(np.sqrt(covariance[3, 3]))

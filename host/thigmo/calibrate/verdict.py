@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, ClassVar, cast
+
+import numpy as np
+from pydantic import BaseModel
 
 from thigmo.config import RobotConfig
 
@@ -23,26 +26,46 @@ class Verdict:
     reason: str
     notes: tuple[str, ...] = ()
 
+
+class StepResult:
+    """What every step's fit returns: a dataclass with a verdict.
+
+    Attributes:
+        verdict: good or bad, and why.
+        EVIDENCE: names of the fields that only the figure needs.
+    """
+
+    verdict: Verdict
+    EVIDENCE: ClassVar[tuple[str, ...]] = ()
+
     def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"good": self.good, "reason": self.reason, "notes": list(self.notes)}
-
-
-class StepResult(Protocol):
-    """What every step's fit returns."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """Good or bad, and why."""
-        ...
-
-    def as_data(self) -> dict[str, Any]:
-        """Plain data for the calibration folder."""
-        ...
+        """Plain data for the calibration folder: every field but the evidence."""
+        kept = [f.name for f in fields(cast(Any, self)) if f.name not in self.EVIDENCE]
+        return {name: plain(getattr(self, name)) for name in kept}
 
     def apply(self, config: RobotConfig) -> RobotConfig:
         """A copy of the configuration with this step's results in it."""
-        ...
+        made = config.model_copy(deep=True)
+        self.write(made)
+        return made
+
+    def write(self, config: RobotConfig) -> None:
+        """Put this step's results into a configuration; nothing, unless a step says what."""
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: records become dicts, arrays lists."""
+    if isinstance(value, StepResult):
+        return value.as_data()
+    if isinstance(value, BaseModel):
+        return value.model_dump()
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def listed(names: Sequence[str], rows: Sequence[int]) -> str:

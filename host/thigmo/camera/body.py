@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil
 
 import cv2
 import numpy as np
@@ -18,11 +17,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from thigmo.camera.errors import BodyNotSeenError
-from thigmo.camera.model import CameraModel, Picture
+from thigmo.camera.model import CameraModel, Picture, colored
 
 Array = NDArray[np.float64]
 
 BODY_PX_CM = 12  # enough for a tube that is 40 px wide
+_LOW_CM, _HIGH_CM = np.array([-4.0, -58.0]), np.array([60.0, 58.0])  # corners of what is looked at
 _STEP_CM = 0.5
 _WIDTH_CM = 0.05  # a change of width that wrinkles make
 _CLASH = 0.5  # bodyness at a flank
@@ -35,68 +35,43 @@ class Flat:
     """A picture laid flat on a plane above the table, x to the right, y up (rows run down).
 
     Attributes:
-        image: (h, w, 3) BGR.
-        low: (2,) x, y of the lower left corner, cm.
-        high: (2,) x, y of the upper right corner, cm.
-        height_cm: of the plane.
+        image: (h, w, 3) BGR, of `_LOW_CM` to `_HIGH_CM`.
         px_per_cm: resolution.
     """
 
     image: Picture
-    low: Array
-    high: Array
-    height_cm: float
     px_per_cm: int
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
-        """Workspace x, y (n, 2) to column, row (n, 2)."""
-        columns = (points_cm[..., 0] - self.low[0]) * self.px_per_cm - 0.5
-        rows = (self.high[1] - points_cm[..., 1]) * self.px_per_cm - 0.5
-        return np.stack([columns, rows], axis=-1).astype(np.float32)
+        """Workspace x, y (..., 2) to column, row (..., 2)."""
+        upper_left = np.array([_LOW_CM[0], _HIGH_CM[1]])
+        at = (points_cm - upper_left) * [self.px_per_cm, -self.px_per_cm] - 0.5
+        return np.asarray(at, np.float32)
 
     def places(self, pixels: Array) -> Array:
-        """Column, row (n, 2) to workspace x, y (n, 2)."""
-        x = (pixels[..., 0] + 0.5) / self.px_per_cm + self.low[0]
-        y = self.high[1] - (pixels[..., 1] + 0.5) / self.px_per_cm
-        return np.stack([x, y], axis=-1)
+        """Column, row (..., 2) to workspace x, y (..., 2)."""
+        upper_left = np.array([_LOW_CM[0], _HIGH_CM[1]])
+        return np.asarray((pixels + 0.5) / [self.px_per_cm, -self.px_per_cm] + upper_left)
 
 
 def flatten(
-    picture: Picture,
-    camera: CameraModel,
-    height_cm: float,
-    low: Sequence[float] = (-4.0, -58.0),
-    high: Sequence[float] = (60.0, 58.0),
-    px_per_cm: int = BODY_PX_CM,
+    picture: Picture, camera: CameraModel, height_cm: float, px_per_cm: int = BODY_PX_CM
 ) -> Flat:
     """Lay a picture flat at a height."""
-    box_low, box_high = np.asarray(low, float), np.asarray(high, float)
-    columns, rows = (ceil(n * px_per_cm) for n in box_high - box_low)
-    # The map is smooth: computed every 16 px, interpolated between.
-    step = 16
-    grid_x = np.arange(0, columns + 2 * step, step)
-    grid_y = np.arange(0, rows + 2 * step, step)
-    x = (grid_x + 0.5) / px_per_cm + box_low[0]
-    y = box_high[1] - (grid_y + 0.5) / px_per_cm
-    mesh = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    solid = np.column_stack([mesh, np.full(len(mesh), height_cm)])
-    coarse = camera.project(solid).astype(np.float32).reshape(len(y), len(x), 2)
-    lookup = np.einsum("rR,RCk->rCk", _between(rows, step, len(y)), coarse, optimize=True)
-    lookup = np.einsum("cC,rCk->rck", _between(columns, step, len(x)), lookup, optimize=True)
-    columns_of, rows_of = (np.ascontiguousarray(lookup[..., k]) for k in (0, 1))
-    colored = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-    image = cv2.remap(colored, columns_of, rows_of, cv2.INTER_LINEAR)
-    return Flat(np.asarray(image, np.uint8), box_low, box_high, height_cm, px_per_cm)
-
-
-def _between(n: int, step: int, knots: int) -> NDArray[np.float32]:
-    """Linear interpolation matrix (n, knots) for knots every `step` pixels."""
-    at = np.arange(n) / step
-    left = np.floor(at).astype(int)
-    weights = np.zeros((n, knots), np.float32)
-    weights[np.arange(n), left] = 1 - (at - left)
-    weights[np.arange(n), left + 1] += at - left
-    return weights
+    columns, rows = np.round((_HIGH_CM - _LOW_CM) * px_per_cm).astype(int).tolist()
+    turn = cv2.Rodrigues(camera.rotation)[0]
+    # The plane to the pinhole's rays, and the flat picture's pixels to the plane.
+    to_ray = np.column_stack([turn[:, :2], turn[:, 2] * height_cm + np.ravel(camera.translation)])
+    cell = 1 / px_per_cm
+    to_plane = np.array([
+        [cell, 0, _LOW_CM[0] + cell / 2], [0, -cell, _HIGH_CM[1] - cell / 2], [0, 0, 1],
+    ])  # fmt: skip
+    lookup = cv2.initUndistortRectifyMap(
+        camera.lens.matrix, camera.lens.distortion, np.eye(3), np.linalg.inv(to_ray @ to_plane),
+        (columns, rows), cv2.CV_32FC1,
+    )  # fmt: skip
+    image = cv2.remap(colored(picture), *lookup, cv2.INTER_LINEAR)
+    return Flat(np.asarray(image, np.uint8), px_per_cm)
 
 
 def bodyness(

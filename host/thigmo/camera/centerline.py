@@ -27,10 +27,7 @@ class Centerline:
         x_cm: (n,).
         y_cm: (n,).
         heading: (n,) rad.
-        curvature: (n,) 1/cm.
-        curvature_se: (n,) one sigma.
         residual_cm: rms distance of the flanks' middles from the curve.
-        constant: whether a single curvature was fitted.
         coefficients: (m,) lateral start, heading start, curvature coefficients.
         covariance: (m, m) of them.
         average: (n, m-2) cumulative integrals of the basis, for `mean_curvature`.
@@ -41,10 +38,7 @@ class Centerline:
     x_cm: Array
     y_cm: Array
     heading: Array
-    curvature: Array
-    curvature_se: Array
     residual_cm: float
-    constant: bool
     coefficients: Array
     covariance: Array
     average: Array
@@ -71,13 +65,8 @@ class Centerline:
             raise DataError(
                 f"the span {low:.1f}..{high:.1f} cm is not on the seen body", "grow the robot first"
             )
-        ends = np.array(
-            [
-                [np.interp(at, self.arc_cm, column) for column in self.average.T]
-                for at in (low, high)
-            ]
-        )
-        weights = (ends[1] - ends[0]) / span_cm
+        ends = [np.interp([low, high], self.arc_cm, column) for column in self.average.T]
+        weights = np.diff(ends)[:, 0] / span_cm
         value = float(weights @ self.coefficients[2:])
         return value, float(np.sqrt(weights @ self.covariance[2:, 2:] @ weights))
 
@@ -183,24 +172,9 @@ def _fit(
     lagged = min(0.9, max(0.0, lagged)) if np.isfinite(lagged) else 0.0
     inflation = scale**2 * (1 + lagged) / (1 - lagged)
     slopes = np.asarray(fit.jac, float)
-    inverse = np.linalg.pinv(slopes.T @ slopes)
-    covariance = inverse * inflation
-    x, y, heading = curve(fit.x)
-    spread = np.einsum("ij,jk,ik->i", basis, covariance[2:, 2:], basis)
-    return Centerline(
-        fine,
-        x,
-        y,
-        heading,
-        basis @ fit.x[2:],
-        np.sqrt(np.maximum(spread, 0)),
-        float(np.sqrt(np.mean(errors**2)) * point_se_cm),
-        constant,
-        fit.x,
-        covariance,
-        integral,
-        points[used],
-    )
+    covariance = np.linalg.pinv(slopes.T @ slopes) * inflation
+    residual_cm = float(np.sqrt(np.mean(errors**2)) * point_se_cm)
+    return Centerline(fine, *curve(fit.x), residual_cm, fit.x, covariance, integral, points[used])
 
 
 def _spline_basis(at: Array, total: float, n: int) -> Array:

@@ -1,7 +1,7 @@
 """The camera as a map between pixels and the workspace: lens, pose, and how well both are known.
 
 `calibrate_lens` takes pictures of the ChArUco board; `thigmo.camera.pose` finds the `CameraModel`
-from one picture of the cards; `check_still` says when it no longer holds. Heights matter: seen from
+from one picture of the cards; `judge_still` says when it no longer holds. Heights matter: seen from
 1 m, the middle of the robot (1.75 cm above the table) stands up to 0.8 cm away from where the
 table's plane would have it, so every look-up names its height.
 """
@@ -10,26 +10,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
-from thigmo.camera.sheet import (
-    BOARD_DICTIONARY,
-    Points,
-    Sheet,
-    board,
-    dictionary,
-    marker_dictionaries,
-)
+from thigmo.camera.sheet import Points, Sheet, board, dictionary, marker_dictionaries
 
 Picture = NDArray[np.uint8]
+T = TypeVar("T")
 
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
@@ -71,11 +65,12 @@ class Lens:
         Raises:
             CameraError: the folder cannot be written.
         """
-        write_json(path, {"version": 1, **self.as_data()})
+        write_json(path, self.as_data())
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
         return {
+            "version": 1,
             "matrix": self.matrix.tolist(),
             "distortion": self.distortion.tolist(),
             "size": list(self.size),
@@ -99,16 +94,7 @@ class Lens:
         Raises:
             CameraError: missing or damaged file.
         """
-        try:
-            return cls.from_data(json.loads(Path(path).read_text()))
-        except OSError as error:
-            raise CameraError(
-                f"cannot read {path}: {error.strerror}", "run `thigmo camera lens` first"
-            ) from error
-        except (KeyError, ValueError, TypeError, IndexError) as error:
-            raise CameraError(
-                f"{path} is no lens calibration ({error})", "run `thigmo camera lens` again"
-            ) from error
+        return _read_json(path, cls.from_data, "lens")
 
 
 @dataclass(frozen=True)
@@ -119,7 +105,7 @@ class CameraModel:
         lens: pinhole and distortion.
         rotation: (3,) Rodrigues vector, workspace to camera.
         translation: (3,) cm, workspace to camera.
-        corners: (4, 2) px of each card marker when located: the reference for `check_still`.
+        corners: (4, 2) px of each card marker when located: the reference for `judge_still`.
         rms_px: residual of the cards' corners.
         accuracy_cm: one sigma of a place on the table (the worst over the workspace).
         hidden: cards that were not seen.
@@ -179,7 +165,6 @@ class CameraModel:
             CameraError: the folder cannot be written.
         """
         data = {
-            "version": 1,
             **self.lens.as_data(),
             "rotation": self.rotation.tolist(),
             "translation": self.translation.tolist(),
@@ -197,9 +182,9 @@ class CameraModel:
         Raises:
             CameraError: missing or damaged file.
         """
-        try:
-            data = json.loads(Path(path).read_text())
-            return cls(
+        return _read_json(
+            path,
+            lambda data: cls(
                 Lens.from_data(data),
                 np.array(data["rotation"], float),
                 np.array(data["translation"], float),
@@ -207,15 +192,22 @@ class CameraModel:
                 float(data["rms_px"]),
                 float(data["accuracy_cm"]),
                 tuple(data["hidden"]),
-            )
-        except OSError as error:
-            raise CameraError(
-                f"cannot read {path}: {error.strerror}", "run `thigmo camera locate` first"
-            ) from error
-        except (KeyError, ValueError, TypeError, IndexError) as error:
-            raise CameraError(
-                f"{path} is no camera calibration ({error})", "run `thigmo camera locate` again"
-            ) from error
+            ),
+            "camera",
+        )
+
+
+def _read_json(path: str | os.PathLike[str], made: Callable[[dict[str, Any]], T], what: str) -> T:
+    """What a file of `thigmo camera lens` or `locate` holds."""
+    command = f"run `thigmo camera {'locate' if what == 'camera' else what}`"
+    try:
+        return made(json.loads(Path(path).read_text()))
+    except OSError as error:
+        raise CameraError(f"cannot read {path}: {error.strerror}", f"{command} first") from error
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise CameraError(f"{path} is no {what} calibration ({error})", f"{command} again") from (
+            error
+        )
 
 
 def write_json(path: str | os.PathLike[str], data: dict[str, Any]) -> None:
@@ -239,6 +231,13 @@ def gray(picture: Picture) -> Picture:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
+def colored(picture: Picture) -> Picture:
+    """BGR of a colour or gray picture."""
+    if picture.ndim == 3:
+        return picture
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), np.uint8)
+
+
 def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
     """Corners (4, 2) px of every marker of a dictionary, by id; sub-pixel. A doubled id is dropped.
 
@@ -255,15 +254,14 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
     settings.minMarkerPerimeterRate = 0.02
     finder = cv2.aruco.ArucoDetector(dictionary(name), settings)
     corners, ids, _ = finder.detectMarkers(gray(picture))
-    found: dict[int, Points] = {}
-    doubled: set[int] = set()
     if ids is None:
-        return found
-    for marker, four in zip(np.ravel(ids), corners, strict=True):
-        if int(marker) in found:
-            doubled.add(int(marker))
-        found[int(marker)] = np.asarray(four, float).reshape(4, 2)
-    return {marker: four for marker, four in found.items() if marker not in doubled}
+        return {}
+    named = [int(marker) for marker in np.ravel(ids)]
+    return {
+        marker: np.asarray(four, float).reshape(4, 2)
+        for marker, four in zip(named, corners, strict=True)
+        if named.count(marker) == 1
+    }
 
 
 def other_dictionary(picture: Picture, name: str) -> str:
@@ -321,20 +319,18 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
     return Lens(np.asarray(matrix, float), np.ravel(distortion)[:5].astype(float), size, float(rms))
 
 
-def check_still(picture: Picture, model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
+def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
     """Whether the camera stands where it was located; returns the names of hidden cards.
 
+    Args:
+        found: corners (4, 2) px of the markers that are seen, by id.
+        model: located.
+        sheet: in use.
+
     Raises:
-        CameraError: the picture has another size.
         SheetHiddenError: no card at all is seen.
         CameraMovedError: the cards stand elsewhere in the picture.
     """
-    model.lens.require(picture)
-    return judge_still(detect_markers(picture, sheet.dictionary), model, sheet)
-
-
-def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
-    """`check_still` on markers that are already detected."""
     both = [m for m in model.corners if m in found]
     card_of = sheet.marker_ids()
     hidden = tuple(c.name for c in sheet.cards if not any(card_of.get(m) is c for m in found))
@@ -343,18 +339,9 @@ def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> t
     shifts = np.concatenate([found[m] - model.corners[m] for m in both])
     moved = float(np.median(np.linalg.norm(shifts, axis=1)))
     if moved > _MOVED_PX:
-        raise CameraMovedError(moved, moved * model.cm_per_px)
+        raise CameraMovedError(
+            f"the camera has moved: the cards stand {moved:.1f} px "
+            f"({moved * model.cm_per_px:.2f} cm) from where it was calibrated",
+            "fix the camera and run `thigmo camera locate` again",
+        )
     return hidden
-
-
-__all__ = [
-    "BOARD_DICTIONARY",
-    "CameraModel",
-    "Lens",
-    "Picture",
-    "calibrate_lens",
-    "check_still",
-    "detect_markers",
-    "gray",
-    "judge_still",
-]

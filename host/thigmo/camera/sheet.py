@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from math import cos, radians, sin
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import cv2
 import numpy as np
+import tomlkit
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from thigmo.camera.errors import CameraError
-from thigmo.config import Finite, Model, Positive
+from thigmo.config import Finite, Model, Positive, load_toml
 
 Gray = NDArray[np.uint8]
 Points = NDArray[np.float64]
@@ -99,14 +102,10 @@ class Sheet(Model):
         Raises:
             ConfigError: missing, malformed or invalid.
         """
-        from thigmo.config import load_toml
-
         return load_toml(cls, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the sheet file (TOML)."""
-        import tomlkit
-
         Path(path).write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
 
     @property
@@ -141,36 +140,30 @@ def _square(side: float) -> Points:
 
 def place(points: Points, card: Card) -> Points:
     """Card coordinates (n, 2) to the robot's frame."""
-    turn = radians(card.turn_deg)
-    rotation = np.array([[cos(turn), -sin(turn)], [sin(turn), cos(turn)]])
-    return np.asarray(points @ rotation.T + np.array([card.x_cm, card.y_cm]))
+    ahead = np.exp(1j * np.radians(card.turn_deg))
+    return np.asarray(_turned(points, ahead.real, ahead.imag) + np.array([card.x_cm, card.y_cm]))
+
+
+def _turned(points: Points, cosine: float, sine: float) -> Points:
+    """Points (n, 2) turned counter-clockwise."""
+    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
 def marker_dictionaries() -> tuple[str, ...]:
     """Names of OpenCV's predefined dictionaries."""
-    import cv2
-
     return tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
 
 
 def dictionary(name: str) -> Any:
     """OpenCV's predefined ArUco dictionary of that name."""
-    import cv2
-
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
 def board(sheet: Sheet) -> Any:
     """The ChArUco board (cv2.aruco.CharucoBoard) in cm."""
-    import cv2
-
     square = sheet.board_square_cm * sheet.print_scale
-    return cv2.aruco.CharucoBoard(
-        (sheet.board_columns, sheet.board_rows),
-        square,
-        square * 0.72,
-        dictionary(BOARD_DICTIONARY),
-    )
+    squares = (sheet.board_columns, sheet.board_rows)
+    return cv2.aruco.CharucoBoard(squares, square, square * 0.72, dictionary(BOARD_DICTIONARY))
 
 
 @dataclass(frozen=True)
@@ -185,22 +178,18 @@ class Decal:
 
     image: Gray
     corners_cm: Points
-    name: str
+    name: str = ""
 
 
-def marker_image(sheet: Sheet, marker: int, pixels_per_module: int = 8) -> Gray:
-    """A marker's picture with black border, without the white margin."""
-    import cv2
-
-    size = sheet.modules * pixels_per_module
-    made = cv2.aruco.generateImageMarker(dictionary(sheet.dictionary), marker, size)
-    return np.asarray(made, np.uint8)
+def _marker_image(sheet: Sheet, marker: int, size: int) -> Gray:
+    """A marker's picture (size, size) with black border, without the white margin."""
+    whole = sheet.modules * 8  # that its cells are alike before it is stretched
+    made = cv2.aruco.generateImageMarker(dictionary(sheet.dictionary), marker, whole)
+    return np.asarray(cv2.resize(made, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
     """A card as printed (before the printer's scale): markers, cross, arrow."""
-    import cv2
-
     side_cm = sheet.card_cm / sheet.print_scale
     n = round(side_cm * pixels_per_cm)
     picture = np.full((n, n), 255, np.uint8)
@@ -209,9 +198,8 @@ def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
         upper_left = sheet.local_corners(k)[0] / sheet.print_scale
         column = round((upper_left[0] + side_cm / 2) * pixels_per_cm)
         row = round((side_cm / 2 - upper_left[1]) * pixels_per_cm)
-        picture[row : row + size, column : column + size] = cv2.resize(
-            marker_image(sheet, card.first_id + k), (size, size), interpolation=cv2.INTER_NEAREST
-        )
+        made = _marker_image(sheet, card.first_id + k, size)
+        picture[row : row + size, column : column + size] = made
     middle, arm = n // 2, round(0.7 * pixels_per_cm)
     line = max(1, pixels_per_cm // 20)
     cv2.line(picture, (middle - arm, middle), (middle + arm, middle), 0, line)
@@ -224,28 +212,21 @@ def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
 
 def tip_image(sheet: Sheet, pixels_per_cm: int = 40) -> Gray:
     """The tip marker with its white margin of one module."""
-    import cv2
-
     size = round(sheet.tip_marker_cm * pixels_per_cm)
-    margin = round(size / sheet.modules)
-    picture = np.full((size + 2 * margin, size + 2 * margin), 255, np.uint8)
-    picture[margin : margin + size, margin : margin + size] = cv2.resize(
-        marker_image(sheet, sheet.tip_marker_id), (size, size), interpolation=cv2.INTER_NEAREST
-    )
-    return picture
+    marker = _marker_image(sheet, sheet.tip_marker_id, size)
+    return np.pad(marker, round(size / sheet.modules), constant_values=255)
 
 
 def card_decals(sheet: Sheet) -> list[Decal]:
     """The workspace cards as they lie on the table."""
-    decals = []
-    for card in sheet.cards:
-        flat = place(_square(sheet.card_cm), card)
-        decals.append(
-            Decal(
-                card_image(sheet, card), np.column_stack([flat, np.full(4, card.z_cm)]), card.name
-            )
-        )
-    return decals
+    outline = _square(sheet.card_cm)
+    return [
+        _decal(card_image(sheet, card), place(outline, card), card.z_cm) for card in sheet.cards
+    ]
+
+
+def _decal(image: Gray, flat: Points, height_cm: float) -> Decal:
+    return Decal(image, np.column_stack([flat, np.full(4, height_cm)]))
 
 
 def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Decal:
@@ -258,17 +239,13 @@ def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Dec
     ahead /= np.linalg.norm(ahead)
     over = sheet.tip_offset_cm - (back[len(axis) - 3 - place] if place < len(axis) - 2 else 0.0)
     center = axis[place + 1] - over * ahead
-    rotation = np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
-    flat = _square(side) @ rotation.T + center
-    return Decal(tip_image(sheet), np.column_stack([flat, np.full(4, height_cm)]), "tip marker")
+    return _decal(tip_image(sheet), _turned(_square(side), ahead[0], ahead[1]) + center, height_cm)
 
 
-def pages(sheet: Sheet, pixels_per_cm: int = 40) -> list[tuple[str, Gray]]:
+def pages(sheet: Sheet, pixels_per_cm: int = 40) -> list[Gray]:
     """A4 pages as pictures: two cards a page, tip markers, the lens board."""
-    import cv2
-
     width, height = (round(side * pixels_per_cm) for side in A4_CM)
-    made: list[tuple[str, Gray]] = []
+    made: list[Gray] = []
 
     def page(title: str) -> Gray:
         picture = np.full((height, width), 255, np.uint8)
@@ -284,7 +261,7 @@ def pages(sheet: Sheet, pixels_per_cm: int = 40) -> list[tuple[str, Gray]]:
         note = "10.0 cm: measure this bar; print at 100 %, not 'fit to page'"
         below = (left - pixels_per_cm, row + pixels_per_cm * 3 // 4)
         cv2.putText(picture, note, below, cv2.FONT_HERSHEY_SIMPLEX, scale * 0.8, 0, thick)
-        made.append((title, picture))
+        made.append(picture)
         return picture
 
     def paste(onto: Gray, what: Gray, column: int, row: int, frame: bool = True) -> None:
@@ -329,34 +306,29 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
     Raises:
         CameraError: another suffix, or a folder that cannot be written.
     """
-    import matplotlib.backends.backend_pdf as pdf
-    import matplotlib.figure as figures
-
     target = Path(path)
     if target.suffix not in (".pdf", ".png"):
         raise CameraError(f"cannot print to {target.name}", "end the name in .pdf or .png")
     pixels_per_cm = 40
-    written: list[Path] = []
-    drawn: list[Any] = []
-    for _, picture in pages(sheet, pixels_per_cm):
-        figure = figures.Figure(figsize=(A4_CM[0] / 2.54, A4_CM[1] / 2.54))
+    drawn: list[Figure] = []
+    for picture in pages(sheet, pixels_per_cm):
+        figure = Figure(figsize=(A4_CM[0] / 2.54, A4_CM[1] / 2.54))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
         axes.set_axis_off()
         drawn.append(figure)
     try:
         if target.suffix == ".pdf":
-            with pdf.PdfPages(target) as book:
+            with PdfPages(target) as book:
                 for figure in drawn:
                     book.savefig(figure, dpi=pixels_per_cm * 2.54)
-            written.append(target)
+            names = [target]
         else:
-            for number, figure in enumerate(drawn, start=1):
-                name = target.with_name(f"{target.stem}-{number}.png")
+            names = [target.with_name(f"{target.stem}-{n}.png") for n in range(1, len(drawn) + 1)]
+            for name, figure in zip(names, drawn, strict=True):
                 figure.savefig(name, dpi=pixels_per_cm * 2.54)
-                written.append(name)
     except OSError as error:
         raise CameraError(
             f"cannot write {target}: {error.strerror}", "choose a folder that you may write to"
         ) from error
-    return written
+    return names

@@ -7,14 +7,14 @@ stand in for any of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.camera.body import Flat, Track, bodyness, flatten, follow
+from thigmo.camera.body import Track, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.clicks import Clicks
 from thigmo.camera.errors import (
@@ -25,13 +25,8 @@ from thigmo.camera.errors import (
     MarkerMissingError,
     TooCoarseError,
 )
-from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
-from thigmo.camera.obstacles import (
-    OBSTACLE_PX_CM,
-    Obstacle,
-    circle_through,
-    find_obstacles,
-)
+from thigmo.camera.model import CameraModel, Picture, colored, detect_markers, judge_still
+from thigmo.camera.obstacles import OBSTACLE_PX_CM, Obstacle, circle_through, find_obstacles
 from thigmo.camera.sheet import Sheet
 from thigmo.errors import DataError
 
@@ -44,7 +39,6 @@ _GOOD_SHARE = 0.6
 _CURE = (
     "look at it with `thigmo camera check`; give a picture of the empty table, or click the axis"
 )
-_WORKSPACE = ((-4.0, -58.0), (60.0, 58.0))
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,7 @@ class Sighting:
     obstacles: list[Obstacle]
     hidden: tuple[str, ...]
     problems: tuple[CameraError, ...]
-    markers: dict[int, Array] = field(default_factory=dict)
+    markers: dict[int, Array]
 
 
 @dataclass(frozen=True)
@@ -150,7 +144,7 @@ def look(
         CameraMovedError: the camera moved since it was located.
     """
     camera.lens.require(picture)
-    wanted = wanted or Seen()
+    wanted, clicks = wanted or Seen(), clicks or Clicks()
     _fine_enough(camera, sheet, wanted, clicks)
     markers = detect_markers(picture, sheet.dictionary)
     hidden = judge_still(markers, camera, sheet)
@@ -173,41 +167,23 @@ def look(
             tip = None
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
-    found: list[Obstacle] = []
-    if wanted.obstacles:
-        found = _obstacles(picture, camera, wanted, markers, clicks)
+    found = _obstacles(picture, camera, wanted, markers, clicks) if wanted.obstacles else []
     return Sighting(tip, axis, found, hidden, tuple(problems), markers)
 
 
-def see_tip(
-    picture: Picture, camera: CameraModel, sheet: Sheet, diameter_cm: float = 3.5
-) -> TipSighting:
-    """The tip alone (fast).
-
-    Raises:
-        SheetHiddenError, CameraMovedError, MarkerMissingError, TooCoarseError: as named.
-    """
-    camera.lens.require(picture)
-    _fine_enough(camera, sheet, Seen(diameter_cm=diameter_cm, body=False), None)
-    markers = detect_markers(picture, sheet.dictionary)
-    judge_still(markers, camera, sheet)
-    return _tip(markers, camera, sheet, Seen(diameter_cm=diameter_cm), None)
-
-
 def _tip(
-    markers: dict[int, Array],
-    camera: CameraModel,
-    sheet: Sheet,
-    wanted: Seen,
-    clicks: Clicks | None,
+    markers: dict[int, Array], camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks
 ) -> TipSighting:
-    if clicks is not None and clicks.tip is not None:
+    if clicks.tip is not None:
         # A hand clicks the outline's end, which stands at the axis's height.
         place = camera.to_plane(np.array([clicks.tip]), wanted.diameter_cm / 2)[0]
         return TipSighting(float(place[0]), float(place[1]), float("nan"), True, place)
     four = markers.get(sheet.tip_marker_id)
     if four is None:
-        raise MarkerMissingError(sheet.tip_marker_id)
+        raise MarkerMissingError(
+            f"the tip marker (id {sheet.tip_marker_id}) is not seen",
+            "turn it face up and clear the view",
+        )
     flat = camera.to_plane(four, wanted.diameter_cm)
     ahead = (flat[1] + flat[2] - flat[0] - flat[3]) / 2
     heading = float(np.arctan2(ahead[1], ahead[0]))
@@ -224,21 +200,19 @@ def _axis(
     markers: dict[int, Array],
     tip: TipSighting | None,
     background: Picture | None,
-    clicks: Clicks | None,
+    clicks: Clicks,
 ) -> tuple[Centerline, list[str]]:
     """The axis, and why it may not be trusted."""
     radius = wanted.diameter_cm / 2
-    if clicks is not None and len(clicks.axis) > 0:
+    if clicks.axis:
         points = camera.to_plane(np.array(clicks.axis), radius)
         end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
         by_hand = fit_centerline(
             points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0
         )
         return by_hand, []
-    flat = flatten(picture, camera, radius, *_WORKSPACE)
-    empty: Flat | None = None
-    if background is not None:
-        empty = flatten(background, camera, radius, *_WORKSPACE)
+    flat = flatten(picture, camera, radius)
+    empty = None if background is None else flatten(background, camera, radius)
     covers = []
     four = markers.get(sheet.tip_marker_id)
     if four is not None:
@@ -257,7 +231,11 @@ def _axis(
     if four is not None and tip is not None and not tip.clicked:
         away = float(np.hypot(*(end - (tip.x_cm, tip.y_cm))))
         if away > radius:
-            raise MarkerAstrayError(sheet.tip_marker_id, away)
+            raise MarkerAstrayError(
+                f"the tip marker (id {sheet.tip_marker_id}) lies {away:.1f} cm from where the "
+                "body ends",
+                "stick it back on the tip, and clear the view of the body",
+            )
         # The marker hides the flanks under it; its own centre, at its own height, is on the axis.
         reach = float(np.linalg.norm(covers[0] - covers[0].mean(axis=0), axis=1).max()) + 0.3
         free = np.linalg.norm(middle - covers[0].mean(axis=0), axis=1) > reach
@@ -286,18 +264,21 @@ def _doubts(track: Track, good: NDArray[np.bool_], line: Centerline, wanted: See
     return doubts
 
 
-def _fine_enough(camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks | None) -> None:
+def _fine_enough(camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks) -> None:
     """Refuse a picture in which markers and flanks are too few pixels wide."""
     px_per_cm = 1 / camera.cm_per_px
     needs = []
-    if wanted.tip and (clicks is None or clicks.tip is None):
+    if wanted.tip and clicks.tip is None:
         cell_cm = sheet.tip_marker_cm * sheet.print_scale / sheet.modules
         needs.append((_CELL_PX / cell_cm, f"a tip marker of {sheet.tip_marker_cm:g} cm"))
-    if wanted.body and (clicks is None or not clicks.axis):
+    if wanted.body and not clicks.axis:
         needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
-    if needs and px_per_cm < max(needs)[0]:
-        needed, what = max(needs)
-        raise TooCoarseError(what, px_per_cm, needed)
+    needed, what = max(needs, default=(0.0, ""))
+    if px_per_cm < needed:
+        raise TooCoarseError(
+            f"the picture has {px_per_cm:.1f} px per cm, and {what} needs {needed:.1f}",
+            f"take one {needed / px_per_cm:.1f} times as large, or bring the camera nearer",
+        )
 
 
 def _obstacles(
@@ -305,13 +286,11 @@ def _obstacles(
     camera: CameraModel,
     wanted: Seen,
     markers: dict[int, Array],
-    clicks: Clicks | None,
+    clicks: Clicks,
 ) -> list[Obstacle]:
     height = wanted.obstacle_height_cm
-    given = []
-    if clicks is not None and clicks.obstacles:
-        given = [circle_through(camera.to_plane(np.array(rim), height)) for rim in clicks.obstacles]
-    flat = flatten(picture, camera, height, *_WORKSPACE, px_per_cm=OBSTACLE_PX_CM)
+    given = [circle_through(camera.to_plane(np.array(rim), height)) for rim in clicks.obstacles]
+    flat = flatten(picture, camera, height, OBSTACLE_PX_CM)
     ignore = [camera.to_plane(four, height) for four in markers.values()]
     found = find_obstacles(flat, wanted.obstacle_radius_cm, ignore)
     apart = [
@@ -326,18 +305,17 @@ def draw(
     picture: Picture, camera: CameraModel, sheet: Sheet, sighting: Sighting, wanted: Seen
 ) -> Picture:
     """What was seen, drawn over the picture."""
-    colored = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-    canvas = np.array(colored, np.uint8)
+    canvas = colored(picture).copy()
     card_of = sheet.marker_ids()
     for marker, four in sighting.markers.items():
         known = marker in card_of or marker == sheet.tip_marker_id
         color = (0, 200, 0) if known else (0, 0, 255)
         _lines(canvas, four, color, closed=True)
-    grid = [np.array([[x, y, 0.0] for y in np.linspace(-40, 40, 60)]) for x in range(0, 51, 10)] + [
-        np.array([[x, y, 0.0] for x in np.linspace(0, 50, 40)]) for y in range(-40, 41, 10)
-    ]
-    for line in grid:
-        _lines(canvas, camera.project(line), (200, 160, 60))
+    across, along = np.linspace(-40, 40, 60), np.linspace(0, 50, 40)
+    grid = [(np.full(60, x), across) for x in range(0, 51, 10)]
+    grid += [(along, np.full(40, y)) for y in range(-40, 41, 10)]
+    for x, y in grid:
+        _lines(canvas, camera.project(_raised(x, y, 0.0)), (200, 160, 60))
     origin = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
     for end, name in ((1, "x"), (2, "y")):
         cv2.arrowedLine(canvas, _at(origin[0]), _at(origin[end]), (255, 0, 0), 3)
@@ -348,8 +326,7 @@ def draw(
         for side, color in ((0.0, (255, 255, 0)), (1.0, (255, 200, 120)), (-1.0, (255, 200, 120))):
             x = axis.x_cm - side * radius * np.sin(axis.heading)
             y = axis.y_cm + side * radius * np.cos(axis.heading)
-            line = np.column_stack([x, y, np.full(len(x), radius)])
-            _lines(canvas, camera.project(line), color)
+            _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
         at = camera.project(np.array([[axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius]]))[0]
         mean = (axis.heading[-1] - axis.heading[0]) / axis.length_cm
@@ -361,22 +338,19 @@ def draw(
         _text(canvas, f"tip {tip.x_cm:.2f}, {tip.y_cm:.2f} cm", at + np.array([14, -14]))
     around = np.linspace(0, 2 * np.pi, 60)
     for o in sighting.obstacles:
-        ring = np.column_stack(
-            [
-                o.x_cm + o.radius_cm * np.cos(around),
-                o.y_cm + o.radius_cm * np.sin(around),
-                np.full(60, wanted.obstacle_height_cm),
-            ]
-        )
-        seen = camera.project(ring)
+        x, y = o.x_cm + o.radius_cm * np.cos(around), o.y_cm + o.radius_cm * np.sin(around)
+        seen = camera.project(_raised(x, y, wanted.obstacle_height_cm))
         _lines(canvas, seen, (255, 0, 255), closed=True)
         _text(canvas, f"({o.x_cm:.1f}, {o.y_cm:.1f}) r {o.radius_cm:.2f}", seen[0], (255, 0, 255))
-    row = 40
     texts = [f"hidden cards: {', '.join(sighting.hidden)}"] if sighting.hidden else []
-    for text in [*texts, *(str(problem) for problem in sighting.problems)]:
-        _text(canvas, text, np.array([20, row]), (0, 0, 255))
-        row += 34
-    return np.asarray(canvas, np.uint8)
+    for n, text in enumerate([*texts, *map(str, sighting.problems)]):
+        _text(canvas, text, np.array([20, 40 + 34 * n]), (0, 0, 255))
+    return canvas
+
+
+def _raised(x: Array, y: Array, height_cm: float) -> Array:
+    """Points (n, 3) at one height."""
+    return np.column_stack([x, y, np.full(len(x), height_cm)])
 
 
 def write_picture(path: str | Path, picture: Picture) -> None:

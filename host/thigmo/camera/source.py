@@ -6,9 +6,9 @@ All are iterated or asked for one picture at a time; none keeps more than one in
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,52 +20,46 @@ _STILLS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _WARM_UP = 5  # pictures that a webcam needs to settle its exposure
 
 
-class PictureSource(Protocol):
+class PictureSource(ABC):
     """Anything that yields pictures."""
 
+    @abstractmethod
     def read(self) -> Picture:
         """The newest (live) or next (recorded) picture, (h, w, 3) BGR.
 
         Raises:
             PictureError: there is none.
         """
-        ...
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 (most have nothing to let go of)
         """Let go of the device or file."""
-        ...
 
 
-class Stills:
+class Stills(PictureSource):
     """Picture files in the order of their names (or as listed)."""
 
     def __init__(self, paths: list[Path]) -> None:
-        self.paths = paths
-        self._next = 0
+        self._count, self._left = len(paths), iter(paths)
 
     def read(self) -> Picture:
         """The next file's picture."""
-        if self._next >= len(self.paths):
+        path = next(self._left, None)
+        if path is None:
             raise PictureError(
-                f"all {len(self.paths)} stills have been used", "add the missing pictures"
+                f"all {self._count} stills have been used", "add the missing pictures"
             )
-        path = self.paths[self._next]
-        self._next += 1
         picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if picture is None:
             raise PictureError(f"{path} is not a readable picture", "check the file")
         return np.asarray(picture, np.uint8)
 
-    def close(self) -> None:
-        """Nothing to let go of."""
 
-
-class Capture:
+class Capture(PictureSource):
     """A live camera or a video file, through OpenCV."""
 
-    def __init__(self, device: int | str, size: tuple[int, int] = (1920, 1080)) -> None:
+    def __init__(self, device: int | str) -> None:
         self._live = isinstance(device, int)
-        self._name = f"camera {device}" if self._live else str(device)
+        self._name = f"camera {device}" if self._live else device
         # What fails is said below, in one line.
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
         self._capture = cv2.VideoCapture(device)
@@ -77,8 +71,8 @@ class Capture:
                 else "check the path and the video's format",
             )
         if self._live:
-            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-            self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, 1920)
+            self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, 1080)
             self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
             for _ in range(_WARM_UP):
                 self._capture.grab()
@@ -101,7 +95,7 @@ class Capture:
         self._capture.release()
 
 
-class Painted:
+class Painted(PictureSource):
     """Pictures from a function, each call a new one: the emulator's room."""
 
     def __init__(self, paint: Callable[[], Picture]) -> None:
@@ -110,9 +104,6 @@ class Painted:
     def read(self) -> Picture:
         """A new picture."""
         return self._paint()
-
-    def close(self) -> None:
-        """Nothing to let go of."""
 
 
 def open_source(where: str | os.PathLike[str]) -> PictureSource:

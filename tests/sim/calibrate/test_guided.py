@@ -90,7 +90,7 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
         nonlocal calls
         calls += 1
         if calls in (3, 4, 5):
-            raise MarkerMissingError(40)
+            raise MarkerMissingError("the tip marker (id 40) is not seen", "clear the view")
         return look(**asked)
 
     monkeypatch.setattr(lab.eyes, "axis", blinded)

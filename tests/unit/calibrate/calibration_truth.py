@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from thigmo.calibrate.actuator import BendReadings
-from thigmo.calibrate.flex import FlexReadings, merge
+from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.config import SIDES, RobotConfig, TanhMap
 from thigmo.mechanics import push
@@ -64,6 +66,24 @@ class Lab:
             tuple(kind), np.arange(n, dtype=float), np.array(tips), np.array(curvature),
             curvature_se, tuple(active), np.array(ohm), LENGTH, np.array(asked),
         )  # fmt: skip
+
+
+def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
+    """Rows of two recordings at the same length, the second after the first."""
+    later = float(first.t_s.max(initial=0.0)) + 1.0 - float(second.t_s.min(initial=0.0))
+    return replace(
+        first,
+        kind=first.kind + second.kind,
+        t_s=np.concatenate([first.t_s, second.t_s + later]),
+        tip_cm=np.vstack([first.tip_cm, second.tip_cm]),
+        curvature=np.concatenate([first.curvature, second.curvature]),
+        curvature_se=np.concatenate([first.curvature_se, second.curvature_se]),
+        active=first.active + second.active,
+        ohm=np.vstack([first.ohm, second.ohm]),
+        intended_y_cm=np.concatenate([first.intended_y_cm, second.intended_y_cm]),
+        block=np.concatenate([first.block, second.block + first.block.max(initial=0) + 1]),
+        name=first.name + second.name,
+    )
 
 
 def real_sweeps(

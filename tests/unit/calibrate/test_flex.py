@@ -7,11 +7,13 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from calibration_truth import CENTERS, LENGTH, SPANS, Lab, real_sweeps
+from calibration_truth import CENTERS, LENGTH, SPANS, Lab, merge, real_sweeps
 
 from thigmo.calibrate.figures import draw
-from thigmo.calibrate.flex import FlexReadings, FlexResult, fit_flex, merge, tip_curvature
+from thigmo.calibrate.flex import FlexResult, fit_flex
+from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
+from thigmo.calibrate.flex_rows import tip_curvature
 from thigmo.calibrate.regression import fit_linear
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -118,7 +120,7 @@ def test_lost_marker_is_named_and_left_out():
     tip = readings.tip_cm.copy()
     tip[5] = np.nan
     result = fit_flex(replace(readings, tip_cm=tip), lab.config)
-    assert not result.row_good[5]
+    assert not result.rows.good[5]
     assert any("row 6: the camera lost the marker" in note for note in result.verdict.notes)
     named = tuple(f"tip {n}" for n in range(len(tip)))
     notes = fit_flex(replace(readings, tip_cm=tip, name=named), lab.config).verdict.notes
@@ -136,7 +138,7 @@ def test_tip_on_the_wrong_side_is_detected(asked):
     if not asked:
         want[:] = np.nan
     result = fit_flex(replace(readings, tip_cm=tip, intended_y_cm=want), lab.config)
-    assert not result.row_good[row]
+    assert not result.rows.good[row]
     said = "on the other side than asked for" if asked else "the sensors say"
     assert any(f"row {row + 1}: " in note and said in note for note in result.verdict.notes)
     assert np.abs(errors(result, lab)).max() < 0.05
@@ -167,8 +169,8 @@ def test_moved_camera_is_detected_and_later_rows_left_out():
     assert said, result.verdict
     assert "left out row " in said[0]
     assert "`thigmo camera locate`" in said[0]
-    assert not result.row_good[12:19].any()
-    assert result.row_good[:10].all()
+    assert not result.rows.good[12:19].any()
+    assert result.rows.good[:10].all()
     assert np.nanmax(np.abs(errors(result, lab))) < 0.05
 
 
@@ -200,15 +202,13 @@ def test_swapped_sides_are_detected():
     assert any("left and right are swapped" in note for note in blind.verdict.notes)
 
 
-def test_large_deflection_matters_and_the_thesis_formula_is_an_option():
+def test_a_tip_place_tells_the_curvature_and_large_deflection_matters():
     bent = push(2.2e-4, LENGTH, free_curvature=0.0, length=LENGTH)
     x, y, _ = bent.tip
     truth = bent.averages(CENTERS, SPANS)
-    large = tip_curvature(y, x, LENGTH, CENTERS, SPANS, "large")
-    small = tip_curvature(y, x, LENGTH, CENTERS, SPANS, "small")
-    assert large == pytest.approx(truth, rel=1e-4)
-    assert small[:3] == pytest.approx(3 * y / x**3 * (x - CENTERS[:3]), rel=1e-9)
-    assert np.abs(small[:4] / truth[:4] - 1).max() > 0.01
+    assert tip_curvature(y, LENGTH, CENTERS, SPANS) == pytest.approx(truth, rel=1e-4)
+    small = 3 * y / x**3 * (x - CENTERS[:3])  # thesis, (2.12) and (2.9)
+    assert np.abs(small / truth[:3] - 1).max() > 0.01
 
 
 def test_round_trip_through_csv(tmp_path):
@@ -253,7 +253,7 @@ def test_bad_input_is_refused_with_a_next_step(tmp_path):
     with pytest.raises(DataError, match="rows can be used"):
         fit_flex(lab.flex(places=1, bends=0, straight=1), lab.config)
     with pytest.raises(DataError, match="cannot stand"):
-        tip_curvature(50.0, 10.0, LENGTH, CENTERS, SPANS)
+        tip_curvature(50.0, LENGTH, CENTERS, SPANS)
 
 
 def test_loop_turns_over_within_its_width_and_starts_anew_in_a_session():
@@ -268,7 +268,7 @@ def test_loop_turns_over_within_its_width_and_starts_anew_in_a_session():
 def test_loop_and_one_way_column_are_found_with_the_scale():
     lab = Lab(11, sigma=1e-4)
     readings = lab.flex(places=16, bends=24)
-    model = fit_flex(readings, lab.config).model_curvature
+    model = fit_flex(readings, lab.config).rows.model
     loop = lab.rng.normal(0, 4e-4, 10)
     turn = loop_turns(model, readings.block, 5e-3)
     weak = np.where(model * np.repeat([-1, 1], 5) < 0, 0.6, 1.0)
@@ -287,7 +287,7 @@ def test_merge_and_figure(tmp_path):
     lab = Lab(2)
     both = merge(lab.flex(bends=0), lab.flex(places=0, bends=12))
     result = fit_flex(both, lab.config)
-    assert result.readings.block.tolist() == [0] * 13 + [1] * 15
+    assert result.rows.readings.block.tolist() == [0] * 13 + [1] * 15
     assert (np.abs(errors(result, lab)) < 4 * np.array([f.scale_se for f in result.sensors])).all()
     draw(result, tmp_path / "flex.png")
     assert (tmp_path / "flex.png").stat().st_size > 20_000

@@ -54,19 +54,6 @@ def test_critical_curvature_within_three_percent_and_within_its_error():
     assert 0.5 < np.mean(np.square(misses)) < 2.2  # five trials: Student's t
 
 
-@pytest.mark.sim
-def test_known_tip_beats_the_thesis_regression():
-    config = RobotConfig()
-    error = {
-        method: np.std(
-            [fit_buckling(pushes(seed, spread=0), config, method=method).critical_curvature
-             for seed in range(40)]
-        )
-        for method in ("known tip", "thesis")
-    }  # fmt: skip
-    assert error["known tip"] < 0.85 * error["thesis"]  # 0.66 in theory
-
-
 def test_gain_errors_widen_the_error_of_the_critical_curvature():
     config = RobotConfig()
     found = []
@@ -178,22 +165,20 @@ def test_stiffness_ratio_is_found(ratio):
     assert words in result.verdict.reason
 
 
-def test_noise_in_its_three_parts():
+def test_noise_at_rest_and_within_a_sweep():
     rng = np.random.default_rng(2)
     config = RobotConfig()
     t = np.arange(200) * 0.5
     white = np.linspace(4e-4, 9e-4, 10)
     y = rng.normal(0, 1, (200, 10)) * white + 2e-6 * t[:, None]
     y[rng.random(y.shape) < 0.03] += 0.05
-    zeros = rng.normal(0, 2e-3, (60, 10))
     rising = rng.normal(0, 1e-4, (40, 10))
     falling = rising + 8e-4 + rng.normal(0, 1e-4, (40, 10))
-    result = fit_noise(t, y, config, zeros=zeros, rising=rising, falling=falling)
+    result = fit_noise(t, y, config, rising=rising, falling=falling)
     assert result.verdict.good
     misses = [(s.white - w) / s.white_se for s, w in zip(result.sensors, white, strict=True)]
     assert np.mean(np.square(misses)) < 2.5
     assert all(0.01 < s.dropouts < 0.06 for s in result.sensors)
-    assert all(s.per_eversion == pytest.approx(2e-3, rel=0.35) for s in result.sensors)
     assert all(s.hysteresis == pytest.approx(4e-4, rel=0.2) for s in result.sensors)
     assert all(s.drift_per_min == pytest.approx(1.2e-4, abs=4e-4) for s in result.sensors)
 

@@ -24,7 +24,7 @@ from thigmo.camera.clicks import ClickWindow, click, parse_pixel
 from thigmo.camera.errors import CameraError
 from thigmo.camera.model import judge_still
 from thigmo.camera.obstacles import circle_through
-from thigmo.camera.pose import Problem, fit_pose, what_helps
+from thigmo.camera.pose import fit_pose, what_helps
 from thigmo.emulator.render import TrueCamera, overhead_camera
 from thigmo.errors import DataError
 from thigmo.studies.camera import axis_of
@@ -79,21 +79,6 @@ def test_what_helps_is_said_where_cards_alone_do_not_suffice():
     assert places(camera, boxed, 6.0) < 0.2
 
 
-def test_slopes_of_the_pose_are_those_of_its_residuals():
-    rng = np.random.default_rng(5)
-    camera, sheet = overhead_camera(rng), Sheet(camera_height_cm=100.0)
-    sheet.cards[1].z_cm = 8.0
-    problem = Problem(corners_seen(camera, sheet, rng), sheet, camera.size, None)
-    x = problem.start(60.0)
-    x = x + rng.normal(0, 1e-3, len(x))
-    made = problem.jacobian(x)
-    for column in range(len(x)):
-        step = np.zeros(len(x))
-        step[column] = 1e-6 * max(1.0, abs(x[column]))
-        numeric = (problem.residuals(x + step) - problem.residuals(x - step)) / (2 * step[column])
-        assert made[:, column] == pytest.approx(numeric, rel=1e-3, abs=1e-3 * np.ptp(numeric))
-
-
 def test_misplaced_card_is_named():
     rng = np.random.default_rng(2)
     camera = overhead_camera(rng)
@@ -115,9 +100,9 @@ def test_moved_camera_and_hidden_cards_are_told_apart():
     with pytest.raises(SheetHiddenError, match="base left, base right"):
         judge_still({}, model, sheet)
     moved = {k: v + np.array([9.0, -4.0]) for k, v in seen.items()}
-    with pytest.raises(CameraMovedError, match=r"locate` again") as caught:
+    told = r"cards stand 9\.\d px .* from where it was calibrated; .*locate` again"
+    with pytest.raises(CameraMovedError, match=told):
         judge_still(moved, model, sheet)
-    assert caught.value.moved_px == pytest.approx(np.hypot(9, 4), abs=0.5)
 
 
 def test_camera_file_round_trip_and_damage(tmp_path):

@@ -1,0 +1,61 @@
+"""The order of a row's columns, one for each sensor: left base first, then right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
+from thigmo.errors import DataError
+from thigmo.record.table import Table
+
+Array = NDArray[np.float64]
+Key = TypeVar("Key", bound=Any)
+
+
+def sensors_of(config: RobotConfig) -> list[FlexSensor]:
+    """All sensors."""
+    return [sensor for side in SIDES for sensor in config.sensors.column(side)]
+
+
+def places_of(config: RobotConfig) -> list[tuple[Side, int]]:
+    """Side and index of each sensor."""
+    return [(side, k) for side in SIDES for k in range(len(config.sensors.column(side)))]
+
+
+def scales_of(config: RobotConfig) -> Array:
+    """(m,) 1/cm per ohm."""
+    return np.array([sensor.scale_per_ohm for sensor in sensors_of(config)])
+
+
+def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
+    """(n, m) the columns `WHAT_left_0` .. `WHAT_right_N` of a CSV.
+
+    Raises:
+        MissingColumnError: there is no such column.
+    """
+    names = [f"{what}_{side}_{k}" for side, k in places_of(config)]
+    return np.column_stack([table.numbers(name) for name in names])
+
+
+def sides_of(table: Table) -> list[Side]:
+    """(n,) the column `side` of a CSV.
+
+    Raises:
+        DataError: there is none, or it holds another word than left and right.
+    """
+    words = table.words("side")
+    if set(words) - set(SIDES):
+        raise DataError(f"{table.name}: side must be left or right", "mend that column")
+    return cast("list[Side]", words)
+
+
+def grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
+    """Rows of each key, keys sorted."""
+    rows: dict[Key, list[int]] = {}
+    for row, key in enumerate(keys):
+        rows.setdefault(key, []).append(row)
+    return sorted(rows.items())
