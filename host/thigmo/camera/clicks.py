@@ -78,55 +78,25 @@ def parse_pixel(text: str) -> Pixel:
     return x, y
 
 
-class ClickWindow:
-    """A matplotlib window that collects clicks on a picture.
+def _clicked(picture: NDArray[np.uint8], what: str) -> tuple[Pixel, ...]:
+    """Points clicked on a picture in a window, until Enter is pressed or it is closed.
 
-    Left button adds a point, right button takes the last one back, Enter or closing ends.
+    Raises:
+        CameraError: matplotlib has no interactive back end here.
     """
+    import matplotlib.pyplot as plt
 
-    def __init__(self, picture: NDArray[np.uint8], title: str) -> None:
-        import matplotlib.pyplot as plt
-
-        self.points: list[Pixel] = []
-        self.done = False
-        self._plt = plt
-        self.figure, self._axes = plt.subplots(figsize=(14, 8))
-        self._axes.imshow(picture[..., ::-1] if picture.ndim == 3 else picture, cmap="gray")
-        self._axes.set_title(f"{title}  (left: add, right: undo, Enter: done)")
-        (self._dots,) = self._axes.plot([], [], "r+", markersize=12)
-        self.figure.canvas.mpl_connect("button_press_event", self._pressed)
-        self.figure.canvas.mpl_connect("key_press_event", self._typed)
-
-    def _pressed(self, event: Any) -> None:
-        if event.inaxes is not self._axes:
-            return
-        if event.button == 1:
-            self.points.append((float(event.xdata), float(event.ydata)))
-        elif event.button == 3 and self.points:
-            self.points.pop()
-        self._dots.set_data([p[0] for p in self.points], [p[1] for p in self.points])
-        self.figure.canvas.draw_idle()
-
-    def _typed(self, event: Any) -> None:
-        if event.key == "enter":
-            self.done = True
-            self._plt.close(self.figure)
-
-    def wait(self) -> tuple[Pixel, ...]:
-        """Show the window until it is done.
-
-        Raises:
-            CameraError: matplotlib has no interactive back end here.
-        """
-        import matplotlib
-
-        if matplotlib.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template"):
-            raise CameraError(
-                "no window can be opened here",
-                "give the points with `--tip X,Y` or `--points FILE`",
-            )
-        self._plt.show(block=True)
-        return tuple(self.points)
+    if plt.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template"):
+        raise CameraError(
+            "no window can be opened here", "give the points with `--tip X,Y` or `--points FILE`"
+        )
+    figure, axes = plt.subplots(figsize=(14, 8))
+    axes.imshow(picture[..., ::-1] if picture.ndim == 3 else picture, cmap="gray")
+    axes.set_title(f"{what}  (left: add, right: undo, Enter: done)")
+    figure.canvas.mpl_connect("close_event", lambda _: figure.canvas.stop_event_loop())
+    points = figure.ginput(n=-1, timeout=0)
+    plt.close(figure)
+    return tuple((float(x), float(y)) for x, y in points)
 
 
 def click(picture: NDArray[np.uint8], what: tuple[str, ...] = ("tip",)) -> Clicks:
@@ -142,16 +112,16 @@ def click(picture: NDArray[np.uint8], what: tuple[str, ...] = ("tip",)) -> Click
     axis: tuple[Pixel, ...] = ()
     rims: list[tuple[Pixel, ...]] = []
     if "tip" in what:
-        points = ClickWindow(picture, "click the robot's tip").wait()
+        points = _clicked(picture, "click the robot's tip")
         if not points:
             raise CameraError("no tip was clicked", "click it once, then press Enter")
         tip = points[-1]
     if "axis" in what:
-        axis = ClickWindow(picture, "click along the robot's middle, base to tip").wait()
+        axis = _clicked(picture, "click along the robot's middle, base to tip")
         if len(axis) < 6:
             raise CameraError("the axis needs six points", "click more of them")
     while "obstacles" in what:
-        rim = ClickWindow(picture, "click three points on a dowel's rim; none: done").wait()
+        rim = _clicked(picture, "click three points on a dowel's rim; none: done")
         if len(rim) < 3:
             break
         rims.append(rim)

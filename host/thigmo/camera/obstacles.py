@@ -21,6 +21,7 @@ from thigmo.errors import DataError
 Array = NDArray[np.float64]
 
 _RAYS = 72
+_LEAST_RIM = 0.6  # share of the rim that must be seen
 OBSTACLE_PX_CM = 16  # rims need finer pixels than flanks
 
 
@@ -33,21 +34,18 @@ class Obstacle:
         y_cm: centre.
         radius_cm: of its top face.
         rim: share of its rim that was seen, 0..1 (1 for clicked ones).
-        se_cm: one sigma of the centre, from the rim's scatter.
     """
 
     x_cm: float
     y_cm: float
     radius_cm: float
     rim: float
-    se_cm: float
 
 
 def find_obstacles(
     flat: Flat,
     radius_cm: tuple[float, float] = (0.65, 2.5),
     ignore: Sequence[Array] = (),
-    least_rim: float = 0.6,
 ) -> list[Obstacle]:
     """Circles of a picture laid flat at the obstacles' height, best rim first.
 
@@ -55,7 +53,7 @@ def find_obstacles(
         flat: from `flatten` at the height of the obstacles' tops.
         radius_cm: least and largest radius looked for.
         ignore: polygons (n, 2) in cm where nothing is looked for (cards, the tip marker).
-        least_rim: share of the rim that must be seen.
+
     """
     channels = _channels(flat)
     low, high = (r * flat.px_per_cm for r in radius_cm)
@@ -79,19 +77,17 @@ def find_obstacles(
         center = flat.places(np.array([column, row]))
         if any(_inside(polygon, center) for polygon in ignore):
             continue
-        obstacle = _refine(channels, flat, np.array([column, row]), radius, least_rim)
+        obstacle = _refine(channels, flat, np.array([column, row]), radius)
         if obstacle is None or not radius_cm[0] <= obstacle.radius_cm <= radius_cm[1]:
             continue
         twins = [
-            k
-            for k, other in enumerate(found)
+            other
+            for other in found
             if np.hypot(other.x_cm - obstacle.x_cm, other.y_cm - obstacle.y_cm)
             < 0.9 * (other.radius_cm + obstacle.radius_cm)
         ]
-        if any(found[k].rim >= obstacle.rim for k in twins):
-            continue
-        found = [other for k, other in enumerate(found) if k not in twins]
-        found.append(obstacle)
+        if all(twin.rim < obstacle.rim for twin in twins):
+            found = [other for other in found if other not in twins] + [obstacle]
     return sorted(found, key=lambda o: -o.rim)
 
 
@@ -109,7 +105,7 @@ def _inside(polygon: Array, point: Array) -> bool:
 
 
 def _refine(
-    channels: Sequence[NDArray[np.uint8]], flat: Flat, center: Array, radius: float, least: float
+    channels: Sequence[NDArray[np.uint8]], flat: Flat, center: Array, radius: float
 ) -> Obstacle | None:
     """Edge points along rays from the centre, then a robust circle; None if too little rim."""
     angles = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
@@ -135,28 +131,18 @@ def _refine(
                 steep = strength[peak, np.arange(_RAYS)]
                 good = steep > max(1.0, 0.4 * float(np.median(steep)))
                 rim_points = at + reach[peak][:, None] * toward
-                if good.sum() < least * _RAYS:
+                if good.sum() < _LEAST_RIM * _RAYS:
                     continue
                 circle = _circle(rim_points[good], at, size)
                 off = np.hypot(*(rim_points - circle[:2]).T) - circle[2]
                 near = good & (np.abs(off) < max(1.0, 0.07 * circle[2]))
                 rim = float(near.mean())
-                if rim < least or (best is not None and rim <= best.rim and width > 0.3):
+                if rim < _LEAST_RIM or (best is not None and rim <= best.rim and width > 0.3):
                     continue
-                place = flat.places(circle[:2])
-                scatter = float(np.std(off[near])) / flat.px_per_cm
-                made = Obstacle(
-                    float(place[0]),
-                    float(place[1]),
-                    float(circle[2] / flat.px_per_cm),
-                    rim,
-                    float(scatter * np.sqrt(2 / near.sum()) + 0.02),
-                )
-                if not _solid(channels, circle):
-                    continue
-                if best is None or rim >= best.rim:
-                    best = made
+                if (best is None or rim >= best.rim) and _solid(channels, circle):
+                    x, y = flat.places(circle[:2]).tolist()
                     at, size = circle[:2].copy(), float(circle[2])
+                    best = Obstacle(x, y, size / flat.px_per_cm, rim)
     return best
 
 
@@ -213,4 +199,4 @@ def circle_through(points_cm: Array) -> Obstacle:
         raise DataError("the points lie on a line", "click points all round the rim")
     solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     radius = float(np.sqrt(solution[2] + solution[0] ** 2 + solution[1] ** 2))
-    return Obstacle(float(solution[0]), float(solution[1]), radius, 1.0, 0.1)
+    return Obstacle(float(solution[0]), float(solution[1]), radius, 1.0)

@@ -91,7 +91,7 @@ def test_one_way_sensor_is_found():
 def result_curvature(readings: FlexReadings) -> np.ndarray:
     return np.array(
         [np.zeros(10) if kind == "straight"
-         else tip_curvature(tip[1], tip[0], LENGTH, CENTERS, SPANS)
+         else tip_curvature(tip[1], LENGTH, CENTERS, SPANS)
          for kind, tip in zip(readings.kind, readings.tip_cm, strict=True)]
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from thigmo.camera import (
     fit_centerline,
     open_source,
 )
-from thigmo.camera.clicks import ClickWindow, click, parse_pixel
+from thigmo.camera.clicks import click, parse_pixel
 from thigmo.camera.errors import CameraError
 from thigmo.camera.model import judge_still
 from thigmo.camera.obstacles import circle_through
@@ -163,25 +163,24 @@ def test_clicked_circle():
         circle_through(np.array([[0.0, 0], [1, 1], [2, 2]]))
 
 
-def test_clicks_in_a_window_add_undo_and_end():
+def test_clicks_in_a_window_add_undo_and_end(monkeypatch):
     from matplotlib.backend_bases import KeyEvent, MouseEvent
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    window = ClickWindow(np.zeros((100, 200, 3), np.uint8), "tip")
-    canvas, axes = window.figure.canvas, window._axes
+    def person(canvas, _timeout):
+        (axes,) = canvas.figure.axes
+        for x, y, button in ((50, 40, 1), (120, 60, 1), (0, 0, 3)):
+            at = axes.transData.transform((x, y))
+            name = "button_press_event"
+            canvas.callbacks.process(name, MouseEvent(name, canvas, *at, button))
+        canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", canvas, "enter"))
 
-    def press(x: float, y: float, button: int) -> None:
-        at = axes.transData.transform((x, y))
-        canvas.callbacks.process(
-            "button_press_event", MouseEvent("button_press_event", canvas, *at, button)
-        )
-
-    press(50, 40, 1)
-    press(120, 60, 1)
-    press(0, 0, 3)
-    press(70, 20, 1)
-    assert window.points == [pytest.approx((50, 40)), pytest.approx((70, 20))]
-    canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", canvas, "enter"))
-    assert window.done
+    monkeypatch.setattr(FigureCanvasAgg, "start_event_loop", person)
+    monkeypatch.setattr(Figure, "show", lambda figure: None)
+    monkeypatch.setattr("matplotlib.pyplot.get_backend", lambda: "tkagg")
+    clicks = click(np.zeros((100, 200, 3), np.uint8))
+    assert clicks.tip == pytest.approx((50, 40))
 
 
 def test_no_window_is_said_and_points_can_be_typed(tmp_path):
