@@ -22,12 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-HZ = 16_000_000
 CYCLES_PER_MS = 16_000
 CHANNELS = 16
 FLASH_SIZE = 0x40000
 EEPROM_SIZE = 4096
-SRAM_START = 0x200
 SRAM_END = 0x21FF
 NO_COUNT = 0xFFFF
 

@@ -30,8 +30,8 @@ Floats = npt.NDArray[np.float64]
 STEP_S = _plant.STEP_S
 STEP_MS = 10
 LOG_S = 0.1  # between entries of the truth's history
-_OPEN_COUNT = 0.0
-_SHORT_COUNT = 1023.9
+OPEN_COUNT = 0.0  # of an input whose wire is broken, or
+SHORT_COUNT = 1023.9  # shorted to the supply
 _SENSORS = 10
 # An input without a sensor hangs on its divider alone, and never everts.
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
@@ -120,13 +120,12 @@ class Plant:
         spool_stuck: the spool does not turn.
         slip_cm_s: line speed to which a failing brake lets the body pull the spool; 0 = it holds.
         windings_open: the motor's circuit is broken: neither drive nor damping.
-        cut, shorted: flex sensors with a broken or shorted circuit (left base first).
+        stuck: counts at which analog inputs stand, by channel: broken, shorted, frozen.
         motor_forced: duty that a failed driver gives the motor, whatever the board asks.
         encoder_lost: the encoder stands still.
-        flex_frozen, flex_noise: count at which a flex sensor stands still; its noise, counts.
-        pressure_cut, pressure_shorted: pressure sensors with a broken or shorted wire.
-        pressure_frozen, pressure_gain, pressure_offset, pressure_noise: what else ails them: psi at
-            which they stand still (nan: none), relative, psi, psi; shape (2,).
+        flex_noise: of flex sensors (left base first), counts.
+        pressure_frozen, pressure_gain, pressure_offset, pressure_noise: what ails the pressure
+            sensors: psi at which they stand still (nan: none), relative, psi, psi; shape (2,).
         pushes: (arc, y) of points of the body that are held (set through `hold`); () = none.
     """
 
@@ -149,16 +148,12 @@ class Plant:
         self.motor_forced: int | None = None
         self.encoder_lost = False
         self._encoder_missed = 0.0
-        self.flex_frozen: dict[int, float] = {}
+        self.stuck: dict[int, float] = {}
         self.flex_noise: dict[int, float] = {}
-        self.pressure_shorted: set[int] = set()
         self.pressure_frozen = np.full(2, np.nan)
         self.pressure_gain = np.ones(2)
         self.pressure_offset = np.zeros(2)
         self.pressure_noise = np.zeros(2)
-        self.cut: set[int] = set()
-        self.shorted: set[int] = set()
-        self.pressure_cut: set[int] = set()
         self.pushes: tuple[tuple[float, float], ...] = ()
         self._dowel_cm = 0.0
         self._held: Solution | None = None
@@ -367,33 +362,24 @@ class Plant:
         return self._held.contacts
 
     def _moment(self) -> Moment:
+        body = self.body
+        contacts: tuple[PegContact, ...] = ()
+        fold, line, model, error_cm = 0.0, np.zeros((1, 5)), body.model, body.error_bound_cm
         if (held := self._held) is not None:
-            line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
-            return Moment(
-                t_s=self.t_s,
-                length_cm=self.length_cm,
-                free_curvature=self.free_curvature,
-                body_psi=self.body_psi,
-                muscle_psi=self.muscle_psi,
-                contacts=self._held_contacts(),
-                fold_angle=held.fold_angle,
-                centreline=line,
-                model="elastica",
-                error_bound_cm=1e-5,
+            contacts, fold, model, error_cm = (
+                self._held_contacts(),
+                held.fold_angle,
+                "elastica",
+                1e-5,
             )
-        solved = self.length_cm >= _SMALLEST_CM
+            line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
+        elif self.length_cm >= _SMALLEST_CM:
+            contacts, fold, line = body.contacts(), body.fold_angle, body.nodes()
         return Moment(
-            t_s=self.t_s,
-            length_cm=self.length_cm,
-            free_curvature=self.free_curvature,
-            body_psi=self.body_psi,
-            muscle_psi=self.muscle_psi,
-            contacts=self.body.contacts() if solved else (),
-            fold_angle=self.body.fold_angle if solved else 0.0,
-            centreline=self.body.nodes() if solved else np.zeros((1, 5)),
-            model=self.body.model,
-            error_bound_cm=self.body.error_bound_cm,
-        )
+            t_s=self.t_s, length_cm=self.length_cm, free_curvature=self.free_curvature,
+            body_psi=self.body_psi, muscle_psi=self.muscle_psi, contacts=contacts, fold_angle=fold,
+            centreline=line, model=model, error_bound_cm=error_cm,
+        )  # fmt: skip
 
     # Motion.
 
@@ -544,17 +530,8 @@ class Plant:
             analog[PRESSURE + side, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
         for i, sigma in self.flex_noise.items():
             analog[i, 1] += sigma * self._rng.standard_normal()
-        for i, count in self.flex_frozen.items():
-            analog[i, 1] = count
-        for side in self.pressure_shorted:
-            analog[PRESSURE + side, 1] = _SHORT_COUNT
-        if self.cut or self.shorted or self.pressure_cut:
-            for i in self.cut:
-                analog[i, 1] = _OPEN_COUNT
-            for i in self.shorted:
-                analog[i, 1] = _SHORT_COUNT
-            for side in self.pressure_cut:
-                analog[PRESSURE + side, 1] = _OPEN_COUNT
+        for channel, count in self.stuck.items():
+            analog[channel, 1] = count
 
     def adc_noise(self) -> Floats:
         """White noise of a conversion in counts, shape (16,)."""

@@ -52,9 +52,6 @@ def first_felt(
     pegs: Sequence[Peg],
     *,
     lengths: Sequence[float] | None = None,
-    amplitude_psi: float | None = None,
-    threshold: float = TRIGGER,
-    fold: bool = True,
 ) -> Felt | None:
     """The first growth stage and side whose full sweep is felt at the base, or None.
 
@@ -65,41 +62,28 @@ def first_felt(
         robot: the true robot.
         pegs: the room.
         lengths: everted lengths in their order; default `stages`.
-        amplitude_psi: of the sweep; default each muscle's highest pressure.
-        threshold: of the trigger, 1/cm.
-        fold: whether the base folds.
     """
     for length in stages(robot) if lengths is None else lengths:
         for side in SIDES:
-            felt = sweep_once(
-                robot, pegs, length, side, amplitude_psi=amplitude_psi, threshold=threshold,
-                fold=fold,
-            )  # fmt: skip
-            if felt is not None and felt.peak >= threshold:
+            felt = sweep_once(robot, pegs, length, side)
+            if felt is not None and felt.peak >= TRIGGER:
                 return felt
     return None
 
 
 def sweep_once(
-    robot: RobotConfig,
-    pegs: Sequence[Peg],
-    length_cm: float,
-    side: Side,
-    *,
-    amplitude_psi: float | None = None,
-    threshold: float = TRIGGER,
-    fold: bool = True,
+    robot: RobotConfig, pegs: Sequence[Peg], length_cm: float, side: Side
 ) -> Felt | None:
-    """Inflate one muscle from zero to the amplitude; None if nothing is touched."""
+    """Inflate one muscle from zero to its highest pressure; None if nothing is touched."""
     body = robot.body
     index = body.zone_at(length_cm)
     muscle = robot.actuators.side(side)
     zone: ZoneMap = muscle.maps[index]
-    top = muscle.max_pressure_psi if amplitude_psi is None else amplitude_psi
+    top = muscle.max_pressure_psi
     crit = critical_moment(
         body.critical_curvature, body.critical_pressure_psi, body.zones[index].pressure_psi
     )
-    model = Rod(Tube(body.diameter_cm, crit if fold else None), pegs, model="auto")
+    model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
     model.step(0.0, length_cm)
     base = robot.sensors.column("right" if side == "left" else "left")[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
@@ -113,7 +97,7 @@ def sweep_once(
         touched = True
         model.averages_into(center, span, mean)
         excess = abs(float(mean[0]) - g)
-        if excess >= threshold and passed == 0.0:
+        if excess >= TRIGGER and passed == 0.0:
             passed = float(pressure)
         peak = max(peak, excess)
     if not touched:
@@ -126,8 +110,6 @@ def random_peg(
     rng: np.random.Generator,
     *,
     radius: tuple[float, float] = (0.4, 1.0),
-    margin: float = 1.0,
-    threshold: float = TRIGGER,
 ) -> tuple[Peg, Felt]:
     """A peg beside the path of growth that the exploration must feel, and where it first does.
 
@@ -138,8 +120,6 @@ def random_peg(
         robot: the true robot.
         rng: source of randomness.
         radius: range of radii, cm.
-        margin: the peak must exceed margin * threshold.
-        threshold: of the trigger, 1/cm.
     """
     full = robot.body.length_cm
     while True:
@@ -148,6 +128,6 @@ def random_peg(
         x = float(rng.uniform(5.0, full))
         y = float(rng.choice([-1.0, 1.0]) * rng.uniform(clear, 0.8 * full))
         peg = Peg(round(x, 3), round(y, 3), round(r, 3))
-        felt = first_felt(robot, [peg], threshold=threshold)
-        if felt is not None and felt.contacts and felt.peak >= margin * threshold:
+        felt = first_felt(robot, [peg])
+        if felt is not None and felt.contacts:
             return peg, felt

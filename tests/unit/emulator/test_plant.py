@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thigmo.emulator.plant import STEP_S, Plant
+from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, STEP_S, Plant
 from thigmo.emulator.scene import PegTable, Scene
 
 
@@ -110,7 +110,7 @@ def test_pressure_sensor_is_ratiometric_and_its_broken_wire_reads_zero() -> None
     run(plant, 4.0, right=current_for(12.0))
     assert plant.analog[10, 1] == pytest.approx(1024 * 0.1)
     assert plant.analog[11, 1] == pytest.approx(1024 * (0.1 + 0.8 * 12.0 / 60), abs=0.5)
-    plant.pressure_cut.add(1)
+    plant.stuck[11] = OPEN_COUNT
     run(plant, 0.1, right=current_for(12.0))
     assert plant.analog[11, 1] == 0.0
 
@@ -299,8 +299,7 @@ def test_sensor_passing_the_tips_fold_reads_a_tight_bend() -> None:
 
 def test_cut_and_shorted_sensors_read_the_ends_of_the_scale() -> None:
     plant = out(53.0)
-    plant.cut.add(2)
-    plant.shorted.add(7)
+    plant.stuck = {2: OPEN_COUNT, 7: SHORT_COUNT}
     run(plant, 0.1)
     assert plant.analog[2, 1] == 0.0
     assert plant.analog[7, 1] > 1023.0
