@@ -16,7 +16,7 @@ from thigmo.link.transport import Transport
 
 def refused(command: wire.Message, reason: wire.Reason, detail: int) -> CommandRefusedError:
     """The board said no, with a reason whose sentence the schema has."""
-    what, _, step = reason.doc.rstrip(".").partition("; ")
+    what, step = reason.told
     return CommandRefusedError(
         f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}", step, reason=reason.key,
         detail=detail,

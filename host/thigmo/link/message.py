@@ -34,6 +34,12 @@ class Documented(IntEnum):
         return self.name.lower()
 
     @property
+    def told(self) -> tuple[str, str]:
+        """The sentence in two: what it is, and what to do next (empty if it does not say)."""
+        what, _, step = self.doc.rstrip(".").partition("; ")
+        return what, step
+
+    @property
     def mask(self) -> int:
         """The member as a bit mask (enumerations of bits)."""
         return 1 << self.value

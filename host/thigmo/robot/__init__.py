@@ -3,11 +3,10 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
-from thigmo.robot.connected import SENSORS
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import Operator
 from thigmo.robot.peaks import average_peak, snapshot_reading
-from thigmo.robot.readings import SensorTable, other_side
+from thigmo.robot.readings import SENSORS, SensorTable, other_side
 from thigmo.robot.robot import Robot, connect
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import (

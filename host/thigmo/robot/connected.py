@@ -21,7 +21,7 @@ from thigmo.record import Truth
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.publishing import Publisher
-from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.readings import SENSORS, Floats, SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
 from thigmo.robot.sweeping import SweepWatcher
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=wire.Message)
 
-SENSORS = 10
 _STREAM_S = 0.1
 _UNKNOWN_ZONE = 255
 

@@ -13,15 +13,14 @@ import numpy as np
 from thigmo.config import SIDES
 from thigmo.link import protocol as wire
 from thigmo.link.received import ReceivedEvent, TelemetryFrame
-from thigmo.robot.readings import Floats, SensorTable
-from thigmo.robot.settings import SENSORS_A_SIDE
+from thigmo.robot.readings import SENSORS, SENSORS_A_SIDE, Floats, SensorTable, sensor_name
 from thigmo.stream import Event, Telemetry
 from thigmo.stream.messages import Severity
 
 _FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
 _OPEN_COUNT = 0.75  # mean count below which a circuit is open
 _IDLE_CPSI = 10  # below, no muscle bends the body
-_SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(len(SIDES) * SENSORS_A_SIDE)]
+_SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(SENSORS)]
 
 
 class Decoder:
@@ -114,19 +113,17 @@ def _drive_ma(level: int) -> float:
 
 def described(event: wire.Event, t_s: float, epoch_s: float) -> Event:
     """The message of a board's event, with the operator's next step if there is one."""
-    name, severity, text, cure = _told(event)
-    return Event(t_s, epoch_s, name, severity, text, cure.rstrip("."))
+    return Event(t_s, epoch_s, *_told(event))
 
 
 def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
     code, arg, value = event.code, event.arg, event.value
     if code is wire.EventCode.FAULT:
-        what, _, cure = wire.Fault(arg).doc.partition("; ")
-        return wire.Fault(arg).key, "fault", what, cure
+        return wire.Fault(arg).key, "fault", *wire.Fault(arg).told
     if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
         return code.key, "info", f"{wire.Activity(arg).key} ended when the host asked", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
-        what, _, cure = wire.Reason(value).doc.partition("; ")
+        what, cure = wire.Reason(value).told
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
@@ -137,14 +134,10 @@ def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
             f"{wire.Activity(arg).key} done at {value / 1e4:.1f} cm"
         ),
         wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
-        wire.EventCode.EVERTED: lambda: f"sensor {_sensor(arg)} everted at {value / 1e4:.1f} cm",
-        wire.EventCode.SETTLED: lambda: f"sensor {_sensor(arg)} settled",
+        wire.EventCode.EVERTED: lambda: (
+            f"sensor {sensor_name(arg)} everted at {value / 1e4:.1f} cm"
+        ),
+        wire.EventCode.SETTLED: lambda: f"sensor {sensor_name(arg)} settled",
         wire.EventCode.SAVED: lambda: f"configuration {value} stored",
     }[code]()
     return code.key, "warning" if code is wire.EventCode.CONTACT else "info", text, ""
-
-
-def _sensor(sensor: int) -> str:
-    """As robot.toml and the calibration call it."""
-    side, index = divmod(sensor, SENSORS_A_SIDE)
-    return f"{SIDES[side]} {index}"

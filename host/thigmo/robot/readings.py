@@ -13,9 +13,37 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
+from thigmo.errors import ConfigError
 
 Floats = NDArray[np.float64]
+
+SENSORS_A_SIDE = 5  # what the board's wiring and protocol have room for
+SENSORS = len(SIDES) * SENSORS_A_SIDE
+
+
+def in_board_order(config: RobotConfig) -> list[FlexSensor | None]:
+    """robot.toml's flex sensors by the board's numbers, left base first; None where one is absent.
+
+    Raises:
+        ConfigError: more sensors than the board has channels for.
+    """
+    found: list[FlexSensor | None] = []
+    for side in SIDES:
+        column = config.sensors.column(side)
+        if len(column) > SENSORS_A_SIDE:
+            raise ConfigError(
+                f"sensors.{side} has {len(column)} sensors, and the board reads {SENSORS_A_SIDE}",
+                f"keep at most {SENSORS_A_SIDE} a side in robot.toml",
+            )
+        found += [*column, *[None] * (SENSORS_A_SIDE - len(column))]
+    return found
+
+
+def sensor_name(sensor: int) -> str:
+    """A sensor as robot.toml and the calibration call it."""
+    side, index = divmod(sensor, SENSORS_A_SIDE)
+    return f"{SIDES[side]} {index}"
 
 
 def other_side(side: Side) -> Side:
@@ -50,27 +78,18 @@ class SensorTable:
     divider_ohm: float
 
     @classmethod
-    def of(cls, config: RobotConfig, a_side: int = 5) -> SensorTable:
+    def of(cls, config: RobotConfig) -> SensorTable:
         """Lay out the configuration's sensors in the board's order."""
-        size = 2 * a_side
-        table = cls(
-            np.zeros(size),
-            np.zeros(size),
-            np.zeros(size),
-            np.ones(size),
-            np.zeros(size, dtype=np.int64),
-            np.zeros(size, dtype=np.bool_),
-            config.sensors.divider_ohm,
+        sensors = in_board_order(config)
+        return cls(
+            center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
+            span_cm=np.array([s.span_cm if s else 0.0 for s in sensors]),
+            scale_per_ohm=np.array([s.scale_per_ohm if s else 0.0 for s in sensors]),
+            noise=np.array([hypot(s.noise, s.zero_se) if s else 1.0 for s in sensors]),
+            direction=np.array([s.valid_direction if s else 0 for s in sensors]),
+            healthy=np.array([s is not None and s.healthy for s in sensors]),
+            divider_ohm=config.sensors.divider_ohm,
         )
-        for offset, side in zip((0, a_side), SIDES, strict=True):
-            for index, sensor in enumerate(config.sensors.column(side), start=offset):
-                table.center_cm[index] = sensor.center_cm
-                table.span_cm[index] = sensor.span_cm
-                table.scale_per_ohm[index] = sensor.scale_per_ohm
-                table.noise[index] = hypot(sensor.noise, sensor.zero_se)
-                table.direction[index] = sensor.valid_direction
-                table.healthy[index] = sensor.healthy
-        return table
 
     def resistance(self, flex_sum: Floats, oversample: int) -> Floats:
         """Resistance (ohm) of each sensor from sums of `oversample` conversions (..., 10)."""

@@ -19,7 +19,7 @@ from thigmo.robot.operator import Operator
 from thigmo.robot.sensing import Sensing
 from thigmo.robot.state import SnapshotReading, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
-from thigmo.robot.truth import truth_now
+from thigmo.robot.truth import joined, truth_now
 
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
@@ -139,7 +139,7 @@ class Robot(Sensing):
                     oversample=self._oversample,
                     sensors=before.everted & before.settled & before.zeroed,
                     length_cm=before.length_cm or 0.0,
-                    truth=_joined(truths),
+                    truth=joined(truths),
                     young=self._aside,
                     standing=self._standing,
                     so_far=so_far,
@@ -176,9 +176,3 @@ class Robot(Sensing):
         if truth is not None:
             truths.append(truth)
         return self.snapshots()
-
-
-def _joined(truths: list[Truth]) -> Truth | None:
-    if not truths:
-        return None
-    return Truth(truths[0].pegs, [contact for truth in truths for contact in truth.contacts])

@@ -8,10 +8,9 @@ import numpy as np
 
 from thigmo.errors import CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
-from thigmo.robot.connected import SENSORS
 from thigmo.robot.everting import Everting
 from thigmo.robot.peaks import snapshot_reading
-from thigmo.robot.readings import Floats
+from thigmo.robot.readings import SENSORS, Floats
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SnapshotReading
 
@@ -143,26 +142,17 @@ class Sensing(Everting):
         Raises:
             LinkError: no telemetry came.
         """
-        sums, pressures, times, lengths = [], [], [], []
-        with self._client.collect(wire.Telemetry) as frames:
-            self.wait(seconds, despite_faults=despite_faults)
-        for frame in frames:
-            sums.append(frame.flex_sum)
-            pressures.append((frame.left_cpsi / 100, frame.right_cpsi / 100))
-            times.append(self._client.device_s(frame.t_us))
-            lengths.append(frame.length_um / 1e4)
-        if not sums:
-            raise LinkError("no telemetry came", "check the parameter telemetry_ms")
-        flex = np.asarray(sums, dtype=np.float64)
+        frames, flex = self._frames(seconds, despite_faults)
+        pressures = [(f.left_cpsi / 100, f.right_cpsi / 100) for f in frames]
         left, right = np.mean(pressures, axis=0)
         return Reading(
-            t_s=float(np.mean(times)),
+            t_s=float(np.mean([self._client.device_s(f.t_us) for f in frames])),
             curvature=self._table.curvature(flex.mean(axis=0), self._zero_sum, self._oversample),
             spread=self._table.curvature(flex, self._zero_sum, self._oversample).std(axis=0),
             left_psi=float(left),
             right_psi=float(right),
-            length_cm=lengths[-1],
-            frames=len(sums),
+            length_cm=frames[-1].length_um / 1e4,
+            frames=len(frames),
             resistance=self._table.resistance(flex.mean(axis=0), self._oversample),
         )
 
@@ -172,17 +162,23 @@ class Sensing(Everting):
         Raises:
             LinkError: no telemetry came.
         """
-        with self._client.collect(wire.Telemetry) as frames:
-            self.wait(seconds)
-        if not frames:
-            raise LinkError("no telemetry came", "check the parameter telemetry_ms")
-        flex = np.asarray([frame.flex_sum for frame in frames], dtype=np.float64)
+        frames, flex = self._frames(seconds)
         return Recording(
             t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
             resistance=self._table.resistance(flex, self._oversample),
             left_psi=np.array([frame.left_cpsi / 100 for frame in frames]),
             right_psi=np.array([frame.right_cpsi / 100 for frame in frames]),
         )
+
+    def _frames(
+        self, seconds: float, despite_faults: bool = False
+    ) -> tuple[list[wire.Telemetry], Floats]:
+        """Telemetry of a while, and its raw flex readings (n, 10)."""
+        with self._client.collect(wire.Telemetry) as frames:
+            self.wait(seconds, despite_faults=despite_faults)
+        if not frames:
+            raise LinkError("no telemetry came", "check the parameter telemetry_ms")
+        return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
 
     def press(
         self, *, left_psi: float = 0.0, right_psi: float = 0.0, ramp_psi_s: float = 0.0

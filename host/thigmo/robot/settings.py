@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thigmo.config import SIDES, RobotConfig, TanhMap
-from thigmo.errors import ConfigError
+from thigmo.robot.readings import in_board_order
 
-SENSORS_A_SIDE = 5  # what the board's wiring and protocol have room for
 BOARD_DIVIDER_OHM = 22_000.0  # the divider that the firmware's arithmetic assumes
 MAP_PRESSURES_PSI = tuple(float(p) for p in range(0, 21, 2))
 _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never exceeds the muscle's
@@ -34,30 +33,15 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         ConfigError: more sensors than the board has channels for.
     """
     sensors, spool, body = config.sensors, config.spool, config.body
-    enabled: list[int] = []
-    centers: list[int] = []
-    spans: list[int] = []
-    scales: list[int] = []
-    for side in SIDES:
-        column = sensors.column(side)
-        if len(column) > SENSORS_A_SIDE:
-            raise ConfigError(
-                f"sensors.{side} has {len(column)} sensors, and the board reads {SENSORS_A_SIDE}",
-                f"keep at most {SENSORS_A_SIDE} a side in robot.toml",
-            )
-        missing = SENSORS_A_SIDE - len(column)
-        enabled += [int(s.healthy) for s in column] + [0] * missing
-        centers += [round(s.center_cm * 1e4) for s in column] + [0] * missing
-        spans += [round(s.span_cm * 1e4) for s in column] + [0] * missing
-        # Resistance is proportional to the divider's resistor, so another divider is another scale.
-        ratio = sensors.divider_ohm / BOARD_DIVIDER_OHM
-        scales += [round(s.scale_per_ohm * ratio * 1e9) for s in column] + [0] * missing
+    flex = in_board_order(config)
+    # Resistance is proportional to the divider's resistor, so another divider is another scale.
+    ratio = sensors.divider_ohm / BOARD_DIVIDER_OHM
     muscles = [config.actuators.side(side) for side in SIDES]
     return {
-        "flex_enabled": enabled,
-        "flex_center_um": centers,
-        "flex_span_um": spans,
-        "flex_scale": scales,
+        "flex_enabled": [int(s is not None and s.healthy) for s in flex],
+        "flex_center_um": [round(s.center_cm * 1e4) if s else 0 for s in flex],
+        "flex_span_um": [round(s.span_cm * 1e4) if s else 0 for s in flex],
+        "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(sensors.settle_s * 1e3)],
         "max_pressure_cpsi": [
             round((max(m.max_pressure_psi for m in muscles) + _PRESSURE_MARGIN_PSI) * 100)

@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.mechanics.settling import Settling
-from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.readings import Floats, SensorTable, in_board_order
 
 _SPACING_S = 0.05
 _BIN_S = 0.25
@@ -40,14 +40,12 @@ class StandingWatch:
     def __init__(self, config: RobotConfig, oversample: int) -> None:
         self._table = SensorTable.of(config)
         self._oversample = oversample
-        a_side = len(self._table.center_cm) // len(SIDES)
-        # By the board's number: a robot may have fewer sensors than the board has inputs.
         self._laws = {
-            a_side * row + index: Settling(
+            number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD
             )
-            for row, side in enumerate(SIDES)
-            for index, s in enumerate(config.sensors.column(side))
+            for number, s in enumerate(in_board_order(config))
+            if s
         }
         self._ends = self._table.center_cm + self._table.span_cm / 2
         self._everted_s = np.full(len(self._ends), np.nan)

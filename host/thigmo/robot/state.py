@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import and_
 
 import numpy as np
 
 from thigmo.config import Side
 from thigmo.record import Truth
 from thigmo.robot.readings import Floats
+from thigmo.robot.truth import joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,17 +187,11 @@ class SweepResult:
         """Several sweeps, in their order, as one; `sensors` are those that all of them had."""
         if len(parts) == 1:
             return parts[0]
-        truths = [part.truth for part in parts if part.truth is not None]
-        common = parts[0].sensors
-        for part in parts:
-            common &= part.sensors
         return cls(
             [trigger for part in parts for trigger in part.triggers],
             [peak for part in parts for peak in part.peaks],
             [frame for part in parts for frame in part.frames],
             np.concatenate([part.curvature for part in parts]),
-            common,
-            Truth(truths[0].pegs, [contact for truth in truths for contact in truth.contacts])
-            if truths
-            else None,
+            reduce(and_, (part.sensors for part in parts)),
+            joined([part.truth for part in parts if part.truth is not None]),
         )

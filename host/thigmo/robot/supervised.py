@@ -10,8 +10,8 @@ from thigmo.link import protocol as wire
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
-from thigmo.robot.connected import SENSORS, Connected
-from thigmo.robot.readings import SensorTable
+from thigmo.robot.connected import Connected
+from thigmo.robot.readings import SENSORS, SensorTable
 
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 

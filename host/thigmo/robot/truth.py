@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from thigmo.config import Side
@@ -25,3 +26,10 @@ def truth_now(known: Any, side: Side | None = None) -> Truth | None:
         for c in known.now.contacts
     ]
     return Truth(pegs, touching)
+
+
+def joined(truths: Sequence[Truth]) -> Truth | None:
+    """The same room at several moments: all their contacts."""
+    if not truths:
+        return None
+    return Truth(truths[0].pegs, [contact for truth in truths for contact in truth.contacts])

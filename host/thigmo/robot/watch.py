@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from thigmo.config import SIDES
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
 from thigmo.link import protocol as wire
-from thigmo.robot.settings import SENSORS_A_SIDE
+from thigmo.robot.readings import SENSORS, sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
@@ -93,7 +93,7 @@ class Watch:
         """
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
-        what, _, cure = first.doc.partition("; ")
+        what, cure = first.told
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._channels.get(first)
         if first in _OF_A_MUSCLE and channel is not None:
@@ -103,19 +103,17 @@ class Watch:
             if channel is not None:
                 bad = sorted({*bad, channel})
             if bad:
-                what += f": {', '.join(_sensor_name(n) for n in bad)} (0 = at the base)"
+                what += f": {', '.join(sensor_name(n) for n in bad)} (0 = at the base)"
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
         if self._url:
-            cure = f"{cure.rstrip('.')} (`thigmo clear --robot {self._url}`)"
-        return RobotFaultError(f"{first.key}{others}: {what}", cure.rstrip("."), faults=faults)
+            cure = f"{cure} (`thigmo clear --robot {self._url}`)"
+        return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=faults)
 
     def _bad_sensors(self, flag: int) -> list[int]:
         """Enabled sensors whose report has the flag."""
-        reports = (
-            self._client.request(wire.GetSensor(n)) for n in range(len(SIDES) * SENSORS_A_SIDE)
-        )
+        reports = (self._client.request(wire.GetSensor(n)) for n in range(SENSORS))
         return [r.sensor for r in reports if r.flags & flag and r.flags & _ENABLED]
 
     def forget(self) -> None:
@@ -160,9 +158,9 @@ class Watch:
         for event in self.events(within_s, enough if until else None):
             if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
                 reason = wire.Reason(event.value)
-                what, _, cure = reason.doc.partition("; ")
+                what, cure = reason.told
                 raise CommandRefusedError(
-                    f"{activity.key} ended early: {what}", cure.rstrip("."), reason=reason.key
+                    f"{activity.key} ended early: {what}", cure, reason=reason.key
                 )
             yield event
             if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
@@ -186,9 +184,3 @@ class Watch:
         for event in self.activity(activity, within_s):
             value = event.value
         return value
-
-
-def _sensor_name(sensor: int) -> str:
-    """As robot.toml and the calibration call it."""
-    side, index = divmod(sensor, SENSORS_A_SIDE)
-    return f"{SIDES[side]} {index}"
