@@ -92,14 +92,20 @@ def test_homing_finds_the_base(room: Scene) -> None:
 def test_sweep_reaches_its_amplitude_and_touches_the_peg(room: Scene) -> None:
     robot, transport = ready(room)
     robot.zero()
+    plant = transport.lockstep.plant
+    seen: list[tuple[float, float, float]] = []
+    touched: set[int] = set()
+
+    def look() -> None:
+        seen.append((*plant.muscle_psi, plant.free_curvature))
+        touched.update(contact.peg for contact in plant.truth().now.contacts)
+
+    robot.while_waiting(look)
     result = robot.sweep(left_psi=18.0, right_psi=18.0, period_s=30.0)
-    history = transport.truth().history
-    peak = max(moment.muscle_psi[0] for moment in history)
-    assert peak == pytest.approx(18.0, abs=0.6)
+    assert max(left for left, _, _ in seen) == pytest.approx(18.0, abs=0.6)
     assert [trigger.side for trigger in result.triggers] == ["left"]
-    touched = {contact.peg for moment in history for contact in moment.contacts}
     assert touched == {0}
-    assert all(moment.free_curvature < 0 for moment in history if moment.muscle_psi[1] > 5)
+    assert all(curvature < 0 for _, right, curvature in seen if right > 5)
 
 
 def test_operator_changes_the_pressure_that_the_board_is_told_of(room: Scene) -> None:

@@ -28,6 +28,7 @@ FLASH_SIZE = 0x40000
 EEPROM_SIZE = 4096
 SRAM_END = 0x21FF
 NO_COUNT = 0xFFFF
+_SIZES = {"flash": FLASH_SIZE, "eeprom": EEPROM_SIZE, "ram": SRAM_END + 1}
 
 
 class Cause(IntFlag):
@@ -190,44 +191,43 @@ class Chip:
     # --- memories ---------------------------------------------------------------------------------
     def write_flash(self, address: int, data: bytes) -> None:
         """Store program bytes."""
-        self._check(address, len(data), FLASH_SIZE)
-        self._lib.bridge_flash_write(self._chip, address, data, len(data))
+        self._store("flash", address, data)
 
     def read_flash(self, address: int, count: int) -> bytes:
         """Program bytes."""
-        self._check(address, count, FLASH_SIZE)
-        buffer = ctypes.create_string_buffer(count)
-        self._lib.bridge_flash_read(self._chip, address, buffer, count)
-        return buffer.raw
+        return self._load("flash", address, count)
 
     @property
     def eeprom(self) -> bytes:
         """All of the EEPROM."""
-        buffer = ctypes.create_string_buffer(EEPROM_SIZE)
-        self._lib.bridge_eeprom_read(self._chip, 0, buffer, EEPROM_SIZE)
-        return buffer.raw
+        return self._load("eeprom", 0, EEPROM_SIZE)
 
     @eeprom.setter
     def eeprom(self, data: bytes) -> None:
-        self._check(0, len(data), EEPROM_SIZE)
-        self._lib.bridge_eeprom_write(self._chip, 0, data, len(data))
+        self._store("eeprom", 0, data)
 
     def write_ram(self, address: int, data: bytes) -> None:
         """Store data-space bytes (no side effects of device registers)."""
-        self._check(address, len(data), SRAM_END + 1)
-        self._lib.bridge_ram_write(self._chip, address, data, len(data))
+        self._store("ram", address, data)
 
     def read_ram(self, address: int, count: int) -> bytes:
         """Data-space bytes (no side effects of device registers)."""
-        self._check(address, count, SRAM_END + 1)
+        return self._load("ram", address, count)
+
+    def _store(self, memory: str, address: int, data: bytes) -> None:
+        self._check(memory, address, len(data))
+        getattr(self._lib, f"bridge_{memory}_write")(self._chip, address, data, len(data))
+
+    def _load(self, memory: str, address: int, count: int) -> bytes:
+        self._check(memory, address, count)
         buffer = ctypes.create_string_buffer(count)
-        self._lib.bridge_ram_read(self._chip, address, buffer, count)
+        getattr(self._lib, f"bridge_{memory}_read")(self._chip, address, buffer, count)
         return buffer.raw
 
     @staticmethod
-    def _check(address: int, count: int, size: int) -> None:
-        if address < 0 or address + count > size:
-            raise ValueError(f"bytes {address}..{address + count} do not fit in {size}")
+    def _check(memory: str, address: int, count: int) -> None:
+        if address < 0 or address + count > _SIZES[memory]:
+            raise ValueError(f"bytes {address}..{address + count} do not fit in {_SIZES[memory]}")
 
     # --- life -------------------------------------------------------------------------------------
     def boot_at(self, address: int) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo import config
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SIDES
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import Ailments, FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
@@ -29,7 +29,6 @@ Floats = npt.NDArray[np.float64]
 
 STEP_S = _plant.STEP_S
 STEP_MS = 10
-LOG_S = 0.1  # between entries of the truth's history
 OPEN_COUNT = 0.0  # of an input whose wire is broken, or
 SHORT_COUNT = 1023.9  # shorted to the supply
 _SENSORS = 10
@@ -46,36 +45,17 @@ _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 @dataclass(frozen=True)
 class Moment:
-    """The true state at one moment.
+    """How the body lies.
 
     Attributes:
-        t_s: since the start.
         length_cm: everted length.
-        free_curvature: g, 1/cm.
-        body_psi: body pressure.
-        muscle_psi: pressures of left and right muscle.
         contacts: touching pegs, base first.
-        fold_angle: of the base, rad.
         centreline: columns s, heading, curvature without fold, x, y; shape (n, 5).
-        model: mechanics used, and the bound on its error (cm).
     """
 
-    t_s: float
     length_cm: float
-    free_curvature: float
-    body_psi: float
-    muscle_psi: tuple[float, float]
     contacts: tuple[PegContact, ...]
-    fold_angle: float
     centreline: Floats
-    model: str
-    error_bound_cm: float
-
-    @property
-    def tip(self) -> tuple[float, float, float]:
-        """(x, y, heading) of the tip."""
-        _, heading, _, x, y = self.centreline[-1]
-        return float(x), float(y), float(heading)
 
 
 @dataclass(frozen=True)
@@ -83,28 +63,12 @@ class Truth:
     """What the emulator knows.
 
     Attributes:
-        robot: the true constants.
         pegs: the room; while dowels hold the body, those.
         now: the present moment.
-        history: moments, at most one every 0.1 s while anything moves, and one at every change of
-            the set of touching pegs.
-        models: how many steps each mechanics model took.
     """
 
-    robot: RobotConfig
     pegs: tuple[Peg, ...]
     now: Moment
-    history: tuple[Moment, ...]
-    models: dict[str, int]
-
-    def at(self, t_s: float) -> Moment:
-        """The last moment in the history not after a time (the first if there is none)."""
-        best = self.history[0] if self.history else self.now
-        for moment in self.history:
-            if moment.t_s > t_s:
-                break
-            best = moment
-        return best
 
 
 class Plant:
@@ -199,9 +163,6 @@ class Plant:
             cell_cm=scene.plant.cell_cm,
         )
         self._solved_g = nan
-        self._history: list[Moment] = []
-        self._logged_s = -np.inf
-        self._logged_touching = 0
         self.analog = np.zeros((CHANNELS, 2))
         self.encoder = (self._encoder(), self._encoder())
         self.set_body_pressure(self.body_psi)
@@ -346,40 +307,17 @@ class Plant:
         return self._curvature.copy()
 
     def truth(self) -> Truth:
-        """All of it, now and over time."""
-        pegs = self.pegs
-        if self._held is not None:
-            pegs = tuple(peg_for(c, self._dowel_cm) for c in self._held_contacts())
-        return Truth(
-            robot=self._robot, pegs=pegs, now=self._moment(), history=tuple(self._history),
-            models=self.body.counts,
-        )  # fmt: skip
-
-    def _held_contacts(self) -> tuple[PegContact, ...]:
-        """Of the dowels that hold the body; fingers are none."""
-        if self._held is None or self._dowel_cm == 0:
-            return ()
-        return self._held.contacts
-
-    def _moment(self) -> Moment:
-        body = self.body
-        contacts: tuple[PegContact, ...] = ()
-        fold, line, model, error_cm = 0.0, np.zeros((1, 5)), body.model, body.error_bound_cm
+        """Pegs, contacts and shape, now."""
         if (held := self._held) is not None:
-            contacts, fold, model, error_cm = (
-                self._held_contacts(),
-                held.fold_angle,
-                "elastica",
-                1e-5,
-            )
+            # Fingers touch nothing that a camera or a map could show.
+            contacts = held.contacts if self._dowel_cm else ()
             line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
-        elif self.length_cm >= _SMALLEST_CM:
-            contacts, fold, line = body.contacts(), body.fold_angle, body.nodes()
-        return Moment(
-            t_s=self.t_s, length_cm=self.length_cm, free_curvature=self.free_curvature,
-            body_psi=self.body_psi, muscle_psi=self.muscle_psi, contacts=contacts, fold_angle=fold,
-            centreline=line, model=model, error_bound_cm=error_cm,
-        )  # fmt: skip
+            pegs = tuple(peg_for(contact, self._dowel_cm) for contact in contacts)
+            return Truth(pegs, Moment(self.length_cm, contacts, line))
+        if self.length_cm < _SMALLEST_CM:
+            return Truth(self.pegs, Moment(self.length_cm, (), np.zeros((1, 5))))
+        body = self.body
+        return Truth(self.pegs, Moment(self.length_cm, body.contacts(), body.nodes()))
 
     # Motion.
 
@@ -490,7 +428,6 @@ class Plant:
         if changed:
             self._evert(settled=False)
         self._measure()
-        self._log()
 
     def _measure(self) -> None:
         """Mean curvature over the everted part of each sensor."""
@@ -545,11 +482,3 @@ class Plant:
         per_cm = self._robot.spool.counts_per_cm
         counts = per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
         return counts * _ENCODER_SIGN[self.scene.spool.wiring] - self._encoder_missed
-
-    def _log(self) -> None:
-        touching = self.body.touching
-        if self.t_s - self._logged_s < LOG_S - 1e-9 and touching == self._logged_touching:
-            return
-        self._logged_s = self.t_s
-        self._logged_touching = touching
-        self._history.append(self._moment())

@@ -15,7 +15,7 @@ import secrets
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 from thigmo.closing import Closing
 from thigmo.errors import LinkError
@@ -284,12 +284,13 @@ class Client(Inbox, Closing):
         for tap in self.taps:
             tap("tx", frame.strip(b"\0"), now)
 
-    def _begin(self, command: wire.Message, until_s: float) -> _Outstanding:
+    def _begin(self, command: wire.Command[Any], until_s: float) -> _Outstanding:
         """Make a command of the running session the outstanding one and send it."""
         self._seq = (self._seq + 1) & 0xFFFF
-        reply = cast("type[wire.Command[wire.Message]]", type(command)).REPLY
         frame = encode(command, self._seq, self._session)
-        self._outstanding = _Outstanding(command, reply, frame, self._seq, self._session, until_s)
+        self._outstanding = _Outstanding(
+            command, command.REPLY, frame, self._seq, self._session, until_s
+        )
         self._transmit(self._outstanding)
         return self._outstanding
 
@@ -332,9 +333,7 @@ class Client(Inbox, Closing):
 
     def _resume(self, command: wire.Message, limit_s: float, until_s: float) -> None:
         """A new session after a spoilt one, within a command's deadline."""
-        before = self._hello
-        if before is None:
-            raise LinkError("no conversation with a board yet", "connect first")
+        before = self.hello
         if self._say_hello(until_s - self.now()) is None:
             self._raise_if_broken()
             raise failures.timed_out(command, limit_s)
@@ -353,8 +352,7 @@ class Client(Inbox, Closing):
         """Read once, until `until_s` at most, handle it, and do what is due."""
         if self._outstanding is None and self._ack_due is not None and self._talking:
             number, self._ack_due = self._ack_due, None
-            deadline_s = self.now() + wire.AckEvent.DEADLINE_S
-            self._begin(wire.AckEvent(number), deadline_s)
+            self._begin(wire.AckEvent(number), self.now() + wire.AckEvent.DEADLINE_S)
         now = self.now()
         wake_s = until_s
         if self._outstanding is not None:
@@ -423,7 +421,8 @@ class Client(Inbox, Closing):
         except FrameError:
             self.stats.foreign += 1
             if frame.id == wire.Announce.ID and len(frame.payload) == wire.Announce.SIZE:
-                self._other_hash = _hash_in_announce(frame.payload)
+                # The layout of an announce is the same in every schema (`frozen`).
+                self._other_hash = int.from_bytes(frame.payload[1:5], "little")
             else:
                 self._strange += 1
             return
@@ -509,8 +508,3 @@ class Client(Inbox, Closing):
     def _raise_if_broken(self) -> None:
         if self._broken is not None:
             raise self._broken
-
-
-def _hash_in_announce(payload: bytes) -> int:
-    """The schema hash of an announce, whose layout is the same in every schema (`frozen`)."""
-    return int.from_bytes(payload[1:5], "little")

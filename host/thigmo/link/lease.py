@@ -7,26 +7,17 @@ asks says so here, and so for every port of this process.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 from weakref import WeakSet
 
-
-class Leased(Protocol):
-    """A connection with a lease."""
-
-    def attend(self) -> None:
-        """Let no lease run until the main thread uses the connection again.
-
-        Raises:
-            LinkError: the connection is gone.
-        """
-
+if TYPE_CHECKING:
+    from thigmo.link.serial_port import SerialTransport
 
 # What is told is a fact about the process's main thread, hence one list for the process.
-_connections: WeakSet[Leased] = WeakSet()
+_connections: WeakSet[SerialTransport] = WeakSet()
 
 
-def attend_at_prompts(connection: Leased) -> None:
+def attend_at_prompts(connection: SerialTransport) -> None:
     """From now on tell this connection of every prompt."""
     _connections.add(connection)
 

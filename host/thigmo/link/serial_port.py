@@ -111,7 +111,11 @@ class SerialTransport:
         self._tell(Kind.HUSH)
 
     def attend(self) -> None:
-        """The main thread waits for its operator now: no lease runs until it comes back."""
+        """The main thread waits for its operator now: no lease runs until it comes back.
+
+        Raises:
+            LinkError: the connection is gone.
+        """
         if not self._closing.is_set() and self._failure is None:
             self._tell(Kind.ATTENDED)
 

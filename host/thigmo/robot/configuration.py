@@ -35,13 +35,13 @@ def send_config(client: Client, config: RobotConfig) -> bool:
             _verify(f"parameter {name}", get_parameter(client, name), values)
     changed = bool(differing)
     for setting in map_settings(config):
-        where = wire.GetMap(setting.zone, wire.Side(setting.side), wire.Branch(setting.branch))
-        wanted = setting.curvature_e5
-        if tuple(client.request(where).curvature_e5) != wanted:
+        where = wire.GetMap(setting.zone, setting.side, setting.branch)
+        if client.request(where).curvature_e5 != setting.curvature_e5:
             changed = True
-            client.request(wire.SetMap(setting.zone, where.side, where.branch, wanted))
-            got = tuple(client.request(where).curvature_e5)
-            _verify(f"the map of zone {setting.zone}, {where.side.key}", got, wanted)
+            client.request(setting)
+            got = client.request(where).curvature_e5
+            what = f"the map of zone {setting.zone}, {setting.side.key}"
+            _verify(what, got, setting.curvature_e5)
     return changed
 
 

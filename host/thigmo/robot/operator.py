@@ -14,28 +14,16 @@ class NobodyThere:
     """The operator of a program that named none: every question is an error."""
 
     def everted_length_cm(self) -> float:
-        """Refuse.
-
-        Raises:
-            DataError: always.
-        """
+        """Refuse: raises DataError."""
         raise DataError("the everted length is unknown", "measure it, and call confirm_length")
 
     def set_body_pressure(self, pressure_psi: float) -> None:
-        """Refuse.
-
-        Raises:
-            DataError: always.
-        """
+        """Refuse: raises DataError."""
         raise DataError(
             f"the body pressure must be set to {pressure_psi:g} psi by hand",
             "set the regulator, and call select_zone",
         )
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Refuse.
-
-        Raises:
-            DataError: always.
-        """
+        """Refuse: raises DataError."""
         raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")

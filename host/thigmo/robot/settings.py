@@ -6,24 +6,13 @@ robot object sends the result and reads it back; the emulator's tests compare bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from thigmo.config import SIDES, RobotConfig, TanhMap
+from thigmo.config import SIDES, RobotConfig
+from thigmo.link import protocol as wire
 from thigmo.robot.readings import in_board_order
 
 BOARD_DIVIDER_OHM = 22_000.0  # the divider that the firmware's arithmetic assumes
 MAP_PRESSURES_PSI = tuple(float(p) for p in range(0, 21, 2))
 _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never exceeds the muscle's
-
-
-@dataclass(frozen=True, slots=True)
-class MapSetting:
-    """One free-curvature map as the board takes it: 11 values of 1e-5/cm at 0, 2, .. 20 psi."""
-
-    zone: int
-    side: int
-    branch: int
-    curvature_e5: tuple[int, ...]
 
 
 def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
@@ -57,20 +46,13 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     }
 
 
-def map_settings(config: RobotConfig) -> list[MapSetting]:
+def map_settings(config: RobotConfig) -> list[wire.SetMap]:
     """The free-curvature maps of robot.toml: zone x side x branch, the right side negative."""
-
-    def values(curve: TanhMap, sign: int) -> tuple[int, ...]:
-        return tuple(round(sign * curve.curvature(p) * 1e5) for p in MAP_PRESSURES_PSI)
-
-    return [
-        MapSetting(zone, side, branch, values(curve, 1 if name == "left" else -1))
-        for zone in range(len(config.body.zones))
-        for side, name in enumerate(SIDES)
-        for branch, curve in enumerate(
-            (
-                config.actuators.side(name).maps[zone].inflate,
-                config.actuators.side(name).maps[zone].deflate,
-            )
-        )
-    ]
+    found = []
+    for zone in range(len(config.body.zones)):
+        for side, sign in ((wire.Side.LEFT, 1), (wire.Side.RIGHT, -1)):
+            maps = config.actuators.side(SIDES[side]).maps[zone]
+            for branch, curve in enumerate((maps.inflate, maps.deflate)):
+                curvature = tuple(round(sign * curve.curvature(p) * 1e5) for p in MAP_PRESSURES_PSI)
+                found.append(wire.SetMap(zone, side, wire.Branch(branch), curvature))
+    return found
