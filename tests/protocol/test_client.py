@@ -475,7 +475,7 @@ def test_the_heart_beats_from_the_hello_on(client: Client, device: ReferenceDevi
 
 def test_device_time_maps_to_host_time(client: Client, device: ReferenceDevice) -> None:
     wait(client, 10.0)
-    t_us = client.device_us(device._t_us & 0xFFFF_FFFF)
+    t_us = client.clock.unwrap(device._t_us & 0xFFFF_FFFF)
     assert client.clock.to_host(t_us) == pytest.approx(client.now(), abs=0.002)
     assert client.device_s(device._t_us) == pytest.approx(device._t_us * 1e-6)
 

@@ -224,7 +224,7 @@ class BringUp:
             push(robot, output, duty_of(_TEST_MA), _TEST_S)
             during = self._psi()
             rise = [b - a for a, b in zip(before, during, strict=True)]
-            robot.end_test()
+            robot.vent(wait=False)  # ends the push
             robot.wait(_VENT_S, despite_faults=True)
             left = self._psi()[side]
             own, other = rise[side], rise[1 - side]
@@ -267,7 +267,7 @@ class BringUp:
         for duty in _TURN_DUTIES:
             before = robot.read(0.1).length_cm
             push(robot, Output.MOTOR, duty, _TURN_S)
-            robot.end_test()
+            robot.vent(wait=False)
             robot.wait(0.5)
             moved = robot.read(0.1).length_cm - before
             if abs(moved) >= _TURN_CM:

@@ -111,12 +111,11 @@ def _library(path: Path) -> ctypes.CDLL:
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "new": (handle, []),
         "free": (None, [handle]),
-        "flash_write": (None, [handle, u32, c_char_p, u32]),
-        "flash_read": (None, [handle, u32, c_char_p, u32]),
-        "eeprom_write": (None, [handle, u32, c_char_p, u32]),
-        "eeprom_read": (None, [handle, u32, c_char_p, u32]),
-        "ram_write": (None, [handle, u32, c_char_p, u32]),
-        "ram_read": (None, [handle, u32, c_char_p, u32]),
+        **{
+            f"{memory}_{way}": (None, [handle, u32, c_char_p, u32])
+            for memory in _SIZES
+            for way in ("write", "read")
+        },
         "boot_at": (None, [handle, u32]),
         "reset": (None, [handle, c_int, u64]),
         "hang": (c_int, [handle, c_int]),

@@ -358,7 +358,6 @@ def open_mega_sim(url: str, *, seed: int | None = None, realtime: bool = False) 
     if usb not in ("on", "off"):
         raise ConfigError(f"{url}: usb={usb!r} is not known", "give usb=on or usb=off")
     rest = "&".join(f"{key}={value[-1]}" for key, value in options.items())
-    scene, seed = parse_url(f"{place}?{rest}" if rest else place, seed)
-    used = scene.seed if seed is None else seed
+    scene, used = parse_url(f"{place}?{rest}" if rest else place, seed)
     board = SimulatedMega(used, baud=int(baud), usb=UsbBridge(used) if usb == "on" else None)
     return EmulatorTransport(scene, board, seed=used, realtime=realtime, exchange_ms=1, name=url)

@@ -192,9 +192,7 @@ def _between(n: int, step: int, knots: int) -> NDArray[np.float32]:
     return weights
 
 
-def overhead_camera(
-    rng: np.random.Generator | None = None, size: tuple[int, int] = (1920, 1080)
-) -> TrueCamera:
+def overhead_camera(rng: np.random.Generator | None = None) -> TrueCamera:
     """A camera above the default workspace, long side across the robot; varied by `rng`.
 
     Height 95..120 cm, tilt to 6 degrees, roll to 4, barrel distortion to -0.12, focal length such
@@ -214,13 +212,12 @@ def overhead_camera(
     k1 = -0.06 + vary * pick.uniform(-0.06, 0.05)
     k2 = 0.01 + vary * pick.uniform(-0.01, 0.02)
     half_view = np.arctan(64.0 / height)
-    focal = size[0] / 2 / tan(half_view) * (1 - 0.3 * k1)
-    jitter = vary * pick.uniform(-12, 12, 2)
-    matrix = np.array(
-        [[focal, 0, size[0] / 2 + jitter[0]], [0, focal, size[1] / 2 + jitter[1]], [0, 0, 1]]
-    )
+    middle = np.array(TrueCamera.size) / 2
+    focal = middle[0] / tan(half_view) * (1 - 0.3 * k1)
+    middle = middle + vary * pick.uniform(-12, 12, 2)
+    matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
     distortion = np.array([k1, k2, vary * pick.normal(0, 4e-4), vary * pick.normal(0, 4e-4), 0.0])
-    return TrueCamera(matrix, distortion, np.ravel(cv2.Rodrigues(turn)[0]), -turn @ eye, size)
+    return TrueCamera(matrix, distortion, np.ravel(cv2.Rodrigues(turn)[0]), -turn @ eye)
 
 
 def random_look(rng: np.random.Generator) -> Look:

@@ -216,8 +216,10 @@ class EmulatorTransport:
             raise LinkError(f"{self.name} is closed", "open it again")
 
 
-def parse_url(url: str, seed: int | None) -> tuple[Scene, int | None]:
+def parse_url(url: str, seed: int | None) -> tuple[Scene, int]:
     """Scene and seed of `emulator://SCENE?seed=N` (a scene's name or a path to a .toml file).
+
+    The seed given comes first, then the address's, then the scene's.
 
     Raises:
         ConfigError: no such scene, a malformed one, or an unknown option.
@@ -233,7 +235,8 @@ def parse_url(url: str, seed: int | None) -> tuple[Scene, int | None]:
         if not text.isdecimal():
             raise ConfigError(f"{url}: seed {text!r} is not a whole number", "give ?seed=NUMBER")
         seed = int(text)
-    return Scene.load(place or "default"), seed
+    scene = Scene.load(place or "default")
+    return scene, scene.seed if seed is None else seed
 
 
 def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
@@ -244,6 +247,5 @@ def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) 
     """
     from thigmo.emulator._board import VirtualBoard
 
-    scene, seed = parse_url(url, seed)
-    used = scene.seed if seed is None else seed
+    scene, used = parse_url(url, seed)
     return EmulatorTransport(scene, VirtualBoard(used), seed=used, realtime=realtime, name=url)

@@ -58,10 +58,6 @@ class Inbox:
         finally:
             self._collectors.remove(entry)
 
-    def device_us(self, t_us: int) -> int:
-        """Unwrapped microseconds of a 32-bit device stamp."""
-        return self.clock.unwrap(t_us)
-
     def device_s(self, t_us: int) -> float:
         """Unwrapped seconds of a 32-bit device stamp."""
         return self.clock.unwrap(t_us) * 1e-6

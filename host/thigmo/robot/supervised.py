@@ -135,7 +135,7 @@ class Supervised(Connected):
             self._request(wire.BodyAir(1))
 
     def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
-        """Drive one output as it is; the board ends it by itself unless it is repeated.
+        """Drive one output as it is; the board ends it by itself unless repeated, or at `vent`.
 
         Args:
             output: which.
@@ -146,10 +146,6 @@ class Supervised(Connected):
             CommandRefusedError: not armed, beyond a limit, or a muscle holds pressure (motor).
         """
         self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
-
-    def end_test(self) -> None:
-        """End what `test_output` drives, now."""
-        self._request(wire.Vent())
 
     def vent(self, *, wait: bool = True) -> None:
         """Empty both muscles.
