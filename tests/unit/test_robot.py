@@ -23,7 +23,14 @@ from thigmo.errors import (
     RobotFaultError,
 )
 from thigmo.link import protocol as wire
-from thigmo.robot import Robot, SensorTable, SnapshotReading, average_peak, sweep_period_s
+from thigmo.robot import (
+    Robot,
+    SensorTable,
+    SnapshotReading,
+    SweepConditions,
+    average_peak,
+    sweep_period_s,
+)
 from thigmo.robot.readings import resistance_ohm
 from thigmo.robot.settings import map_settings, parameter_settings
 
@@ -367,7 +374,7 @@ def test_a_peak_is_the_mean_of_its_readings() -> None:
         )
         for n in range(10)
     ]
-    peak = average_peak(shots, zero, table, oversample=16, sensors=0x3FF, length_cm=53.0)
+    peak = average_peak(shots, SweepConditions(table, zero, 16, sensors=0x3FF, length_cm=53.0))
     assert (peak.count, peak.t_s, peak.pressure_psi) == (10, 4.5, 21.5)
     assert peak.free_curvature == pytest.approx(0.030045)
     assert peak.curvature == pytest.approx(table.curvature(np.full(10, 16 * 600 + 4.5), zero, 16))

@@ -36,6 +36,7 @@ from thigmo.robot import (
     SensorTable,
     SnapshotReading,
     StandingWatch,
+    SweepConditions,
     SweepResult,
     SweepWatcher,
     snapshot_reading,
@@ -85,27 +86,14 @@ class ReplayResult:
 class _Sweep:
     """A sweep as it is read off the frames."""
 
-    length_cm: float
     zone: int
     sides: frozenset[Side]
-    sensors: int
     t_s: float
     watcher: SweepWatcher
-    zero_sum: Floats
-    oversample: int
-    young: int
-    standing: StandingWatch | None
 
-    def result(self, table: SensorTable) -> SweepResult:
-        return self.watcher.result(
-            table,
-            self.zero_sum,
-            oversample=self.oversample,
-            sensors=self.sensors,
-            length_cm=self.length_cm,
-            young=self.young,
-            standing=self.standing,
-        )
+    @property
+    def length_cm(self) -> float:
+        return self.watcher.conditions.length_cm
 
 
 class _Reader:
@@ -113,8 +101,8 @@ class _Reader:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._healthy = SensorTable.of(config).healthy
-        self._enabled = self._healthy.copy()
+        self._table = SensorTable.of(config)
+        self._enabled = self._table.healthy.copy()
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._zero_sum = np.full(SENSORS, np.nan)
@@ -197,9 +185,8 @@ class _Reader:
 
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
-        table = SensorTable.of(self._config)
-        before = table.unzeroed(self._zero_before, self.oversample)
-        return before, table.unzeroed(self._zero_sum, self.oversample)
+        before = self._table.unzeroed(self._zero_before, self.oversample)
+        return before, self._table.unzeroed(self._zero_sum, self.oversample)
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6
@@ -210,28 +197,18 @@ class _Reader:
         status = self._status
         mask, young, length = 0, 0, 0.0
         if status:
-            aside = np.flatnonzero(self._healthy & ~self._enabled)
+            aside = np.flatnonzero(self._table.healthy & ~self._enabled)
             young = status.everted_mask & int(sum(1 << int(sensor) for sensor in aside))
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
-        watcher = SweepWatcher(self._device_s, lambda side: [])
         zeros = self._zero_sum.copy()
+        conditions = SweepConditions(
+            self._table, zeros, self.oversample, mask, length, young, self._standing
+        )
+        watcher = SweepWatcher(self._device_s, lambda side: [], conditions)
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
-        self.sweeps.append(
-            _Sweep(
-                length,
-                self._zone,
-                sides,
-                mask,
-                t_s,
-                watcher,
-                zeros,
-                self.oversample,
-                young,
-                self._standing,
-            )
-        )
+        self.sweeps.append(_Sweep(self._zone, sides, t_s, watcher))
 
     def _snapshot(self, message: wire.Snapshot) -> None:
         if message.index == 0:
@@ -264,10 +241,9 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     interpreter, table = Interpreter(config, prior), SensorTable.of(config)
     for looked, measured in _stages(reader.sweeps):
         sweep = looked[-1]
-        result = SweepResult.joined([part.result(table) for part in looked])
-        measuring = (
-            SweepResult.joined([part.result(table) for part in measured]) if measured else None
-        )
+        result = SweepResult.joined([part.watcher.result() for part in looked])
+        again = [part.watcher.result() for part in measured]
+        measuring = SweepResult.joined(again) if again else None
         felt = interpreter.feel(result, measuring, sweep.zone)
         for feeling in felt:
             for contact in feeling.felt:
@@ -302,8 +278,8 @@ def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
     """
     folder = RunFolder(run)
     config = folder.read_config()
-    table = SensorTable.of(config)
-    return [sweep.result(table) for sweep in _read(folder, config, folder.read_log()).sweeps]
+    reader = _read(folder, config, folder.read_log())
+    return [sweep.watcher.result() for sweep in reader.sweeps]
 
 
 def _read(folder: RunFolder, config: RobotConfig, log: Log) -> _Reader:

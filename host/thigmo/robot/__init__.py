@@ -5,7 +5,7 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import Operator
-from thigmo.robot.peaks import average_peak, snapshot_reading
+from thigmo.robot.peaks import SweepConditions, average_peak, snapshot_reading
 from thigmo.robot.readings import SENSORS, SensorTable, other_side
 from thigmo.robot.robot import Robot, connect
 from thigmo.robot.standing import StandingWatch
@@ -34,6 +34,7 @@ __all__ = [
     "SnapshotReading",
     "StandingWatch",
     "Status",
+    "SweepConditions",
     "SweepFrame",
     "SweepResult",
     "SweepWatcher",

@@ -6,6 +6,7 @@ Shared by the live robot and the replay of a record, so that both give the same 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,43 +30,50 @@ def snapshot_reading(reply: wire.Snapshot, t_s: float) -> SnapshotReading:
     )
 
 
-def average_peak(
-    snapshots: Sequence[SnapshotReading],
-    zero_sum: Floats,
-    table: SensorTable,
-    *,
-    oversample: int,
-    sensors: int,
-    length_cm: float,
-    young: int = 0,
-    standing: StandingWatch | None = None,
-) -> Peak:
-    """Average a peak's snapshots (thesis: ten of them), of the side that was inflated.
+@dataclass(frozen=True, slots=True)
+class SweepConditions:
+    """What is known of the sensors when a sweep begins.
 
-    Args:
-        snapshots: of the peak.
-        zero_sum: of sensors zeroed.
-        table: the sensors' constants.
+    Attributes:
+        table: their constants.
+        zero_sum: their zeros, sums of counts, shape (10,); NaN where there is none.
         oversample: conversions that a sum holds.
         sensors: mask of those everted, settled and zeroed.
         length_cm: everted length.
         young: mask of those everted and not settled, to be used as far as `standing` knows them.
         standing: what they rest at.
     """
+
+    table: SensorTable
+    zero_sum: Floats
+    oversample: int
+    sensors: int
+    length_cm: float
+    young: int = 0
+    standing: StandingWatch | None = None
+
+    def curvature(self, flex_sum: Floats) -> Floats:
+        """Curvature (..., 10) in 1/cm of raw readings."""
+        return self.table.curvature(flex_sum, self.zero_sum, self.oversample)
+
+
+def average_peak(snapshots: Sequence[SnapshotReading], known: SweepConditions) -> Peak:
+    """Average a peak's snapshots (thesis: ten of them), of the side that was inflated."""
     sums: Floats = np.asarray([s.flex_sum for s in snapshots], dtype=np.float64).mean(axis=0)
     at_s = float(np.mean([s.t_s for s in snapshots]))
-    curvature = table.curvature(sums, zero_sum, oversample)
+    curvature = known.curvature(sums)
     added = np.zeros(len(curvature))
-    if standing is not None and young:
-        late, sigma = standing.curvature(sums, at_s, young)
-        known = np.isfinite(late)
-        curvature = np.where(known, late, curvature)
-        added = np.where(known, sigma, added)
-        sensors |= int(sum(1 << int(i) for i in np.flatnonzero(known)))
+    sensors = known.sensors
+    if known.standing is not None and known.young:
+        late, sigma = known.standing.curvature(sums, at_s, known.young)
+        settled = np.isfinite(late)
+        curvature = np.where(settled, late, curvature)
+        added = np.where(settled, sigma, added)
+        sensors |= int(sum(1 << int(i) for i in np.flatnonzero(settled)))
     return Peak(
         side=snapshots[0].side,
         t_s=at_s,
-        length_cm=length_cm,
+        length_cm=known.length_cm,
         curvature=curvature,
         free_curvature=float(np.mean([s.free_curvature for s in snapshots])),
         pressure_psi=float(np.mean([s.lagged_psi for s in snapshots])),

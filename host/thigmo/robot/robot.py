@@ -16,6 +16,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.operator import Operator
+from thigmo.robot.peaks import SweepConditions
 from thigmo.robot.sensing import Sensing
 from thigmo.robot.state import SnapshotReading, SweepResult
 from thigmo.robot.sweeping import SweepWatcher
@@ -119,7 +120,18 @@ class Robot(Sensing):
         options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
         truths: list[Truth] = []
         watcher = SweepWatcher(
-            self._client.device_s, lambda side: self._peak_and_truth(side, truths), rising=rising
+            self._client.device_s,
+            lambda side: self._peak_and_truth(side, truths),
+            SweepConditions(
+                self._table,
+                self._zero_sum,
+                self._oversample,
+                before.everted & before.settled & before.zeroed,
+                before.length_cm or 0.0,
+                self._aside,
+                self._standing,
+            ),
+            rising=rising,
         )
         with self._telemetry_to(watcher):
             self._start(
@@ -132,19 +144,6 @@ class Robot(Sensing):
                 )
             )
 
-            def told(so_far: bool = False) -> SweepResult:
-                return watcher.result(
-                    self._table,
-                    self._zero_sum,
-                    oversample=self._oversample,
-                    sensors=before.everted & before.settled & before.zeroed,
-                    length_cm=before.length_cm or 0.0,
-                    truth=joined(truths),
-                    young=self._aside,
-                    standing=self._standing,
-                    so_far=so_far,
-                )
-
             shown = 0
 
             def until() -> bool:
@@ -155,7 +154,7 @@ class Robot(Sensing):
                 if len(watcher.frames) == shown:
                     return False
                 shown = len(watcher.frames)
-                watcher.stopped = enough(told(so_far=True))
+                watcher.stopped = enough(watcher.result(joined(truths), so_far=True))
                 return watcher.stopped
 
             for event in self._watch.activity(
@@ -169,7 +168,7 @@ class Robot(Sensing):
                 truth = truth_now(self.scenery(), watcher.frames[-1].side)
                 truths += [truth] if truth else []
                 self._request(wire.Vent())
-        return told()
+        return watcher.result(joined(truths))
 
     def _peak_and_truth(self, side: Side, truths: list[Truth]) -> list[SnapshotReading]:
         truth = truth_now(self.scenery(), side)

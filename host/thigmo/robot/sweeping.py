@@ -10,9 +10,8 @@ import numpy as np
 from thigmo.config import SIDES, Side
 from thigmo.link import protocol as wire
 from thigmo.record import Truth
-from thigmo.robot.peaks import average_peak
-from thigmo.robot.readings import Floats, SensorTable
-from thigmo.robot.standing import StandingWatch
+from thigmo.robot.peaks import SweepConditions, average_peak
+from thigmo.robot.readings import SENSORS, Floats
 from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame, SweepResult
 
 _FRAME_SPACING_S = 0.05
@@ -27,6 +26,7 @@ class SweepWatcher:
     Attributes:
         device_s: unwraps the device's time.
         fetch: reads the captured peak from the board.
+        conditions: what was known of the sensors at its beginning.
         triggers, peaks, frames: what was collected.
         rising: the sweep is cut short after its first peak; what comes later does not count.
         stopped: the sweep was stopped on the way up; its last half second is its peak.
@@ -34,6 +34,7 @@ class SweepWatcher:
 
     device_s: Callable[[int], float]
     fetch: Callable[[Side], list[SnapshotReading]]
+    conditions: SweepConditions
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SnapshotReading]] = field(default_factory=list)
     frames: list[SweepFrame] = field(default_factory=list)
@@ -52,54 +53,21 @@ class SweepWatcher:
         elif event.code == wire.EventCode.PEAK:
             self.peaks.append(self.fetch(SIDES[event.arg]))
 
-    def result(
-        self,
-        table: SensorTable,
-        zero_sum: Floats,
-        *,
-        oversample: int,
-        sensors: int,
-        length_cm: float,
-        truth: Truth | None = None,
-        young: int = 0,
-        standing: StandingWatch | None = None,
-        so_far: bool = False,
-    ) -> SweepResult:
+    def result(self, truth: Truth | None = None, *, so_far: bool = False) -> SweepResult:
         """What was collected, in curvature.
 
         Args:
-            table: the sensors' constants.
-            zero_sum: their zeros, in sums of counts.
-            oversample: conversions a sum holds.
-            sensors: mask of sensors everted, settled and zeroed.
-            length_cm: everted length.
             truth: what the emulator knew at the peaks.
-            young: mask of sensors everted and not settled.
-            standing: what they rest at.
             so_far: the sweep goes on, and its peak is taken to be now.
         """
         end_s = self._end_s()
         frames = [frame for frame in self.frames if frame.t_s <= end_s]
         triggers = [trigger for trigger in self.triggers if trigger.t_s <= end_s]
-        peaks = [
-            average_peak(
-                snapshots,
-                zero_sum,
-                table,
-                oversample=oversample,
-                sensors=sensors,
-                length_cm=length_cm,
-                young=young,
-                standing=standing,
-            )
-            for snapshots in (
-                self.peaks or [self._last()] if so_far or self.stopped else self.peaks
-            )
-            if snapshots
-        ]
+        last = [self._last()] if so_far or self.stopped else []
+        peaks = [average_peak(shots, self.conditions) for shots in self.peaks or last if shots]
         sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
-        curvature = table.curvature(sums.reshape(-1, len(zero_sum)), zero_sum, oversample)
-        return SweepResult(triggers, peaks, frames, curvature, sensors, truth)
+        curvature = self.conditions.curvature(sums.reshape(-1, SENSORS))
+        return SweepResult(triggers, peaks, frames, curvature, self.conditions.sensors, truth)
 
     def _last(self) -> list[SnapshotReading]:
         """The last frames as readings, as many as a peak has, and as far apart."""
