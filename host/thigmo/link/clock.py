@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from statistics import fmean, linear_regression
 from typing import NamedTuple
 
 _WRAP = 1 << 32
@@ -116,15 +117,12 @@ class DeviceClock:
             raise LookupError("the clocks are not synchronised yet")
         limit = 1.5 * self.round_trip_s + 0.5e-3
         pairs = [s.best for s in self._stretches if s.best.round_trip_s <= limit]
-        count = len(pairs)
         base = pairs[0].device_us  # differences keep the sums small and exact
-        x_mean = sum(p.device_us - base for p in pairs) / count
-        y_mean = sum(p.host_s - pairs[0].host_s for p in pairs) / count
+        device_us = [float(p.device_us - base) for p in pairs]
+        host_s = [p.host_s - pairs[0].host_s for p in pairs]
         slope = 1.0
-        if pairs[-1].host_s - pairs[0].host_s >= _MIN_BASE_S:
-            dx = [(p.device_us - base - x_mean) * 1e-6 for p in pairs]
-            dy = [p.host_s - pairs[0].host_s - y_mean for p in pairs]
-            fitted = sum(a * b for a, b in zip(dx, dy, strict=True)) / sum(a * a for a in dx)
+        if host_s[-1] >= _MIN_BASE_S:
+            fitted = linear_regression(device_us, host_s).slope * 1e6
             if abs(fitted - 1.0) <= _MAX_SKEW:
                 slope = fitted
-        return Line(pairs[0].host_s + y_mean, base + x_mean, slope)
+        return Line(pairs[0].host_s + fmean(host_s), base + fmean(device_us), slope)

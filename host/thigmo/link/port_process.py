@@ -250,13 +250,10 @@ class PortProcess:
             self._touched_um = None
             self.call_stop()
 
-    def _orphaned(self) -> bool:
-        return os.getppid() != self._parent
-
     def _beat(self) -> None:
         """Thread: the heart, the lease, and the repeats of a stop."""
         while not self._end.wait(_TICK_S):
-            if self._orphaned() and not self._leaving.locked():
+            if os.getppid() != self._parent and not self._leaving.locked():
                 threading.Thread(target=self.leave, daemon=True).start()
             now = time.monotonic()
             frame = self._call.frame(now) if self._call is not None else None

@@ -16,7 +16,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable
-from multiprocessing.connection import Client, Connection, Listener
+from multiprocessing.connection import Client, Listener
 from pathlib import Path
 
 from thigmo.errors import LinkError, PortError
@@ -118,19 +118,14 @@ def call(where: str) -> str | None:
     try:
         with Client(where) as owner:
             owner.send_bytes(_CALL)
-            said, _, url = _answer_of(owner).partition(b" ")
+            said, _, url = owner.recv_bytes(_MOST_BYTES).partition(b" ")
     except (FileNotFoundError, ConnectionError):
         return None
+    except EOFError:  # it ended without an answer
+        said = url = b""
     if said != _STOPPED:
         raise LinkError(
             f"the board on {url.decode() or where} did not confirm the stop",
             "press the emergency stop or cut the power, and shut the air",
         )
     return url.decode()
-
-
-def _answer_of(owner: Connection) -> bytes:
-    try:
-        return owner.recv_bytes(_MOST_BYTES)
-    except EOFError:
-        return b""

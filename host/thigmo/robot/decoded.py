@@ -92,8 +92,8 @@ class Decoder:
         )
 
     def event(self, received: ReceivedEvent) -> Event:
-        """An event in words."""
-        return described(received.message, received.t_s, self._epoch_s + received.t_s)
+        """An event in words, with the operator's next step if there is one."""
+        return Event(received.t_s, self._epoch_s + received.t_s, *_told(received.message))
 
 
 @cache
@@ -111,12 +111,8 @@ def _drive_ma(level: int) -> float:
     return level * _FULL_MA / _FULL_DRIVE
 
 
-def described(event: wire.Event, t_s: float, epoch_s: float) -> Event:
-    """The message of a board's event, with the operator's next step if there is one."""
-    return Event(t_s, epoch_s, *_told(event))
-
-
 def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
+    """Name, severity, what happened, and what to do next."""
     code, arg, value = event.code, event.arg, event.value
     if code is wire.EventCode.FAULT:
         return wire.Fault(arg).key, "fault", *wire.Fault(arg).told

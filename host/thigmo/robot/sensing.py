@@ -201,7 +201,4 @@ class Sensing(Everting):
         """The readings captured around the last peak of a sweep, in time order."""
         first = self._client.request(wire.GetSnapshot(0))
         rest = [self._client.request(wire.GetSnapshot(n)) for n in range(1, first.count)]
-        return [self._snapshot(reply) for reply in (first, *rest)]
-
-    def _snapshot(self, reply: wire.Snapshot) -> SnapshotReading:
-        return snapshot_reading(reply, self._client.device_s(reply.t_us))
+        return [snapshot_reading(one, self._client.device_s(one.t_us)) for one in (first, *rest)]
