@@ -167,11 +167,11 @@ def run(name: str, out: Path, *, robots: int, trials: int, seed: int, jobs: int 
 @pytest.mark.parametrize("name", [n for n in EXPERIMENTS if n != "exploration"])
 def test_each_experiment_writes_tables_figures_and_claims(name: str, tmp_path: Path) -> None:
     results = run(name, tmp_path, robots=1, trials=1, seed=0)
-    assert results.figures
+    assert set(tmp_path.glob("*.png")) == {tmp_path / f"{name}-{f}.png" for f in results.figures}
+    assert results.figures or name == "predictions"
     claims = json.loads((tmp_path / f"{name}-claims.json").read_text())
     assert len(claims) == len(results.claims)
     assert results.claims or results.notes
-    assert list(tmp_path.glob(f"{name}-*.png"))
     assert list(tmp_path.glob(f"{name}-*.csv"))
 
 

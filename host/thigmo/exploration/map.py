@@ -13,7 +13,7 @@ from thigmo.exploration.eversion import Stall
 from thigmo.exploration.feel import Felt, arc_grid
 from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
 from thigmo.exploration.prior import PriorMap
-from thigmo.exploration.workspace import Bend, place_contact, ramp_knots
+from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.record import MapContact, TrueContact
 
 # Two contacts are one if they differ by less than this many standard deviations in the plane...
@@ -58,80 +58,78 @@ class ContactMap:
                 self._placed[index] = self._place(self._pegs[index])
                 return
             if self._other_bend(known, alone):
-                if _rank(alone) < _rank(known):
-                    lengths = [*known.merged, known.everted_length_cm]
-                    self._pegs[index] = [felt]
-                    self._placed[index] = replace(alone, merged=lengths)
+                self._keep_surer(index, alone, [felt])
                 return
         self._pegs.append([felt])
         self._placed.append(alone)
 
     def add_ahead(self, stall: Stall) -> None:
         """Take what stopped the tip's growth, which may have been felt before."""
-        radius = self.config.body.radius_cm
         low, high = stall.interval_cm
         # Anywhere in the interval along the path, and anywhere across the tip's face.
-        along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
-        ahead = MapContact(
-            arc_cm=stall.tip_cm,
-            x_cm=stall.tip_cm,
-            y_cm=0.0,
-            force_per_cm2=0.0,
-            interval_cm=stall.interval_cm,
-            status="localized" if high - low <= WIDEST_CM else "ambiguous",
-            everted_length_cm=stall.tip_cm,
-            side="",
-            normal_rad=0.0,
-            covariance_cm2=((along, 0.0), (0.0, across)),
-            track=[(low, 0.0), (high, 0.0)],
-            model="stalled growth: sensors that were due did not evert",
-            readings=stall.sensors,
+        along, across = (high - low) ** 2 / 12, (2 * self.config.body.radius_cm) ** 2 / 12
+        covariance = ((along, 0.0), (0.0, across))
+        track = [(low, 0.0), (high, 0.0)]
+        self._add_met(
+            MapContact(
+                arc_cm=stall.tip_cm,
+                force_per_cm2=0.0,
+                interval_cm=stall.interval_cm,
+                status=_status(stall.interval_cm),
+                everted_length_cm=stall.tip_cm,
+                side="",
+                model="stalled growth: sensors that were due did not evert",
+                readings=stall.sensors,
+                **PlacedContact(stall.tip_cm, 0.0, 0.0, covariance, track)._asdict(),
+            )
         )
-        self._add_met(ahead)
 
     def add_leaning(self, leaning: Deflection) -> None:
         """Take what growth bent the body on, which may have been felt before."""
-        knots = ramp_knots([(leaning.arc_cm, leaning.force_per_cm2)])
+        arc, force = leaning.arc_cm, leaning.force_per_cm2
         placed = place_contact(
-            Bend(leaning.length_cm, 0.0, knots),
-            leaning.arc_cm,
-            leaning.force_per_cm2,
+            Bend(leaning.length_cm, 0.0, ramp_knots([(arc, force)])),
+            arc,
+            force,
             leaning.interval_cm,
             radius_cm=self.config.body.radius_cm,
             curvature_se=leaning.curvature_se,
         )
-        low, high = leaning.interval_cm
         self._add_met(
             MapContact(
-                arc_cm=leaning.arc_cm,
-                x_cm=placed.x_cm,
-                y_cm=placed.y_cm,
-                force_per_cm2=leaning.force_per_cm2,
+                arc_cm=arc,
+                force_per_cm2=force,
                 interval_cm=leaning.interval_cm,
-                status="localized" if high - low <= WIDEST_CM else "ambiguous",
+                status=_status(leaning.interval_cm),
                 everted_length_cm=leaning.length_cm,
                 side="",
-                normal_rad=placed.normal_rad,
-                covariance_cm2=placed.covariance_cm2,
-                track=placed.track,
                 model="growth bent the body: its zeros moved",
                 readings=leaning.sensors,
+                **placed._asdict(),
             )
         )
 
     def _add_met(self, met: MapContact) -> None:
         """A contact without a posterior along the body: growth met it. Of two, the surer stays."""
-        if self.prior:
-            met = replace(met, known=self.prior.match(met))
+        met = self._known(met)
         for index, known in enumerate(self._placed):
             if _apart(known, met) < _SAME_SIGMA:
-                if _rank(met) < _rank(known):
-                    lengths = [*known.merged, known.everted_length_cm]
-                    self._pegs[index] = []
-                    self._placed[index] = replace(met, merged=lengths)
+                self._keep_surer(index, met, [])
                 return
         self._pegs.append([])
         self._placed.append(met)
+
+    def _keep_surer(self, index: int, again: MapContact, stages: list[Felt]) -> None:
+        """Of a known peg and what is the same peg, the surer stays."""
+        known = self._placed[index]
+        if _rank(again) < _rank(known):
+            self._pegs[index] = stages
+            merged = [*known.merged, known.everted_length_cm]
+            self._placed[index] = replace(again, merged=merged)
+
+    def _known(self, found: MapContact) -> MapContact:
+        """The contact with the obstacle of the map that was given that it is."""
+        return replace(found, known=self.prior.match(found)) if self.prior else found
 
     def _agree(self, index: int, felt: Felt) -> bool:
         """Whether one place explains a known peg's posterior and a new one better than two do.
@@ -161,7 +159,7 @@ class ContactMap:
             mass = fused(grid, [felt.mass for felt in stages])
             arc = median(grid, mass)
             interval = shortest(grid, mass)
-            status = "localized" if interval[1] - interval[0] <= WIDEST_CM else "ambiguous"
+            status = _status(interval)
         force = contact.force * contact.arc / arc if arc > 0 else contact.force
         offset = contact.end_offset
         if offset is not None and arc < contact.arc - _FLOOR_CM and newest.bend.excess:
@@ -176,23 +174,24 @@ class ContactMap:
             curvature_se=self.config.actuators.side(newest.side).offset_se,
             end_offset_cm=offset,
         )
-        found = MapContact(
-            arc_cm=arc,
-            x_cm=placed.x_cm,
-            y_cm=placed.y_cm,
-            force_per_cm2=force,
-            interval_cm=(float(interval[0]), float(interval[1])),
-            status=status,
-            everted_length_cm=newest.length_cm,
-            side=newest.side,
-            normal_rad=placed.normal_rad,
-            covariance_cm2=placed.covariance_cm2,
-            track=placed.track,
-            model=newest.hypothesis,
-            readings=newest.readings,
-            merged=[felt.length_cm for felt in stages[:-1]],
+        return self._known(
+            MapContact(
+                arc_cm=arc,
+                force_per_cm2=force,
+                interval_cm=(float(interval[0]), float(interval[1])),
+                status=status,
+                everted_length_cm=newest.length_cm,
+                side=newest.side,
+                model=newest.hypothesis,
+                readings=newest.readings,
+                merged=[felt.length_cm for felt in stages[:-1]],
+                **placed._asdict(),
+            )
         )
-        return replace(found, known=self.prior.match(found)) if self.prior else found
+
+
+def _status(interval: tuple[float, float]) -> str:
+    return "localized" if interval[1] - interval[0] <= WIDEST_CM else "ambiguous"
 
 
 def _apart(a: MapContact, b: MapContact) -> float:
@@ -230,11 +229,9 @@ def errors(
     ]
     if not same:
         return None, None
-    nearest = min(same, key=lambda t: hypot(t.x_cm - best.x_cm, t.y_cm - best.y_cm))
-    return (
-        abs(nearest.x_cm - best.x_cm),
-        hypot(nearest.x_cm - best.x_cm, nearest.y_cm - best.y_cm),
-    )
+    apart = [(t.x_cm - best.x_cm, t.y_cm - best.y_cm) for t in same]
+    x, y = min(apart, key=lambda gap: hypot(*gap))
+    return abs(x), hypot(x, y)
 
 
 def peg_ahead(contacts: list[MapContact], length_cm: float, radius_cm: float) -> bool:

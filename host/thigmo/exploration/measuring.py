@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from thigmo.config import RobotConfig, Side
 from thigmo.mechanics.buckling import critical_moment
@@ -59,11 +60,7 @@ def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
 
 def _smooth(values: Sequence[float]) -> Floats:
     """Running median, which keeps edges and drops single frames."""
-    if not values:
-        return np.zeros(0)
-    padded = np.pad(np.asarray(values), _SMOOTH // 2, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, _SMOOTH)
-    median: Floats = np.median(windows, axis=1)
+    median: Floats = median_filter(np.asarray(values, dtype=np.float64), _SMOOTH, mode="nearest")
     return median
 
 

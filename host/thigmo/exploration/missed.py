@@ -20,7 +20,6 @@ from thigmo.record import (
     MapContact,
     MissedContact,
     RunDocument,
-    Stage,
     TrueContact,
     TruePeg,
 )
@@ -130,9 +129,10 @@ def _why_missed(
     first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
     if missed.arc_cm <= first:
         return "below detection: nearer to the base than the first sensor, which it does not bend"
-    stage = _stage(document.stages, missed)
-    if stage is None:
+    near = [s for s in document.stages if _at(s.everted_length_cm, missed.side, missed)]
+    if not near:
         return "the run ended before its stage was localized"
+    stage = near[-1]
     held = stage.held_back_per_cm.get(missed.side)
     if held is not None and held < TRIGGER_PER_CM:
         return (
@@ -147,13 +147,6 @@ def _why_missed(
         return "placed elsewhere, beyond three standard deviations of its interval"
     said = [t.message for t in stage.triggers if t.side == missed.side and t.message]
     return f"below detection: {said[-1]}" if said else "felt, and not localized at its last stage"
-
-
-def _stage(stages: Sequence[Stage], missed: TrueContact) -> Stage | None:
-    near = [
-        s for s in stages if abs(s.everted_length_cm - missed.everted_length_cm) < _SAME_LENGTH_CM
-    ]
-    return near[-1] if near else None
 
 
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:

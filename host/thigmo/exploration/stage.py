@@ -22,7 +22,6 @@ from thigmo.exploration.prior import PriorMap
 from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
-from thigmo.localization import Contact
 from thigmo.record import Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
 
@@ -121,10 +120,9 @@ class Interpreter:
 
 def placed(feeling: Feeling) -> bool:
     """Whether it tells one contact's place well enough."""
-    return len(feeling.felt) == 1 and _narrow(feeling.felt[0].contact)
-
-
-def _narrow(contact: Contact) -> bool:
+    if len(feeling.felt) != 1:
+        return False
+    contact = feeling.felt[0].contact
     low, high = contact.interval
     return contact.status == "localized" and high - low <= ENOUGH_CM
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,8 +166,7 @@ def skin_point(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedContact:
+class PlacedContact(NamedTuple):
     """A contact in the workspace: the skin point, its covariance, and its interval drawn out."""
 
     x_cm: float

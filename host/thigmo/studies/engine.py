@@ -12,6 +12,7 @@ import json
 import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -170,6 +171,21 @@ def _ignore_interrupts() -> None:
 Study = Callable[[Context], Outcome]
 
 
+def extra(module: str) -> Any:
+    """A module of one of the packages that only studies need.
+
+    Raises:
+        DataError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise DataError(
+            f"the package {package} is not installed", "run `pip install 'thigmo[bench]'`"
+        ) from error
+
+
 def connect_cluster(address: str) -> Any:
     """Connect joblib's "dask" backend to a scheduler.
 
@@ -179,14 +195,9 @@ def connect_cluster(address: str) -> Any:
     Raises:
         DataError: dask is not installed, nobody answers at the address, or nobody works for it.
     """
+    distributed = extra("distributed")
     try:
-        from distributed import Client
-    except ImportError as error:
-        raise DataError(
-            "the dask backend needs dask", "run `pip install 'thigmo[bench]'`"
-        ) from error
-    try:
-        client: Any = Client(address, timeout="5s")  # type: ignore[no-untyped-call]
+        client = distributed.Client(address, timeout="5s")
     except (OSError, TimeoutError, ValueError) as error:
         raise DataError(
             f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"

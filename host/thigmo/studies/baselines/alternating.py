@@ -15,11 +15,12 @@ for a folded base (section 3.2).
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import Bounds, minimize
 
 from thigmo.studies.baselines.problem import (
     Array,
@@ -117,10 +118,6 @@ def _downhill(values: list[float], at: int) -> int:
     return at
 
 
-def _cost(problem: Problem, forces: Array, arcs: Array) -> float:
-    return objective(problem, arcs, forces)
-
-
 def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
 
@@ -128,23 +125,21 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     thesis's method see. In cm, where it takes half as long as in mm with the same error. Source:
     scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J. Optim. 9, 1999).
     """
-    import warnings
-
-    from scipy.optimize import Bounds, minimize
-
     problem = at_centres(problem)
     arcs = starting_arcs(problem)
     forces = np.zeros(arcs.size)
     bounds = Bounds(np.zeros(arcs.size), np.full(arcs.size, problem.length))
+
+    def cost(arcs: Array, forces: Array) -> float:
+        return objective(problem, arcs, forces)
+
     for _ in range(_MOST_ROUNDS):
         forces = best_forces(problem, arcs)
         before = arcs.copy()
         with warnings.catch_warnings():
             # The objective has kinks; SciPy warns of the flat quasi-Newton updates they cause.
             warnings.simplefilter("ignore", UserWarning)
-            found = minimize(
-                partial(_cost, problem, forces), arcs, method="trust-constr", bounds=bounds
-            )
+            found = minimize(cost, arcs, args=(forces,), method="trust-constr", bounds=bounds)
         arcs = np.clip(found.x, 0.0, problem.length)
         if np.max(np.abs(arcs - before)) <= _TOLERANCE_CM:
             break
@@ -170,8 +165,6 @@ def coupled(problem: Problem) -> tuple[Array, Array]:
     Readings whose base does not pass the critical curvature are not folded and go to `clamped`, as
     do several contacts.
     """
-    from scipy.optimize import minimize
-
     held, base = _clamp_base(problem)
     if problem.contacts != 1 or abs(base) <= problem.critical_curvature:
         return alternating(held)

@@ -9,9 +9,9 @@ import numpy as np
 
 from thigmo.errors import DataError
 from thigmo.studies.baselines.problem import Array, Problem, best_forces
+from thigmo.studies.engine import extra
 
 _SEGMENT = 3  # the least that ruptures' continuous linear cost takes
-_INSTALL = "run `pip install 'thigmo[bench]'`"
 
 
 def pwlf(problem: Problem) -> tuple[Array, Array]:
@@ -23,10 +23,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     Raises:
         DataError: the package is missing, or there are too few places for its free parameters.
     """
-    try:
-        from pwlf import PiecewiseLinFit
-    except ImportError as error:
-        raise DataError("method 'pwlf' needs the package pwlf", _INSTALL) from error
+    fitter = extra("pwlf")
     places = np.unique(problem.position)
     least = 2 * problem.contacts + 2
     if places.size < least:
@@ -35,7 +32,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
             "use the localizer",
         )
     means = np.array([problem.curvature[problem.position == x].mean() for x in places])
-    fit = PiecewiseLinFit(places, means, seed=0)
+    fit = fitter.PiecewiseLinFit(places, means, seed=0)
     breaks = np.asarray(fit.fit(problem.contacts + 1), dtype=np.float64)
     arcs = np.clip(np.sort(breaks[1:-1]), 0.0, problem.length)
     return arcs, best_forces(problem, arcs)
@@ -52,17 +49,15 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
     Raises:
         DataError: the package is missing, or there are too few places for its segments.
     """
-    try:
-        from ruptures import Dynp
-    except ImportError as error:
-        raise DataError("method 'ruptures' needs the package ruptures", _INSTALL) from error
+    finder = extra("ruptures")
     order = np.argsort(problem.position, kind="stable")
     least = _SEGMENT * (problem.contacts + 1)
     if order.size < least:
         raise DataError(
             f"ruptures needs {least} readings, there are {order.size}", "use the localizer"
         )
-    fit = Dynp(model="clinear", min_size=_SEGMENT, jump=1).fit(problem.curvature[order][:, None])
+    fit = finder.Dynp(model="clinear", min_size=_SEGMENT, jump=1)
+    fit.fit(problem.curvature[order][:, None])
     ends = np.asarray(fit.predict(n_bkps=problem.contacts)[:-1], dtype=int)
     arcs = problem.position[order][ends]
     return arcs, best_forces(problem, arcs)

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
+from scipy.optimize import Bounds, differential_evolution, dual_annealing, minimize
 
 from thigmo.studies.baselines.problem import (
     Array,
@@ -20,82 +22,46 @@ from thigmo.studies.baselines.problem import (
     best_forces,
     in_order,
     influence,
+    objective,
     single_forces,
     starting_arcs,
 )
-from thigmo.studies.baselines.problem import objective as misfit
-
-if TYPE_CHECKING:
-    from scipy.optimize import Bounds
 
 _GRID_CM = 0.1
 _PAIR_GRID_CM = 1.0
 
-Optimiser = Callable[[Callable[[Array], float], Array, "Bounds"], Any]
+Optimiser = Callable[..., Any]
+"""Of a cost, bounds of its variables and `x0`; the result has the best in `x`."""
+
+# Kraft 1988 (SLSQP); Byrd, Hribar and Nocedal 1999 (trust-constr); Nelder and Mead 1965; Storn and
+# Price 1997, with SciPy's defaults; Xiang et al. 1997, of 200 iterations. Seeds are fixed.
+OPTIMISERS: dict[str, Optimiser] = {
+    "slsqp": partial(minimize, method="SLSQP"),
+    "trust-constr": partial(minimize, method="trust-constr"),
+    "nelder-mead": partial(minimize, method="Nelder-Mead"),
+    "differential-evolution": lambda cost, x0, bounds: differential_evolution(cost, bounds, rng=0),
+    "dual-annealing": partial(dual_annealing, maxiter=200, rng=0),
+}
 
 
-def _jointly(optimise: Optimiser, problem: Problem) -> tuple[Array, Array]:
-    """Arcs and forces together, by an optimiser of (cost, start, bounds)."""
-    from scipy.optimize import Bounds
-
+def optimised(name: str, problem: Problem) -> tuple[Array, Array]:
+    """The thesis's objective, arcs and forces together, in the hands of one of OPTIMISERS."""
     # A force that explains the largest reading with a contact at the tip.
     unit = max(float(np.max(np.abs(problem.curvature))), 1e-12) / problem.length
     count = problem.contacts
 
     def cost(x: Array) -> float:
-        return misfit(problem, x[:count] * problem.length, x[count:] * unit) / unit
+        return objective(problem, x[:count] * problem.length, x[count:] * unit) / unit
 
     bounds = Bounds(np.repeat([0.0, -20.0], count), np.repeat([1.0, 20.0], count))
     arcs = starting_arcs(problem)
     start = np.concatenate([arcs / problem.length, best_forces(problem, arcs) / unit])
+    start = np.clip(start, bounds.lb, bounds.ub)
     with warnings.catch_warnings():
         # The objective has kinks; SciPy warns of the flat quasi-Newton updates that they cause.
         warnings.simplefilter("ignore", UserWarning)
-        x = optimise(cost, np.clip(start, bounds.lb, bounds.ub), bounds).x
+        x = OPTIMISERS[name](cost, x0=start, bounds=bounds).x
     return in_order(np.clip(x[:count], 0.0, 1.0) * problem.length, x[count:] * unit)
-
-
-Method = Literal["SLSQP", "trust-constr", "Nelder-Mead"]
-
-
-def minimiser(method: Method) -> Optimiser:
-    """One of `scipy.optimize.minimize`'s methods."""
-
-    def optimise(cost: Callable[[Array], float], start: Array, bounds: Bounds) -> Any:
-        from scipy.optimize import minimize
-
-        return minimize(cost, start, method=method, bounds=bounds)
-
-    return optimise
-
-
-def evolution(cost: Callable[[Array], float], _: Array, bounds: Bounds) -> Any:
-    """SciPy's differential evolution (Storn and Price 1997), its defaults, a fixed seed."""
-    from scipy.optimize import differential_evolution
-
-    return differential_evolution(cost, bounds, rng=0)
-
-
-def annealing(cost: Callable[[Array], float], start: Array, bounds: Bounds) -> Any:
-    """SciPy's dual annealing (Xiang et al. 1997), 200 iterations, a fixed seed."""
-    from scipy.optimize import dual_annealing
-
-    return dual_annealing(cost, bounds, maxiter=200, rng=0, x0=start)
-
-
-# Kraft 1988 (SLSQP), Byrd, Hribar and Nocedal 1999 (trust-constr), Nelder and Mead 1965.
-OPTIMISERS: dict[str, Optimiser] = {
-    "slsqp": minimiser("SLSQP"),
-    "trust-constr": minimiser("trust-constr"),
-    "nelder-mead": minimiser("Nelder-Mead"),
-    "differential-evolution": evolution,
-    "dual-annealing": annealing,
-}
-
-
-def optimised(name: str, problem: Problem) -> tuple[Array, Array]:
-    """The thesis's objective in the hands of one of OPTIMISERS."""
-    return _jointly(OPTIMISERS[name], problem)
 
 
 def grid(problem: Problem) -> tuple[Array, Array]:

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.errors import DataError
 from thigmo.localization import localize
 from thigmo.studies.baselines.problem import Array, Problem, best_forces, influence
+from thigmo.studies.engine import extra
 
 _EXAMPLES = 6000
 
@@ -55,13 +55,6 @@ def _ensemble(
     noise: float,
     mechanics: bool,
 ) -> Any:
-    try:
-        from sklearn.ensemble import ExtraTreesRegressor
-    except ImportError as error:
-        raise DataError(
-            "methods 'trees' and 'trees-mechanics' need scikit-learn",
-            "run `pip install 'thigmo[bench]'`",
-        ) from error
     layout = Problem(
         np.zeros(len(position)), np.array(position), np.array(span), length, contacts, noise
     )
@@ -69,7 +62,9 @@ def _ensemble(
     examples = [_example(layout, rng) for _ in range(_EXAMPLES)]
     inputs = np.array([_features(problem, mechanics) for problem, _ in examples])
     arcs = np.array([target for _, target in examples])
-    forest = ExtraTreesRegressor(n_estimators=100, min_samples_leaf=3, random_state=0)
+    forest = extra("sklearn.ensemble").ExtraTreesRegressor(
+        n_estimators=100, min_samples_leaf=3, random_state=0
+    )
     return forest.fit(inputs, arcs if contacts > 1 else arcs[:, 0])
 
 

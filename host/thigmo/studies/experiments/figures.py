@@ -21,7 +21,6 @@ from thigmo.studies.experiments.compare import (
     THEIRS,
     Row,
     Solved,
-    camera_errors,
     workspace_errors,
 )
 
@@ -188,23 +187,9 @@ def two_contacts(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Fig
 
 
 def actuated(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]:
-    """Errors by place and pressure (3.7c), as the thesis measures and in the workspace."""
+    """Errors by place and pressure (3.7c)."""
     errors = _levels(solved, rows, "Single contact with active bending (thesis, figure 3.7c)")
-    mixture, (axis,) = charts.panels(
-        size=(7, 4.2), title="The thesis's measure holds the bent robot's foreshortening"
-    )
-    true = np.array([one.trial.arcs_cm[0] - one.trial.obstacle_x_cm[0] for one in solved])
-    jitter = np.random.default_rng(0).uniform(-0.15, 0.15, true.size)
-    for method, color, label in _METHODS:
-        found = [float(camera_errors(one.trial, one.answers[method])[0]) for one in solved]
-        axis.plot(true + jitter, found, "o", color=color, alpha=0.3, markersize=4, label=label)
-    top = float(true.max()) * 1.1
-    axis.plot([0, top], [0, top], "k--", linewidth=1, label="a perfect arc, by this measure")
-    axis.set(
-        xlabel="arc - x of the obstacle: foreshortening (cm)", ylabel="|a - x of the obstacle| (cm)"
-    )
-    axis.legend(fontsize=8)
-    return {"schematic": schematics.actuated(), "errors": errors, "measure": mixture}
+    return {"schematic": schematics.actuated(), "errors": errors}
 
 
 FIGURES: dict[str, Callable[[Sequence[Solved], Sequence[Row]], dict[str, Figure]]] = {

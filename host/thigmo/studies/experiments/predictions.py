@@ -10,12 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thigmo.config import TanhMap
-from thigmo.studies import charts
 from thigmo.studies.engine import Context, Outcome, records
 from thigmo.studies.experiments import conditions, thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
@@ -23,9 +21,6 @@ from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.plan import STATIC
 from thigmo.studies.experiments.specimen import Constants, Specimen
 from thigmo.studies.experiments.trial import Trial
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _MAP_ERROR = 0.03
 _WITHIN = 4 / 3  # a prediction within this factor of the thesis's mean is said to hold
@@ -109,7 +104,7 @@ def run(robots: int, trials: int, context: Context) -> Outcome:
     """Every setting, over robots built anew for it from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
     found = [cell for some in context.map(_rows, items, "changed constants") for cell in some]
-    return Outcome({"cells": records(found)}, {"constants": _figure(found)}, notes=remarks(found))
+    return Outcome({"cells": records(found)}, notes=remarks(found))
 
 
 def remarks(found: list[Cell]) -> list[str]:
@@ -127,29 +122,3 @@ def remarks(found: list[Cell]) -> list[str]:
             f"moved most by {most.changed}: {most.camera_cm:.2f}"
         )
     return told
-
-
-def _figure(found: list[Cell]) -> Figure:
-    """Mean error over the thesis's, a column a row of its table, a line a changed constant."""
-    rows = list(dict.fromkeys(c.row for c in found))
-    changes = list(dict.fromkeys(c.changed for c in found))
-    table = {(c.changed, *c.row): c for c in found}
-    lines = [[table[(change, *row)] for row in rows] for change in changes]
-    figure, (axis,) = charts.panels(
-        size=(11, 0.42 * len(changes) + 2.6),
-        title="The thesis's solver: mean |a - x of the obstacle| (in the workspace), cm. "
-        "Left of the line fitted, right of it predicted.",
-    )
-    image = charts.cells(
-        axis,
-        [[np.log2(c.camera_cm / c.thesis_cm) for c in line] for line in lines],
-        changes,
-        [f"{c.experiment}\n{c.condition}\nthesis {c.thesis_cm:.2f}" for c in lines[0]],
-        texts=[[f"{c.camera_cm:.2f} ({c.workspace_cm:.2f})" for c in line] for line in lines],
-        cmap="RdBu_r", vmin=-2, vmax=2,
-    )  # fmt: skip
-    axis.axvline(1.5, color="k")
-    bar = figure.colorbar(image, ax=axis, ticks=[-2, -1, 0, 1, 2])
-    bar.set_ticklabels(["1/4", "1/2", "1", "2", "4"])
-    bar.set_label("|a - x| here over the thesis's")
-    return figure
