@@ -8,19 +8,6 @@ _Array = npt.NDArray[np.float64]
 class Priors:
     def __init__(self, values: dict[str, Any]) -> None: ...
 
-class Settings:
-    def __init__(
-        self,
-        critical: float,
-        critical_error: float,
-        radius: float,
-        held_end: int,
-        contacts: int,
-        within: tuple[float, float],
-        width_limit: float,
-        norm: int,
-    ) -> None: ...
-
 class Answer:
     status: int
     problem: int
@@ -40,7 +27,7 @@ class Answer:
     mass: _Array
     bend: _Array
 
-class Sensors:
+class Localizer:
     length: float
     def __init__(
         self,
@@ -54,16 +41,14 @@ class Sensors:
         map_scale: float,
         length: float,
         radius: float,
+        critical: float,
+        critical_error: float,
+        held_end: int,
+        contacts: int,
+        within: tuple[float, float],
+        width_limit: float,
+        norm: int,
+        priors: Priors,
     ) -> None: ...
-
-def localize(
-    curvature: _Array,
-    free: _Array,
-    body: _Array,
-    sensors: Sensors,
-    settings: Settings,
-    priors: Priors,
-) -> Answer: ...
-def localize_rows(
-    curvature: _Array, free: _Array, sensors: Sensors, settings: Settings, priors: Priors
-) -> tuple[_Array, _Array]: ...
+    def localize(self, curvature: _Array, free: _Array, body: _Array) -> Answer: ...
+    def localize_rows(self, curvature: _Array, free: _Array) -> tuple[_Array, _Array]: ...

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.errors import DataError
-from thigmo.localization import _posterior, priors
-from thigmo.localization.estimate import STATUSES, options_of
+from thigmo.localization.estimate import STATUSES, localizer_of
 from thigmo.localization.readings import refusal, vector
 from thigmo.localization.result import Array, Status
 
@@ -89,14 +88,12 @@ def localize_batch(
         raise DataError(
             f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
         )
-    sensors, settings = options_of(position, width, length, method=method, **options)
+    localizer = localizer_of(position, width, length, method=method, **options)
     parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
     def run(rows: npt.NDArray[np.int64]) -> tuple[Array, Array]:
         own = free if free.shape[0] == 1 else free[rows]
-        return _posterior.localize_rows(
-            table[rows], np.ascontiguousarray(own), sensors, settings, priors.compiled()
-        )
+        return localizer.localize_rows(table[rows], np.ascontiguousarray(own))
 
     with ThreadPoolExecutor(len(parts)) as pool:
         found = list((pool.map if len(parts) > 1 else map)(run, parts))
@@ -105,7 +102,7 @@ def localize_batch(
     wrong = np.flatnonzero(problem)
     if wrong.size:
         row = int(wrong[0])
-        error = refusal(int(problem[row]), float(shows[row]), sensors.length)
+        error = refusal(int(problem[row]), float(shows[row]), localizer.length)
         raise DataError(f"row {row}: {error.what}", error.next_step)
     arc, force, low, high, localized = np.moveaxis(of_contact, 2, 0)
     return BatchResult(

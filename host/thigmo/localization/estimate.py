@@ -17,7 +17,6 @@ import numpy.typing as npt
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.readings import (
-    Array,
     Range,
     check_layout,
     columns,
@@ -99,7 +98,7 @@ def localize(
         DataError: readings that cannot be used as given, or that look like another unit.
     """
     k = vector(curvature, "curvature")
-    sensors, settings = options_of(
+    localizer = localizer_of(
         position, k.size, length,
         span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
         contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
@@ -107,18 +106,18 @@ def localize(
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
-    found = _posterior.localize(k, free, body, sensors, settings, priors.compiled())
+    found = localizer.localize(k, free, body)
     if found.problem:
-        raise refusal(found.problem, found.shows, sensors.length)
+        raise refusal(found.problem, found.shows, localizer.length)
     if method != "posterior":
-        return _point_fit(found, sensors.length, method)
-    return _result(found, sensors.length)
+        return _point_fit(found, localizer.length, method)
+    return _result(found, localizer.length)
 
 
-def options_of(
+def localizer_of(
     position: npt.ArrayLike, count: int, length: float, *options: Any, **named: Any
-) -> tuple[_posterior.Sensors, _posterior.Settings]:
-    """The options of N readings, checked, as the compiled code takes them.
+) -> _posterior.Localizer:
+    """The compiled localizer of N readings, by checked options and the priors of now.
 
     Args:
         position: (N,) sensor centres.
@@ -129,26 +128,18 @@ def options_of(
     Raises:
         DataError: an option that is not possible.
     """
-    x = vector(position, "position")
-    defaults = priors.TUBE_RADIUS, priors.WIDTH_SHARE
+    given = vector(position, "position").tobytes(), priors.compiled(), count, length, *options
     try:
         # Most callers give the same options again and again.
-        return _kept_options(x.tobytes(), defaults, count, length, *options, **named)
-    except TypeError:
-        pass  # one is an array, which has no hash
-    return _options(x, defaults, count, length, *options, **named)
+        return _checked(*given, **named)
+    except TypeError:  # one is an array, which has no hash
+        return _checked.__wrapped__(*given, **named)
 
 
 @lru_cache(maxsize=64, typed=True)
-def _kept_options(
-    position: bytes, *options: Any, **named: Any
-) -> tuple[_posterior.Sensors, _posterior.Settings]:
-    return _options(np.frombuffer(position), *options, **named)
-
-
-def _options(
-    x: Array,
-    defaults: tuple[float, float],  # shares of the length: tube radius, widest interval
+def _checked(
+    position: bytes,
+    rules: _posterior.Priors,
     count: int,
     length: float,
     span: npt.ArrayLike = 0.0,
@@ -166,8 +157,8 @@ def _options(
     width_limit: float | None = None,
     within: Range | None = None,
     method: str = "posterior",
-) -> tuple[_posterior.Sensors, _posterior.Settings]:
-    total = everted_length(length)
+) -> _posterior.Localizer:
+    x, total = np.frombuffer(position), everted_length(length)
     if x.size != count:
         raise DataError(
             "position and curvature differ in length", "give one position for each reading"
@@ -189,7 +180,7 @@ def _options(
         raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
     if method != "posterior" and contacts not in ("auto", 1, 2):
         raise DataError(f"{method} fits no {contacts} contacts", "give 1 or 2, or no method")
-    radius, limit = defaults[0] * total, defaults[1]
+    radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
     if tube_radius is not None:
         radius = max(positive(tube_radius, "tube_radius"), 1e-6 * total)
     moment = math.inf
@@ -197,7 +188,7 @@ def _options(
         moment = max(positive(critical_curvature, "critical_curvature") * total, 1e-6)
     if width_limit is not None:
         limit = positive(width_limit, "width_limit") / total
-    sensors = _posterior.Sensors(
+    return _posterior.Localizer(
         x,
         widths,
         white,
@@ -208,18 +199,15 @@ def _options(
         positive(map_error, "map_error"),
         total,
         radius,
-    )
-    settings = _posterior.Settings(
         moment,
         max(positive(critical_curvature_error, "critical_curvature_error"), 1e-3),
-        radius / total,
         int(tube_radius is None) if held_end is None else 2 * int(held_end),
         -1 if contacts == "auto" else int(contacts),
         share_of_length(within, total),
         limit,
         METHODS.index(method),
+        rules,
     )
-    return sensors, settings
 
 
 def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:

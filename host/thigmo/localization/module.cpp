@@ -78,9 +78,15 @@ void write(const Answer& from, double length, double* row, double* contact) {
   }
 }
 
-Answer answer_by_method(const Input& input, const Priors& priors, const Settings& settings) {
-  return settings.norm == 0 ? answer(input, priors, settings) : point_fit(input, settings);
-}
+// What holds for all frames of the same sensors.
+struct Localizer {
+  Input sensors;
+  Settings settings;
+  Priors priors;
+  Answer answer_to(const Input& input) const {
+    return settings.norm == 0 ? answer(input, priors, settings) : point_fit(input, settings);
+  }
+};
 
 }  // namespace
 
@@ -100,16 +106,6 @@ NB_MODULE(_posterior, m) {
                       number("END_CELL"),      number("MISFIT_DEVIATE"), number("NOISE_DEVIATE"),
                       number("CONTACT_UNSURE")};
   });
-
-  nb::class_<Settings>(m, "Settings")
-      .def("__init__",
-           [](Settings* self, double critical, double critical_error, double radius, int held_end,
-              int contacts, std::pair<double, double> within, double width_limit, int norm) {
-             new (self) Settings{critical,    critical_error,
-                                 radius,      Settings::Held(held_end),
-                                 contacts,    {within.first, within.second},
-                                 width_limit, norm};
-           });
 
   nb::class_<Answer>(m, "Answer")
       .def_prop_ro("status", [](const Answer& a) { return static_cast<int>(a.status); })
@@ -193,47 +189,49 @@ NB_MODULE(_posterior, m) {
           },
           nb::rv_policy::reference);
 
-  nb::class_<Input>(m, "Sensors")
-      .def("__init__",
-           [](Input* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
-              Numbers bad_odds, Table shared, double offset, double map, double length,
-              double radius) {
-             new (self) Input{};
-             self->position = row(position), self->span = row(span), self->noise = row(noise);
-             self->gain = row(gain), self->bad_odds = row(bad_odds);
-             self->shared = matrix(shared);
-             self->offset = offset, self->map = map;
-             self->length = length, self->radius = radius;
+  nb::class_<Localizer>(m, "Localizer")
+      .def(
+          "__init__",
+          [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
+             Numbers bad_odds, Table shared, double offset, double map, double length,
+             double radius, double critical, double critical_error, int held_end, int contacts,
+             std::pair<double, double> within, double width_limit, int norm, const Priors& priors) {
+            Input in{};
+            in.position = row(position), in.span = row(span), in.noise = row(noise);
+            in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
+            in.offset = offset, in.map = map, in.length = length, in.radius = radius;
+            const Settings settings{critical,        critical_error,
+                                    radius / length, Settings::Held(held_end),
+                                    contacts,        {within.first, within.second},
+                                    width_limit,     norm};
+            new (self) Localizer{in, settings, priors};
+          })
+      .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
+      .def("localize",
+           [](const Localizer& self, Numbers curvature, Numbers free, Numbers body) {
+             Input input = self.sensors;
+             input.curvature = row(curvature), input.free = row(free), input.body = row(body);
+             nb::gil_scoped_release released;
+             return self.answer_to(input);
            })
-      .def_ro("length", &Input::length);
-
-  m.def("localize", [](Numbers curvature, Numbers free, Numbers body, const Input& sensors,
-                       const Settings& settings, const Priors& priors) {
-    Input input = sensors;
-    input.curvature = row(curvature), input.free = row(free), input.body = row(body);
-    nb::gil_scoped_release released;
-    return answer_by_method(input, priors, settings);
-  });
-
-  // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
-  m.def("localize_rows", [](Table curvature, Table free, const Input& sensors,
-                            const Settings& settings, const Priors& priors) {
-    const std::size_t n = curvature.shape(1), count = curvature.shape(0);
-    Input input = sensors;
-    input.curvature.resize(n), input.free.resize(free.shape(1)), input.body = input.free;
-    Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
-    {
-      nb::gil_scoped_release released;
-      for (std::size_t m = 0; m < count; ++m) {
-        std::copy_n(curvature.data() + m * n, n, input.curvature.begin());
-        const std::size_t from = free.shape(0) == 1 ? 0 : m;
-        std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
-        input.body = input.free;
-        write(answer_by_method(input, priors, settings), input.length, &rows[m * kOfRow],
-              &contacts[m * kContacts * kOfContact]);
-      }
-    }
-    return nb::make_tuple(array<2>(std::move(rows), {count, kOfRow}),
-                          array<3>(std::move(contacts), {count, kContacts, kOfContact}));
-  });
+      // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
+      .def("localize_rows", [](const Localizer& self, Table curvature, Table free) {
+        const std::size_t n = curvature.shape(1), count = curvature.shape(0);
+        Input input = self.sensors;
+        input.curvature.resize(n), input.free.resize(free.shape(1));
+        Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
+        {
+          nb::gil_scoped_release released;
+          for (std::size_t m = 0; m < count; ++m) {
+            std::copy_n(curvature.data() + m * n, n, input.curvature.begin());
+            const std::size_t from = free.shape(0) == 1 ? 0 : m;
+            std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
+            input.body = input.free;
+            write(self.answer_to(input), input.length, &rows[m * kOfRow],
+                  &contacts[m * kContacts * kOfContact]);
+          }
+        }
+        return nb::make_tuple(array<2>(std::move(rows), {count, kOfRow}),
+                              array<3>(std::move(contacts), {count, kContacts, kOfContact}));
+      });
 }

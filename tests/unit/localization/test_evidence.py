@@ -8,8 +8,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 import thigmo
-from thigmo.localization import _posterior, localize_batch, priors
-from thigmo.localization.estimate import options_of
+from thigmo.localization import localize_batch, priors
+from thigmo.localization.estimate import localizer_of
 from thigmo.mechanics.spans import phi
 
 LENGTH, SPAN, NOISE = 53.0, 5.5, 6e-4
@@ -19,9 +19,9 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 def weighed(curvature, free, **options):
     """{(load, bad reading): log weight} of one frame."""
-    sensors, settings = options_of(POSITION, len(POSITION), LENGTH, SPAN, NOISE, **options)
+    localizer = localizer_of(POSITION, len(POSITION), LENGTH, SPAN, NOISE, **options)
     own = np.full(1, free)
-    found = _posterior.localize(curvature, own, own, sensors, settings, priors.compiled())
+    found = localizer.localize(curvature, own, own)
     assert found.problem == 0
     return {(load, bad): weight for load, bad, weight in found.weighed}
 

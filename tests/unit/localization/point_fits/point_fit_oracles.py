@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from thigmo.localization import _posterior, priors
-from thigmo.localization.estimate import options_of
+from thigmo.localization.estimate import localizer_of
 
 Floats = NDArray[np.float64]
 
@@ -36,10 +35,10 @@ class PointFit:
 def fit(y: Floats, low: Floats, high: Floats, contacts: int, norm: str) -> PointFit:
     """The compiled fit of readings above a free curvature of 0."""
     options = {"tube_radius": 1e-6, "contacts": contacts, "method": norm}
-    sensors, settings = options_of(0.5 * (low + high), len(y), 1.0, high - low, **options)
+    localizer = localizer_of(0.5 * (low + high), len(y), 1.0, high - low, **options)
     # Readings that are all the same are refused of a body that nothing bends.
     free = np.full(1, 0.5 if np.ptp(y) == 0.0 else 0.0)
-    found = _posterior.localize(y + free, free, free, sensors, settings, priors.compiled())
+    found = localizer.localize(y + free, free, free)
     assert found.problem == 0
     arcs, forces, _, _, sets, *_ = zip(*found.contacts(1.0), strict=True)
     return PointFit(
