@@ -25,12 +25,10 @@ class Rod:
     ) -> None:
         """Lay the body down; `elastica.Rod` explains the arguments."""
 
-    def step(self, free_curvature: float | Floats, length: float) -> None:
+    def step(self, free_curvature: float, length: float) -> None:
         """Follow the equilibrium to a new free curvature (1/cm) and everted length (cm).
 
-        The elastica cuts the way into pieces in which the free tip would travel at most 1 cm. Free
-        curvature that varies along the body, as nodes evenly spaced over [0, length], is always the
-        elastica's.
+        The elastica cuts the way into pieces in which the free tip would travel at most 1 cm.
 
         Raises:
             DataError: values that are not finite, or a length that is not positive.
@@ -48,7 +46,7 @@ class Rod:
         force: Floats,
         place: Floats,
         fold_angle: float,
-        free_curvature: Floats,
+        free_curvature: float,
         length: float,
     ) -> None:
         """Take forces at places around the skin and a fold for given: one integration."""
@@ -82,7 +80,7 @@ class Rod:
     base_moment: float  # of contacts, 1/cm
     fold_angle: float  # at the base, rad
     length: float  # everted, cm; 0 before the first step
-    free_curvature: Floats  # as given: one value, or nodes over [0, length]
+    free_curvature: float  # 1/cm
     diameter_cm: float  # inflated
     critical_moment: float | None  # the base folds there, 1/cm; body pressure changes it
     status: Status  # how the last equilibrium was found; see `Solution`

@@ -57,7 +57,7 @@ class Solution:
             shape (n,). `curvature` leaves out the fold, which is `fold_angle` spread over
             [0, diameter].
         length: everted length (cm).
-        free_curvature: natural curvature as given: one value, or nodes over [0, length].
+        free_curvature: natural curvature (1/cm).
         contacts: touching pegs, base first.
         fold_angle: rad, with sign; 0 unless the base folds.
         base_moment: contact moment at the base (1/cm).
@@ -71,7 +71,7 @@ class Solution:
     x: Floats
     y: Floats
     length: float
-    free_curvature: Floats
+    free_curvature: float
     tube: Tube
     contacts: tuple[PegContact, ...]
     fold_angle: float
@@ -106,13 +106,6 @@ class Solution:
     def locate(self, peg: Peg) -> tuple[float, float]:
         """(gap, arc) of a peg: distance from the skin and the arc of the closest point."""
         return self._body.locate(peg.x, peg.y, peg.radius)
-
-
-def _curvature_nodes(free_curvature: npt.ArrayLike) -> Floats:
-    g = np.ascontiguousarray(np.atleast_1d(np.asarray(free_curvature, dtype=np.float64)))
-    if g.ndim != 1 or g.size == 0 or not np.all(np.isfinite(g)):
-        raise DataError("free curvature must be a finite number or a one-dimensional array")
-    return g
 
 
 class Rod(_rod.Rod):
@@ -179,7 +172,7 @@ def _rows(pegs: Sequence[Peg]) -> list[tuple[float, float, float]]:
 
 
 def solve(
-    free_curvature: npt.ArrayLike,
+    free_curvature: float,
     length: float,
     *,
     tube: Tube | None = None,
@@ -193,7 +186,7 @@ def solve(
     Use `Rod` for another history.
 
     Args:
-        free_curvature: g, 1/cm: one value, or nodes evenly spaced over [0, length], linear between.
+        free_curvature: g, 1/cm.
         length: everted length, cm.
         tube: diameter and fold; default 3.5 cm without a fold.
         pegs: round obstacles.
@@ -203,7 +196,7 @@ def solve(
         DataError: bad values.
     """
     rod = Rod(tube or Tube(), pegs, cell_cm=cell_cm)
-    rod.step(_curvature_nodes(free_curvature), length)
+    rod.step(free_curvature, length)
     return rod.solution()
 
 
@@ -211,11 +204,10 @@ def push(
     force: npt.ArrayLike,
     arc: npt.ArrayLike,
     *,
-    free_curvature: npt.ArrayLike,
+    free_curvature: float,
     length: float,
     tube: Tube | None = None,
     fold_angle: float = 0.0,
-    corner: Sequence[tuple[float, float]] = (),
     cell_cm: float = 1.0,
 ) -> Solution:
     """What the body does when side contacts press with given normal forces at given arcs.
@@ -230,8 +222,6 @@ def push(
         length: everted length, cm.
         tube: diameter; its critical moment is ignored here, see fold_angle.
         fold_angle: angle of the base's fold (rad), spread over one diameter.
-        corner: pairs (normal, tangential) of forces on a corner of the flat end: the sign of the
-            normal tells the corner (positive: right), tangential <= 0 pushes towards the base.
 
     Raises:
         DataError: shapes that differ, values that are not finite, arcs beyond the length.
@@ -243,16 +233,10 @@ def push(
         raise DataError("force and arc must be finite and of the same shape (n,)")
     if np.any(a < 0) or np.any(a > length):
         raise DataError("arcs must lie between 0 and the length")
-    g = _curvature_nodes(free_curvature)
-    radius = 1.0  # of pegs that nothing else depends on
-    end = 2 * length + np.pi * radius + body.diameter_cm
-    size = [*np.abs(f), *(float(np.hypot(normal, tangential)) for normal, tangential in corner)]
-    right = [*a, *(length + radius * float(np.arctan2(max(-t, 0.0), abs(n))) for n, t in corner)]
-    on_left = [*(f < 0), *(normal < 0 for normal, _ in corner)]
-    rod = Rod(body, [Peg(0.0, 0.0, radius)] * len(size), cell_cm=cell_cm)
-    rod.press(
-        np.array(size), np.where(on_left, end - np.array(right), right), fold_angle, g, length
-    )
+    # Of pegs of any radius: nothing depends on it.
+    end = 2.0 * length + np.pi + body.diameter_cm
+    rod = Rod(body, [Peg(0.0, 0.0, 1.0)] * f.size, cell_cm=cell_cm)
+    rod.press(np.abs(f), np.where(f < 0.0, end - a, a), fold_angle, free_curvature, length)
     return rod.solution()
 
 

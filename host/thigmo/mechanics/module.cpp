@@ -53,18 +53,6 @@ std::vector<Peg> pegs_of(const PegRows& rows) {
   return pegs;
 }
 
-std::vector<double> vector_of(const Values& values) {
-  return {values.data(), values.data() + values.size()};
-}
-
-template <std::size_t kDimensions>
-auto array_of(std::vector<double> values, std::array<std::size_t, kDimensions> shape) {
-  auto* kept = new std::vector<double>(std::move(values));
-  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
-  return nb::ndarray<nb::numpy, double, nb::ndim<kDimensions>>(kept->data(), kDimensions,
-                                                               shape.data(), owner);
-}
-
 }  // namespace
 
 NB_MODULE(_rod, m) {
@@ -88,31 +76,29 @@ NB_MODULE(_rod, m) {
           nb::arg("diameter"), nb::arg("critical_moment").none(), nb::arg("pegs"), nb::arg("cell"),
           nb::arg("model"), nb::arg("tolerance"))
       // Relaxation after a snap takes milliseconds.
-      .def(
-          "step", [](Rod& rod, double g, double length) { rod.step({g}, length); },
-          nb::arg("free_curvature"), nb::arg("length"), nb::call_guard<nb::gil_scoped_release>())
-      .def(
-          "step", [](Rod& rod, const Values& g, double length) { rod.step(vector_of(g), length); },
-          nb::arg("free_curvature"), nb::arg("length"), nb::call_guard<nb::gil_scoped_release>())
+      .def("step", &Rod::step, nb::arg("free_curvature"), nb::arg("length"),
+           nb::call_guard<nb::gil_scoped_release>())
       .def("reset", &Rod::reset)
       .def("assume_free", &Rod::assume_free, nb::arg("free_curvature"), nb::arg("length"))
       .def("_place", [](Rod& rod, const PegRows& pegs) { rod.place(pegs_of(pegs)); })
       .def("press",
-           [](Rod& rod, const Values& force, const Values& place, double fold_angle,
-              const Values& g, double length) {
+           [](Rod& rod, const Values& force, const Values& place, double fold_angle, double natural,
+              double length) {
              std::vector<Contact> contacts;
              for (std::size_t j = 0; j < force.size(); ++j) {
                contacts.push_back({static_cast<int>(j), force.data()[j], place.data()[j]});
              }
-             rod.press(std::move(contacts), fold_angle, vector_of(g), length);
+             rod.press(std::move(contacts), fold_angle, natural, length);
            })
       .def("save", [](const Rod& rod) { return Rod(rod); })
       .def("restore", [](Rod& rod, const Rod& saved) { rod = saved; })
       .def("nodes",
            [](const Rod& rod) {
-             const auto* first = reinterpret_cast<const double*>(rod.nodes().data());
-             const std::size_t rows = rod.nodes().size();
-             return array_of<2>({first, first + 5 * rows}, {rows, 5});
+             auto* kept = new std::vector<Node>(rod.nodes());
+             nb::capsule owner(kept,
+                               [](void* p) noexcept { delete static_cast<std::vector<Node>*>(p); });
+             return nb::ndarray<nb::numpy, double, nb::shape<-1, 5>>(kept->data(),
+                                                                     {kept->size(), 5}, owner);
            })
       .def("averages_into",
            [](const Rod& rod, const Values& centers, const Values& spans, const Result& out) {
@@ -148,10 +134,7 @@ NB_MODULE(_rod, m) {
       .def_prop_ro("base_moment", &Rod::base_moment)
       .def_prop_ro("fold_angle", &Rod::fold_angle)
       .def_prop_ro("length", &Rod::length)
-      .def_prop_ro(
-          "free_curvature",
-          [](const Rod& rod) { return array_of<1>(rod.natural(), {rod.natural().size()}); },
-          nb::rv_policy::automatic)
+      .def_prop_ro("free_curvature", &Rod::natural)
       .def_prop_ro("diameter_cm", &Rod::diameter)
       .def_prop_rw(
           "critical_moment",

@@ -265,7 +265,7 @@ Section Rod::shoot(const Reactions& reactions, std::vector<Pose>& frames,
   const Fold fold{reactions.fold_angle, diameter()};
   const double h = room_.length / room_.cells;
   double s = nodes ? room_.length : events.empty() ? 0.0 : events.front().on.arc;
-  double turned = room_.natural.turn(s) + fold.turn(s);
+  double turned = room_.natural * s + fold.turn(s);
   Section at{};
   int k = static_cast<int>(std::ceil(s / h - kTiny)) - 1;
   auto event = events.begin();
@@ -282,7 +282,7 @@ Section Rod::shoot(const Reactions& reactions, std::vector<Pose>& frames,
       at.n_y += tangential * d + normal * c;
     }
     if (nodes) {
-      nodes->push_back({s, at.heading, room_.natural.at(s) + at.moment, at.x, at.y});
+      nodes->push_back({s, at.heading, room_.natural + at.moment, at.x, at.y});
     }
     if (s <= 0.0) break;
     double to = std::max(k * h, 0.0);
@@ -297,8 +297,8 @@ Section Rod::shoot(const Reactions& reactions, std::vector<Pose>& frames,
     if (fold.angle != 0.0 && fold.width < s - kTiny) stop_at(fold.width);
     if (on_grid) --k;
     const double middle = 0.5 * (s + to);
-    const double turned_middle = room_.natural.turn(middle) + fold.turn(middle);
-    const double turned_end = room_.natural.turn(to) + fold.turn(to);
+    const double turned_middle = room_.natural * middle + fold.turn(middle);
+    const double turned_end = room_.natural * to + fold.turn(to);
     at.advance(s - to, turned - turned_middle, turned - turned_end);
     turned = turned_end;
     s = to;

@@ -69,9 +69,9 @@ class Descent {
       const double s = i * h_;
       const double bend =
           0.5 * (unknown[std::max(i - 1, 0)] + unknown[std::min(i, room_.cells - 1)]);
-      nodes_[i] = {s, at.heading, room_.natural.at(s) + bend, at.x, at.y};
+      nodes_[i] = {s, at.heading, room_.natural + bend, at.x, at.y};
       if (i == room_.cells) break;
-      const auto turned = [&](double arc) { return room_.natural.turn(arc) + fold.turn(arc); };
+      const auto turned = [&](double arc) { return room_.natural * arc + fold.turn(arc); };
       at.moment = unknown[i];
       at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_));
       energy += 0.5 * h_ * unknown[i] * unknown[i];

@@ -23,15 +23,9 @@ double interpolated(const std::vector<double>& values, double first, double step
   return values[i] + (at - static_cast<double>(i)) * (values[i + 1] - values[i]);
 }
 
-std::vector<double> refined(const std::vector<double>& values, std::size_t size) {
-  if (values.size() == 1) return std::vector<double>(size, values[0]);
-  std::vector<double> fine(size);
-  const double step = 1.0 / static_cast<double>(values.size() - 1);
-  for (std::size_t i = 0; i < size; ++i) {
-    fine[i] =
-        interpolated(values, 0.0, step, static_cast<double>(i) / static_cast<double>(size - 1));
-  }
-  return fine;
+void check(double natural, double length) {
+  if (!std::isfinite(natural)) throw BadInput("free curvature must be a finite number");
+  if (!(std::isfinite(length) && length > 0.0)) throw BadInput("length must be positive");
 }
 
 std::vector<Peg> checked(std::vector<Peg> pegs) {
@@ -47,50 +41,26 @@ double apart(const Node& a, const Node& b) { return std::hypot(a.x - b.x, a.y - 
 
 }  // namespace
 
-NaturalCurvature::NaturalCurvature(std::vector<double> values, double length)
-    : values_(std::move(values)), turns_(values_.size(), 0.0), cell_(length) {
-  if (values_.size() == 1) return;
-  cell_ = length / static_cast<double>(values_.size() - 1);
-  for (std::size_t i = 1; i < values_.size(); ++i) {
-    turns_[i] = turns_[i - 1] + cell_ * (values_[i - 1] + values_[i]) / 2.0;
-  }
-}
-
-double NaturalCurvature::at(double s) const {
-  return values_.size() == 1 ? values_[0] : interpolated(values_, 0.0, cell_, s);
-}
-
-double NaturalCurvature::turn(double s) const {
-  if (values_.size() == 1) return values_[0] * s;
-  const int last = static_cast<int>(values_.size()) - 2;
-  const int i = std::clamp(static_cast<int>(s / cell_), 0, last);
-  const double u = s - i * cell_;
-  return turns_[i] + u * (values_[i] + 0.5 * u * (values_[i + 1] - values_[i]) / cell_);
-}
-
 Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
          std::optional<Model> model, double tolerance)
     : cell_(cell),
       choice_(model),
       tolerance_(tolerance),
-      room_{0.0, 0.5 * diameter, critical, {{0.0}, 0.0}, checked(std::move(pegs)), 0} {
+      room_{0.0, 0.5 * diameter, critical, 0.0, checked(std::move(pegs)), 0} {
   if (!(cell >= 0.01 && cell <= 10.0)) throw BadInput("cell_cm must lie between 0.01 and 10");
 }
 
 // The choice of the model.
 
-void Rod::step(const std::vector<double>& natural, double length) {
-  if (natural.empty() || !std::isfinite(largest(natural))) {
-    throw BadInput("free curvature must be a finite number or a one-dimensional array");
-  }
-  if (!(std::isfinite(length) && length > 0.0)) throw BadInput("length must be positive");
-  if (natural.size() > 1 || choice_ == Model::kElastica) {
+void Rod::step(double natural, double length) {
+  check(natural, length);
+  if (choice_ == Model::kElastica) {
     take_elastica(natural, length);
   } else if (choice_ == Model::kArc) {
-    set_free(arc_nodes(natural[0], length, cells_for(length)), natural[0], length);
+    set_free(arc_nodes(natural, length, cells_for(length)), natural, length);
   } else if (choice_ == Model::kBeam) {
-    try_beam(natural[0], length, kInfinite);
-  } else if (!try_arc(natural[0], length) && !try_beam(natural[0], length, tolerance_)) {
+    try_beam(natural, length, kInfinite);
+  } else if (!try_arc(natural, length) && !try_beam(natural, length, tolerance_)) {
     take_elastica(natural, length);
   }
   ++counts_[static_cast<int>(model_)];
@@ -100,7 +70,7 @@ void Rod::step(const std::vector<double>& natural, double length) {
 bool Rod::try_arc(double natural, double length) {
   if (touching() > 0) return false;
   if (!room_.pegs.empty()) {
-    if (room_.length > 0.0 ? travel({natural}, length) > 1.0 : natural != 0.0) return false;
+    if (room_.length > 0.0 ? travel(natural, length) > 1.0 : natural != 0.0) return false;
   }
   return lie_clear(natural, length);
 }
@@ -123,7 +93,7 @@ void Rod::set_free(std::vector<Node> nodes, double natural, double length) {
   status_ = Status::kConverged;
   elastica_current_ = false;
   room_.length = length;
-  room_.natural = {{natural}, length};
+  room_.natural = natural;
 }
 
 bool Rod::try_beam(double natural, double length, double tolerance) {
@@ -139,12 +109,12 @@ bool Rod::try_beam(double natural, double length, double tolerance) {
   return true;
 }
 
-void Rod::take_elastica(const std::vector<double>& natural, double length) {
+void Rod::take_elastica(double natural, double length) {
   if (!elastica_current_) {
-    const std::vector<double> before = room_.natural.values();
+    const double before = room_.natural;
     const double length_before = room_.length;
     if (model_ == Model::kArc && length_before > 0.0) {
-      assume_free(before[0], length_before);
+      assume_free(before, length_before);
     } else {
       reset();
       if (length_before > 0.0) follow(before, length_before);
@@ -155,12 +125,11 @@ void Rod::take_elastica(const std::vector<double>& natural, double length) {
 }
 
 void Rod::place(std::vector<Peg> pegs) {
-  const std::vector<double> natural = room_.natural.values();
-  const double length = room_.length;
+  const double natural = room_.natural, length = room_.length;
   room_.pegs = checked(std::move(pegs));
   reset();
-  if (length == 0.0 || (natural.size() == 1 && lie_clear(natural[0], length))) return;
-  step({0.0}, length);
+  if (length == 0.0 || lie_clear(natural, length)) return;
+  step(0.0, length);
   step(natural, length);
 }
 
@@ -169,16 +138,15 @@ void Rod::reset() {
   forget_jacobian();
   tip_.reset();
   bend_.clear();
-  room_.length = 0.0;
+  room_.length = room_.natural = 0.0;
   room_.cells = 0;
-  room_.natural = {{0.0}, 0.0};
   elastica_current_ = false;
   model_ = Model::kArc;
 }
 
 void Rod::assume_free(double natural, double length) {
   reset();
-  advance({natural}, length, 0.0);
+  advance(natural, length, 0.0);
 }
 
 void Rod::set_critical(double critical) {
@@ -198,39 +166,31 @@ void Rod::forget_jacobian() {
 // Following the elastica.
 
 // How far the free tip may be expected to move.
-double Rod::travel(const std::vector<double>& natural, double length) const {
-  const std::size_t size = std::max(natural.size(), room_.natural.values().size());
-  const std::vector<double> from = refined(room_.natural.values(), size);
-  std::vector<double> change = refined(natural, size);
-  for (std::size_t i = 0; i < size; ++i) change[i] -= from[i];
+double Rod::travel(double natural, double length) const {
   const double longer = std::max(length, room_.length);
-  return largest(change) * longer * longer / 2.0 + std::fabs(length - room_.length);
+  const double change = std::fabs(natural - room_.natural);
+  return change * longer * longer / 2.0 + std::fabs(length - room_.length);
 }
 
 // The way is cut into pieces in which the free tip would travel at most 1 cm.
-void Rod::follow(const std::vector<double>& natural, double length) {
+void Rod::follow(double natural, double length) {
   if (room_.length == 0.0) {
     // Start straight, except that a rod that no peg can touch starts where it is.
-    const bool free = room_.pegs.empty() && largest(natural) * length < 50.0;
-    advance(free ? natural : std::vector<double>(natural.size()), length, 0.0);
+    const bool free = room_.pegs.empty() && std::fabs(natural) * length < 50.0;
+    advance(free ? natural : 0.0, length, 0.0);
   }
-  const std::size_t size = std::max(natural.size(), room_.natural.values().size());
-  const std::vector<double> from = refined(room_.natural.values(), size);
-  const std::vector<double> to = refined(natural, size);
-  const double length_from = room_.length;
+  const double from = room_.natural, length_from = room_.length;
   const double way = travel(natural, length);
   const int pieces = std::max(1, static_cast<int>(std::ceil(way)));
-  std::vector<double> now(size);
   for (int i = 1; i <= pieces; ++i) {
     const double u = static_cast<double>(i) / pieces;
-    for (std::size_t k = 0; k < size; ++k) now[k] = from[k] + u * (to[k] - from[k]);
-    advance(now, length_from + u * (length - length_from), way / pieces);
+    advance(from + u * (natural - from), length_from + u * (length - length_from), way / pieces);
   }
 }
 
-void Rod::advance(const std::vector<double>& natural, double length, double travel) {
+void Rod::advance(double natural, double length, double travel) {
   if (length != room_.length) remesh(length);
-  room_.natural = {natural, length};
+  room_.natural = natural;
   solve(travel);
 }
 
@@ -264,12 +224,12 @@ void Rod::remesh(double length) {
   room_.cells = cells;
 }
 
-void Rod::press(std::vector<Contact> contacts, double fold_angle,
-                const std::vector<double>& natural, double length) {
+void Rod::press(std::vector<Contact> contacts, double fold_angle, double natural, double length) {
+  check(natural, length);
   reset();
   room_.length = length;
   room_.cells = cells_for(length);
-  room_.natural = {natural, length};
+  room_.natural = natural;
   reactions_ = {std::move(contacts), 0, fold_angle};
   std::vector<Pose> frames;
   base_moment_ = shoot(reactions_, frames, &nodes_).moment;
@@ -314,8 +274,8 @@ void Rod::solve(double travel) {
     while (k + 2 < nodes_.size() && nodes_[k + 1].s <= s) ++k;
     const double width = nodes_[k + 1].s - nodes_[k].s;
     const double u = width > 0.0 ? (s - nodes_[k].s) / width : 0.0;
-    bend_[i] = nodes_[k].curvature + u * (nodes_[k + 1].curvature - nodes_[k].curvature) -
-               room_.natural.at(s);
+    bend_[i] =
+        nodes_[k].curvature + u * (nodes_[k + 1].curvature - nodes_[k].curvature) - room_.natural;
   }
 }
 

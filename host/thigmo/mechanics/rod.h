@@ -43,23 +43,10 @@ struct ContactReport {
   double normal, tangential, couple, x, y, force_x, force_y;
 };
 
-// Natural curvature along the body: one value, or nodes evenly spaced over [0, length].
-class NaturalCurvature {
- public:
-  NaturalCurvature(std::vector<double> values, double length);
-  double at(double s) const;
-  double turn(double s) const;  // integral from 0 to s
-  const std::vector<double>& values() const { return values_; }
-
- private:
-  std::vector<double> values_, turns_;
-  double cell_;
-};
-
 // A rod in a room, as `relax` needs it.
 struct Room {
   double length, tube_radius, critical;
-  NaturalCurvature natural;
+  double natural;  // curvature, the same all along
   std::vector<Peg> pegs;
   int cells;
 };
@@ -92,7 +79,7 @@ class Rod {
       std::optional<Model> model, double tolerance);
 
   // Follow the equilibrium to a new natural curvature and length.
-  void step(const std::vector<double>& natural, double length);
+  void step(double natural, double length);
   // Forget everything: the next step starts from the straight body.
   void reset();
   // Take a body without contact for the present one.
@@ -101,8 +88,7 @@ class Rod {
   // where it is; one that is not, or was held by the old ones, bends up anew from straight.
   void place(std::vector<Peg> pegs);
   // Take given contacts and a given fold: one integration, nothing is solved.
-  void press(std::vector<Contact> contacts, double fold_angle, const std::vector<double>& natural,
-             double length);
+  void press(std::vector<Contact> contacts, double fold_angle, double natural, double length);
 
   Centreline centreline() const;
   const std::vector<Node>& nodes() const { return nodes_; }
@@ -115,7 +101,7 @@ class Rod {
   void set_critical(double critical);
   double diameter() const { return 2.0 * room_.tube_radius; }
   double length() const { return room_.length; }
-  const std::vector<double>& natural() const { return room_.natural.values(); }
+  double natural() const { return room_.natural; }
   Status status() const { return status_; }
   Model model() const { return model_; }
   double error_bound() const { return error_bound_; }
@@ -132,9 +118,9 @@ class Rod {
   bool try_arc(double natural, double length);
   bool lie_clear(double natural, double length);
   bool try_beam(double natural, double length, double tolerance);
-  void take_elastica(const std::vector<double>& natural, double length);
-  void follow(const std::vector<double>& natural, double length);
-  void advance(const std::vector<double>& natural, double length, double travel);
+  void take_elastica(double natural, double length);
+  void follow(double natural, double length);
+  void advance(double natural, double length, double travel);
   void remesh(double length);
   void solve(double travel);
   void forget_jacobian();
@@ -147,7 +133,7 @@ class Rod {
   Reactions unpacked(const std::vector<double>& z) const;
   double weight(const std::vector<double>& z, int unknown) const;
   void set_free(std::vector<Node> nodes, double natural, double length);
-  double travel(const std::vector<double>& natural, double length) const;
+  double travel(double natural, double length) const;
   int cells_for(double length) const;
   Skin skin(const Contact& contact) const;
 

@@ -23,8 +23,7 @@ def moment_imbalance(found: Solution) -> float:
 
 def carried_moment(found: Solution) -> Floats:
     """Contact moment at the nodes, for one natural curvature."""
-    (free,) = found.free_curvature
-    return np.asarray(found.curvature - free)
+    return np.asarray(found.curvature - found.free_curvature)
 
 
 def bending_energy(found: Solution) -> float:
@@ -38,7 +37,7 @@ def lagrangian(found: Solution, pegs: Sequence[Peg], arcs: Floats, turn: Floats)
 
     arcs: evenly spaced from 0 to the length; turn: added to the heading there. Contacts on sides.
     """
-    (free,) = found.free_curvature
+    free = found.free_curvature
     step = arcs[1]
     heading = np.array([found.pose(float(arc))[2] for arc in arcs]) + turn
     middle = (heading[1:] + heading[:-1]) / 2

@@ -45,13 +45,6 @@ def test_free_body_is_a_circle(g: float) -> None:
     assert found.averages(CENTERS, 5.5) == pytest.approx(np.full(5, g), abs=1e-12)
 
 
-def test_natural_curvature_along_the_body_is_followed() -> None:
-    nodes = np.linspace(0.0, 0.04, 9)
-    found = solve(nodes, 40.0)
-    assert found.tip[2] == pytest.approx(0.04 * 40 / 2, abs=1e-12)
-    assert found.averages([20.0], [10.0]) == pytest.approx([0.02], abs=1e-9)
-
-
 def test_small_following_force_agrees_with_the_linear_beam() -> None:
     f, a, length = 1e-7, 40.0, 53.0
     found = push(f, a, free_curvature=0.0, length=length)
