@@ -30,44 +30,39 @@ def attempt(
         noise: that the method is told, 1/cm.
         start: arc from which a baseline starts; the others take none.
     """
+    count = len(case.arcs)
     begun = process_time()
     try:
-        found = _arcs(case, method, noise, start)
+        if method in METHODS:
+            result = localize(
+                case.curvature,
+                case.position,
+                length=LENGTH,
+                span=SPAN,
+                free_curvature=case.free,
+                noise=noise,
+                contacts=count,
+                method=method,
+            )
+            found = [contact.arc for contact in result.contacts]
+        else:
+            read = np.isfinite(case.curvature)
+            problem = Problem(
+                case.curvature[read] - case.free,
+                case.position[read],
+                np.full(int(read.sum()), SPAN),
+                LENGTH,
+                count,
+                noise,
+                start=None if start is None else np.full(count, start),
+            )
+            found = BASELINES[method](problem)[0].tolist()
     except ThigmoError:
         found = []
     elapsed = (process_time() - begun) * 1e6
-    if len(found) != len(case.arcs):
+    if len(found) != count:
         return float("inf"), elapsed
     return float(np.mean(np.abs(np.subtract(sorted(found), sorted(case.arcs))))), elapsed
-
-
-def _arcs(case: Case, method: str, noise: float, start: float | None) -> list[float]:
-    count = len(case.arcs)
-    if method in METHODS:
-        result = localize(
-            case.curvature,
-            case.position,
-            length=LENGTH,
-            span=SPAN,
-            free_curvature=case.free,
-            noise=noise,
-            contacts=count,
-            method=method,
-        )
-        return [contact.arc for contact in result.contacts]
-    read = np.isfinite(case.curvature)
-    arcs, _ = BASELINES[method](
-        Problem(
-            case.curvature[read] - case.free,
-            case.position[read],
-            np.full(int(read.sum()), SPAN),
-            LENGTH,
-            count,
-            noise,
-            start=None if start is None else np.full(count, start),
-        )
-    )
-    return list(arcs)
 
 
 def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:

@@ -30,7 +30,6 @@ from thigmo.studies.rooms import explored
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RADII_CM = (0.25, 2.5)
 ROUND = 3  # rooms of each kind, after which all that is known is written
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 
@@ -130,7 +129,7 @@ def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
     if kind.more:
         scene.pegs = maps.room(seed).pegs
     elif kind.peg:
-        peg, _ = random_peg(scene.robot, rng, radius=RADII_CM)
+        peg, _ = random_peg(scene.robot, rng, radius=maps.RADII_CM)
         place = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     with tempfile.TemporaryDirectory() as folder:
@@ -205,11 +204,15 @@ def _outcome(runs: list[tuple[Explored, list[maps.Mapped]]]) -> Outcome:
     )
 
 
+def _median_x(found: list[Explored]) -> float:
+    errors = [one.error_x_cm for one in found if not np.isnan(one.error_x_cm)]
+    return float(np.median(errors)) if errors else nan
+
+
 def _by_kind(found: list[Explored]) -> list[Record]:
     lines: list[Record] = []
     for kind in KINDS:
         mine = [one for one in found if one.kind == kind]
-        errors = [one.error_x_cm for one in mine if not np.isnan(one.error_x_cm)]
         lines.append({
             "kind": kind,
             "rooms": len(mine),
@@ -218,7 +221,7 @@ def _by_kind(found: list[Explored]) -> list[Record]:
             "localized": sum(one.status == "localized" for one in mine),
             "localized_and_wrong": sum(one.wrong for one in mine),
             "aborted": sum(one.status.startswith("aborted") for one in mine),
-            "median_error_x_cm": float(np.median(errors)) if errors else nan,
+            "median_error_x_cm": _median_x(mine),
         })  # fmt: skip
     return lines
 
@@ -226,11 +229,7 @@ def _by_kind(found: list[Explored]) -> list[Record]:
 def _claims(found: list[Explored]) -> list[Claim]:
     true = [one for one in found if one.kind == TRUE]
     off = [one for one in found if one.kind != TRUE and not KINDS[one.kind].more]
-    errors = [one.error_x_cm for one in true if not np.isnan(one.error_x_cm)]
-    claims = [
-        Claim("as calibrated: median |x error|", float(np.median(errors)) if errors else nan, 3.0,
-              unit="cm")
-    ]  # fmt: skip
+    claims = [Claim("as calibrated: median |x error|", _median_x(true), 3.0, unit="cm")]
     for text, some, (wrong, missed, false) in (
         ("as calibrated", true, (0.0, 0.035, 0.0)),
         ("not as calibrated, or empty", off, (0.06, 0.1, 0.03)),

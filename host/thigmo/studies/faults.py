@@ -236,10 +236,6 @@ def _recovers(transport: EmulatorTransport) -> bool:
     return True
 
 
-def _visit(case: Case) -> Visit:
-    return visit(case)
-
-
 def run(context: Context) -> Outcome:
     """The campaign: every failure in every state, without the valves and with them.
 
@@ -249,7 +245,7 @@ def run(context: Context) -> Outcome:
     states, fitted = (QUICK, ("growing",)) if quick else (tuple(STATES), tuple(STATES))
     cases = [Case(failure, state) for failure in FAILURES for state in states]
     cases += [Case(failure, state, True) for failure in FAILURES for state in fitted]
-    visits = context.map(_visit, cases, "failures")
+    visits = context.map(visit, cases, "failures")
     return outcome(cases, visits)
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEVELS = (0.0, 1.0, 2.0, SIGMAS, 4.0)
-_RADII_CM = (0.25, 2.5)
+RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
 _BETWEEN_CM = 0.5  # pegs stand at least so far apart
 
@@ -60,7 +60,7 @@ def room(seed: int) -> Scene:
     rng = np.random.default_rng([seed, 0x3A9])
     scene.pegs = []
     for _ in range(rng.integers(1, _MOST_PEGS + 1)):
-        peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
+        peg, _ = random_peg(scene.robot, rng, radius=RADII_CM)
         gaps = (hypot(peg.x - o.x, peg.y - o.y) - peg.radius - o.radius for o in scene.pegs)
         if all(gap > _BETWEEN_CM for gap in gaps):
             scene.pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))

@@ -57,7 +57,3 @@ def explored(
         time = round(robot.elapsed_s, 3)
         document = replace(run.document, length_cm=run.length_cm, robot_time_s=time)
         return ExplorationResult(document, folder.path)
-
-
-def _unseen(doing: str, share: float) -> None:
-    """Nobody watches."""

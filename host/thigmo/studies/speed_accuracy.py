@@ -166,41 +166,30 @@ def run(context: Context) -> Outcome:
         context.save(outcome)
     outcome.figures["chart"] = chart(scores)
     here = {s.method: s for s in scores if s.scene == CLAIMED}
-    thesis = here["alternating-trust-constr"]
-    outcome.claims.append(
+    mine, thesis = here[DEFAULT], here["alternating-trust-constr"]
+    outcome.claims = [
         Claim(
             "one contact: default method, times faster than the thesis's alternation with a "
-            "general interior point",
-            thesis.time_us / here[DEFAULT].time_us,
-            1000.0,
-            at_most=False,
-        )
-    )
-    for name, text in (
-        ("alternating-trust-constr", "general interior point"),
-        ("alternating", "barrier path"),
-    ):
-        outcome.claims.append(
+            "general interior point", thesis.time_us / mine.time_us, 1000.0, at_most=False,
+        ),
+        *(
             Claim(
                 f"one contact: default method's mean error over the thesis's ({text})",
-                here[DEFAULT].mean_cm / here[name].mean_cm,
-                0.5,
+                mine.mean_cm / other.mean_cm, 0.5,
             )
-        )
+            for other, text in (
+                (thesis, "general interior point"), (here["alternating"], "barrier path"),
+            )
+        ),
+    ]  # fmt: skip
+    on_front = 0
     for scene in SCENES:
-        others = [s for s in scores if s.scene == scene and s.method != DEFAULT]
+        some = [s for s in scores if s.scene == scene]
+        on_front += DEFAULT in [s.method for s in pareto(some)]
+        others = [s for s in some if s.method != DEFAULT]
         best = max(others, key=lambda s: np.nan_to_num(s.default_over_it))
-        outcome.claims.append(
-            Claim(
-                f"{scene}: default method's mean error over that of the best other ({best.method})",
-                best.default_over_it,
-                1.0,
-            )
-        )
-    fronts = [pareto([s for s in scores if s.scene == scene]) for scene in SCENES]
-    on_front = sum(DEFAULT in [s.method for s in front] for front in fronts)
-    outcome.claims.append(
-        Claim("panels where the default method is on the Pareto front", on_front, len(SCENES),
-              at_most=False)
-    )  # fmt: skip
+        text = f"{scene}: default method's mean error over that of the best other ({best.method})"
+        outcome.claims.append(Claim(text, best.default_over_it, 1.0))
+    text = "panels where the default method is on the Pareto front"
+    outcome.claims.append(Claim(text, on_front, len(SCENES), at_most=False))
     return outcome
