@@ -36,8 +36,13 @@ empty muscles and body as soon as the board stops ([air](hardware/air.md)).
 The passive brake (shorted windings and friction) holds a pull of 6 N on the line [G: `holding_n`];
 a stronger one is slowed, not held, and becomes `spool_slip`.
 
-Two failures at once are beyond the firmware where a sensor that lies hides what it ought to show.
-Hardware alone covers these:
+A motor that loses its supply while the body grows is noticed as `spool_stall` only after seconds,
+and creeps on where its gearbox does not hold: a worm gear or a power-off brake ends that, or the
+valve that empties the body.
+
+What fails beside the encoder or a flex sensor does no more harm than the two alone
+(`tests/sim/test_fault_campaign.py`). But two failures at once are beyond the firmware where a
+sensor that lies hides what it ought to show. Hardware alone covers these:
 
 - A pressure sensor that is frozen, and a valve that sticks open: the supply regulator and the
   relief valve bound the pressure.

@@ -82,7 +82,7 @@ FAILURES = (
             covered="none needed: no air"),
     Failure("valve stuck where it is", "pressure_stuck", valve=True, covered=RELIEF),
     Failure("air lost", "air_lost", valve=True, covered="none needed: no air"),
-    Failure("motor unpowered, windings open", "motor_lost", covered=BRAKE),
+    Failure("motor unpowered, windings open", "motor_lost", spool=True, covered=BRAKE),
     Failure("motor jammed", "spool_stall", covered=NO_DRIVE),
     Failure("motor driver short, full speed out", "motor_shorted", {"value": 800}, spool=True,
             covered="the e-stop empties the body; a power-off brake"),
@@ -110,11 +110,16 @@ QUICK = ("ready", "growing", "pressing")
 
 @dataclass(frozen=True)
 class Case:
-    """A failure in a state, of a robot with or without the valves that empty it."""
+    """A failure in a state, of a robot with or without the valves that empty it.
+
+    Attributes:
+        second: what fails at the same moment.
+    """
 
     failure: Failure
     state: str
     fitted: bool = False
+    second: Failure | None = None
 
 
 @dataclass(frozen=True)
@@ -182,12 +187,12 @@ def visit(case: Case, board_for: BoardFor = virtual_board, exchange_ms: int = 10
     for command in commands:
         client.request(command)
     begins = transport.now() + lead_s
-    lockstep.faults.inject(
-        FaultTable.model_validate(
-            {"kind": case.failure.kind, "at_s": begins, "duration_s": LASTS_S}
-            | case.failure.options
+    for failure in filter(None, (case.failure, case.second)):
+        lockstep.faults.inject(
+            FaultTable.model_validate(
+                {"kind": failure.kind, "at_s": begins, "duration_s": LASTS_S} | failure.options
+            )
         )
-    )
     transport.pass_time(lead_s)
     decoder = Decoder()
     length, board = plant.length_cm, lockstep.board
