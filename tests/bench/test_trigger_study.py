@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from thigmo.emulator.board import FLEX_RIGHT
 from thigmo.studies.trigger import (
     THRESHOLD,
+    allowed,
     chosen,
     default_setting,
     quantile,
@@ -34,6 +38,17 @@ def noisy() -> Session:
 def test_noise_alarms_a_trigger_of_single_samples_and_not_one_that_averages(noisy: Session) -> None:
     assert false_alarms(noisy, replay(noisy, FAST)) == 4
     assert false_alarms(noisy, replay(noisy, SLOW)) == 0
+
+
+def test_hum_alarms_a_long_average_and_not_a_debounce_of_nearly_half_a_wave() -> None:
+    quiet = record(room("white", 0.0), 1, halves_of([0, 1]), threshold=THRESHOLD)
+    hummed = quiet.conversions.copy()
+    flex = np.isin(hummed[:, 1], (0, FLEX_RIGHT))
+    hummed[flex, 2] += np.rint(20 * np.sin(0.1 * np.pi * hummed[flex, 0])).astype(int)  # 50 Hz
+    loud = replace(quiet, conversions=hummed)
+    assert false_alarms(quiet, replay(quiet, Setting(5, 1, 500))) == 0
+    assert false_alarms(loud, replay(loud, Setting(5, 1, 500))) == 2
+    assert false_alarms(loud, replay(loud, default_setting())) == 0
 
 
 def test_a_replay_repeats_itself(noisy: Session) -> None:
@@ -64,12 +79,13 @@ def test_a_step_below_the_threshold_is_not_reported() -> None:
 
 
 def test_the_rule_takes_the_shortest_latency_of_what_is_allowed() -> None:
-    #        too many alarms, late at pegs, as early but slow to steps, chosen
-    alarms = [3.0, 0.0, 0.5, 1.0]
-    pegs = [10.0, 90.0, 40.0, 49.0]
-    steps = [5.0, 8.0, 20.0, 18.0]
-    assert chosen(alarms, steps, pegs) == 3
-    assert chosen(alarms, steps, [10.0, 90.0, 40.0, 51.0]) == 2
+    # too many alarms; late at pegs; as early but slow to steps; chosen; no debounce against hum
+    tried = [Setting(n, debounce, 500) for n, debounce in enumerate((9, 12, 9, 9, 6))]
+    candidates = allowed(tried, [3.0, 0.0, 0.5, 1.0, 0.0])
+    assert candidates == [1, 2, 3]
+    steps = [5.0, 8.0, 20.0, 18.0, 1.0]
+    assert chosen(candidates, steps, [10.0, 90.0, 40.0, 49.0, 1.0]) == 3
+    assert chosen(candidates, steps, [10.0, 90.0, 40.0, 51.0, 1.0]) == 2
 
 
 def test_a_missed_contact_is_infinitely_late_and_an_alarm_before_a_step_is_none() -> None:
