@@ -17,6 +17,7 @@ from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
+from thigmo.room import Operator
 
 Row = dict[str, Any]
 
@@ -58,14 +59,8 @@ class Plan:
 
 
 @runtime_checkable
-class Hand(Protocol):
-    """Whoever stands beside the robot."""
-
-    def everted_length_cm(self) -> float:
-        """Measure the everted length."""
-
-    def set_body_pressure(self, pressure_psi: float) -> None:
-        """Set the body's regulator."""
+class Hand(Operator, Protocol):
+    """Whoever stands beside the robot, and can push its tip."""
 
     def push_tip(self, y_cm: float | None) -> None:
         """Push the tip aside to about y and hold it there; None = let go."""

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 BODY_PX_CM = 12  # enough for a tube that is 40 px wide
 _LOW_CM, _HIGH_CM = np.array([-4.0, -58.0]), np.array([60.0, 58.0])  # corners of what is looked at
-_STEP_CM = 0.5
+_STEP_CM, _LONGEST_CM = 0.5, 200.0
 _WIDTH_CM = 0.05  # a change of width that wrinkles make
 _CLASH = 0.5  # bodyness at a flank
 _EDGE_CM = 0.4  # to either side of a flank, looked at for its edge
@@ -159,13 +159,7 @@ class Track:
     lost: bool
 
 
-def follow(
-    flat: Flat,
-    score: NDArray[np.float32],
-    radius_cm: float,
-    start: Sequence[float] = (0.6, 0.0),
-    longest_cm: float = 200.0,
-) -> Track:
+def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     """Follow the tube from its base by both flanks.
 
     Where one flank is hidden (a peg before the body) the other and the known radius stand in.
@@ -198,13 +192,13 @@ def follow(
         inner = np.abs(reach) < 0.8 * radius_cm
         return edge[1.0], edge[-1.0], float(profile[inner].mean())
 
-    point, heading = np.asarray(start, float), 0.0
+    point, heading = np.array([0.6, 0.0]), 0.0
     middles: list[Array] = []
     headings: list[float] = []
     widths: list[float] = []
     good: list[bool] = []
     lost = 0
-    while len(middles) * _STEP_CM < longest_cm:
+    while len(middles) * _STEP_CM < _LONGEST_CM:
         left, right, filling = flanks(point, heading)
         whole = bool(abs((left - right) / (2 * radius_cm) - 1) < 0.22)
         if filling < 0.5:
@@ -231,10 +225,10 @@ def follow(
             # A parabola through the last 6 cm tells where the tube goes next.
             along = np.arange(len(recent)) * _STEP_CM
             degree = 2 if len(recent) >= 9 else 1
-            slope = [np.polyfit(along, recent[:, k], degree) for k in (0, 1)]
             end = along[-1] + _STEP_CM / 2
-            ahead = [np.polyval(np.polyder(line), end) for line in slope]
-            heading = float(np.arctan2(ahead[1], ahead[0]))
+            lines = np.polyfit(along, recent, degree).T
+            x, y = (np.polyval(np.polyder(line), end) for line in lines)
+            heading = float(np.arctan2(y, x))
         point = point + _STEP_CM * np.array([np.cos(heading), np.sin(heading)])
     if len(middles) * _STEP_CM < 3 * radius_cm or np.mean(good) < 0.5:
         raise BodyNotSeenError(
@@ -249,8 +243,7 @@ def follow(
     scatter = 1.4826 * float(np.median(np.abs(width[sound] - usual)))
     sound &= np.abs(width - usual) < max(3 * scatter, _WIDTH_CM)
     # The end: where bodyness along the axis (mean over its width) falls through a half.
-    end_heading = heading
-    forward = np.array([np.cos(end_heading), np.sin(end_heading)])
+    forward = np.array([np.cos(heading), np.sin(heading)])
     normal = np.array([-forward[1], forward[0]])
     ahead_cm = np.arange(-2.5, 2.5, 0.05)
     lanes = np.linspace(-0.6, 0.6, 13) * radius_cm
