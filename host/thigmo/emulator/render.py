@@ -243,6 +243,7 @@ def render(
     view: View,
     look: Look | None = None,
     rng: np.random.Generator | None = None,
+    sensor_rng: np.random.Generator | None = None,
 ) -> Picture:
     """The picture (height, width, 3), BGR.
 
@@ -250,8 +251,8 @@ def render(
         camera: that takes it.
         view: what stands in the room.
         look: of room and sensor.
-        rng: draws grain, clutter, light and the sensor's noise; the same state gives the same
-            picture.
+        rng: draws grain, clutter and light; the same state gives the same room.
+        sensor_rng: draws the sensor's noise (default: `rng`).
 
     Raises:
         DataError: a body axis of fewer than two points or of unequal lengths.
@@ -278,7 +279,7 @@ def render(
             _paste(canvas, camera, patch)
     for peg in view.pegs:
         _peg(canvas, camera, peg, min(split, peg.height_cm), peg.height_cm, top=True)
-    return _sensor(canvas, look, rng)
+    return _sensor(canvas, look, rng, sensor_rng or rng)
 
 
 def _table(
@@ -493,7 +494,12 @@ def _paste(canvas: NDArray[np.float32], camera: TrueCamera, patch: Patch) -> Non
     canvas[box] = canvas[box] * (1 - inside[..., None]) + (tone * inside)[..., None]
 
 
-def _sensor(canvas: NDArray[np.float32], look: Look, rng: np.random.Generator) -> Picture:
+def _sensor(
+    canvas: NDArray[np.float32],
+    look: Look,
+    rng: np.random.Generator,
+    sensor_rng: np.random.Generator,
+) -> Picture:
     """Uneven light, lens blur, noise, rounding, compression."""
     rows, columns = canvas.shape[:2]
     across = np.linspace(-1, 1, columns, dtype=np.float32)
@@ -505,7 +511,7 @@ def _sensor(canvas: NDArray[np.float32], look: Look, rng: np.random.Generator) -
     if look.blur_px > 0:
         lit = np.asarray(cv2.GaussianBlur(lit, (0, 0), look.blur_px), np.float32)
     # One draw serves the three colours, far apart in the picture: three would triple the time.
-    grain = rng.standard_normal((rows, columns), dtype=np.float32) * np.float32(look.noise)
+    grain = sensor_rng.standard_normal((rows, columns), dtype=np.float32) * np.float32(look.noise)
     noise = np.dstack([grain, np.roll(grain, 371, axis=0), np.roll(grain, 613, axis=1)])
     # Truncation after adding a half is rounding.
     picture: Picture = np.clip(lit + noise + np.float32(0.5), 0, 255).astype(np.uint8)
