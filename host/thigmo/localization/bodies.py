@@ -2,7 +2,7 @@
 
 A peg's place is told by where on the outline of the body it is first touched (along the side, round
 the corner, across the face of the end) and at which free curvature. From that touch the
-large-deflection rod is followed to the most that the body bends. `obstacle` compares the tables
+large-deflection rod is followed to the most that the body bends. `frames` compares the tables
 with readings; they depend on the body and its sensors only, so they are kept for the next sweep.
 Peg on the left, lengths those of a body of 53 cm.
 """

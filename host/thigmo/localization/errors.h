@@ -28,7 +28,6 @@ struct Frame {
   Matrix shared;  // (K, N) effect of each shared error of one standard deviation
   std::vector<Level> levels;  // of the noise; their odds sum to one
   Nodes rest;                 // curvature of the free body
-  bool straight;              // whether that is zero
   int size() const { return static_cast<int>(excess.size()); }
 };
 
@@ -179,14 +178,13 @@ class Whitener {
 };
 
 // Log of the sum of exponentials, which may be far apart.
-inline double log_sum_exp(const double* value, int count) {
-  const double top = *std::max_element(value, value + count);
-  if (count == 1 || !(top > -INFINITY)) return top;
+inline double log_sum_exp(const Row& of) {
+  const double top = *std::max_element(of.begin(), of.end());
+  if (of.size() == 1 || !(top > -INFINITY)) return top;
   double sum = 0.0;
-  for (int k = 0; k < count; ++k) sum += std::exp(value[k] - top);
+  for (const double value : of) sum += std::exp(value - top);
   return top + std::log(sum);
 }
-inline double log_sum_exp(const Row& of) { return log_sum_exp(of.data(), of.size()); }
 
 // A frame whitened at each level of its noise.
 struct Whitened {

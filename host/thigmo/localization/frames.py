@@ -7,7 +7,7 @@ the unknown is the peg's place in the room, two numbers for all frames together,
 share besides: errors of gains, zeros and places of the sensors, of the map, of the body's
 stiffness. For each place of a grid (`bodies`) readings are linear in these, and in how far the peg
 is from the place. So each frame adds to the normal equations of a linear model, one for each place,
-and the evidence of a place is that of LOCALIZER's linear models in closed form, after any frame.
+and the evidence of a place is that of the linear models of loads.h in closed form, after any frame.
 Frames before the touch are those of the free body at every place: they teach what the frames share.
 """
 

@@ -154,8 +154,6 @@ inline Readings normalised(const Input& in, const Priors& priors) {
     }
   }
   frame.rest = rest_of(in.body, in.position, length);
-  frame.straight =
-      std::all_of(frame.rest.begin(), frame.rest.end(), [](double k) { return k == 0.0; });
   return out;
 }
 

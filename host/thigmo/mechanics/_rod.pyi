@@ -34,9 +34,6 @@ class Rod:
             DataError: values that are not finite, or a length that is not positive.
         """
 
-    def reset(self) -> None:
-        """Forget everything: the next step starts from the straight body."""
-
     def assume_free(self, free_curvature: float, length: float) -> None:
         """Start from a body that touches nothing."""
 

@@ -9,7 +9,6 @@ face of the end.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot
 from typing import Literal
 
 Kind = Literal["side", "corner", "face"]
@@ -52,8 +51,3 @@ class PegContact:
     y: float
     force_x: float
     force_y: float
-
-    @property
-    def magnitude(self) -> float:
-        """Size of the force (1/cm^2)."""
-        return hypot(self.normal, self.tangential)

@@ -78,7 +78,6 @@ NB_MODULE(_rod, m) {
       // Relaxation after a snap takes milliseconds.
       .def("step", &Rod::step, nb::arg("free_curvature"), nb::arg("length"),
            nb::call_guard<nb::gil_scoped_release>())
-      .def("reset", &Rod::reset)
       .def("assume_free", &Rod::assume_free, nb::arg("free_curvature"), nb::arg("length"))
       .def("_place", [](Rod& rod, const PegRows& pegs) { rod.place(pegs_of(pegs)); })
       .def("press",

@@ -46,5 +46,5 @@ def lagrangian(found: Solution, pegs: Sequence[Peg], arcs: Floats, turn: Floats)
     for contact in found.contacts:
         peg = pegs[contact.peg]
         gap = np.hypot(x - peg.x, y - peg.y).min() - found.tube.radius_cm - peg.radius
-        value -= contact.magnitude * float(gap)
+        value -= float(np.hypot(contact.normal, contact.tangential) * gap)
     return value
