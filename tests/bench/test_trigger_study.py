@@ -13,6 +13,7 @@ from thigmo.studies.trigger import (
     allowed,
     chosen,
     default_setting,
+    hum_borne,
     quantile,
     room,
     settings,
@@ -40,15 +41,27 @@ def test_noise_alarms_a_trigger_of_single_samples_and_not_one_that_averages(nois
     assert false_alarms(noisy, replay(noisy, SLOW)) == 0
 
 
-def test_hum_alarms_a_long_average_and_not_a_debounce_of_nearly_half_a_wave() -> None:
+def test_hum_alarms_a_long_average_and_what_is_borne_grows_as_the_rule_says() -> None:
     quiet = record(room("white", 0.0), 1, halves_of([0, 1]), threshold=THRESHOLD)
-    hummed = quiet.conversions.copy()
-    flex = np.isin(hummed[:, 1], (0, FLEX_RIGHT))
-    hummed[flex, 2] += np.rint(20 * np.sin(0.1 * np.pi * hummed[flex, 0])).astype(int)  # 50 Hz
-    loud = replace(quiet, conversions=hummed)
-    assert false_alarms(quiet, replay(quiet, Setting(5, 1, 500))) == 0
-    assert false_alarms(loud, replay(loud, Setting(5, 1, 500))) == 2
-    assert false_alarms(loud, replay(loud, default_setting())) == 0
+    flex = np.isin(quiet.conversions[:, 1], (0, FLEX_RIGHT))
+
+    def alarms(setting: Setting, counts: float) -> int:
+        hummed = quiet.conversions.copy()
+        wave = counts * np.sin(0.1 * np.pi * hummed[flex, 0])  # 50 Hz
+        hummed[flex, 2] += np.rint(wave).astype(int)
+        loud = replace(quiet, conversions=hummed)
+        return false_alarms(loud, replay(loud, setting))
+
+    long, short = Setting(5, 1, 500), Setting(4, 6, 500)
+    assert alarms(long, 0) == 0
+    assert alarms(long, 20) == 2
+    assert alarms(default_setting(), 20) == 0
+    counts = np.arange(2, 40)
+    borne = [
+        counts[max(np.flatnonzero([alarms(each, n) == 0 for n in counts]))]
+        for each in (long, short)
+    ]
+    assert borne[1] / borne[0] == pytest.approx(hum_borne(short) / hum_borne(long), rel=0.15)
 
 
 def test_a_replay_repeats_itself(noisy: Session) -> None:
@@ -79,8 +92,8 @@ def test_a_step_below_the_threshold_is_not_reported() -> None:
 
 
 def test_the_rule_takes_the_shortest_latency_of_what_is_allowed() -> None:
-    # too many alarms; late at pegs; as early but slow to steps; chosen; no debounce against hum
-    tried = [Setting(n, debounce, 500) for n, debounce in enumerate((9, 12, 9, 9, 6))]
+    # too many alarms; late at pegs; as early but slow to steps; chosen; hum alarms it
+    tried = [Setting(n, ms, 500) for n, ms in ((5, 9), (1, 12), (4, 12), (4, 9), (4, 6))]
     candidates = allowed(tried, [3.0, 0.0, 0.5, 1.0, 0.0])
     assert candidates == [1, 2, 3]
     steps = [5.0, 8.0, 20.0, 18.0, 1.0]

@@ -10,15 +10,18 @@ One of three things settles it: a lens board (`thigmo camera lens`), the camera'
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from thigmo.camera.errors import PlaneFitError, SheetHiddenError
 from thigmo.camera.model import CameraModel, Lens, Picture, detect_markers, other_dictionary
-from thigmo.camera.sheet import Points, Sheet
+from thigmo.camera.sheet import Card, Points, Sheet
 
 GOOD_CM = 0.15  # one sigma of a place at the robot's height: 0.3 cm at 95 %
 
@@ -29,6 +32,8 @@ _VIEW_DEG = 70.0
 _FOCAL_SPREAD = 0.25
 _LENS_SPREAD = 0.4  # k1 and k2
 _CENTER_SPREAD = 0.01  # principal point, of the picture's width
+_LENS = 5  # log focal length, principal point, k1, k2
+_POSE = 6
 
 
 def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraModel:
@@ -73,6 +78,7 @@ def fit_pose(
         fit = least_squares(
             problem.residuals,
             problem.start(view_deg),
+            jac=problem.jacobian,
             loss="soft_l1",
             x_scale="jac",
             max_nfev=80,
@@ -112,61 +118,90 @@ def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
     return ", ".join(ways)
 
 
+@dataclass(frozen=True)
 class Problem:
     """Corners against sheet: unknowns are the lens (unless known), the pose, and each card's slip.
 
     All residuals are in units of their one sigma.
-
-    Attributes:
-        cards: those seen.
-        pixels: (n, 2) corners in the picture.
-        laid: (c, 4) x, y, z in cm and turn in rad of each card, by the sheet file.
     """
 
-    def __init__(
-        self, found: dict[int, Points], sheet: Sheet, size: tuple[int, int], lens: Lens | None
-    ) -> None:
-        card_of, markers = sheet.marker_ids(), sorted(found)
-        self.sheet, self.size, self.lens = sheet, size, lens
-        self.cards = [c for c in sheet.cards if any(card_of[m] is c for m in markers)]
-        self.pixels = np.concatenate([found[m] for m in markers])
-        self.laid = np.array([[c.x_cm, c.y_cm, c.z_cm, np.radians(c.turn_deg)] for c in self.cards])
-        self._card = np.repeat([self.cards.index(card_of[m]) for m in markers], 4)
-        # From their card's cross, in the card's frame.
-        self._local = np.concatenate(
-            [sheet.local_corners(m - card_of[m].first_id) for m in markers]
-        )
-        # The priors' middle and one sigma: the lens, then each card's slip (x, y, turn).
-        width, place = _CENTER_SPREAD * size[0], sheet.placement_se_cm
-        middle = [np.log(self._focal(_VIEW_DEG)), size[0] / 2, size[1] / 2, 0.0, 0.0]
-        spread = [_FOCAL_SPREAD, width, width, _LENS_SPREAD, _LENS_SPREAD]
-        self._head = 0 if lens is not None else len(middle)
-        slips = np.zeros(3 * len(self.cards))
-        self._middle = np.append(middle[: self._head], slips)
-        self._spread = np.append(
-            spread[: self._head], np.tile([place, place, _TURN_SE], len(self.cards))
+    found: dict[int, Points]
+    sheet: Sheet
+    size: tuple[int, int]
+    lens: Lens | None
+
+    @cached_property
+    def markers(self) -> list[int]:
+        """Those seen, sorted."""
+        return sorted(self.found)
+
+    @cached_property
+    def cards(self) -> list[Card]:
+        """Those seen."""
+        card_of = self.sheet.marker_ids()
+        return [c for c in self.sheet.cards if any(card_of[m] is c for m in self.markers)]
+
+    @cached_property
+    def pixels(self) -> Points:
+        """Corners (n, 2) in the picture."""
+        return np.concatenate([self.found[m] for m in self.markers])
+
+    @cached_property
+    def owner(self) -> NDArray[np.intp]:
+        """Card of each corner (n,)."""
+        card_of = self.sheet.marker_ids()
+        return np.repeat([self.cards.index(card_of[m]) for m in self.markers], 4)
+
+    @cached_property
+    def local(self) -> Points:
+        """Corners (n, 2) from their card's cross, in the card's frame."""
+        card_of = self.sheet.marker_ids()
+        return np.concatenate(
+            [self.sheet.local_corners(m - card_of[m].first_id) for m in self.markers]
         )
 
-    def _focal(self, view_deg: float) -> float:
-        return float(self.size[0] / 2 / np.tan(np.radians(view_deg / 2)))
+    @cached_property
+    def laid(self) -> Points:
+        """x, y, z in cm and turn in rad of each card (c, 4), by the sheet file."""
+        return np.array([[c.x_cm, c.y_cm, c.z_cm, np.radians(c.turn_deg)] for c in self.cards])
+
+    @property
+    def _head(self) -> int:
+        return 0 if self.lens is not None else _LENS
+
+    @cached_property
+    def center(self) -> Points:
+        """Middle of the lens's prior."""
+        focal = self.size[0] / 2 / np.tan(np.radians(_VIEW_DEG / 2))
+        return np.array([np.log(focal), self.size[0] / 2, self.size[1] / 2, 0.0, 0.0])
+
+    @cached_property
+    def spread(self) -> Points:
+        """One sigma of every prior: the lens, then each card's slip (x, y, turn)."""
+        width = _CENTER_SPREAD * self.size[0]
+        lens = [_FOCAL_SPREAD, width, width, _LENS_SPREAD, _LENS_SPREAD]
+        place = self.sheet.placement_se_cm
+        slips = [place, place, _TURN_SE] * len(self.cards)
+        return np.array([*lens[: self._head], *slips])
 
     def start(self, view_deg: float) -> Points:
         """Unknowns to begin with: a pinhole of that angle, the plane's pose, no slips."""
-        head, slips = self._middle[: self._head].copy(), self._middle[self._head :]
+        head = self.center[: self._head].copy()
         if self.lens is None:
-            head[0] = np.log(self._focal(view_deg))
+            head[0] = np.log(self.size[0] / 2 / np.tan(np.radians(view_deg / 2)))
         lens = self._lens(head)
-        flat = self._solid(slips.reshape(-1, 3))
+        flat = self._solid(np.zeros((len(self.cards), 3)))
         flat[:, 2] = 0.0
         _, turn, move = cv2.solvePnP(
             flat, self.pixels, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE
         )
-        return np.concatenate([head, np.ravel(turn), np.ravel(move), slips])
+        return np.concatenate([head, np.ravel(turn), np.ravel(move), np.zeros(3 * len(self.cards))])
 
     def split(self, x: Points) -> tuple[Lens, Points, Points, Points]:
         """Lens, rotation (3,), translation (3,), slips (c, 3) of the unknowns."""
-        head, turn, move, slips = np.split(x, self._head + np.array([0, 3, 6]))
-        return self._lens(head), turn, move, slips.reshape(-1, 3)
+        pose = x[self._head : self._head + _POSE]
+        slips = x[self._head + _POSE :].reshape(-1, 3)
+        return self._lens(x[: self._head]), pose[:3], pose[3:], slips
 
     def _lens(self, head: Points) -> Lens:
         if self.lens is not None:
@@ -177,23 +212,72 @@ class Problem:
 
     def _solid(self, slips: Points) -> Points:
         """Corners (n, 3) in the workspace."""
-        x, y, z, turn = (self.laid + np.insert(slips, 2, 0.0, axis=1))[self._card].T
-        u, v = self._local.T
-        return np.column_stack([
-            x + np.cos(turn) * u - np.sin(turn) * v, y + np.sin(turn) * u + np.cos(turn) * v, z,
-        ])  # fmt: skip
+        turn = (self.laid[:, 3] + slips[:, 2])[self.owner]
+        u, v = self.local.T
+        at = (self.laid[:, :2] + slips[:, :2])[self.owner]
+        return np.column_stack(
+            [
+                at[:, 0] + np.cos(turn) * u - np.sin(turn) * v,
+                at[:, 1] + np.sin(turn) * u + np.cos(turn) * v,
+                self.laid[self.owner, 2],
+            ]
+        )
+
+    def _project(self, x: Points) -> tuple[Points, Points, Points]:
+        """Pixels (n, 2), OpenCV's derivatives (2 n, 15), and the solid corners (n, 3)."""
+        lens, turn, move, slips = self.split(x)
+        solid = self._solid(slips)
+        seen, slopes = cv2.projectPoints(solid, turn, move, lens.matrix, lens.distortion)
+        return np.asarray(seen, float).reshape(-1, 2), np.asarray(slopes, float), solid
 
     def residuals(self, x: Points) -> Points:
         """Corners, priors of lens and slips, height by tape."""
-        lens, turn, move, slips = self.split(x)
-        seen = CameraModel(lens, turn, move).project(self._solid(slips))
-        priors = (np.delete(x, self._head + np.arange(6)) - self._middle) / self._spread
+        seen, _, _ = self._project(x)
+        priors = np.concatenate([x[: self._head] - self.center[: self._head],
+                                 x[self._head + _POSE :]]) / self.spread  # fmt: skip
         parts = [(seen - self.pixels).ravel() / _CORNER_PX, priors]
         if self.sheet.camera_height_cm is not None:
-            height = CameraModel(lens, turn, move).eye_cm[2]
+            _, turn, move, _ = self.split(x)
+            height = -(cv2.Rodrigues(turn)[0].T @ move)[2]
             miss = (height - self.sheet.camera_height_cm) / self.sheet.camera_height_se_cm
             parts.append(np.array([miss]))
         return np.concatenate(parts)
+
+    def jacobian(self, x: Points) -> Points:
+        """Derivatives of `residuals`."""
+        lens, turn, move, slips = self.split(x)
+        _, slopes, _ = self._project(x)
+        rotation, by_turn = cv2.Rodrigues(turn)
+        n, head = len(self.pixels), self._head
+        made = np.zeros((2 * n, len(x)))
+        if self.lens is None:
+            # OpenCV's columns: rotation, translation, fx, fy, cx, cy, k1, k2, ...
+            made[:, 0] = (slopes[:, 6] + slopes[:, 7]) * lens.matrix[0, 0]
+            made[:, 1:5] = slopes[:, 8:12]
+        made[:, head : head + _POSE] = slopes[:, :6]
+        # A corner that moves in the workspace moves as the rotation carries it.
+        by_place = (slopes[:, 3:6] @ rotation).reshape(n, 2, 3)
+        angle = (self.laid[:, 3] + slips[:, 2])[self.owner]
+        u, v = self.local.T
+        swing = np.column_stack([-np.sin(angle) * u - np.cos(angle) * v,
+                                 np.cos(angle) * u - np.sin(angle) * v])  # fmt: skip
+        by_swing = np.einsum("nij,nj->ni", by_place[:, :, :2], swing)
+        for card in range(len(self.cards)):
+            rows = np.repeat(self.owner == card, 2)
+            column = head + _POSE + 3 * card
+            made[rows, column : column + 2] = by_place[self.owner == card, :, :2].reshape(-1, 2)
+            made[rows, column + 2] = by_swing[self.owner == card].ravel()
+        priors = np.zeros((len(self.spread), len(x)))
+        columns = np.r_[np.arange(head), np.arange(head + _POSE, len(x))]
+        priors[np.arange(len(columns)), columns] = 1 / self.spread
+        parts = [made / _CORNER_PX, priors]
+        if self.sheet.camera_height_cm is not None:
+            row = np.zeros((1, len(x)))
+            # height = -(R^T t)_z; by_turn holds dR / d turn, R row by row.
+            row[0, head : head + 3] = -(by_turn.reshape(3, 3, 3)[:, :, 2] @ move)
+            row[0, head + 3 : head + _POSE] = -rotation[:, 2]
+            parts.append(row / self.sheet.camera_height_se_cm)
+        return np.vstack(parts)
 
 
 def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:

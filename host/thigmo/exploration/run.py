@@ -116,11 +116,23 @@ class Exploration:
         self._known: set[Side] = set()  # sides whose contact the sweep that found it has placed
         self._zero_tries = 0
         self._lengths = stage_lengths(config)
-        # One method for each state, of its name.
         self._actions: dict[State, Callable[[], str]] = {
-            state: getattr(self, f"_{state.name.lower()}")
-            for state in State
-            if state is not State.DONE
+            State.CONFIGURE: self._configure,
+            State.CONFIRM: self._confirm,
+            State.ARM: self._arm,
+            State.PLAN: self._plan,
+            State.PRESSURIZE: self._pressurize,
+            State.GROW: self._grow,
+            State.BACK_OFF: self._back_off,
+            State.SETTLE: self._settle,
+            State.ZERO: self._zero,
+            State.SWEEP: self._sweep,
+            State.REST: self._rest,
+            State.MEASURE: self._measure,
+            State.LOCALIZE: self._localize,
+            State.MAP: self._map,
+            State.VENT: self._vent,
+            State.FINISH: self._finish,
         }
 
     def run(self) -> None:

@@ -7,10 +7,9 @@ default: from a step of base curvature of 1.5 and of 2 times the threshold, and 
 which the true base contact curvature of a sweep into a peg passes the threshold. The firmware's own
 trigger is measured, on the virtual board; `RULE` chooses the defaults in protocol/schema.yaml.
 
-No scene has mains hum: nobody knows its size before the wires lie. Against white noise alone a
-longer average without a debounce would be faster. But a fifth of 50 Hz passes the average of 32
-samples, and a few steps of the converter alarm. A debounce of nearly a half wave, 10 ms, lets
-through far less, so the rule demands one.
+No scene has mains hum: nobody knows its size before the wires lie. But how much of it a setting
+bears is known (`hum_borne`), and the rule demands ten thresholds: a long average alone lets a fifth
+of 50 Hz through, a debounce alone all of it.
 """
 
 from __future__ import annotations
@@ -57,10 +56,11 @@ STEPS = (1.5, 2.0)  # of the threshold
 PEGS = 0.0  # in place of a step: a sweep into a peg
 DECIDING = ("all three", 2.0)
 ALLOWED_PER_100 = 1.0
-LEAST_DEBOUNCE_MS = 9  # against hum
+HUM_PER_MS = 0.05  # 50 Hz; of 60 Hz every setting here but the longest averages bears more
+LEAST_HUM = 10.0  # thresholds
 EQUAL_MS = 10.0
 RULE = (
-    "a debounce of at least 9 ms, against mains hum, and"
+    "50 Hz hum of ten thresholds must not alarm, and"
     " at most 1 false alarm in 100 empty sweeps with all three noise parts at twice their default;"
     " of those the shortest latency in 90 % of sweeps into pegs; where these differ by less than"
     " 10 ms, the shortest latency for 95 % of the steps of 1.5 times the threshold"
@@ -200,12 +200,24 @@ def peg_ms(late: dict[float, Floats]) -> list[float]:
     return [quantile(row, 0.9, early=True) for row in late[PEGS]]
 
 
+def hum_borne(setting: Setting) -> float:
+    """Amplitude (thresholds) of 50 Hz hum on a free body that does not alarm; infinite for all.
+
+    The average of n samples passes a share of the hum. What passes must be over the threshold for
+    as many samples in a row as are debounced.
+    """
+    samples = 2**setting.filter_log2
+    passed = abs(np.sin(np.pi * HUM_PER_MS * samples)) / (samples * np.sin(np.pi * HUM_PER_MS))
+    within = np.cos(np.pi * HUM_PER_MS * min(setting.debounce_ms - 1, 0.5 / HUM_PER_MS))
+    return float(1.0 / (passed * within)) if within > 1e-9 else np.inf
+
+
 def allowed(tried: Sequence[Setting], alarms: Sequence[float]) -> list[int]:
     """Indices of the settings among which `RULE` chooses."""
     return [
         n
         for n, (setting, rate) in enumerate(zip(tried, alarms, strict=True))
-        if setting.debounce_ms >= LEAST_DEBOUNCE_MS and rate <= ALLOWED_PER_100
+        if hum_borne(setting) >= LEAST_HUM and rate <= ALLOWED_PER_100
     ]
 
 
