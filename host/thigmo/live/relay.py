@@ -18,6 +18,7 @@ from thigmo.stream import Hello, Message, RunState, Telemetry
 
 _LOOK_S = 0.02  # between two looks at the stream
 _TELL_S = 1.0
+_LOOKS_WITHIN_S = 10.0  # for runs that are under way at the start, on a computer that is busy
 _CLOSED = {"lost": "stop not connected: use the e-stop", "none": "no robot is in use"}
 
 
@@ -61,6 +62,7 @@ class Relay:
     def __init__(self, watched: Watched) -> None:
         self._watched = watched
         self._closed = threading.Event()
+        self._looked = threading.Event()
         self._told_s = float("-inf")
         self.facts = Facts()
 
@@ -72,6 +74,7 @@ class Relay:
 
     def pass_on(self, view: View) -> bool:
         """Pass on what has come; whether there was anything."""
+        looked = self._watched.looked.is_set()
         taken = self._watched.take()
         facts = self.facts
         begins = taken.run is not facts.run
@@ -79,6 +82,8 @@ class Relay:
             facts = Facts(taken.run)
         facts.under_way = taken.run is not None and not taken.ended
         self.facts = facts
+        if looked:
+            self._looked.set()
         if begins:
             view.tell(facts)  # before any message of its own
         for message in taken.messages:
@@ -101,8 +106,14 @@ class Relay:
         Returns:
             A line for the operator, which the view is soon told, too.
         """
-        facts = self.facts
-        facts.stopped = said = self._stop(facts)
+        looked, facts = self._looked.is_set(), self.facts
+        said = self._stop(facts)
+        if said == _CLOSED["none"] and not looked:
+            # A stop that was latched may come before the run that is under way is known.
+            self._looked.wait(_LOOKS_WITHIN_S)
+            facts = self.facts
+            said = self._stop(facts)
+        facts.stopped = said
         self._told_s = float("-inf")
         return said
 
@@ -117,7 +128,7 @@ class Relay:
             return f"not stopped: {error}"
         if told.failed:
             return f"not stopped: {told.failed}"
-        return f"stopped {', '.join(told.stopped)}" if told.stopped else "no robot is in use"
+        return f"stopped {', '.join(told.stopped)}" if told.stopped else _CLOSED["none"]
 
     def close(self) -> None:
         """Pass nothing on any more; from any thread."""

@@ -39,6 +39,10 @@ class Watched:
 
     Args:
         url: of the robot whose runs to look at; None takes any run, the youngest first.
+
+    Attributes:
+        looked: set once a run that was under way at the start is known.
+        heard_s: when the run was last heard of, by the monotonic clock.
     """
 
     def __init__(self, url: str | None) -> None:
@@ -49,6 +53,7 @@ class Watched:
         self._run: RemoteRun | None = None
         self._hello: Hello | None = None
         self._closed = threading.Event()
+        self.looked = threading.Event()
         self.heard_s = time.monotonic()
         self._thread = threading.Thread(target=self._follow, daemon=True)
         self._thread.start()
@@ -82,6 +87,7 @@ class Watched:
         while not self._closed.is_set():
             run = self._find()
             if run is None:
+                self.looked.set()
                 self._closed.wait(_LOOK_S)
                 continue
             with run:
@@ -102,6 +108,7 @@ class Watched:
                 self._batches.append(Taken(self._hello, True, self._waiting))
             self._waiting, self._run, self._hello = [], run, run.hello
             self.heard_s = time.monotonic()
+        self.looked.set()
         try:
             while not self._closed.is_set():
                 message = run.get(0.2)

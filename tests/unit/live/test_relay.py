@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import pytest
@@ -23,9 +24,14 @@ class FakeWatched:
 
     def __init__(self) -> None:
         self.taken = Taken(None, True, [])
+        self.looked = threading.Event()
+        self.sent: list[str] = []
 
     def take(self) -> Taken:
         return self.taken
+
+    def send(self, command: str) -> None:
+        self.sent.append(command)
 
     def close(self) -> None:
         pass
@@ -68,6 +74,21 @@ def test_view_is_told_of_a_new_run_before_its_messages_and_of_no_stop_of_the_las
     told = _passed(watched, passing, NEXT)
     assert told[0] == ("next", "")
     assert all(not stopped for _, stopped in told)
+
+
+def test_stop_that_comes_before_a_run_under_way_is_known_stops_it(
+    watched: FakeWatched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passing = Relay(watched)  # type: ignore[arg-type]
+
+    def no_port(run: Hello | None) -> Stopped:
+        watched.looked.set()  # the run is found while ports are asked
+        _passed(watched, passing, replace(RUN, virtual=True))
+        return Stopped([])
+
+    monkeypatch.setattr(relay, "stop_port", no_port)
+    assert passing.stop() == "told n to stop"
+    assert watched.sent == ["stop"]
 
 
 def test_foxglove_gives_late_comers_nothing_of_the_run_before() -> None:
