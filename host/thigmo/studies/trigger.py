@@ -8,8 +8,8 @@ which the true base contact curvature of a sweep into a peg passes the threshold
 trigger is measured, on the virtual board; `RULE` chooses the defaults in protocol/schema.yaml.
 
 No scene has mains hum: nobody knows its size before the wires lie. But how much of it a setting
-bears is known (`hum_borne`), and the rule demands ten thresholds: a long average alone lets a fifth
-of 50 Hz through, a debounce alone all of it.
+bears is known (`hum_borne`), and the rule demands ten thresholds: neither an average of 32 samples
+nor a debounce of 9 ms bears that alone.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ STEPS = (1.5, 2.0)  # of the threshold
 PEGS = 0.0  # in place of a step: a sweep into a peg
 DECIDING = ("all three", 2.0)
 ALLOWED_PER_100 = 1.0
-HUM_PER_MS = 0.05  # 50 Hz; of 60 Hz every setting here but the longest averages bears more
+HUM_PER_MS = 0.05  # 50 Hz; no setting here bears less of 60 Hz
 LEAST_HUM = 10.0  # thresholds
 EQUAL_MS = 10.0
 RULE = (
