@@ -1,32 +1,31 @@
 """What the generated protocol.py is made of: messages, their enumerations, parameters.
 
-A message is a frozen dataclass under `message(...)`, which reads from the fields' types how the
-integers of its wire format become them: `Status` an enumeration's member, `tuple[int, ...]` an
-array, `int` itself.
+A message is a frozen dataclass. Its base reads from the fields' types how the integers of the wire
+format become them: `Status` an enumeration's member, `tuple[int, ...]` an array, `int` itself. The
+sentences of enumerations, and the parameters, are data: protocol.json beside this file.
 """
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from inspect import get_annotations
+from pathlib import Path
 from struct import Struct
 from typing import Any, ClassVar, Generic, Self, TypeVar, dataclass_transform, get_args
 
+_DATA = json.loads(Path(__file__).with_name("protocol.json").read_text(encoding="utf-8"))
+
 
 class Documented(IntEnum):
-    """An enumeration whose members carry their sentences of the schema."""
+    """An enumeration whose members have a sentence each in the schema."""
 
-    doc: str
-
-    def __new__(cls, value: int, doc: str = "") -> Self:
-        """A member with its sentence."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.doc = doc
-        return member
+    @property
+    def doc(self) -> str:
+        """The schema's sentence."""
+        return str(_DATA["enums"][type(self).__name__][self.key])
 
     @property
     def key(self) -> str:
@@ -50,10 +49,10 @@ class Documented(IntEnum):
         return tuple(member for member in cls if mask >> int(member) & 1)
 
 
+@dataclass_transform(frozen_default=True)
 class Message:
     """Base of all messages."""
 
-    __slots__ = ()
     ID: ClassVar[int]
     SIZE: ClassVar[int]
     NAME: ClassVar[str]
@@ -62,6 +61,39 @@ class Message:
     _STRUCT: ClassVar[Struct]
     _ENUMS: ClassVar[list[tuple[int, type[Documented]]]]  # places among the integers
     _ARRAYS: ClassVar[list[slice]]  # last first: each becomes one value, and moves what follows
+
+    def __init_subclass__(
+        cls, *, number: int = 0, kind: str = "command", layout: str = "", deadline_s: float = 2.0
+    ) -> None:
+        """Make a message of a class whose fields are annotated with their types.
+
+        Args:
+            number: its id on the wire; 0 for a base.
+            kind: command, reply, datagram, telemetry or event.
+            layout: struct codes of the fields in order, one each, as `10H` for an array of ten.
+            deadline_s: within which a command must be answered.
+        """
+        super().__init_subclass__()
+        if not number:
+            return
+        dataclass(frozen=True)(cls)
+        cls.ID, cls.KIND = number, kind
+        cls.NAME = re.sub(r"\B(?=[A-Z])", "_", cls.__name__).lower()
+        cls._STRUCT = Struct("<" + layout)
+        cls.SIZE = cls._STRUCT.size
+        types = get_annotations(cls)
+        cls._FIELDS, cls._ENUMS, cls._ARRAYS = tuple(types), [], []
+        at = 0
+        for of, count in zip(types.values(), re.findall(r"(\d*)\D", layout), strict=True):
+            if count:
+                cls._ARRAYS.insert(0, slice(at, at + int(count)))
+            elif of is not int:
+                cls._ENUMS.append((at, of))
+            at += int(count or 1)
+        if issubclass(cls, Command):
+            cls.DEADLINE_S = deadline_s
+            (cls.REPLY,) = get_args(vars(cls)["__orig_bases__"][0])
+        MESSAGES[number] = cls
 
     def pack(self) -> bytes:
         """The payload."""
@@ -85,53 +117,14 @@ class Message:
 
 
 R = TypeVar("R", bound=Message)
-M = TypeVar("M", bound=Message)
 MESSAGES: dict[int, type[Message]] = {}  # by id
 
 
 class Command(Message, Generic[R]):
     """A message that the board answers with an R, or refuses with an Ack."""
 
-    __slots__ = ()
     REPLY: ClassVar[type[Message]]
     DEADLINE_S: ClassVar[float]
-
-
-@dataclass_transform(frozen_default=True)
-def message(
-    number: int, kind: str, layout: str = "", deadline_s: float = 0.0
-) -> Callable[[type[M]], type[M]]:
-    """Make a message of a class whose fields are annotated with their types.
-
-    Args:
-        number: its id on the wire.
-        kind: command, reply, datagram, telemetry or event.
-        layout: struct codes of the fields in order, one each, as `10H` for an array of ten.
-        deadline_s: within which a command must be answered.
-    """
-
-    def made(plain: type[M]) -> type[M]:
-        types = get_annotations(plain)
-        cls = dataclass(frozen=True, slots=True)(plain)
-        cls.ID, cls.KIND = number, kind
-        cls.NAME = re.sub(r"\B(?=[A-Z])", "_", cls.__name__).lower()
-        cls._STRUCT = Struct("<" + layout)
-        cls.SIZE = cls._STRUCT.size
-        cls._FIELDS, cls._ENUMS, cls._ARRAYS = tuple(types), [], []
-        at = 0
-        for of, count in zip(types.values(), re.findall(r"(\d*)\D", layout), strict=True):
-            if count:
-                cls._ARRAYS.insert(0, slice(at, at + int(count)))
-            elif of is not int:
-                cls._ENUMS.append((at, of))
-            at += int(count or 1)
-        if issubclass(cls, Command):
-            cls.DEADLINE_S = deadline_s
-            (cls.REPLY,) = get_args(vars(cls)["__orig_bases__"][0])
-        MESSAGES[number] = cls
-        return cls
-
-    return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,23 +138,8 @@ class Parameter:
     unit: str
     low: int
     high: int
-    defaults: tuple[int, ...]
+    defaults: list[int]
     doc: str
 
 
-def parameter_table(
-    rows: dict[tuple[str, int, int, str, int, int, int | tuple[int, ...]], str],
-) -> dict[str, Parameter]:
-    """Parameters by name, in the order of their indices.
-
-    Args:
-        rows: name, id, count, unit, low, high and default (of each element, or one for all) of
-            every parameter, with what it is.
-    """
-    table: dict[str, Parameter] = {}
-    index = 0
-    for (name, number, count, unit, low, high, default), doc in rows.items():
-        defaults = default if isinstance(default, tuple) else (default,) * count
-        table[name] = Parameter(name, number, index, count, unit, low, high, defaults, doc)
-        index += count
-    return table
+PARAMETERS = {row["name"]: Parameter(**row) for row in _DATA["parameters"]}
