@@ -16,15 +16,12 @@ from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
-from thigmo.studies.experiments.attendant import Place
+from thigmo.studies.experiments.attendant import Attendant, Place, Verdict
 from thigmo.studies.experiments.explorations import (
-    EmulatedBystander,
     ExplorationFolder,
-    PlannedRun,
     evaluate,
     run_explorations,
 )
-from thigmo.studies.experiments.folder import Verdict
 
 pytestmark = pytest.mark.ci
 
@@ -47,17 +44,18 @@ def scene() -> Scene:
     return made
 
 
-class Stops(EmulatedBystander):
+class Stops(Attendant):
     """Answers with the given verdicts, then stops."""
 
     def __init__(self, *verdicts: Verdict) -> None:
+        super().__init__()
         self.verdicts = list(verdicts)
         self.asked: list[str] = []
 
-    def set_dowel(self, run: PlannedRun) -> None:
-        self.asked.append(run.key)
+    def set_dowel(self, key: str) -> None:
+        self.asked.append(key)
 
-    def verdict(self, run: PlannedRun, summary: str) -> Verdict:
+    def verdict(self, summary: str) -> Verdict:
         return self.verdicts.pop(0) if self.verdicts else "quit"
 
 
@@ -81,7 +79,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     alone = evaluate(folder)
     assert not alone.claims  # of both protocols only
     said: list[str] = []
-    assert run_explorations(url, EmulatedBystander(), folder, 1, seed=4, say=said.append)
+    assert run_explorations(url, Attendant(), folder, 1, seed=4, say=said.append)
     assert said[0] == "exploration: 1 of 2 explorations are there"
     assert [row["protocol"] for row in kept(folder.path)] == ["measure", "thesis"]
     results = evaluate(ExplorationFolder(folder.path))

@@ -21,11 +21,9 @@ import pytest
 from thigmo.errors import DataError
 from thigmo.record.log import read_log
 from thigmo.robot import Robot, connect
-from thigmo.studies.experiments.attendant import EmulatedAttendant
+from thigmo.studies.experiments.attendant import Attendant, Verdict
 from thigmo.studies.experiments.evaluate import evaluate
-from thigmo.studies.experiments.folder import Verdict
-from thigmo.studies.experiments.plan import Planned
-from thigmo.studies.experiments.procedure import plan
+from thigmo.studies.experiments.plan import plan
 from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
 pytestmark = pytest.mark.ci
@@ -41,14 +39,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> str:
     return f"emulator://{path}"
 
 
-class Stops(EmulatedAttendant):
+class Stops(Attendant):
     """Answers with the given verdicts, then stops."""
 
     def __init__(self, robot: Robot, *verdicts: Verdict) -> None:
-        super().__init__(robot)
+        super().__init__(robot=robot)
         self.verdicts = list(verdicts)
 
-    def verdict(self, trial: Planned, summary: str) -> Verdict:
+    def verdict(self, summary: str) -> Verdict:
         return self.verdicts.pop(0) if self.verdicts else "quit"
 
 
@@ -62,7 +60,7 @@ def take_all(scene: str, path: Path, experiment: str) -> TrialFolder:
     with connect(scene, seed=1) as robot:
         assert robot.known_config is not None
         folder = TrialFolder(path, robot.known_config)
-        assert run_trials(robot, EmulatedAttendant(robot), folder, experiment, 1)
+        assert run_trials(robot, Attendant(robot=robot), folder, experiment, 1)
         assert robot.status().left_psi < 0.5
     return folder
 
@@ -75,7 +73,7 @@ def single_contact(scene: str, tmp_path_factory: pytest.TempPathFactory) -> Tria
 
 def as_planned(experiment: str, folder: TrialFolder) -> dict[str, Any]:
     """The evaluated rows of trials that were taken where they were planned, by condition."""
-    planned = plan(experiment, folder.config, 1)
+    planned = plan(experiment, 1)
     rows = taken(folder.path)
     assert [row["key"] for row in rows] == [trial.key for trial in planned]
     for trial, row in zip(planned, rows, strict=True):
@@ -143,36 +141,12 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
     with connect(scene, seed=2) as robot:
         said: list[str] = []
         again = TrialFolder(folder.path, folder.config)
-        attendant = EmulatedAttendant(robot)
-        assert run_trials(robot, attendant, again, "single-contact", 1, said.append)
+        person = Attendant(robot=robot)
+        assert run_trials(robot, person, again, "single-contact", 1, said.append)
     assert said[0] == "single-contact: 2 of 6 trials are there"
     assert [row["state"] for row in taken(folder.path)].count("kept") == 5
     assert len({row["key"] for row in taken(folder.path)}) == 6
     assert (folder.path / "run-2.mcap").exists()
-
-
-def test_a_table_without_readings_on_the_way_is_evaluated_by_the_last_ones_and_goes_on(
-    scene: str, tmp_path: Path
-) -> None:
-    with connect(scene, seed=1) as robot:
-        assert robot.known_config is not None
-        folder = TrialFolder(tmp_path / "one", robot.known_config)
-        assert not run_trials(robot, Stops(robot, "keep", "keep"), folder, "actuated", 1)
-    assert [trial.passed.curvature.shape for trial in folder.trials() if trial.passed] == [
-        (4, 5), (4, 5)
-    ]  # fmt: skip
-    rows = taken(folder.path)
-    with (folder.path / "trials.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0])[:-2], extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(rows)
-    assert all(trial.passed is None for trial in folder.trials())
-    notes = evaluate("actuated", folder.trials()).notes
-    assert any("2 of 2 trials hold no readings on the way" in note for note in notes)
-    with connect(scene, seed=2) as robot:
-        assert not run_trials(robot, Stops(robot, "keep"), folder, "actuated", 1)
-    assert [trial.passed is None for trial in folder.trials()] == [True, True, False]
-    assert [row["key"] for row in taken(folder.path)][:2] == [row["key"] for row in rows]
 
 
 def test_another_robot_may_not_add_to_a_folder(scene: str, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,13 +13,10 @@ from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOp
 from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
-    from thigmo.cli.console import Console, TerminalOperator
-    from thigmo.config import RobotConfig
-    from thigmo.robot import Robot
     from thigmo.studies.engine import Outcome
-    from thigmo.studies.experiments.attendant import Attendant, Place
+    from thigmo.studies.experiments.attendant import Place
 
 
 def experiment(
@@ -75,6 +71,7 @@ def experiment(
     from thigmo.errors import DataError
     from thigmo.studies.engine import Context
     from thigmo.studies.experiments import EXPERIMENTS
+    from thigmo.studies.experiments.plan import STATIC
 
     names = list(EXPERIMENTS) if name == "all" else [name]
     if name not in (*EXPERIMENTS, "all", "fit"):
@@ -88,10 +85,16 @@ def experiment(
     if robot is not None and recorded is not None:
         raise DataError("--robot and --recorded are both given", "give one of them")
     if robot is not None or recorded is not None:
-        look = None if camera is None else _look(camera, sheet_file, camera_file)
-        desk = _Desk(robot, recorded, out / name, trials, seed, config, look, rehearse, as_json)
-        outcome, folder = desk.explorations() if name == "exploration" else desk.static(name, jobs)
-        found = report(name, outcome, folder, as_json)
+        if name not in (*STATIC, "exploration"):
+            raise DataError(
+                f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
+                "name one of these",
+            )
+        folder = recorded or out / name
+        if robot is not None:
+            look = None if camera is None else _look(camera, sheet_file, camera_file)
+            _Desk(robot, folder, trials, seed, config, look, rehearse, as_json).take(name)
+        found = report(name, _evaluated(name, folder, jobs), folder, as_json)
         if as_json:
             print_json([found])
     elif name == "fit":
@@ -130,10 +133,9 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
 
 @dataclass(frozen=True)
 class _Desk:
-    """Where trials are taken with a robot, or those taken before are read."""
+    """Where trials are taken with a robot."""
 
-    robot: str | None
-    recorded: Path | None
+    robot: str
     out: Path
     trials: int
     seed: int
@@ -147,94 +149,63 @@ class _Desk:
         if not self.quiet:
             typer.echo(text)
 
-    @contextmanager
-    def connected(self, person: TerminalOperator) -> Iterator[tuple[Robot, RobotConfig]]:
-        """The robot and its constants, robot.toml's before those it is known by."""
+    def take(self, name: str) -> None:
+        """Take the experiment's trials that are not in `out` yet, until they are or a person stops.
+
+        An exploration opens the robot by itself.
+        """
+        from thigmo.cli.console import Console, TerminalOperator
         from thigmo.config import RobotConfig
         from thigmo.errors import DataError
         from thigmo.robot import connect
-
-        assert self.robot is not None
-        given = RobotConfig.load(self.config) if self.config else None
-        with connect(self.robot, seed=self.seed, operator=person) as machine:
-            known = given or machine.known_config
-            if known is None:
-                raise DataError("the robot's constants are not known", "give --config robot.toml")
-            emulated = machine.scenery() is not None
-            if self.rehearse and not emulated:
-                raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
-            if self.look and emulated:
-                raise DataError("--camera is for a real robot", "the emulator knows its dowels")
-            yield machine, known
-
-    def camera(self, known: RobotConfig) -> Callable[[], list[Place]] | None:
-        """What measures the dowels beside this robot; None: they are typed in."""
-        return partial(self.look, known.body.diameter_cm) if self.look else None
-
-    def static(self, name: str, jobs: int) -> tuple[Outcome, Path]:
-        """Take the trials, or read them, and evaluate what there is."""
-        from thigmo.cli.console import Console, TerminalOperator
-        from thigmo.errors import DataError
-        from thigmo.studies.engine import Context
-        from thigmo.studies.experiments.evaluate import evaluate
-        from thigmo.studies.experiments.plan import STATIC
+        from thigmo.studies.experiments.attendant import Attendant
+        from thigmo.studies.experiments.explorations import ExplorationFolder, run_explorations
         from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
-        if name not in STATIC:
-            raise DataError(
-                f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
-                "name one of these",
-            )
-        if self.recorded is not None:
-            folder = TrialFolder(self.recorded)
-        else:
-            console = Console(quiet=self.quiet)
-            person = TerminalOperator(console)
-            with console.interruptible(), self.connected(person) as (machine, known):
-                folder = TrialFolder(self.out, known)
-                attendant = self._attendant(console, machine, known)
-                if not run_trials(machine, attendant, folder, name, self.trials, self.say):
-                    self.say("stopped; the same command goes on")
-        return evaluate(name, folder.trials(), Context(jobs=jobs)), folder.path
-
-    def _attendant(self, console: Console, machine: Robot, known: RobotConfig) -> Attendant:
-        from thigmo.cli.experiment_prompts import TerminalAttendant
-        from thigmo.studies.experiments.attendant import EmulatedAttendant
-
-        if machine.scenery() is None:
-            return TerminalAttendant(console, self.camera(known))
-        behind = EmulatedAttendant(machine)
-        return TerminalAttendant(console, behind=behind) if self.rehearse else behind
-
-    def explorations(self) -> tuple[Outcome, Path]:
-        """Explore trial by trial, or read the runs, and evaluate what there is."""
-        from thigmo.cli.console import Console, TerminalOperator
-        from thigmo.cli.experiment_prompts import TerminalBystander
-        from thigmo.studies.experiments.explorations import (
-            EmulatedBystander,
-            ExplorationFolder,
-            evaluate,
-            run_explorations,
-        )
-
-        if self.robot is None:
-            assert self.recorded is not None
-            folder = ExplorationFolder(self.recorded)
-            return evaluate(folder), folder.path
         console = Console(quiet=self.quiet)
         person = TerminalOperator(console)
+        given = RobotConfig.load(self.config) if self.config else None
+        exploration = name == "exploration"
         with console.interruptible():
-            with self.connected(person) as (machine, known):
-                emulated = machine.scenery() is not None and not self.rehearse
-            folder = ExplorationFolder(self.out, known)
-            bystander = (
-                EmulatedBystander() if emulated else TerminalBystander(console, self.camera(known))
-            )
-            with console.progress() as show:
-                done = run_explorations(
-                    self.robot, bystander, folder, self.trials, seed=self.seed, operator=person,
-                    progress=show, say=self.say,
-                )  # fmt: skip
+            with connect(self.robot, seed=self.seed, operator=person) as machine:
+                known = given or machine.known_config
+                emulated = machine.scenery() is not None
+                if known is None:
+                    raise DataError(
+                        "the robot's constants are not known", "give --config robot.toml"
+                    )
+                if self.rehearse and not emulated:
+                    raise DataError(
+                        "--rehearse is for the emulator", "give --robot emulator://default"
+                    )
+                if self.look and emulated:
+                    raise DataError("--camera is for a real robot", "the emulator knows its dowels")
+                attendant = Attendant(
+                    None if emulated and not self.rehearse else console.ask,
+                    partial(self.look, known.body.diameter_cm) if self.look else None,
+                    machine if emulated and not exploration else None,
+                )
+                if not exploration:
+                    trials = TrialFolder(self.out, known)
+                    done = run_trials(machine, attendant, trials, name, self.trials, self.say)
+            if exploration:
+                runs = ExplorationFolder(self.out, known)
+                with console.progress() as show:
+                    done = run_explorations(
+                        self.robot, attendant, runs, self.trials, seed=self.seed, operator=person,
+                        progress=show, say=self.say,
+                    )  # fmt: skip
             if not done:
                 self.say("stopped; the same command goes on")
-        return evaluate(folder), folder.path
+
+
+def _evaluated(name: str, folder: Path, jobs: int) -> Outcome:
+    """What the trials in a folder say."""
+    from thigmo.studies.engine import Context
+    from thigmo.studies.experiments import explorations
+    from thigmo.studies.experiments.evaluate import evaluate
+    from thigmo.studies.experiments.recorded import TrialFolder
+
+    if name == "exploration":
+        return explorations.evaluate(explorations.ExplorationFolder(folder))
+    return evaluate(name, TrialFolder(folder).trials(), Context(jobs=jobs))

@@ -40,7 +40,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
         rows.append(row(name, condition, solved, THEIRS))
         rows += [row(name, f"{condition}, {n}", solved, m) for n, m in remedies.items()]
         every += solved
-    outcome = Outcome(
+    return Outcome(
         {"answers": _answers(every), "rows": rows},
         figures.FIGURES[name](every, rows),
         [
@@ -54,13 +54,6 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
         [f"{name}, {r['condition']}{note}" for r in rows for note in _remarks(r)],
         [shown(r) for r in rows],
     )
-    alone = sum(trial.passed is None for trial in trials)
-    if name == "actuated" and alone:
-        outcome.notes.append(
-            f"actuated: {alone} of {len(trials)} trials hold no readings on the way (an earlier "
-            "version took them) and are evaluated by the last reading only"
-        )
-    return outcome
 
 
 def _remarks(r: Row) -> list[str]:

@@ -9,19 +9,20 @@ first stage with a contact; ours is the exploration's answer. Robot time is devi
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thigmo.exploration.map import best_contact
 from thigmo.exploration.replay import recorded_sweeps
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report.axes import BLUE, ORANGE, RED
 from thigmo.robot import SensorTable
 from thigmo.studies import charts
 from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.engine import Claim, Context, Outcome, records
+from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.experiments import schematics, thesis
+from thigmo.studies.experiments.attendant import Place
 from thigmo.studies.rooms import explored
 
 if TYPE_CHECKING:
@@ -30,25 +31,48 @@ if TYPE_CHECKING:
 _URL = "emulator://default"
 
 
-@dataclass(frozen=True)
-class Run:
-    """One seed: both protocols (cm, s); infinite errors where no contact was mapped."""
-
-    seed: int
-    thesis_solver_cm: float
-    thesis_protocol_x_cm: float
-    thesis_protocol_cm: float
-    thesis_protocol_s: float
-    ours_x_cm: float
-    ours_cm: float
-    ours_s: float
+Made = dict[str, float]
+"""An exploration's |x error| "x_cm", error in the plane "cm" and robot time "s"; "solver_cm" of the
+thesis's solver where its protocol was followed. Errors are infinite where no contact was mapped."""
 
 
-def known_errors(document: RunDocument) -> tuple[float, float]:
-    """|x error| and distance in the plane by the room's truth, cm; infinite without a contact."""
-    if document.error_x_cm is None or document.error_cm is None:
-        return float("inf"), float("inf")
-    return document.error_x_cm, document.error_cm
+def made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None) -> Made:
+    """What an exploration came to.
+
+    On a real robot nobody knows the point of contact: there the dowel that touches it at the
+    mapped point is compared with the one that was measured.
+
+    Args:
+        document: of the run.
+        dowel: its centre, cm.
+        thesis_run: its folder, if it followed the thesis's protocol.
+    """
+    best = best_contact(document.contacts)
+    x = plane = float("inf")
+    if document.error_x_cm is not None and document.error_cm is not None:
+        x, plane = document.error_x_cm, document.error_cm
+    elif document.truth is None and best is not None:
+        # Centre of a dowel that touches the skin there.
+        off_x = best.x_cm + thesis.DOWEL_CM * float(np.cos(best.normal_rad)) - dowel[0]
+        off_y = best.y_cm + thesis.DOWEL_CM * float(np.sin(best.normal_rad)) - dowel[1]
+        x, plane = abs(off_x), float(np.hypot(off_x, off_y))
+    found = {"x_cm": x, "cm": plane, "s": document.robot_time_s}
+    return found | ({"solver_cm": thesis_solver(thesis_run, dowel[0])} if thesis_run else {})
+
+
+def in_words(made: Made) -> str:
+    """The errors of an exploration."""
+    return f"|x error| {made['x_cm']:.2f} cm, in the plane {made['cm']:.2f} cm"
+
+
+def row(number: int, theirs: Made, ours: Made) -> Record:
+    """Both protocols in one room (cm, s)."""
+    return {
+        "seed": number,
+        "thesis_solver_cm": theirs["solver_cm"],
+        **{f"thesis_protocol_{what}": theirs[what] for what in ("x_cm", "cm", "s")},
+        **{f"ours_{what}": value for what, value in ours.items()},
+    }
 
 
 def thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
@@ -73,22 +97,15 @@ def thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
     return float("inf")
 
 
-def run_seed(seed: int) -> Run:
+def run_seed(seed: int) -> Record:
     """Explore the default room by both protocols."""
     with tempfile.TemporaryDirectory() as folder:
         theirs = explored(_URL, folder, seed, protocol="thesis", frames=True)
         assert theirs.document.truth is not None  # the emulator's room knows itself
         (peg,) = theirs.document.truth.pegs
-        solver = thesis_solver(RunFolder(theirs.folder), peg.x_cm)
-        mine = explored(_URL, folder, seed).document
-    return Run(
-        seed,
-        solver,
-        *known_errors(theirs.document),
-        theirs.document.robot_time_s,
-        *known_errors(mine),
-        mine.robot_time_s,
-    )
+        dowel = peg.x_cm, peg.y_cm
+        solved = made(theirs.document, dowel, RunFolder(theirs.folder))
+        return row(seed, solved, made(explored(_URL, folder, seed).document, dowel))
 
 
 def run(robots: int, context: Context) -> Outcome:
@@ -99,26 +116,25 @@ def run(robots: int, context: Context) -> Outcome:
     return outcome
 
 
-def compared(runs: list[Run]) -> Outcome:
+def compared(runs: list[Record]) -> Outcome:
     """What explorations of one room promise over all seeds."""
-    ours = [one.ours_x_cm for one in runs]
-    times = [sum(getattr(one, what) for one in runs) for what in ("ours_s", "thesis_protocol_s")]
+    ours, times, theirs = (
+        np.array([run[what] for run in runs], dtype=np.float64)
+        for what in ("ours_x_cm", "ours_s", "thesis_protocol_s")
+    )
     return Outcome(
-        {"runs": records(runs)},
+        {"runs": runs},
         {"errors": _figure(runs)},
         [
-            Claim(
-                "exploration: mean |x error| over the seeds", float(np.mean(ours)), 1.5, unit="cm"
-            ),
-            Claim("exploration: robot time over the thesis's protocol's", times[0] / times[1], 0.5),
-            Claim(
-                "exploration: worst |x error| over the seeds", float(np.max(ours)), 3.0, unit="cm"
-            ),
+            Claim("exploration: mean |x error| over the seeds", ours.mean(), 1.5, unit="cm"),
+            Claim("exploration: robot time over the thesis's protocol's",
+                  times.sum() / theirs.sum(), 0.5),
+            Claim("exploration: worst |x error| over the seeds", ours.max(), 3.0, unit="cm"),
         ],
-    )
+    )  # fmt: skip
 
 
-def _figure(runs: list[Run]) -> Figure:
+def _figure(runs: list[Record]) -> Figure:
     """Error on the map against robot time, both protocols."""
     figure, (axis,) = charts.panels(
         size=(7, 4.4), title=f"Exploration of the default room, {len(runs)} seeds"
@@ -129,8 +145,8 @@ def _figure(runs: list[Run]) -> Figure:
          "thesis_protocol_x_cm"),
         ("ours", BLUE, "ours_s", "ours_x_cm"),
     ):  # fmt: skip
-        points = [(getattr(one, time), getattr(one, error)) for one in runs]
-        mapped = np.array([p for p in points if np.isfinite(p[1])]).reshape(-1, 2)
+        points = np.array([(run[time], run[error]) for run in runs], dtype=np.float64)
+        mapped = points[np.isfinite(points[:, 1])]
         count = f"{len(mapped)} of {len(runs)} mapped"
         axis.plot(*mapped.T, "o", color=color, alpha=0.7, label=f"{label} ({count})")
     told = thesis.published("exploration", "obstacle at the farthest place").mean_cm

@@ -15,21 +15,21 @@ import io
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError, RunFolderError
 from thigmo.record import write_whole
 from thigmo.record.table import Table
+from thigmo.studies.experiments.attendant import Verdict
 
 Say = Callable[[str], None]
-Verdict = Literal["keep", "redo", "skip", "quit"]
 Row = Mapping[str, Any]
 Line = dict[str, str]
 
 
 class Planned(Protocol):
-    """What is to be taken."""
+    """What is to be taken; attributes with a column's name are kept in it."""
 
     @property
     def key(self) -> str:
@@ -52,8 +52,6 @@ class Folder:
     """
 
     columns: ClassVar[tuple[str, ...]]
-    # Columns of earlier versions' tables; what they lack is empty.
-    earlier: ClassVar[tuple[str, ...]] = ()
     things: ClassVar[str] = "trials"
 
     def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
@@ -86,15 +84,13 @@ class Folder:
         if not self.table.exists():
             return {}
         columns = Table.read(self.table).columns
-        if tuple(columns) not in (self.columns, self.earlier):
+        if tuple(columns) != self.columns:
             raise DataError(
                 f"{self.table} is no table of {self.things}",
                 "move it away, or choose another --out",
             )
-        lines = (
-            dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)
-        )
-        return {line["key"]: dict.fromkeys(self.columns, "") | line for line in lines}
+        lines = zip(*columns.values(), strict=True)
+        return {cells[0]: dict(zip(columns, cells, strict=True)) for cells in lines}
 
     def kept(self) -> list[Line]:
         """Lines that were kept, not skipped."""
@@ -106,13 +102,11 @@ class Folder:
         Raises:
             RunFolderError: the folder cannot be written.
         """
-        state = {"state": "skipped" if row is None else "kept"}
-        label = {name: getattr(planned, name, "") for name in self.columns}
-        cells = {**label, **state, **(row or {})}
+        cells = {name: getattr(planned, name, "") for name in self.columns} | dict(row or {})
+        cells["state"] = "skipped" if row is None else "kept"
         held = [list(line.values()) for line in self.rows().values()]
         text = io.StringIO(newline="")
-        new = [_cell(cells[name]) for name in self.columns]
-        csv.writer(text).writerows([self.columns, *held, new])
+        csv.writer(text).writerows([self.columns, *held, [_cell(cells[n]) for n in self.columns]])
         write_whole(self.table, text.getvalue().encode())
 
     def missing(self, planned: Sequence[Plan], say: Say, what: str) -> list[tuple[str, Plan]]:
@@ -132,7 +126,7 @@ class Folder:
         self,
         todo: Sequence[tuple[str, Plan]],
         take: Callable[[Plan], tuple[Row, str]],
-        judge: Callable[[Plan, str], Verdict],
+        judge: Callable[[str], Verdict],
         say: Say,
     ) -> bool:
         """Take one after the other, each again until it is kept or skipped.
@@ -152,7 +146,7 @@ class Folder:
             while verdict == "redo":
                 try:
                     row, summary = take(planned)
-                    verdict = judge(planned, summary)
+                    verdict = judge(summary)
                 except (KeyboardInterrupt, SystemExit) as stopped:
                     stopped.add_note(
                         f"{len(self.rows())} {self.things} are in {self.path}, the same command "

@@ -24,7 +24,6 @@ class Planned:
         arcs_cm: where the dowels touch, base first.
         forces: with which they push, 1/cm^2; empty for an actuated robot.
         pressure_psi: of the muscle on the dowel's side; 0 unactuated.
-        pushes_cm: y to which they push the body's centreline, where a robot is to be pushed.
     """
 
     experiment: str
@@ -35,12 +34,16 @@ class Planned:
     arcs_cm: tuple[float, ...]
     forces: tuple[float, ...] = ()
     pressure_psi: float = 0.0
-    pushes_cm: tuple[float, ...] = ()
 
     @property
     def key(self) -> str:
         """What names it in trials.csv."""
         return f"{self.condition} | {self.place} | {self.number}"
+
+    @property
+    def label(self) -> str:
+        """What names it to a person."""
+        return f"{self.experiment}, {self.condition}, {self.place}, trial {self.number}"
 
     @property
     def folds(self) -> bool:

@@ -1,4 +1,4 @@
-"""The thesis's static trials with a robot: what is planned, and how each one is taken.
+"""The thesis's static trials with a robot: how each one is taken.
 
 The same steps for a robot on the bench, whose operator answers prompts, and for the emulator, whose
 operator is code (`attendant.py`). Each trial starts with the robot straight, vented and zeroed, as
@@ -8,7 +8,6 @@ an actuated robot passes on its way (`thesis.PASSED_PSI`). `recorded.py` keeps t
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,6 @@ from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.folder import Row, Say
 from thigmo.studies.experiments.plan import Planned
-from thigmo.studies.experiments.plan import plan as planned
 from thigmo.studies.experiments.specimen import pushed
 
 if TYPE_CHECKING:
@@ -32,31 +30,6 @@ _QUIET_S = 5.0  # after venting, before zeros are taken
 _RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
 _ZERO_TRIES = 3
 _SAME_CM = 0.2
-
-
-def plan(experiment: str, config: RobotConfig, trials: int) -> list[Planned]:
-    """All trials of an experiment, and how far the dowels push this robot aside.
-
-    Raises:
-        DataError: no such experiment; a robot too short for it.
-    """
-    body = config.body
-    found = []
-    for trial in planned(experiment, trials, body.length_cm, body.critical_curvature):
-        shape = (
-            pushed(
-                trial.arcs_cm,
-                trial.forces,
-                fold_rad=trial.sign * frozen().fold_rad if trial.folds else 0.0,
-                length_cm=body.length_cm,
-                diameter_cm=body.diameter_cm,
-            )
-            if trial.forces
-            else None
-        )
-        pushes = tuple(round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm) if shape else ()
-        found.append(replace(trial, pushes_cm=pushes))
-    return found
 
 
 def prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
@@ -94,11 +67,23 @@ def _set_zone(robot: Robot, config: RobotConfig, zone: int) -> None:
     robot.select_zone(zone)
 
 
-def take(robot: Robot, attendant: Attendant, trial: Planned) -> Row:
+def pushes_cm(trial: Planned, config: RobotConfig) -> list[float]:
+    """The y to which dowels push this robot's centreline, where they touch it, base first."""
+    shape = pushed(
+        trial.arcs_cm,
+        trial.forces,
+        fold_rad=trial.sign * frozen().fold_rad if trial.folds else 0.0,
+        length_cm=config.body.length_cm,
+        diameter_cm=config.body.diameter_cm,
+    )
+    return [round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm]
+
+
+def take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
     """Take one trial; the robot is vented afterwards.
 
     Returns:
-        What trials.csv holds of it beside its label (`recorded.COLUMNS`).
+        What trials.csv holds of it beside its label.
 
     Raises:
         ThigmoError: as the robot or the attendant raises.
@@ -107,9 +92,8 @@ def take(robot: Robot, attendant: Attendant, trial: Planned) -> Row:
     _zero(robot)
     passed: list[Reading] = []
     if trial.pressure_psi > 0:
-        way = thesis.passed_psi(trial.pressure_psi)
         now = 0.0
-        for psi in way:
+        for psi in thesis.passed_psi(trial.pressure_psi):
             _press(robot, trial.side, psi, since_psi=now)
             if psi == thesis.TOUCH_PSI:
                 attendant.touch(trial)
@@ -117,34 +101,27 @@ def take(robot: Robot, attendant: Attendant, trial: Planned) -> Row:
             now = psi
         _press(robot, trial.side, trial.pressure_psi, since_psi=now)
     else:
-        attendant.push_aside(trial)
+        attendant.push_aside(trial, pushes_cm(trial, config))
         robot.wait(_STEADY_S)
     reading = robot.read(_READ_S)
-    dowels = attendant.dowels(trial)
-    known = attendant.truth()
+    dowels = attendant.dowels(len(trial.arcs_cm))
+    truth = attendant.truth()
     robot.vent()
     return {
-        "t_s": reading.t_s,
-        "length_cm": reading.length_cm,
-        "left_psi": reading.left_psi,
-        "right_psi": reading.right_psi,
+        **{name: getattr(reading, name) for name in ("t_s", "length_cm", "left_psi", "right_psi")},
         "zeroed": robot.status().zeroed,
         "curvature": reading.curvature.tolist(),
         "dowel_x_cm": [x for x, _ in dowels],
         "dowel_y_cm": [y for _, y in dowels],
-        "true_arcs_cm": list(known.arcs_cm),
-        "true_forces": list(known.forces),
-        "true_contact_x_cm": list(known.contact_x_cm),
-        "passed_psi": [r.left_psi if trial.side == "left" else r.right_psi for r in passed],
+        **truth,
+        "passed_psi": [getattr(r, f"{trial.side}_psi") for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
 
 
-def _press(robot: Robot, side: Side, psi: float, *, since_psi: float = 0.0) -> None:
-    if side == "left":
-        robot.press(left_psi=psi, ramp_psi_s=_RAMP_PSI_S)
-    else:
-        robot.press(right_psi=psi, ramp_psi_s=_RAMP_PSI_S)
+def _press(robot: Robot, side: Side, psi: float, *, since_psi: float) -> None:
+    left, right = (psi, 0.0) if side == "left" else (0.0, psi)
+    robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
     robot.wait((psi - since_psi) / _RAMP_PSI_S + _STEADY_S)
 
 
