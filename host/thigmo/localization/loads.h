@@ -560,14 +560,7 @@ struct SeveralContacts : Fit {
 // (Gauss): each adds to the gain, to the log determinant, and to the mean moment at the base.
 class SetsGrid {
  public:
-  // Of the columns of all contacts: whitened levers' products with each other, above the diagonal,
-  // and with the readings; levers at the base. Less what the contacts that are placed explain.
-  struct Products {
-    Matrix gram;
-    Row diagonal, told, base;
-  };
-
-  SetsGrid(int count, int cells) : count_(count), cells_(cells), at_(count), left_(count - 1) {}
+  SetsGrid(int count, int cells) : count_(count), cells_(cells), at_(count), left_(count) {}
 
   Row place, width;       // (k M,) of all columns; (k,)
   std::vector<Row> mass;  // (k, M)
@@ -577,7 +570,6 @@ class SetsGrid {
 
   void clear() {
     mass.assign(count_, Row(cells_, 0.0));
-    best.assign(count_, 0);
     place.clear(), width.clear();
     total = 0.0, top = -INFINITY, peak_ = -1.0;
   }
@@ -619,6 +611,13 @@ class SetsGrid {
   }
 
  private:
+  // Of the columns of all contacts: whitened levers' products with each other, above the diagonal,
+  // and with the readings; levers at the base. Less what the contacts that are placed explain.
+  struct Products {
+    Matrix gram;
+    Row diagonal, told, base;
+  };
+
   struct Sum {
     double exponent, volume, moment;
   };
@@ -628,12 +627,13 @@ class SetsGrid {
     const int first = contact * cells_, end = first + cells_;
     for (int m = first; m < end; ++m) {
       if (contact > 0 && place[m] - place[at_[contact - 1]] < gap_) continue;
-      const double pivot = left.diagonal[m], told = left.told[m], base = left.base[m];
+      const double share = left.told[m] / left.diagonal[m];
       at_[contact] = m;
-      const Sum with{sum.exponent + 0.5 * told * told / pivot, sum.volume * pivot / precision_[m],
-                     sum.moment + told * base / pivot};
-      if (contact + 2 == count_) {
-        add_last(left, m, with);
+      const Sum with{sum.exponent + 0.5 * left.told[m] * share,
+                     sum.volume * left.diagonal[m] / precision_[m],
+                     sum.moment + share * left.base[m]};
+      if (contact + 1 == count_) {
+        add(with);
       } else {
         eliminate(left, m, end, left_[contact + 1]);
         place_contact(contact + 1, with);
@@ -646,9 +646,9 @@ class SetsGrid {
     const int wide = count_ * cells_;
     const double inverse = 1.0 / from.diagonal[m], told = from.told[m], base = from.base[m];
     const double* row = from.gram[m];
-    for (int k = end; k < wide; ++k) to.told[k] = from.told[k] - inverse * told * row[k];
-    for (int k = end; k < wide; ++k) to.base[k] = from.base[k] - inverse * base * row[k];
     for (int k = end; k < wide; ++k) {
+      to.told[k] = from.told[k] - inverse * told * row[k];
+      to.base[k] = from.base[k] - inverse * base * row[k];
       to.diagonal[k] = from.diagonal[k] - inverse * row[k] * row[k];
     }
     for (int k = end; k < wide - cells_; ++k) {
@@ -658,72 +658,26 @@ class SetsGrid {
     }
   }
 
-  // The last contact at each of its places, beside one in column `own`.
-  void add_last(const Products& left, int own, Sum sum) {
-    const int first = (count_ - 1) * cells_;
-    int from = 0;
-    while (from < cells_ && place[first + from] - place[own] < gap_) ++from;
-    const double inverse = 1.0 / left.diagonal[own], *row = left.gram[own] + first;
-    const double *base = left.base.data() + first, *precision = precision_.data() + first;
-    scratch_.resize(4 * cells_);
-    double *exponent = scratch_.data(), *weight = exponent + cells_;
-    double *told = weight + cells_, *share = told + cells_;
-    take_out(cells_, inverse, left.told[own], row, left.told.data() + first,
-             left.diagonal.data() + first, told, share);
-    for (int m = from; m < cells_; ++m) {
-      exponent[m] = sum.exponent + 0.5 * told[m] * told[m] * share[m];
-    }
-    for (int m = from; m < cells_ && critical_ < INFINITY; ++m) {
-      const double lever = base[m] - inverse * left.base[own] * row[m];
-      if (std::abs(sum.moment + told[m] * lever * share[m]) > critical_) exponent[m] = -INFINITY;
-    }
-    const double highest = largest(exponent + from, cells_ - from);
-    if (!(highest >= top - kNothing && highest > -INFINITY)) return;
-    if (highest > top + kNothing) {  // what was added so far is small beside this
-      const double shrink = std::exp(top - highest);
+  // A whole set, the columns `at_`.
+  void add(Sum sum) {
+    if (!(sum.exponent >= top - kNothing) || std::abs(sum.moment) > critical_) return;
+    if (sum.exponent > top + kNothing) {  // what was added so far is small beside this
+      const double shrink = std::exp(top - sum.exponent);
       for (Row& row : mass) {
         for (double& value : row) value *= shrink;
       }
-      total *= shrink, peak_ *= shrink, top = highest;
+      total *= shrink, peak_ *= shrink, top = sum.exponent;
     }
-    weigh_last(cells_ - from, top, 1.0 / sum.volume, precision + from, exponent + from,
-               share + from, weight + from, mass[count_ - 1].data() + from);
-    const double all = std::accumulate(weight + from, weight + cells_, 0.0);
-    total += all;
-    for (int j = 0; j + 1 < count_; ++j) mass[j][at_[j] - j * cells_] += all;
-    const double most = largest(weight + from, cells_ - from);
-    if (most <= peak_) return;
-    at_[count_ - 1] =
-        first + static_cast<int>(std::find(weight + from, weight + cells_, most) - weight);
-    peak_ = most, level = level_, scale = scale_, best = at_;
-  }
-
-  // Products of the last contact's places with the readings, less what the contact before it
-  // explains; and their shares, one over the products with themselves.
-  static void take_out(int count, double inverse, double told, const double* __restrict row,
-                       const double* __restrict all, const double* __restrict diagonal,
-                       double* __restrict left, double* __restrict share) {
-    for (int m = 0; m < count; ++m) {
-      left[m] = all[m] - inverse * told * row[m];
-      share[m] = 1.0 / (diagonal[m] - inverse * row[m] * row[m]);
-    }
-  }
-
-  static void weigh_last(int count, double top, double share_before,
-                         const double* __restrict precision, const double* __restrict exponent,
-                         const double* __restrict share, double* __restrict weight,
-                         double* __restrict mass) {
-    for (int m = 0; m < count; ++m) {
-      weight[m] =
-          exponential(exponent[m] - top) * std::sqrt(precision[m] * share_before * share[m]);
-      mass[m] += weight[m];
-    }
+    const double weight = exponential(sum.exponent - top) / std::sqrt(sum.volume);
+    total += weight;
+    for (int j = 0; j < count_; ++j) mass[j][at_[j] - j * cells_] += weight;
+    if (weight > peak_) peak_ = weight, level = level_, scale = scale_, best = at_;
   }
 
   int count_, cells_;
   std::vector<int> at_;         // columns of the set that is being weighed
-  std::vector<Products> left_;  // by how many contacts are placed, up to the last but one
-  Row square_, precision_, scratch_;
+  std::vector<Products> left_;  // by how many contacts are placed
+  Row square_, precision_;
   double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
   std::size_t level_ = 0;
 };
