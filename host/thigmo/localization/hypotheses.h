@@ -344,8 +344,8 @@ class Weighing {
     }
   }
 
-  // Log likelihood that a second contact adds, the first staying where it is, at the level of noise
-  // that suits each best.
+  // Log likelihood that a second contact adds to a first, which stays where it is, where the noise
+  // is unknown.
   double gain_of_second(const Hypothesis& one) const {
     const int n = frame_.size();
     const Marginal& first = one.contacts[0];
@@ -354,28 +354,19 @@ class Weighing {
     place.push_back(first.place[top]);
     Body body(frame_, prior_, one.curvature);
     const Levers& levers = body.levers(place);
-    Frame left = frame_;
-    for (int i = 0; i < n; ++i) {
-      left.excess[i] -= first.force[top] * levers.sensor[i][kSecondCells];
-    }
-    const Whitened rest(left, frame_.shared);
-    const Whitened::At& at = rest.likeliest();
-    Matrix white;
-    at.by(levers.sensor, white);
-    // Products of the first contact's column, last, and of what each other has beside it.
-    Row own(n), beside(n);
-    for (int i = 0; i < n; ++i) own[i] = white[i][kSecondCells];
-    const double power = Whitener::dot(own.data(), own.data(), n);
-    double most = 0.0;
-    for (int m = 0; m < kSecondCells; ++m) {
-      double both = 0.0;
-      for (int i = 0; i < n; ++i) both += white[i][m] * own[i];
-      for (int i = 0; i < n; ++i) beside[i] = white[i][m] - both / power * own[i];
-      const double apart = Whitener::dot(beside.data(), beside.data(), n);
-      const double told = Whitener::dot(beside.data(), at.read.data(), n);
-      if (apart > 1e-6 * power) most = std::max(most, told * told / apart);
-    }
-    return 0.5 * n * std::log(at.square / std::max(at.square - most, 1e-9 * at.square));
+    const Row unit = prior_deviations(prior_, levers.largest);
+    const double scale = *std::max_element(prior_.scales.begin(), prior_.scales.end());
+    const Whitened::At& at = *std::find_if(white_.levels.begin(), white_.levels.end(),
+                                           [&](const auto& a) { return a.factor == one.noise; });
+    Matrix loads(2, n);
+    const auto gain = [&](int m, int load) {
+      for (int i = 0; i < n; ++i) loads[load][i] = scale * unit[m] * levers.sensor[i][m];
+      return solve(at, loads).gain;
+    };
+    const double alone = at.square - gain(kSecondCells, 0);
+    double least = alone;
+    for (int m = 0; m < kSecondCells; ++m) least = std::min(least, at.square - gain(m, 1));
+    return 0.5 * n * std::log(alone / std::max(least, 1e-9 * alone));
   }
 
   // Returns the misfit; infinite where no set of places is possible.
