@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.errors import DataError
-from thigmo.localization.readings import Array, everted_length, positive, vector
+from thigmo.localization.readings import Array, check_layout, everted_length, positive, vector
 from thigmo.mechanics.spans import phi
 
 # Signal over noise from which one contact is reported nine times in ten (studies/accuracy.py).
@@ -123,8 +123,7 @@ def identifiability(
     x = vector(position, "position")
     width = np.broadcast_to(vector(span, "span", x.size), x.shape)
     sigma = np.broadcast_to(vector(noise, "noise", x.size), x.shape)
-    if not ((x >= 0.0) & (x <= total)).all() or not (width >= 0.0).all():
-        raise DataError("a sensor is centred beyond the length", "check positions, spans and units")
+    check_layout(x, width, total)
     if not (sigma > 0.0).all():
         raise DataError("noise is not above zero", "give the standard deviation of a reading")
     shared = positive(offset_error, "offset_error")

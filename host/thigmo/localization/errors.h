@@ -193,6 +193,19 @@ struct Whitened {
     Whitener by;
     Row read, raised;            // V^(-1/2) and V^(-1) times the readings
     double square, log_density;  // of the readings, were the body free
+
+    // One more column of the covariance, a rank-one change of every product: its scale at which
+    // products with it, squared, are what is taken away; that with the readings; and what it adds
+    // to their log density.
+    struct Beside {
+      double scale, told, gain;
+    };
+    Beside beside(const Columns::Column& column) const {
+      const double c = 1.0 + by.square(column), scale = 1.0 / std::sqrt(c);
+      const double told =
+          scale * Whitener::dot(column.value, raised.data() + column.from, column.count);
+      return {scale, told, 0.5 * (told * told - std::log(c))};
+    }
   };
   const Frame* frame;
   std::vector<At> levels;
@@ -224,18 +237,11 @@ struct Whitened {
 
   // The same, with each of the columns added by itself.
   Row log_densities(const Columns& columns) const {
-    const int count = static_cast<int>(levels.size());
-    Row out(columns.size()), each(count);
+    Row out, each(levels.size());
     for (int e = 0; e < columns.size(); ++e) {
-      const Columns::Column column = columns[e];
-      for (int s = 0; s < count; ++s) {
-        const At& at = levels[s];
-        const double c = 1.0 + at.by.square(column);
-        const double told =
-            Whitener::dot(column.value, at.raised.data() + column.from, column.count);
-        each[s] = at.log_density + 0.5 * told * told / c - 0.5 * std::log(c);
-      }
-      out[e] = log_sum_exp(each);
+      std::transform(levels.begin(), levels.end(), each.begin(),
+                     [&](const At& at) { return at.log_density + at.beside(columns[e]).gain; });
+      out.push_back(log_sum_exp(each));
     }
     return out;
   }

@@ -169,7 +169,7 @@ def _checked(
     widths, gains = vector(span, "span", count), vector(gain_error, "gain_error", count)
     odds = vector(bad_reading_odds, "bad_reading_odds", count)
     if count:
-        check_layout(x, widths, white, gains, odds, total)
+        check_layout(x, widths, total, noise=white, gain_error=gains, bad_reading_odds=odds)
     if contacts != "auto" and (
         isinstance(contacts, bool)
         or not isinstance(contacts, (int, np.integer))
@@ -244,7 +244,7 @@ def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
         () if found.discarded < 0 else (found.discarded,),
         found.parameters(total),
         length=total,
-        _answer=found,
+        _body=found,
     )
 
 

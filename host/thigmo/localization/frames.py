@@ -23,8 +23,8 @@ from scipy.special import logsumexp, ndtr
 from thigmo.errors import DataError
 from thigmo.localization import priors
 from thigmo.localization.bodies import LENGTH, Bodies, Body, bodies
-from thigmo.localization.readings import everted_length, positive, vector
-from thigmo.localization.result import Contact, LocalizeResult
+from thigmo.localization.readings import check_layout, everted_length, positive, vector
+from thigmo.localization.result import Contact, LocalizeResult, OfBody
 
 Array = npt.NDArray[np.float64]
 
@@ -100,8 +100,14 @@ class ContactFilter:
         x = vector(position, "position")
         count, total = x.size, everted_length(length)
         half = 0.5 * np.broadcast_to(vector(span, "span", count), count)
-        if not ((x >= 0.0) & (x <= total)).all() or not (half >= 0.0).all():
-            raise DataError("a sensor is off the body", "check positions, spans and units")
+        errors = {
+            name: np.zeros(count) + vector(value, name, count)
+            for name, value in (
+                ("noise", noise), ("gain_error", gain_error), ("zero_error", zero_error),
+                ("bad_sensor_odds", bad_sensor_odds),
+            )
+        }  # fmt: skip
+        check_layout(x, 2.0 * half, total, **errors)
         most = float(most_curvature)
         if not math.isfinite(most) or most == 0.0:
             raise DataError(f"most_curvature is {most:g}", "give the most that the body will bend")
@@ -118,14 +124,10 @@ class ContactFilter:
             positive(place_error, "place_error") / scale,
         )
         self._table = bodies(self._body)
-
-        def each(value: npt.ArrayLike, name: str, unit: float = 1.0) -> Array:
-            return np.array(np.broadcast_to(vector(value, name, count), count) * unit)
-
-        self._noise = np.maximum(each(noise, "noise", scale), _LEAST_NOISE)
+        self._noise = np.maximum(errors["noise"] * scale, _LEAST_NOISE)
         own = np.ones((count, _OWN))
-        own[:, 0] = each(gain_error, "gain_error")
-        own[:, 1] = each(zero_error, "zero_error", scale)
+        own[:, 0] = errors["gain_error"]
+        own[:, 1] = errors["zero_error"] * scale
         own[:, 3] = _LOCAL_LOAD_ERROR
         bad = own.copy()
         bad[:, 0] = _BAD_GAIN
@@ -135,8 +137,7 @@ class ContactFilter:
             positive(offset_error, "offset_error") * scale, positive(map_error, "map_error"),
             _LOAD_ERROR, _WITHIN_CELL, _WITHIN_CELL,
         ]))  # fmt: skip
-        odds = each(bad_sensor_odds, "bad_sensor_odds")
-        self._log_bad = np.log(np.maximum(odds, 1e-300) / 2.0)
+        self._log_bad = np.log(np.maximum(errors["bad_sensor_odds"], 1e-300) / 2.0)
         # Normal equations of each sensor at each place, and at none (the last).
         places = self._table.weight.size + 1
         size = _OWN + _SHARED
@@ -371,8 +372,8 @@ class ContactFilter:
             "peg_y": way * float(peg[1]) * scale,
             "fold_angle": way * body.fold_angle,
         }
-        result.bent = body.s * scale, way * (body.curvature - self._free) / scale
-        result.cells = arcs, share
+        bend = np.interp(LENGTH * edges, body.s, body.curvature - self._free)
+        result._body = OfBody(edges, share, way * LENGTH * bend)
 
 
 def _precision(deviation: Array) -> Array:

@@ -359,8 +359,8 @@ class OneContactGrid {
     std::vector<Products> products(products_.size());
     for (std::size_t s = 0; s < products.size(); ++s) {
       const Products& plain = products_[s];
-      const Beside beside(column, readings_.levels[s]);
-      beside.along(plain.white, along_);
+      const Whitened::At::Beside beside = readings_.levels[s].beside(column);
+      along(column, beside.scale, plain.white, along_);
       products[s] = {plain.constant + beside.gain,
                      plain.free - beside.told * beside.told,
                      plain.told,
@@ -393,8 +393,8 @@ class OneContactGrid {
       const int count = static_cast<int>(ratio.size());
       plain = std::max(plain, of.constant + 0.5 * largest(ratio.data(), count));
       for (int e = 0; e < columns.size(); ++e) {
-        const Beside beside(columns[e], at);
-        beside.along(of.white, along_);
+        const Whitened::At::Beside beside = at.beside(columns[e]);
+        along(columns[e], beside.scale, of.white, along_);
         ratios_beside(count, beside.told, of.told.data(), square.data(), along_.data(),
                       ratio.data());
         const double most = largest(ratio.data(), count);
@@ -414,29 +414,18 @@ class OneContactGrid {
     Matrix white;
   };
 
-  // One more column of the covariance: a rank-one change of every product. `told` and `along` are
-  // products with the column, scaled so that their own products are what is taken away.
-  struct Beside {
-    Columns::Column column;
-    double scale, told, gain;
-    Beside(const Columns::Column& of, const Whitened::At& at) : column(of) {
-      const double c = 1.0 + at.by.square(of);
-      scale = 1.0 / std::sqrt(c);
-      told = scale * Whitener::dot(of.value, at.raised.data() + of.from, of.count);
-      gain = 0.5 * (told * told - std::log(c));
-    }
-    void along(const Matrix& raised, Row& out) const {
-      out.resize(raised.columns);
-      double* sum = out.data();
-      for (int i = 0; i < column.count; ++i) {
-        const double share = scale * column.value[i];
-        const double* row = raised[column.from + i];
-        for (int m = 0; m < raised.columns; ++m) {
-          sum[m] = i == 0 ? row[m] * share : sum[m] + row[m] * share;
-        }
+  // Products of a column, times its scale, with levers that are raised.
+  static void along(const Columns::Column& column, double scale, const Matrix& raised, Row& out) {
+    out.resize(raised.columns);
+    double* sum = out.data();
+    for (int i = 0; i < column.count; ++i) {
+      const double share = scale * column.value[i];
+      const double* row = raised[column.from + i];
+      for (int m = 0; m < raised.columns; ++m) {
+        sum[m] = i == 0 ? row[m] * share : sum[m] + row[m] * share;
       }
     }
-  };
+  }
 
   bool mix(const std::vector<Products>& products, OneContact& out) {
     const int count = static_cast<int>(unit_.size());

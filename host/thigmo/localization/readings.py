@@ -101,16 +101,15 @@ def columns(shared: npt.ArrayLike | None, count: int) -> Array:
     return np.ascontiguousarray(table.T)
 
 
-def check_layout(
-    position: Array, span: Array, noise: Array, gain: Array, odds: Array, total: float
-) -> None:
-    """What holds for every frame of the same sensors.
+def check_layout(position: Array, span: Array, total: float, **errors: Array) -> None:
+    """What holds for every frame of the same sensors; `errors` by the names of their options.
 
     Raises:
         DataError: a number that is not possible, or lengths of another unit.
     """
-    named = {"span": span, "noise": noise, "gain_error": gain, "bad_reading_odds": odds}
-    for name, values in named.items():
+    if not position.size:
+        raise DataError("there is no position", "give each sensor's centre")
+    for name, values in {"span": span, **errors}.items():
         if not (np.isfinite(values) & (values >= 0.0)).all():
             raise DataError(f"{name} is {values}", f"give a finite {name} of zero or more")
     if not np.isfinite(position).all():

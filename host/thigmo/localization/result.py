@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +69,17 @@ class Contact:
         ]  # fmt: skip
 
 
+class OfBody(NamedTuple):
+    """Along a body of length one: edges of cells, mass in each, bend at even arcs."""
+
+    edges: Array
+    mass: Array
+    bend: Array
+
+
+_NOTHING = OfBody(np.zeros(0), np.zeros(0), np.zeros(0))
+
+
 @dataclass(slots=True)
 class LocalizeResult:
     """Contacts felt in one set of readings.
@@ -87,8 +98,6 @@ class LocalizeResult:
         objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only; the
             `intervals` of their contacts are where it is attained.
         length: of the body.
-        bent: arcs, and curvature above the free one there, where a filter over frames answers.
-        cells: edges of cells of the arc, and the posterior mass in each, likewise.
     """
 
     status: Status
@@ -102,9 +111,7 @@ class LocalizeResult:
     parameters: dict[str, float] = field(default_factory=dict)
     objective: float | None = None
     length: float = 1.0
-    bent: tuple[Array, Array] | None = None
-    cells: tuple[Array, Array] | None = None
-    _answer: _posterior.Answer | None = None
+    _body: _posterior.Answer | OfBody = _NOTHING
 
     def __repr__(self) -> str:
         places = "; ".join(contact._place for contact in self.contacts)
@@ -137,9 +144,7 @@ class LocalizeResult:
     @property
     def edges(self) -> Array:
         """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
-        if self.cells is not None:
-            return self.cells[0]
-        return np.zeros(0) if self._answer is None else self._answer.edges * self.length
+        return self._body.edges * self.length
 
     @property
     def places(self) -> Array:
@@ -149,9 +154,7 @@ class LocalizeResult:
     @property
     def probability(self) -> Array:
         """(M,) posterior mass in each of `places`."""
-        if self.cells is not None:
-            return self.cells[1]
-        return np.zeros(0) if self._answer is None else self._answer.mass
+        return self._body.mass
 
     @property
     def bend(self) -> Array:
@@ -159,9 +162,5 @@ class LocalizeResult:
 
         (0, 2) where no contact is listed.
         """
-        if self.bent is not None:
-            return np.column_stack(self.bent)
-        if self._answer is None or not self.contacts:
-            return np.zeros((0, 2))
-        above = self._answer.bend / self.length
+        above = self._body.bend[: None if self.contacts else 0] / self.length
         return np.column_stack([np.linspace(0.0, self.length, above.size), above])
