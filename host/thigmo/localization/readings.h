@@ -81,19 +81,14 @@ inline Nodes rest_of(const Row& body, const Row& position, double length) {
   std::vector<int> order(body.size());
   std::iota(order.begin(), order.end(), 0);
   std::sort(order.begin(), order.end(), [&](int a, int b) { return position[a] < position[b]; });
-  std::size_t next = 0;
+  std::size_t next = 1;
   for (int k = 0; k < kNodes; ++k) {
     const double at = k * length / (kNodes - 1);
-    while (next < order.size() && position[order[next]] <= at) ++next;
-    if (next == 0) {
-      rest[k] = body[order[0]];
-    } else if (next == order.size()) {
-      rest[k] = body[order.back()];
-    } else {
-      const int a = order[next - 1], b = order[next];
-      rest[k] = body[a] + (body[b] - body[a]) * (at - position[a]) / (position[b] - position[a]);
-    }
-    rest[k] *= length;
+    while (next + 1 < order.size() && position[order[next]] <= at) ++next;
+    const int a = order[next - 1], b = order[next];
+    const double apart = std::max(position[b] - position[a], 1e-300);
+    const double share = std::clamp((at - position[a]) / apart, 0.0, 1.0);
+    rest[k] = (body[a] + share * (body[b] - body[a])) * length;
   }
   return rest;
 }

@@ -124,24 +124,6 @@ inline void straight_levers(const Row& place, const Row& low, const Row& high, L
   }
 }
 
-// Mean over a sensor of the levers of unit forces at M points.
-inline void mean_levers(const Point& low, const Point& high, int count,
-                        const double* __restrict arc, const double* __restrict sum_x,
-                        const double* __restrict sum_y, const double* __restrict c,
-                        const double* __restrict s, const double* __restrict own,
-                        double* __restrict out) {
-  const double span = high.arc - low.arc;
-  for (int m = 0; m < count; ++m) {
-    const bool inside = arc[m] < high.arc;
-    const double x = (inside ? sum_x[m] : high.sum_x) - low.sum_x;
-    const double y = (inside ? sum_y[m] : high.sum_y) - low.sum_y;
-    const double reach = (inside ? arc[m] : high.arc) - low.arc;
-    const double mean = span < kPoint ? own[m] - low.x * c[m] - low.y * s[m]
-                                      : (own[m] * reach - x * c[m] - y * s[m]) / span;
-    out[m] = arc[m] > low.arc ? mean : 0.0;
-  }
-}
-
 // Forces across a bent body, or along it.
 inline void bent_levers(const Shape& shape, const Row& place, const Row& low, const Row& high,
                         Levers& out, bool along = false) {
@@ -158,8 +140,18 @@ inline void bent_levers(const Shape& shape, const Row& place, const Row& low, co
   const double* own = out.base.data();
   shape.raise_to_largest(count, arc, c, s, own, out.largest.data());
   for (int i = 0; i < out.sensor.rows; ++i) {
-    mean_levers(shape.at(low[i]), shape.at(high[i]), count, arc, sum_x, sum_y, c, s, own,
-                out.sensor[i]);
+    const Point near = shape.at(low[i]), far = shape.at(high[i]);
+    const double span = far.arc - near.arc;
+    double* __restrict row = out.sensor[i];
+    for (int m = 0; m < count; ++m) {
+      const bool inside = arc[m] < far.arc;
+      const double x = (inside ? sum_x[m] : far.sum_x) - near.sum_x;
+      const double y = (inside ? sum_y[m] : far.sum_y) - near.sum_y;
+      const double reach = (inside ? arc[m] : far.arc) - near.arc;
+      const double mean = span < kPoint ? own[m] - near.x * c[m] - near.y * s[m]
+                                        : (own[m] * reach - x * c[m] - y * s[m]) / span;
+      row[m] = arc[m] > near.arc ? mean : 0.0;
+    }
   }
 }
 
