@@ -12,7 +12,7 @@
 namespace thigmo {
 
 struct FeltContact {
-  double arc, force, low, high, deviation, offset;
+  double arc, force, low, high, deviation, offset = NAN;
   bool localized;
   std::vector<std::pair<double, double>> pieces;
 };
@@ -29,7 +29,7 @@ struct Answer {
   Row probability;  // of each
   int best = 0;     // the likeliest of the chosen number
   Row edges, mass;  // cells of the most distal contact
-  Nodes rest{};     // curvature of the free body
+  Row bend;         // at the nodes, curvature above that of the free body, by the best
   int discarded = -1;
   double noise = 0.0;
   double log_odds = 0.0;
@@ -57,9 +57,7 @@ class Mixture {
         edges.end());
     edges.back() = within.far;
     const std::size_t cells = edges.size() - 1;
-    mass.assign(cells, 0.0);
-    force.assign(cells, 0.0);
-    variance.assign(cells, 0.0);
+    mass = force = variance = Row(cells);
     double total = 0.0;
     std::vector<int> at(cells);  // of each cell among the part's
     before = nullptr;
@@ -154,7 +152,6 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   weighing.run();
   const Readings& readings = weighing.readings;
   out.hypotheses = std::move(weighing.found);
-  out.rest = readings.frame.rest;
   double top = -INFINITY, total = 0.0;
   for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
   for (const Hypothesis& h : out.hypotheses) {
@@ -180,6 +177,8 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     }
   }
   const Hypothesis& best = out.hypotheses[out.best];
+  out.bend = Row(best.curvature.begin(), best.curvature.end());
+  for (int k = 0; k < kNodes; ++k) out.bend[k] -= readings.frame.rest[k];
   out.noise = best.noise * readings.noise;
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
   if (best.contacts.size() != count) count = best.contacts.size();
@@ -214,7 +213,6 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     felt.force = mixture.force[at];
     felt.deviation = std::sqrt(mixture.variance[at]);
     felt.localized = sure && felt.high - felt.low <= settings.width_limit;
-    felt.offset = NAN;
     if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
       double heaviest = 0.0;
       for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
@@ -228,10 +226,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
       }
     }
     out.contacts.push_back(std::move(felt));
-    if (j + 1 == count) {
-      out.edges = mixture.edges;
-      out.mass = mixture.mass;
-    }
+    out.edges = mixture.edges, out.mass = mixture.mass;
   }
   const bool asked = settings.contacts > 0;
   if (count == 0 || (asked && touched < 0.5)) {

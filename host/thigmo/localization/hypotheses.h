@@ -191,10 +191,9 @@ class Weighing {
     return Whitened(frame_, stacked(frame_.shared, more));
   }
 
-  double odds_of_bad(int index) const { return index < 0 ? 0.0 : readings.log_bad[index]; }
-
   Hypothesis hypothesis(Load load, const Fit& fit, double weight, int numbers, int bad) const {
-    return {fit, load, fit.log_evidence + weight + odds_of_bad(bad), {}, numbers, bad};
+    const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
+    return {fit, load, fit.log_evidence + odds, {}, numbers, bad};
   }
 
   Hypothesis contact(Load load, OneContact fit, double weight, int numbers, int bad) const {

@@ -45,14 +45,11 @@ inline double exponential(double x) {
   const double shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
   // The rest, at most ln(2) / 2, by Taylor's series.
   const double r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
-  constexpr int kLast = 9;
-  constexpr auto kTerms = [] {
-    std::array<double, kLast + 1> terms{1.0};
-    for (int k = 1; k <= kLast; ++k) terms[k] = terms[k - 1] / k;
-    return terms;
-  }();
-  double sum = kTerms[kLast];
-  for (int k = kLast - 1; k >= 0; --k) sum = sum * r + kTerms[k];
+  constexpr std::array kTerms{1.0,           1.0,           1.0 / 2.0,   1.0 / 6.0,
+                              1.0 / 24.0,    1.0 / 120.0,   1.0 / 720.0, 1.0 / 5040.0,
+                              1.0 / 40320.0, 1.0 / 362880.0};
+  double sum = kTerms.back();
+  for (int k = 8; k >= 0; --k) sum = sum * r + kTerms[k];
   const auto bits = std::bit_cast<std::uint64_t>(shifted) + 1023;
   return sum * std::bit_cast<double>(bits << 52);
 }
@@ -302,27 +299,6 @@ inline void weigh_places(int count, double constant, double power, const double*
   }
 }
 
-// Add them to the sums over priors: of weights, forces and their squares.
-inline void add_moments(int count, const double* __restrict weight, const double* __restrict force,
-                        const double* __restrict left, double* __restrict mass,
-                        double* __restrict first, double* __restrict second) {
-  for (int m = 0; m < count; ++m) {
-    mass[m] += weight[m];
-    first[m] += weight[m] * force[m];
-    second[m] += weight[m] * (force[m] * force[m] + left[m]);
-  }
-}
-
-// Squared products with the readings over own products, less what a further column takes of both.
-inline void ratios_beside(int count, double seen, const double* __restrict told,
-                          const double* __restrict square, const double* __restrict along,
-                          double* __restrict ratio) {
-  for (int m = 0; m < count; ++m) {
-    const double left = told[m] - along[m] * seen;
-    ratio[m] = left * left / (square[m] - along[m] * along[m]);
-  }
-}
-
 // Weighs one contact at all places of a grid, over levels of noise and scales of the force.
 class OneContactGrid {
  public:
@@ -395,8 +371,12 @@ class OneContactGrid {
       for (int e = 0; e < columns.size(); ++e) {
         const Whitened::At::Beside beside = at.beside(columns[e]);
         along(columns[e], beside.scale, of.white, along_);
-        ratios_beside(count, beside.told, of.told.data(), square.data(), along_.data(),
-                      ratio.data());
+        const double *told = of.told.data(), *own = square.data(), *both = along_.data();
+        double* __restrict to = ratio.data();
+        for (int m = 0; m < count; ++m) {
+          const double left = told[m] - both[m] * beside.told;
+          to[m] = left * left / (own[m] - both[m] * both[m]);
+        }
         const double most = largest(ratio.data(), count);
         out[e] = std::max(out[e], of.constant + beside.gain + 0.5 * most);
       }
@@ -432,7 +412,8 @@ class OneContactGrid {
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
     Row best_of(products.size()), each(3 * count);
     double top = -INFINITY, best = 0.0;
-    double *weight = each.data(), *force = weight + count, *left = force + count;
+    double* __restrict weight = each.data(), * __restrict force = weight + count;
+    double* __restrict left = force + count;
     for (std::size_t s = 0; s < products.size(); ++s) {
       const Products& of = products[s];
       for (int m = 0; m < count; ++m) {
@@ -441,10 +422,9 @@ class OneContactGrid {
       best_of[s] = of.constant + 0.5 * largest(weight, count);
       top = std::max(top, best_of[s]);
     }
-    out.mass.assign(count, 0.0);
-    out.force.assign(count, 0.0);
-    out.spread.assign(count, 0.0);
-    double *mass = out.mass.data(), *first = out.force.data(), *second = out.spread.data();
+    out.mass = out.force = out.spread = Row(count);
+    double* __restrict mass = out.mass.data(), * __restrict first = out.force.data();
+    double* __restrict second = out.spread.data();
     for (std::size_t s = 0; s < products.size(); ++s) {
       if (best_of[s] < top - kNothing) continue;
       const Products& of = products[s];
@@ -458,7 +438,11 @@ class OneContactGrid {
             weight[m] *= nothing ? 0.0 : below_fold(force[m], left[m], power * unit[m], base_[m]);
           }
         }
-        add_moments(count, weight, force, left, mass, first, second);
+        for (int m = 0; m < count; ++m) {
+          mass[m] += weight[m];
+          first[m] += weight[m] * force[m];
+          second[m] += weight[m] * (force[m] * force[m] + left[m]);
+        }
         const double most = largest(weight, count);
         if (most <= best) continue;
         best = most;

@@ -179,15 +179,7 @@ NB_MODULE(_posterior, m) {
           "edges", [](const Answer& a) { return array(a.edges); }, nb::rv_policy::reference)
       .def_prop_ro(
           "mass", [](const Answer& a) { return array(a.mass); }, nb::rv_policy::reference)
-      .def_prop_ro(
-          "bend",
-          [](const Answer& a) {
-            Row above(kNodes);
-            const Nodes& bent = a.hypotheses[a.best].curvature;
-            for (int k = 0; k < kNodes; ++k) above[k] = bent[k] - a.rest[k];
-            return array(above);
-          },
-          nb::rv_policy::reference);
+      .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
 
   nb::class_<Localizer>(m, "Localizer")
       .def(

@@ -171,3 +171,20 @@ def test_a_frame_that_cannot_be_is_refused_and_changes_nothing(
 def test_a_body_that_is_not_to_bend_has_no_filter() -> None:
     with pytest.raises(DataError, match="most_curvature"):
         ContactFilter(COLUMN, length=53.0, most_curvature=0.0, noise=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("position", "given", "says"),
+    [
+        (COLUMN, {"noise": -5e-4}, "noise"),
+        (COLUMN, {"zero_error": np.nan}, "zero_error"),
+        (10.0 * COLUMN, {}, "off a body"),
+        (COLUMN / 100.0, {}, "same unit|of a body"),
+        ([], {}, "no position"),
+    ],
+)
+def test_sensors_that_cannot_be_have_no_filter(
+    position: Floats, given: dict[str, float], says: str
+) -> None:
+    with pytest.raises(DataError, match=says):
+        ContactFilter(position, length=53.0, most_curvature=0.02, **{"noise": 5e-4, **given})
