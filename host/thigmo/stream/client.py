@@ -90,39 +90,28 @@ def attach(address: str) -> RemoteRun:
     Raises:
         LinkError: nobody serves one there.
     """
-    run = _attached(address)
-    if run is None:
-        raise LinkError(f"no run is under way at {address}", "start one with `thigmo explore`")
-    return run
+    hello: Message | None = None
+    with suppress(OSError, EOFError):
+        try:
+            connection = Client(address)
+        except ConnectionRefusedError:
+            _remove_old(Path(address))
+            raise
+        if connection.poll(_PATIENCE_S):
+            hello = from_json(connection.recv_bytes())
+        if isinstance(hello, Hello):
+            return RemoteRun(connection, address, hello)
+        connection.close()
+    raise LinkError(f"no run is under way at {address}", "start one with `thigmo explore`")
 
 
 def running() -> list[Watchable]:
     """All runs of this user that can be watched, the youngest last."""
     found = []
     for address in _addresses():
-        run = _attached(address)
-        if run is not None:
-            with run:
-                found.append(Watchable(address, run.hello))
+        with suppress(LinkError), attach(address) as run:
+            found.append(Watchable(address, run.hello))
     return sorted(found, key=lambda each: each.hello.epoch_s)
-
-
-def _attached(address: str) -> RemoteRun | None:
-    try:
-        connection = Client(address)
-    except ConnectionRefusedError:
-        _remove_old(Path(address))
-        return None
-    except OSError:
-        return None
-    try:
-        hello = from_json(connection.recv_bytes()) if connection.poll(_PATIENCE_S) else None
-    except (OSError, EOFError):
-        hello = None
-    if not isinstance(hello, Hello):
-        connection.close()
-        return None
-    return RemoteRun(connection, address, hello)
 
 
 def _remove_old(socket: Path) -> None:

@@ -9,83 +9,74 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Generic, TypeVar
 
 from thigmo.closing import Closing
 from thigmo.stream.messages import CHANNELS, RETAINED, Event, Message
 
-T = TypeVar("T")
 QUEUE = 2048  # messages: ten seconds of telemetry
 _KEPT_EVENTS = 100
 Sink = Callable[[Message], None]
 
 
-class Bounded(Generic[T]):
-    """A queue that drops its oldest entry when it is full. For several threads.
+class Subscription(Closing):
+    """A queue of messages for one listener, which drops its oldest when it is full. A context
+    manager and an iterator, which ends when the subscription or the hub is closed. For several
+    threads.
 
     Attributes:
-        dropped: entries lost so far.
+        dropped: messages lost so far.
     """
 
-    def __init__(self, size: int) -> None:
-        self._entries: deque[T] = deque()
+    def __init__(self, hub: Hub, channels: Iterable[str], size: int) -> None:
+        self._hub = hub
+        self._waiting: deque[Message] = deque()
         self._size = size
-        self._closed = False
         self._changed = threading.Condition()
         self._ended = threading.Event()
         self.dropped = 0
+        hub.attach(self._put, channels, self._end)
 
-    def put(self, entry: T) -> None:
-        """Add an entry; never waits. Nothing is added after `close`."""
+    def _put(self, message: Message) -> None:
         with self._changed:
-            if self._closed:
+            if self._ended.is_set():
                 return
-            if len(self._entries) >= self._size:
-                self._entries.popleft()
+            if len(self._waiting) >= self._size:
+                self._waiting.popleft()
                 self.dropped += 1
-            self._entries.append(entry)
+            self._waiting.append(message)
             self._changed.notify()
 
-    def get(self, timeout_s: float | None = None) -> T | None:
-        """The oldest entry; None if none comes in time, or none will come any more."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._entries or self._closed, timeout_s)
-            return self._entries.popleft() if self._entries else None
+    def _wait(self, timeout_s: float | None = None) -> None:
+        self._changed.wait_for(lambda: self._waiting or self._ended.is_set(), timeout_s)
 
-    def take(self) -> list[T]:
-        """All entries, oldest first; waits for one, and gives none when none will come any more."""
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """The oldest message; None if none comes in time, or none will come any more."""
         with self._changed:
-            self._changed.wait_for(lambda: self._entries or self._closed)
-            taken = list(self._entries)
-            self._entries.clear()
+            self._wait(timeout_s)
+            return self._waiting.popleft() if self._waiting else None
+
+    def take(self) -> list[Message]:
+        """All messages, oldest first; waits for one, and gives none when none will come any
+        more."""
+        with self._changed:
+            self._wait()
+            taken = list(self._waiting)
+            self._waiting.clear()
         return taken
 
     def linger(self, seconds: float) -> None:
-        """Let entries gather for so long, or until it is closed."""
+        """Let messages gather for so long, or until it is closed."""
         self._ended.wait(seconds)
 
     def close(self) -> None:
-        """End it: what is in it can still be taken."""
-        self._ended.set()
+        """Listen no more: what is in it can still be taken. May be called twice."""
+        self._hub.detach(self._put)
+        self._end()
+
+    def _end(self) -> None:
         with self._changed:
-            self._closed = True
+            self._ended.set()
             self._changed.notify_all()
-
-
-class Subscription(Bounded[Message], Closing):
-    """Messages for one listener, oldest first. A context manager and an iterator, which ends when
-    the subscription or the hub is closed.
-    """
-
-    def __init__(self, hub: Hub, channels: frozenset[str], size: int) -> None:
-        super().__init__(size)
-        self._hub = hub
-        hub.attach(self.put, channels, super().close)
-
-    def close(self) -> None:
-        """Listen no more; may be called twice."""
-        self._hub.detach(self.put)
-        super().close()
 
     def __iter__(self) -> Iterator[Message]:
         while (message := self.get()) is not None:
@@ -130,7 +121,7 @@ class Hub:
             An iterator that gives first the last message of each slow channel, and the last
             hundred events.
         """
-        return Subscription(self, frozenset(CHANNELS if channels is None else channels), size)
+        return Subscription(self, CHANNELS if channels is None else channels, size)
 
     def attach(
         self,
