@@ -255,14 +255,12 @@ RECORDED = tuple(each for each in CHANNELS if each not in (Hello.CHANNEL, Droppe
 # The last of each is given to whoever comes later.
 RETAINED = frozenset(kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid))
 
-_ADAPTERS: dict[str, TypeAdapter[Any]] = {
-    channel: TypeAdapter(kind) for channel, kind in CHANNELS.items()
-}
+ADAPTERS = {channel: TypeAdapter[Any](kind) for channel, kind in CHANNELS.items()}
 
 
 def to_json(message: Message) -> bytes:
     """A message as a JSON object: its fields, after `channel`."""
-    fields = _ADAPTERS[message.CHANNEL].dump_json(message)
+    fields = ADAPTERS[message.CHANNEL].dump_json(message)
     return b'{"channel":"%b",%b' % (message.CHANNEL.encode(), fields[1:])
 
 
@@ -287,7 +285,7 @@ def validated(channel: str, fields: dict[str, Any]) -> Message:
         DataError: it has others.
     """
     try:
-        message: Message = _ADAPTERS[channel].validate_python(fields)
+        message: Message = ADAPTERS[channel].validate_python(fields)
     except (KeyError, ValidationError) as error:
         raise _foreign(fields) from error
     return message

@@ -2,16 +2,14 @@
 
 A schema is a file descriptor, so that any tool that reads MCAP or Foxglove's protocol decodes the
 messages without this package. A number is a double, and NaN where it is not known; a tuple is a
-repeated field; a tuple of tuples is a repeated `Row`.
+repeated field, also one of dataclasses; a tuple of tuples is a repeated `Row`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields, is_dataclass
 from functools import cache
-from operator import attrgetter
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 from google.protobuf import message_factory
 from google.protobuf.descriptor import FileDescriptor
@@ -24,89 +22,57 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import Message as Proto
 
 from thigmo.stream.foxglove import VIEWS, views
-from thigmo.stream.messages import CHANNELS, RECORDED, Message, validated
+from thigmo.stream.messages import ADAPTERS, CHANNELS, RECORDED, Message, validated
 
 _PACKAGE = "thigmo"
+_ROW = "Row"  # protobuf repeats no repeated field
 _SCALARS = {
-    float: FieldDescriptorProto.TYPE_DOUBLE,
-    int: FieldDescriptorProto.TYPE_INT64,
-    bool: FieldDescriptorProto.TYPE_BOOL,
-    str: FieldDescriptorProto.TYPE_STRING,
+    "number": FieldDescriptorProto.TYPE_DOUBLE,
+    "integer": FieldDescriptorProto.TYPE_INT64,
+    "boolean": FieldDescriptorProto.TYPE_BOOL,
+    "string": FieldDescriptorProto.TYPE_STRING,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A tuple in a tuple: protobuf repeats no repeated field."""
-
-    values: tuple[float, ...]
-
-
-class _Field(NamedTuple):
-    """A dataclass's field as protobuf has it."""
-
-    name: str
-    kind: type  # of _SCALARS, or a dataclass
-    repeated: bool
-    optional: bool
-
-
-def _plain(hint: Any) -> Any:
-    """A type hint without its annotations."""
-    if get_origin(hint) is Annotated:
-        return _plain(get_args(hint)[0])
-    return str if get_origin(hint) is Literal else hint
-
-
-@cache
-def _fields(kind: type) -> tuple[_Field, ...]:
-    hints = get_type_hints(kind, include_extras=True)
-    made = []
-    for each in fields(kind):
-        hint = _plain(hints[each.name])
-        options = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
-        optional = NoneType in options
-        if optional:
-            (hint,) = (_plain(option) for option in options if option is not NoneType)
-        repeated = get_origin(hint) in (tuple, list)
-        if repeated:
-            hint = _plain(get_args(hint)[0])
-        made.append(_Field(each.name, Row if get_origin(hint) else hint, repeated, optional))
-    return tuple(made)
 
 
 @cache
 def _file(channel: str) -> FileDescriptor:
-    """The descriptor of a channel's file."""
-    kind = CHANNELS[channel]
+    """The descriptor of a channel's file, from its message's JSON schema."""
+    described = ADAPTERS[channel].json_schema()
     file = FileDescriptorProto(
-        name=f"{_PACKAGE}/{kind.__name__}.proto", package=_PACKAGE, syntax="proto3"
+        name=f"{_PACKAGE}/{described['title']}.proto", package=_PACKAGE, syntax="proto3"
     )
-    _add(file, kind)
+    _add(file, described, described.get("$defs", {}))
     pool = DescriptorPool()
     pool.Add(file)
     return pool.FindFileByName(file.name)
 
 
-def _add(file: FileDescriptorProto, kind: type) -> None:
-    if any(known.name == kind.__name__ for known in file.message_type):
+def _add(file: FileDescriptorProto, kind: dict[str, Any], kinds: dict[str, Any]) -> None:
+    """Describe an object of a JSON schema and those that it holds, each once."""
+    if any(known.name == kind["title"] for known in file.message_type):
         return
-    described = file.message_type.add(name=kind.__name__)
-    for number, each in enumerate(_fields(kind), start=1):
-        added = described.field.add(name=each.name, number=number)
-        added.label = (
-            FieldDescriptorProto.LABEL_REPEATED
-            if each.repeated
-            else FieldDescriptorProto.LABEL_OPTIONAL
-        )
-        added.type = _SCALARS.get(each.kind, FieldDescriptorProto.TYPE_MESSAGE)
-        if each.kind not in _SCALARS:
-            added.type_name = f".{_PACKAGE}.{each.kind.__name__}"
-            _add(file, each.kind)
-        if each.optional:
-            added.proto3_optional = True
-            added.oneof_index = len(described.oneof_decl)
-            described.oneof_decl.add(name=f"_{each.name}")
+    message = file.message_type.add(name=kind["title"])
+    for number, (name, held) in enumerate(kind["properties"].items(), start=1):
+        field = message.field.add(name=name, number=number)
+        if "anyOf" in held:  # it, or null
+            held = held["anyOf"][0]
+            field.proto3_optional = True
+            field.oneof_index = len(message.oneof_decl)
+            message.oneof_decl.add(name=f"_{name}")
+        field.label = FieldDescriptorProto.LABEL_OPTIONAL
+        if held.get("type") == "array":
+            field.label = FieldDescriptorProto.LABEL_REPEATED
+            held = held["items"] if "items" in held else held["prefixItems"][0]
+        if held.get("type") in _SCALARS:
+            field.type = _SCALARS[held["type"]]
+            continue
+        if "$ref" in held:
+            held = kinds[held["$ref"].rpartition("/")[2]]
+        else:
+            held = {"title": _ROW, "properties": {"values": held}}
+        field.type = FieldDescriptorProto.TYPE_MESSAGE
+        field.type_name = f".{_PACKAGE}.{held['title']}"
+        _add(file, held, kinds)
 
 
 def schema(channel: str) -> tuple[str, bytes]:
@@ -149,29 +115,27 @@ def _proto(channel: str) -> type[Proto]:
 
 
 @cache
-def _reader(kind: Any) -> tuple[list[str], attrgetter[Any], list[_Field]]:
-    """A dataclass's names, what reads them all (a frame of telemetry is recorded 200 times a
-    second), and the fields that hold more than numbers and words."""
-    names = [each.name for each in _fields(kind)]
-    return names, attrgetter(*names), [each for each in _fields(kind) if each.kind not in _SCALARS]
+def _names(kind: Any) -> list[str]:
+    return [each.name for each in fields(kind)]
 
 
-def _dict(value: Any) -> dict[str, Any]:
+def _told(value: Any) -> dict[str, Any]:
+    """A dataclass as the keyword arguments of its protobuf message."""
     kind: Any = type(value)
-    names, read, nested = _reader(kind)
-    made = dict(zip(names, read(value), strict=True))
-    for each in nested:
-        held = made[each.name]
-        if each.kind is Row:
-            made[each.name] = [{"values": row} for row in held]
-        else:
-            made[each.name] = [_dict(one) for one in held] if each.repeated else _dict(held)
-    return made
+    return {name: _held(getattr(value, name)) for name in _names(kind)}
+
+
+def _held(value: Any) -> Any:
+    if not isinstance(value, tuple | list) or not value:
+        return value
+    if is_dataclass(value[0]):
+        return [_told(each) for each in value]
+    return [{"values": each} for each in value] if isinstance(value[0], tuple | list) else value
 
 
 def to_protobuf(message: Message) -> bytes:
     """A message's bytes, by `schema`."""
-    return _proto(message.CHANNEL)(**_dict(message)).SerializeToString()
+    return _proto(message.CHANNEL)(**_told(message)).SerializeToString()
 
 
 def from_protobuf(channel: str, data: bytes) -> Message:
@@ -183,24 +147,18 @@ def from_protobuf(channel: str, data: bytes) -> Message:
     """
     proto = _proto(channel)()
     proto.MergeFromString(data)
-    return validated(channel, _read(proto, CHANNELS[channel]))
+    return validated(channel, _read(proto))
 
 
-def _read(proto: Any, kind: type) -> dict[str, Any]:
+def _read(proto: Any) -> dict[str, Any]:
     read: dict[str, Any] = {}
-    for each in _fields(kind):
-        value = getattr(proto, each.name)
-        if each.optional and not proto.HasField(each.name):
-            value = None
-        elif each.kind is Row:
-            value = [tuple(row.values) for row in value]
-        elif each.kind not in _SCALARS:
-            value = (
-                [_read(one, each.kind) for one in value]
-                if each.repeated
-                else _read(value, each.kind)
-            )
-        elif each.repeated:
-            value = tuple(value)
-        read[each.name] = value
+    for field in proto.DESCRIPTOR.fields:
+        value = getattr(proto, field.name)
+        if field.message_type is None:
+            unknown = field.has_presence and not proto.HasField(field.name)
+            read[field.name] = None if unknown else value
+        elif field.message_type.name == _ROW:
+            read[field.name] = [row.values for row in value]
+        else:
+            read[field.name] = [_read(each) for each in value]
     return read
