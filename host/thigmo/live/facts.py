@@ -27,28 +27,10 @@ def body(folder: str) -> dict[str, Any]:
     }
 
 
-class Truth:
-    """Pegs of an emulated room, which contacts.json has after the first stage.
-
-    Args:
-        folder: of the run; empty if it has none.
-    """
-
-    def __init__(self, folder: str) -> None:
-        self._path = Path(folder) / "contacts.json" if folder else None
-        self._read_ns = 0
-        self._pegs: list[dict[str, float]] = []
-
-    def pegs(self) -> list[dict[str, float]]:
-        """The pegs as known by now; reads the file if it is new."""
-        if self._path is None:
-            return self._pegs
-        try:
-            changed_ns = self._path.stat().st_mtime_ns
-            if changed_ns != self._read_ns:
-                self._read_ns = changed_ns
-                truth = json.loads(self._path.read_bytes()).get("truth")
-                self._pegs = truth["pegs"] if truth else []
-        except (OSError, ValueError, KeyError):
-            return self._pegs  # the run's own report tells what is wrong with its folder
-        return self._pegs
+def pegs(folder: str) -> list[dict[str, float]]:
+    """Pegs of an emulated room, which the run folder's contacts.json has after the first stage."""
+    try:
+        truth = json.loads((Path(folder) / "contacts.json").read_bytes())["truth"] if folder else {}
+    except (OSError, ValueError, KeyError):
+        return []  # the run's own report tells what is wrong with its folder
+    return list(truth["pegs"]) if truth else []

@@ -25,9 +25,8 @@ class PastRun:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._folder = str(folder)
         self._document = RunFolder(folder).read_document()
-        self._truth = facts.Truth(str(folder))
         messages = list(read_messages(folder))
         self._readings = [each for each in messages if isinstance(each, Telemetry)]
         self._others: list[Message] = [each for each in messages if not isinstance(each, Telemetry)]
@@ -35,14 +34,13 @@ class PastRun:
 
     def page(self) -> dict[str, Any]:
         """What the page is told of it."""
-        folder = str(self._folder)
         return {
             "run": {
-                "id": folder, "name": self._document.name, "url": self._document.url,
-                "folder": folder, "t_s": self._origin_s, "virtual": False,
+                "id": self._folder, "name": self._document.name, "url": self._document.url,
+                "folder": self._folder, "t_s": self._origin_s, "virtual": False,
             },
-            "body": facts.body(folder),
-            "truth": self._truth.pegs(),
+            "body": facts.body(self._folder),
+            "truth": facts.pegs(self._folder),
         }  # fmt: skip
 
     def facts(self) -> bytes:

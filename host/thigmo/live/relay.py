@@ -76,28 +76,26 @@ class Relay:
         """Pass on what has come; whether there was anything."""
         looked = self._watched.looked.is_set()
         taken = self._watched.take()
-        facts = self.facts
-        begins = taken.run is not facts.run
-        if begins:
-            facts = Facts(taken.run)
-        facts.under_way = taken.run is not None and not taken.ended
-        self.facts = facts
+        for message in taken:
+            if isinstance(message, Hello):
+                self.facts = Facts(message, under_way=True)
+                view.tell(self.facts)  # before any message of its own
+            elif message is None:
+                self.facts.under_way = False
+            else:
+                if isinstance(message, Telemetry):
+                    self.facts.board = message
+                elif isinstance(message, RunState):
+                    self.facts.state = message
+                view.publish(message)
         if looked:
             self._looked.set()
-        if begins:
-            view.tell(facts)  # before any message of its own
-        for message in taken.messages:
-            if isinstance(message, Telemetry):
-                facts.board = message
-            elif isinstance(message, RunState):
-                facts.state = message
-            view.publish(message)
-        now = time.monotonic()
+        now, facts = time.monotonic(), self.facts
         if now - self._told_s >= _TELL_S:
             self._told_s = now
             facts.stop = _CLOSED.get(way_to(facts.run if facts.under_way else None), "")
             view.tell(facts)
-        return bool(taken.messages)
+        return bool(taken)
 
     def stop(self) -> str:
         """Stop the robot, from any thread. Blocks until its board has confirmed it, for seconds at

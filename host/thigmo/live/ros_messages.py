@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import atan2, cos, hypot, isnan, pi, sin
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +25,13 @@ _SIGMAS_95 = 2 * 1.96  # standard deviations in a 95 % interval
 _OK, _ERROR, _STALE = 0, 2, 3  # levels of a diagnostic status
 
 
-def header(epoch_s: float, frame: str) -> ros.Header:
+def header(epoch_s: float, frame: str) -> Any:
     """Header at a time since 1970, UTC."""
     nanoseconds = round(epoch_s * 1e9)
     return ros.Header(ros.Time(*divmod(nanoseconds, 1_000_000_000)), frame)
 
 
-def occupancy_grid(grid: Grid, frame: str) -> ros.OccupancyGrid:
+def occupancy_grid(grid: Grid, frame: str) -> Any:
     """The map; its cells mean the same in both worlds."""
     head = header(grid.epoch_s, frame)
     size = grid.resolution_cm * _M_PER_CM
@@ -38,7 +39,7 @@ def occupancy_grid(grid: Grid, frame: str) -> ros.OccupancyGrid:
     return ros.OccupancyGrid(head, info, list(grid.cells))
 
 
-def contact_poses(contacts: Contacts, frame: str) -> list[ros.PoseWithCovarianceStamped]:
+def contact_poses(contacts: Contacts, frame: str) -> list[Any]:
     """One pose for each contact, all with the same stamp, in the order of their discovery.
 
     A pose lies on the touched surface, and its x axis points into the obstacle.
@@ -55,13 +56,13 @@ def contact_poses(contacts: Contacts, frame: str) -> list[ros.PoseWithCovariance
     ]
 
 
-def body_path(shape: BodyShape, frame: str) -> ros.Path:
+def body_path(shape: BodyShape, frame: str) -> Any:
     """The centreline, base to tip."""
     head = header(shape.epoch_s, frame)
     return ros.Path(head, [ros.PoseStamped(head, _pose(pose)) for pose in shape.poses])
 
 
-def joint_state(shape: BodyShape) -> ros.JointState:
+def joint_state(shape: BodyShape) -> Any:
     """The everted length (a prismatic joint, m), and the turn of each tenth of the body (rad)."""
     along, heading = _along(shape)
     turns = np.diff(np.interp(np.linspace(0.0, along[-1], BENDS + 1), along, heading))
@@ -70,22 +71,22 @@ def joint_state(shape: BodyShape) -> ros.JointState:
     return ros.JointState(header(shape.epoch_s, ""), names, positions, [], [])
 
 
-def tip_transform(shape: BodyShape) -> ros.TFMessage:
+def tip_transform(shape: BodyShape) -> Any:
     """The tip in the base's frame."""
     return _transform(header(shape.epoch_s, BASE), TIP, shape.poses[-1])
 
 
-def base_transform(epoch_s: float, frame: str) -> ros.TFMessage:
+def base_transform(epoch_s: float, frame: str) -> Any:
     """The base in the map's frame: at its origin."""
     return _transform(header(epoch_s, frame), BASE, (0.0, 0.0, 0.0))
 
 
-def diagnostics(epoch_s: float, facts: Facts) -> ros.DiagnosticArray:
+def diagnostics(epoch_s: float, facts: Facts) -> Any:
     """How the way to stop, the run and the board are, at a time since 1970."""
     robot = facts.run.url if facts.run else ""
     board, state = facts.board, facts.state
 
-    def status(part: str, level: int, said: str, values: dict[str, str]) -> ros.DiagnosticStatus:
+    def status(part: str, level: int, said: str, values: dict[str, str]) -> Any:
         pairs = [ros.KeyValue(key, value) for key, value in values.items()]
         return ros.DiagnosticStatus(level, f"thigmo: {part}", said, robot, pairs)
 
@@ -148,16 +149,16 @@ def _number(value: float, digits: int) -> str:
     return "unknown" if isnan(value) else f"{value:.{digits}f}"
 
 
-def _pose(pose: Pose) -> ros.Pose:
+def _pose(pose: Pose) -> Any:
     x, y, heading = pose
     return ros.Pose(ros.Point(x * _M_PER_CM, y * _M_PER_CM, 0.0), _turned(heading))
 
 
-def _turned(heading: float) -> ros.Quaternion:
+def _turned(heading: float) -> Any:
     return ros.Quaternion(0.0, 0.0, sin(heading / 2), cos(heading / 2))
 
 
-def _transform(head: ros.Header, child: str, pose: Pose) -> ros.TFMessage:
+def _transform(head: Any, child: str, pose: Pose) -> Any:
     x, y, heading = pose
     moved = ros.Transform(ros.Vector3(x * _M_PER_CM, y * _M_PER_CM, 0.0), _turned(heading))
     return ros.TFMessage([ros.TransformStamped(head, child, moved)])

@@ -1,188 +1,69 @@
 """The ROS 2 messages that `ros` speaks, as DDS types.
 
 Fields and their order are those of ROS 2's own .msg files (common_interfaces, geometry2 and
-rcl_interfaces, from Humble on); DDS knows `std_msgs/msg/Header` as `std_msgs::msg::dds_::Header_`
-(design.ros2.org, "Topic and Service name mapping to DDS"). Lengths in m, angles in rad (REP 103).
-
-Cyclone DDS reads the types from the annotations, which are therefore evaluated here.
+rcl_interfaces, from Humble on). Lengths in m, angles in rad (REP 103).
 """
 
-from dataclasses import dataclass, field
+from typing import Any
 
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, byte, float32, float64, int8, int32, sequence, uint8, uint32
+from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.idl.types import byte, float32, float64, int8, int32, uint8, uint32
 
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    """Since 1970, UTC."""
-
-    sec: int32 = 0
-    nanosec: uint32 = 0
+# The plugin for mypy knows these in annotations alone.
+array: Any = types.array
+sequence: Any = types.sequence
 
 
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    """When, and in which frame."""
-
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class Empty(IdlStruct, typename="std_msgs::msg::dds_::Empty_"):
-    """Nothing; IDL knows no structure without a member."""
-
-    structure_needs_at_least_one_member: uint8 = 0
+def _message(name: str, /, **fields: Any) -> Any:
+    """A class of messages. DDS knows `std_msgs/Header` as `std_msgs::msg::dds_::Header_`
+    (design.ros2.org, "Topic and Service name mapping to DDS")."""
+    package, kind = name.split("/")
+    return make_idl_struct(kind, f"{package}::msg::dds_::{kind}_", fields)
 
 
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
-    """A place."""
+Time = _message("builtin_interfaces/Time", sec=int32, nanosec=uint32)  # since 1970, UTC
+Header = _message("std_msgs/Header", stamp=Time, frame_id=str)
+# IDL knows no structure without a member.
+Empty = _message("std_msgs/Empty", structure_needs_at_least_one_member=uint8)
 
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
+Point = _message("geometry_msgs/Point", x=float64, y=float64, z=float64)
+Vector3 = _message("geometry_msgs/Vector3", x=float64, y=float64, z=float64)
+Quaternion = _message("geometry_msgs/Quaternion", x=float64, y=float64, z=float64, w=float64)
+Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
+PoseStamped = _message("geometry_msgs/PoseStamped", header=Header, pose=Pose)
+# The covariance is of x, y, z and the rotations about them, row by row.
+PoseWithCovariance = _message(
+    "geometry_msgs/PoseWithCovariance", pose=Pose, covariance=array[float64, 36]
+)
+PoseWithCovarianceStamped = _message(
+    "geometry_msgs/PoseWithCovarianceStamped", header=Header, pose=PoseWithCovariance
+)
+Transform = _message("geometry_msgs/Transform", translation=Vector3, rotation=Quaternion)
+TransformStamped = _message(  # the pose of a child frame in the header's frame
+    "geometry_msgs/TransformStamped", header=Header, child_frame_id=str, transform=Transform
+)
+TFMessage = _message("tf2_msgs/TFMessage", transforms=sequence[TransformStamped])
 
+MapMetaData = _message(
+    "nav_msgs/MapMetaData",
+    map_load_time=Time, resolution=float32, width=uint32, height=uint32, origin=Pose,
+)  # fmt: skip
+# Cells row by row from the lowest y: 0 free to 100 occupied, -1 unknown.
+OccupancyGrid = _message(
+    "nav_msgs/OccupancyGrid", header=Header, info=MapMetaData, data=sequence[int8]
+)
+Path = _message("nav_msgs/Path", header=Header, poses=sequence[PoseStamped])
 
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    """A displacement."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    """A rotation."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
-    """Place and orientation."""
-
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
-    """A pose with time and frame."""
-
-    header: Header
-    pose: Pose
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):
-    """A pose, and the covariance of x, y, z and the rotations about them, row by row."""
-
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-class PoseWithCovarianceStamped(
-    IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_"
-):
-    """An uncertain pose with time and frame."""
-
-    header: Header
-    pose: PoseWithCovariance
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
-    """From one frame to another."""
-
-    translation: Vector3 = field(default_factory=Vector3)
-    rotation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
-    """The pose of a child frame in the header's frame."""
-
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
-    """Transforms, as tf2 wants them."""
-
-    transforms: sequence[TransformStamped]
-
-
-@dataclass
-class MapMetaData(IdlStruct, typename="nav_msgs::msg::dds_::MapMetaData_"):
-    """Size and place of a grid."""
-
-    map_load_time: Time
-    resolution: float32
-    width: uint32
-    height: uint32
-    origin: Pose
-
-
-@dataclass
-class OccupancyGrid(IdlStruct, typename="nav_msgs::msg::dds_::OccupancyGrid_"):
-    """Cells row by row from the lowest y: 0 free to 100 occupied, -1 unknown."""
-
-    header: Header
-    info: MapMetaData
-    data: sequence[int8]
-
-
-@dataclass
-class Path(IdlStruct, typename="nav_msgs::msg::dds_::Path_"):
-    """Poses in a row."""
-
-    header: Header
-    poses: sequence[PoseStamped]
-
-
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
-    """Joints by name; a list is empty where nothing is known."""
-
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-class KeyValue(IdlStruct, typename="diagnostic_msgs::msg::dds_::KeyValue_"):
-    """A named value."""
-
-    key: str
-    value: str
-
-
-@dataclass
-class DiagnosticStatus(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticStatus_"):
-    """How a part is: level 0 fine, 1 warning, 2 error, 3 stale."""
-
-    level: byte
-    name: str
-    message: str
-    hardware_id: str
-    values: sequence[KeyValue]
-
-
-@dataclass
-class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticArray_"):
-    """How all parts are."""
-
-    header: Header
-    status: sequence[DiagnosticStatus]
+_Numbers = sequence[float64]  # empty where nothing is known
+JointState = _message(
+    "sensor_msgs/JointState",
+    header=Header, name=sequence[str], position=_Numbers, velocity=_Numbers, effort=_Numbers,
+)  # fmt: skip
+KeyValue = _message("diagnostic_msgs/KeyValue", key=str, value=str)
+DiagnosticStatus = _message(  # level 0 fine, 1 warning, 2 error, 3 stale
+    "diagnostic_msgs/DiagnosticStatus",
+    level=byte, name=str, message=str, hardware_id=str, values=sequence[KeyValue],
+)  # fmt: skip
+DiagnosticArray = _message(
+    "diagnostic_msgs/DiagnosticArray", header=Header, status=sequence[DiagnosticStatus]
+)

@@ -25,10 +25,10 @@ from thigmo.live import facts
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.past import PastRun
 from thigmo.live.rows import board, row_text, thinned
-from thigmo.live.starting import StartedRun, StartPlan
+from thigmo.live.starting import StartedRun, in_the_run
 from thigmo.live.stopping import Stopped, Way, stop_port, way_to
 from thigmo.live.viewer import Viewer
-from thigmo.live.watched import Taken, Watched
+from thigmo.live.watched import Watched
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
 
 PAGE = Path(__file__).parent / "page"
@@ -82,7 +82,6 @@ class _Run:
         self.over = asyncio.Event()
         self.pausing = False
         self.failure = ""
-        self.truth = facts.Truth(folder)
         self.body = facts.body(folder)
         self.pegs: list[dict[str, float]] = []
         # What a page that comes later has missed.
@@ -156,20 +155,22 @@ class PageServer:
 
     async def _pump(self) -> None:
         while self._watched is not None:
-            taken = self._watched.take()
-            if taken.run is not None:
-                self._take(taken)
+            said: list[Message] = []  # of one run
+            for message in self._watched.take():
+                if message is not None and not isinstance(message, Hello):
+                    said.append(message)
+                    continue
+                self._pass_on(said)
+                said = []
+                if message is not None:
+                    self._begin(message)
+                else:
+                    self._run.over.set()
+                    self._tell()
+            self._pass_on(said)
             await asyncio.sleep(_TICK_S)
 
-    def _take(self, taken: Taken) -> None:
-        if taken.run is not self._run.hello:
-            self._begin(taken.run)
-        self._pass_on(taken.messages)
-        if taken.ended and not self._run.ended:
-            self._run.over.set()
-            self._tell()
-
-    def _begin(self, run: Hello | None) -> None:
+    def _begin(self, run: Hello) -> None:
         """Another run is under way."""
         self._run = _Run(run)
         if self._started is not None and not self._started.runs:
@@ -221,8 +222,8 @@ class PageServer:
                 self._left_s = time.monotonic()
             self._way = await asyncio.to_thread(way_to, self._moving)
             run = self._run
-            if self._moving:
-                run.pegs = await asyncio.to_thread(run.truth.pegs)
+            if run.hello is not None and not run.ended:
+                run.pegs = await asyncio.to_thread(facts.pegs, run.hello.folder)
             self._tell()
             await asyncio.sleep(_PULSE_S)
 
@@ -239,7 +240,7 @@ class PageServer:
         """What a page is told of the server, the run and its own part."""
         if self._past is not None:
             return {"channel": "page", "mode": "record", "stop": "none", **self._past.page()}
-        run, plan, started = self._run, self._plan, self._started
+        run, url, started = self._run, self.options.url, self._started
         heard_s = self._watched.heard_s if self._watched else 0.0
         return {
             "channel": "page",
@@ -248,7 +249,7 @@ class PageServer:
             "ended": run.ended,
             "body": run.body,
             "truth": run.pegs,
-            "start": {"url": plan.url, "virtual": plan.virtual} if plan else None,
+            "start": {"url": url, "virtual": in_the_run(url)} if url else None,
             "starting": self._starting,
             "question": started.question if started else "",
             "failure": run.failure or (started.failure() if started else ""),
@@ -259,11 +260,6 @@ class PageServer:
             "stop": self._way,
             "silent_s": round(time.monotonic() - heard_s, 1),
         }
-
-    @property
-    def _plan(self) -> StartPlan | None:
-        url = self.options.url
-        return StartPlan(url, self.options.explore) if url else None
 
     @property
     def _starting(self) -> bool:
@@ -336,10 +332,10 @@ class PageServer:
                 self._run.pausing = command == "pause"
 
     async def _start(self, *, realtime: bool) -> None:
-        plan = self._plan
-        if plan is None or self._moving is not None or self._starting:
+        url, explore = self.options.url, self.options.explore
+        if url is None or self._moving is not None or self._starting:
             return
-        self._started = await asyncio.to_thread(StartedRun, plan, realtime=realtime)
+        self._started = await asyncio.to_thread(StartedRun, url, explore, realtime=realtime)
 
     async def _stop(self, request: web.Request) -> web.Response:
         run = self._moving

@@ -13,53 +13,36 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 _PATIENCE_S = 10.0  # for a run to vent its robot
 _LINES = 20
 
 
-@dataclass(frozen=True, slots=True)
-class StartPlan:
-    """What a press on Start runs.
-
-    Attributes:
-        url: of the robot.
-        options: further arguments of `thigmo explore`.
-    """
-
-    url: str
-    options: tuple[str, ...] = ()
-
-    @property
-    def virtual(self) -> bool:
-        """Whether the robot is emulated inside the run, so that its pace can be chosen."""
-        return self.url.partition("://")[0] in ("emulator", "mega-sim")
-
-    def command(self, *, realtime: bool) -> Sequence[str]:
-        """The command line."""
-        pace = ["--realtime"] if realtime and self.virtual else []
-        explore = [sys.executable, "-m", "thigmo", "explore", "--robot", self.url]
-        return [*explore, *self.options, *pace, "--prompts-piped"]
+def in_the_run(url: str) -> bool:
+    """Whether a robot is emulated inside the run, so that its pace can be chosen."""
+    return url.partition("://")[0] in ("emulator", "mega-sim")
 
 
 class StartedRun:
     """A run that the page started.
 
     Args:
-        plan: what to run.
+        url: of the robot.
+        options: further arguments of `thigmo explore`.
         realtime: at the clock's pace, if it is emulated.
 
     Attributes:
         question: to the operator, which the run waits to be answered; empty if there is none.
     """
 
-    def __init__(self, plan: StartPlan, *, realtime: bool) -> None:
+    def __init__(self, url: str, options: Sequence[str], *, realtime: bool) -> None:
         self._said: deque[str] = deque(maxlen=_LINES)
         self.question = ""
+        pace = ["--realtime"] if realtime and in_the_run(url) else []
+        explore = [sys.executable, "-m", "thigmo", "explore", "--robot", url, "--prompts-piped"]
         # A session of its own: Ctrl-C at the server's terminal is not meant for the run.
         self._process = subprocess.Popen(
-            plan.command(realtime=realtime),
+            [*explore, *options, *pace],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -69,11 +52,6 @@ class StartedRun:
         threading.Thread(target=self._listen, daemon=True).start()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-
-    @property
-    def pid(self) -> int:
-        """Of its process."""
-        return self._process.pid
 
     @property
     def runs(self) -> bool:

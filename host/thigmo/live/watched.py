@@ -10,28 +10,14 @@ import os
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass
+from contextlib import suppress
 
 from thigmo.errors import LinkError, ThigmoError
-from thigmo.stream import Command, Hello, Message, RemoteRun, attach, running
+from thigmo.stream import Command, Message, RemoteRun, attach, running
 
-_MOST_WAITING = 20_000  # messages; a server that is that far behind has lost its viewers' interest
+_MOST_WAITING = 20_000  # messages; who is that far behind loses some, and is told by the run
 _LOOK_S = 0.3  # between two looks for a run
-
-
-@dataclass(frozen=True, slots=True)
-class Taken:
-    """What has come since it was last asked for.
-
-    Attributes:
-        run: whose messages these are; None before the first run.
-        ended: the run is over, and these are its last.
-        messages: oldest first.
-    """
-
-    run: Hello | None
-    ended: bool
-    messages: list[Message]
+_ROOM_S = 0.02  # between two looks whether messages were taken
 
 
 class Watched:
@@ -46,26 +32,18 @@ class Watched:
     """
 
     def __init__(self, url: str | None) -> None:
-        self._url = url
-        self._lock = threading.Lock()
-        self._batches: deque[Taken] = deque()
-        self._waiting: list[Message] = []
+        self._robot = url and _robot(url)
+        self._waiting: deque[Message | None] = deque()
         self._run: RemoteRun | None = None
-        self._hello: Hello | None = None
         self._closed = threading.Event()
         self.looked = threading.Event()
         self.heard_s = time.monotonic()
         self._thread = threading.Thread(target=self._follow, daemon=True)
         self._thread.start()
 
-    def take(self) -> Taken:
-        """What has come since the last call. At a change from one run to the next the call returns
-        the rest of the first one only."""
-        with self._lock:
-            if self._batches:
-                return self._batches.popleft()
-            messages, self._waiting = self._waiting, []
-            return Taken(self._hello, self._run is None, messages)
+    def take(self) -> list[Message | None]:
+        """What has come since the last call, oldest first. A `Hello` begins a run, None ends it."""
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     def send(self, command: Command) -> None:
         """Tell the run to pause, to go on or to stop.
@@ -85,50 +63,35 @@ class Watched:
 
     def _follow(self) -> None:
         while not self._closed.is_set():
-            run = self._find()
-            if run is None:
-                self.looked.set()
-                self._closed.wait(_LOOK_S)
-                continue
-            with run:
-                self._read(run)
-
-    def _find(self) -> RemoteRun | None:
-        runs = [each for each in running() if self._url is None or same(each.hello.url, self._url)]
-        if not runs:
-            return None
-        try:
-            return attach(runs[-1].address)
-        except LinkError:
-            return None  # it has just ended
+            runs = [each for each in running() if self._robot in (None, _robot(each.hello.url))]
+            with suppress(LinkError):  # it has just ended
+                if runs:
+                    with attach(runs[-1].address) as run:
+                        self._read(run)
+                    continue
+            self.looked.set()
+            self._closed.wait(_LOOK_S)
 
     def _read(self, run: RemoteRun) -> None:
-        with self._lock:
-            if self._waiting:
-                self._batches.append(Taken(self._hello, True, self._waiting))
-            self._waiting, self._run, self._hello = [], run, run.hello
-            self.heard_s = time.monotonic()
+        self._run = run
+        self._take(run.hello)
         self.looked.set()
-        try:
+        # It ends, or speaks another version of the stream.
+        with suppress(EOFError, ThigmoError):
             while not self._closed.is_set():
-                message = run.get(0.2)
-                if message is not None:
-                    with self._lock:
-                        self.heard_s = time.monotonic()
-                        self._waiting.append(message)
-                        del self._waiting[:-_MOST_WAITING]
-        except (EOFError, ThigmoError):
-            pass  # it has ended, or speaks another version of the stream
-        with self._lock:
-            self._batches.append(Taken(self._hello, True, self._waiting))
-            self._waiting, self._run = [], None
+                if len(self._waiting) >= _MOST_WAITING:
+                    self._closed.wait(_ROOM_S)
+                elif (message := run.get(0.2)) is not None:
+                    self._take(message)
+        self._run = None
+        self._waiting.append(None)
+
+    def _take(self, message: Message) -> None:
+        self.heard_s = time.monotonic()
+        self._waiting.append(message)
 
 
-def same(one: str, other: str) -> bool:
-    """Whether two URLs name one robot."""
-    return _real(one) == _real(other)
-
-
-def _real(url: str) -> str:
+def _robot(url: str) -> str:
+    """A URL without what two URLs of one robot may differ in."""
     device = url.partition("?baud=")[0]
     return os.path.realpath(device) if device.startswith("/") else device

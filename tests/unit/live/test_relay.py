@@ -12,7 +12,6 @@ from thigmo.live import relay
 from thigmo.live.foxglove import FoxgloveServer
 from thigmo.live.relay import Facts, Relay
 from thigmo.live.stopping import Stopped
-from thigmo.live.watched import Taken
 from thigmo.stream import Grid, Hello, Message
 
 GRID = Grid(1.0, 5.0, 0.5, (0.0, 0.0, 0.0), 1, 1, (0,))
@@ -23,12 +22,13 @@ class FakeWatched:
     """Gives what a test puts in."""
 
     def __init__(self) -> None:
-        self.taken = Taken(None, True, [])
+        self.waiting: list[Message | None] = []
         self.looked = threading.Event()
         self.sent: list[str] = []
 
-    def take(self) -> Taken:
-        return self.taken
+    def take(self) -> list[Message | None]:
+        taken, self.waiting = self.waiting, []
+        return taken
 
     def send(self, command: str) -> None:
         self.sent.append(command)
@@ -55,9 +55,11 @@ def watched() -> FakeWatched:
     return FakeWatched()
 
 
-def _passed(watched: FakeWatched, passing: Relay, run: Hello) -> list[tuple[str, str]]:
+def _passed(
+    watched: FakeWatched, passing: Relay, *messages: Message | None
+) -> list[tuple[str, str]]:
     view = Log()
-    watched.taken = Taken(run, False, [STATE])
+    watched.waiting += messages
     passing.pass_on(view)
     return view.told
 
@@ -68,10 +70,10 @@ def test_view_is_told_of_a_new_run_before_its_messages_and_of_no_stop_of_the_las
     monkeypatch.setattr(relay, "way_to", lambda run: "port")
     monkeypatch.setattr(relay, "stop_port", lambda run: Stopped([RUN.url]))
     passing = Relay(watched)  # type: ignore[arg-type]
-    assert _passed(watched, passing, RUN)[:2] == [("n", ""), ("state", "")]
+    assert _passed(watched, passing, RUN, STATE)[:2] == [("n", ""), ("state", "")]
     assert passing.stop() == f"stopped {RUN.url}"
-    assert ("n", f"stopped {RUN.url}") in _passed(watched, passing, RUN)
-    told = _passed(watched, passing, NEXT)
+    assert ("n", f"stopped {RUN.url}") in _passed(watched, passing, STATE)
+    told = _passed(watched, passing, None, NEXT, STATE)
     assert told[0] == ("next", "")
     assert all(not stopped for _, stopped in told)
 
@@ -83,7 +85,7 @@ def test_stop_that_comes_before_a_run_under_way_is_known_stops_it(
 
     def no_port(run: Hello | None) -> Stopped:
         watched.looked.set()  # the run is found while ports are asked
-        _passed(watched, passing, replace(RUN, virtual=True))
+        _passed(watched, passing, replace(RUN, virtual=True), STATE)
         return Stopped([])
 
     monkeypatch.setattr(relay, "stop_port", no_port)
