@@ -169,17 +169,15 @@ def read_log(path: Path) -> Log:
     Raises:
         RunFolderError: there is no such file, or it is no MCAP file.
     """
-    topics = {*_TOPICS, _NOTES}
-    found = read_mcap(path, topics.__contains__)
+    found = read_mcap(path, {*_TOPICS, _NOTES})
     told = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(told) if told.isdecimal() else 0
     entries: list[Entry] = []
     notes: list[tuple[float, dict[str, Any]]] = []
-    for number, log_ns, data in found.messages:
-        channel = found.channels.get(number)
+    for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
-        if channel is not None and channel.topic == _NOTES:
+        if topic == _NOTES:
             notes.append((t_s, json.loads(data)))
-        elif channel is not None and channel.topic in _TOPICS:
-            entries.append(Entry(t_s, _TOPICS[channel.topic], data))
+        else:
+            entries.append(Entry(t_s, _TOPICS[topic], data))
     return Log(entries, notes, found.metadata, found.truncated, found.gaps)

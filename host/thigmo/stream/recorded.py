@@ -59,16 +59,11 @@ def read_messages(
     path = Path(run)
     path = path / "run.mcap" if path.is_dir() else path
     wanted = {f"/{channel}" for channel in (RECORDED if channels is None else channels)}
-    found = read_mcap(path, wanted.__contains__)
-    topics = {number: channel.topic for number, channel in found.channels.items()}
-    if not any(topic == f"/{channel}" for topic in topics.values() for channel in RECORDED):
+    found = read_mcap(path, wanted)
+    if found.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
             f"{path} holds raw frames alone", "record the run again with this version of thigmo"
         )
     from thigmo.stream.protobuf import from_protobuf
 
-    return (
-        from_protobuf(topics[number][1:], data)
-        for number, _, data in found.messages
-        if topics.get(number) in wanted
-    )
+    return (from_protobuf(topic[1:], data) for topic, _, data in found.messages)
