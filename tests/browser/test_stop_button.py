@@ -48,6 +48,7 @@ def test_lost_server_says_use_the_e_stop(page: Page, looking: Looking, served: S
     served.close()
     expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
     expect(page.locator(".banner.fault")).to_contain_text("Stop not connected: use the e-stop.")
+    page.close()  # it would look for the server again, in this line's next moment as well
     looking.errors.clear()  # Chromium tells the lost connection on the console itself
 
 

@@ -8,33 +8,27 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 from thigmo.config import SIDES
 from thigmo.errors import RunFolderError
-from thigmo.stream.messages import (
-    BodyShape,
-    Contacts,
-    Event,
-    Log,
-    Message,
-    Posterior,
-    RunState,
-    Telemetry,
-)
+from thigmo.stream.messages import RECORDED, BodyShape, Contacts, Grid, Message, Posterior
 from thigmo.stream.recorded import read_messages
 
 Row = dict[str, Any]
+# What of a message becomes a row for each entry, and what no table has.
+_APART = {"contacts", "places_cm", "probability", "poses", "radius_cm"}
 
 
-def _flat(message: Message, *without: str) -> Row:
-    """Fields in columns; a tuple of numbers has one for each side, or for each place of a side."""
+def _rows(message: Message) -> Iterator[Row]:
+    """A message's fields in columns; a tuple of numbers has one for each side, or for each place of
+    a side."""
     row: Row = {}
-    for name in (each.name for each in fields(message) if each.name not in without):
+    for name in (each.name for each in fields(message) if each.name not in _APART):
         value = getattr(message, name)
         if name == "faults":
             row[name] = " ".join(value)
@@ -45,49 +39,30 @@ def _flat(message: Message, *without: str) -> Row:
                 row[f"{name}_{side}" + (f"_{place}" if a_side > 1 else "")] = one
         else:
             row[name] = value
-    return row
+    return ({**row, **entry} for entry in _entries(message))
 
 
-def _plain(message: Message) -> Iterator[Row]:
-    yield _flat(message)
-
-
-def _shape(message: BodyShape) -> Iterator[Row]:
-    row = _flat(message, "poses", "radius_cm")
-    for index, (x_cm, y_cm, heading) in enumerate(message.poses):
-        yield {**row, "pose": index, "x_cm": x_cm, "y_cm": y_cm, "heading_rad": heading}
-
-
-def _posterior(message: Posterior) -> Iterator[Row]:
-    row = _flat(message, "places_cm", "probability")
-    cells: list[tuple[float | None, float | None]]
-    cells = list(zip(message.places_cm, message.probability, strict=True)) or [(None, None)]
-    for place_cm, probability in cells:
-        yield {**row, "place_cm": place_cm, "probability": probability}
-
-
-def _contacts(message: Contacts) -> Iterator[Row]:
-    for index, contact in enumerate(message.contacts):
-        row = {**_flat(message, "contacts"), "contact": index}
-        row |= {each.name: getattr(contact, each.name) for each in fields(contact)}
-        row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
-        (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = row.pop(
-            "covariance_cm2"
-        )
-        row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
-        del row["track"]
-        yield row
-
-
-_TABLES: dict[str, Callable[[Any], Iterator[Row]]] = {
-    Telemetry.CHANNEL: _plain,
-    Event.CHANNEL: _plain,
-    RunState.CHANNEL: _plain,
-    BodyShape.CHANNEL: _shape,
-    Posterior.CHANNEL: _posterior,
-    Contacts.CHANNEL: _contacts,
-    Log.CHANNEL: _plain,
-}
+def _entries(message: Message) -> Iterator[Row]:
+    match message:
+        case BodyShape():
+            for index, (x_cm, y_cm, heading) in enumerate(message.poses):
+                yield {"pose": index, "x_cm": x_cm, "y_cm": y_cm, "heading_rad": heading}
+        case Posterior():
+            cells = zip(message.places_cm or [None], message.probability or [None], strict=True)
+            for place_cm, probability in cells:
+                yield {"place_cm": place_cm, "probability": probability}
+        case Contacts():
+            for index, contact in enumerate(message.contacts):
+                row = {"contact": index} | asdict(contact)
+                row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
+                (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = (
+                    row.pop("covariance_cm2")
+                )
+                row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
+                del row["track"]
+                yield row
+        case _:
+            yield {}
 
 
 def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
@@ -104,14 +79,14 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
         RunFolderError: no record, one of raw frames alone, or a folder that cannot be written.
     """
     target = Path(folder)
-    messages = read_messages(run, _TABLES)
+    messages = read_messages(run, set(RECORDED) - {Grid.CHANNEL})
     writers: dict[str, csv.DictWriter[str]] = {}
     try:
         target.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             for message in messages:
                 channel = message.CHANNEL
-                for row in _TABLES[channel](message):
+                for row in _rows(message):
                     if channel not in writers:
                         file = (target / f"{channel}.csv").open("w", newline="")
                         writers[channel] = csv.DictWriter(stack.enter_context(file), row)

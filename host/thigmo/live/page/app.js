@@ -54,7 +54,6 @@ function takePage(message) {
   if (!same || message.mode !== before?.mode || again && message.mode === "live") {
     if (message.mode === "live" || message.mode === "record") {
       reset();
-      store.page = message;
       store.origin = message.run?.t_s ?? null;
       forget();
     }

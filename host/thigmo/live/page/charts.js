@@ -81,7 +81,7 @@ function build() {
       scales: { x: { time: false, auto: false }, y: { range: range(chart.least) } },
       axes: [
         {
-          stroke: faint, grid, ticks: { show: false }, font, size: chart.last ? 20 : 8, gap: 3,
+          stroke: chart.last ? soft : faint, grid, ticks: { show: false }, font, size: chart.last ? 20 : 8, gap: 3,
           values: chart.last ? (_, at) => at.map(minus) : (_, at) => at.map(() => ""),
           label: chart.last ? "robot time, s" : undefined, labelSize: 15, labelGap: 0, labelFont: font,
         },
@@ -95,7 +95,6 @@ function build() {
         alpha: line.alpha ?? (line.soft ? .75 : 1),
       }))],
     }, [[], ...chart.series.map(() => [])], place);
-    plot.axes[0].stroke = () => chart.last ? soft : faint;
     plots.push({ chart, plot, place, values });
   }
   drawn = "";

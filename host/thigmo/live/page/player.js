@@ -1,11 +1,11 @@
 // A finished run: all of it is loaded, and the player moves the moment that is shown. The space bar
 // stays the stop's, also here; P plays, the arrow keys go a second back and forth.
 
-import { $, BOARD, COLUMN, COLUMNS, add, hold, reset, store, time, under, until } from "./store.js";
+import { $, BOARD, COLUMN, COLUMNS, add, hold, reset, store, time, until } from "./store.js";
 import { make } from "./svg.js";
 
-const CHANNELS = ["state", "shape", "posterior", "contacts", "grid"];
-let messages = [], slow = {}, boards = [], end = 0, playing = null, loads = 0;
+const ONCE = ["event", "log"]; // listed; what else is told holds until the next of its kind
+let messages = [], boards = [], end = 0, playing = null, loads = 0;
 
 export const shown = () => document.body.dataset.mode === "record";
 
@@ -16,9 +16,7 @@ export async function loadRecord() {
   if (!answers.every((answer) => answer.ok)) return; // another run has begun, and the server tells so
   const facts = await answers[0].json(), rows = await answers[1].arrayBuffer();
   if (mine !== loads || !shown()) return;
-  const page = store.page;
   reset();
-  store.page = page;
   store.origin = facts.origin_s;
   const values = new Float32Array(rows), count = values.length / COLUMNS;
   for (let n = 0; n < COLUMNS; n++) {
@@ -29,10 +27,9 @@ export async function loadRecord() {
     store.columns[COLUMN.telling + n] = store.columns[COLUMN.curvature + n].map((value, row) => expected[row] === null ? null : value);
   }
   boards = facts.boards;
-  messages = facts.messages;
-  slow = Object.fromEntries(CHANNELS.map((channel) => [channel, messages.filter((each) => each.channel === channel)]));
-  for (const message of messages) if (!CHANNELS.includes(message.channel)) add(message);
-  end = Math.max(store.columns[0].at(-1) ?? 0, ...messages.map((each) => time(each.t_s)));
+  messages = facts.messages.filter((each) => !ONCE.includes(each.channel));
+  for (const message of facts.messages) if (ONCE.includes(message.channel)) add(message);
+  end = Math.max(store.columns[0].at(-1) ?? 0, ...facts.messages.map((each) => time(each.t_s)));
   $("scrub").max = end;
   drawMarks();
   seek(end);
@@ -40,42 +37,16 @@ export async function loadRecord() {
 
 export const loaded = () => end > 0;
 
-const before = (list, t) => until(list, t, (each) => time(each.t_s));
+const told = (channel) => messages.filter((each) => each.channel === channel);
 
 export function seek(t) {
   store.now = Math.min(Math.max(t, 0), end);
-  store.last = {};
-  store.trail = [];
-  store.touched = null;
-  for (const channel of CHANNELS) {
-    const list = slow[channel], n = before(list, store.now);
-    if (channel === "shape") {
-      // The trail of the stage, thinned.
-      const since = stageBegan(), first = before(list, since);
-      const step = Math.ceil((n - first) / 120) || 1;
-      for (let k = first; k < n; k += step) store.trail.push(list[k].poses);
-      if (n) store.last.shape = list[n - 1];
-    } else if (channel === "posterior") {
-      if (!n) continue;
-      const found = (store.last.posterior = list[n - 1]);
-      const at = before(slow.shape, time(found.t_s));
-      store.touched = under(found, slow.shape.slice(Math.max(0, at - 400), at).map((each) => each.poses));
-    } else if (n) {
-      hold(list[n - 1]);
-    }
-  }
+  Object.assign(store, { last: {}, trail: [], touched: null });
+  for (const message of messages) if (time(message.t_s) <= store.now + 1e-9) hold(message);
   store.board = boards[until(boards, store.now, (each) => each.t) - 1] ?? BOARD;
   $("scrub").value = store.now;
   $("scrub").setAttribute("aria-valuetext", `${store.now.toFixed(1)} s`);
   $("position").textContent = `${store.now.toFixed(1)} of ${end.toFixed(1)} s`;
-}
-
-function stageBegan() {
-  const n = before(slow.state, store.now);
-  const stage = slow.state[n - 1]?.stage_cm;
-  let first = n - 1;
-  while (first > 0 && slow.state[first - 1].stage_cm === stage) first--;
-  return first >= 0 ? time(slow.state[first].t_s) : 0;
 }
 
 // Stages as bands, events and contacts as marks.
@@ -85,20 +56,21 @@ function drawMarks() {
   svg.replaceChildren();
   make("rect", { x: 0, y: 14, width: end, height: 8, fill: "var(--line)", rx: 0 }, svg);
   let stage = null, shade = 0;
-  slow.state.forEach((each) => {
-    if (each.stage_cm === stage) return;
+  const states = told("state");
+  for (const each of states) {
+    if (each.stage_cm === stage) continue;
     stage = each.stage_cm;
-    const next = slow.state.find((other) => other.t_s > each.t_s && other.stage_cm !== stage);
+    const next = states.find((other) => other.t_s > each.t_s && other.stage_cm !== stage);
     const from = time(each.t_s), to = next ? time(next.t_s) : end;
     if (stage) make("rect", { x: from, y: 14, width: to - from, height: 8, fill: "var(--accent)", opacity: [.3, .55][shade++ % 2] }, svg);
-  });
+  }
   const tick = end / 500;
   for (const event of store.events) {
     if (event.severity === "info") continue;
     make("rect", { x: time(event.t_s) - tick / 2, y: 8, width: tick, height: 20, fill: `var(--${event.severity === "fault" ? "fault" : "warn"})` }, svg);
   }
   let known = 0;
-  for (const each of slow.contacts) {
+  for (const each of told("contacts")) {
     if (each.contacts.length > known) make("rect", { x: time(each.t_s) - tick, y: 6, width: 2 * tick, height: 24, fill: "var(--contact)" }, svg);
     known = each.contacts.length;
   }

@@ -2,7 +2,7 @@
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
 import { $, css, latest, posterior, store, time, COLUMN } from "./store.js";
-import { line, make, set, sized, text, ticks } from "./svg.js";
+import { line, make, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
 const RIBBON_CM = 3.5; // height of the posterior at its peak

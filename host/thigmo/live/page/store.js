@@ -75,9 +75,7 @@ export function add(message) {
 // A message of a slow channel holds until the next one.
 export function hold(message) {
   const { last } = store;
-  if (message.channel === "state") {
-    if (last.state && message.stage_cm !== last.state.stage_cm) store.trail = [];
-  }
+  if (message.channel === "state" && last.state && message.stage_cm !== last.state.stage_cm) store.trail = [];
   if (message.channel === "shape") {
     store.trail.push(message.poses);
     if (store.trail.length > TRAIL) store.trail = store.trail.filter((_, n) => n % 2);
@@ -94,7 +92,7 @@ export function posterior() {
 }
 
 // The shape on which a posterior lies: the last one while the sweep goes on, else the one measured.
-export function under({ places_cm, side, sweeping }, shapes) {
+function under({ places_cm, side, sweeping }, shapes) {
   if (!places_cm.length) return null;
   return sweeping ? shapes.at(-1) ?? null : mostBent(shapes, side);
 }

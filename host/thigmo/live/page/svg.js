@@ -4,14 +4,9 @@ const SPACE = "http://www.w3.org/2000/svg";
 
 export function make(tag, attributes = {}, parent = null) {
   const made = document.createElementNS(SPACE, tag);
-  set(made, attributes);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
   parent?.append(made);
   return made;
-}
-
-export function set(element, attributes) {
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  return element;
 }
 
 export function text(parent, x, y, words, attributes = {}) {
