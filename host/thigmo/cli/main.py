@@ -89,26 +89,22 @@ for each in (app, *groups.values()):
         )
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from thigmo import __version__
+
+        typer.echo(f"thigmo {__version__}")
+        raise typer.Exit
+
+
+_VERSION = typer.Option(
+    "--version", help="Print the version.", is_eager=True, callback=_print_version
+)
+
+
 @app.callback()
-def _options(
-    _version: Annotated[
-        bool,
-        typer.Option(
-            "--version",
-            help="Print the version.",
-            is_eager=True,
-            callback=lambda wanted: _print_version() if wanted else None,
-        ),
-    ] = False,
-) -> None:
+def _options(_version: Annotated[bool, _VERSION] = False) -> None:
     pass
-
-
-def _print_version() -> None:
-    from thigmo import __version__
-
-    typer.echo(f"thigmo {__version__}")
-    raise typer.Exit
 
 
 def main() -> None:

@@ -58,16 +58,19 @@ def views(message: Message) -> list[tuple[str, Proto]]:
         return []
     stamp = Timestamp()
     stamp.FromNanoseconds(round(message.epoch_s * 1e9))
-    if isinstance(message, BodyShape):
-        return [(SCENE, _body(message, stamp)), (TRANSFORM, _tip(message, stamp))]
-    if isinstance(message, Contacts):
-        return [(SCENE, _contacts(message, stamp))]
-    if isinstance(message, Grid):
-        return [(GRID, _grid(message, stamp))]
-    if isinstance(message, Event):
-        text = f"{message.message}; {message.next}" if message.next else message.message
-        return [(LOG, _log(message.name, message.severity, text, stamp))]
-    return [(LOG, _log("thigmo", message.level, message.text, stamp))]
+    match message:
+        case BodyShape():
+            return [(SCENE, _body(message, stamp)), (TRANSFORM, _tip(message, stamp))]
+        case Contacts():
+            return [(SCENE, _contacts(message, stamp))]
+        case Grid():
+            return [(GRID, _grid(message, stamp))]
+        case Event():
+            text = "; ".join(filter(None, (message.message, message.next)))
+            name, level = message.name, message.severity
+        case _:
+            name, level, text = "thigmo", message.level, message.text
+    return [(LOG, LogView(timestamp=stamp, level=_LEVELS[level], name=name, message=text))]
 
 
 def _body(shape: BodyShape, stamp: Timestamp) -> SceneUpdate:
@@ -141,10 +144,6 @@ def _grid(grid: Grid, stamp: Timestamp) -> GridView:
         fields=fields,
         data=packed.tobytes(),
     )
-
-
-def _log(name: str, level: str, text: str, stamp: Timestamp) -> LogView:
-    return LogView(timestamp=stamp, level=_LEVELS[level], name=name, message=text)
 
 
 def _line(points: Sequence[tuple[float, float]], thickness_m: float, color: Color) -> LinePrimitive:

@@ -87,9 +87,8 @@ class Hub:
     """Passes messages from publishers to listeners. For several threads."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._sinks: list[tuple[Sink, frozenset[str], Callable[[], None]]] = []
-        self._wanted: frozenset[str] = frozenset()
         self._last: dict[str, Message] = {}
         self._events: deque[Message] = deque(maxlen=_KEPT_EVENTS)
         self._closed = False
@@ -108,7 +107,7 @@ class Hub:
 
     def wanted(self, kind: type[Message]) -> bool:
         """Whether anybody listens to messages of a kind."""
-        return kind.CHANNEL in self._wanted
+        return any(kind.CHANNEL in channels for _, channels, _ in self._sinks)
 
     def subscribe(self, channels: Iterable[str] | None = None, size: int = QUEUE) -> Subscription:
         """Listen.
@@ -140,36 +139,27 @@ class Hub:
         """
         names = frozenset(channels)
         with self._lock:
-            for message in self._retained():
+            for message in self.retained():
                 if message.CHANNEL in names:
                     sink(message)
             if self._closed:
                 closed()
                 return
             self._sinks.append((sink, names, closed))
-            self._note_wanted()
 
     def detach(self, sink: Sink) -> None:
         """Call `sink` no more; nothing happens if it is not attached."""
         with self._lock:
             self._sinks = [entry for entry in self._sinks if entry[0] != sink]
-            self._note_wanted()
 
     def retained(self) -> list[Message]:
         """The last message of each slow channel, and the last events."""
         with self._lock:
-            return self._retained()
+            return [*self._last.values(), *self._events]
 
     def close(self) -> None:
         """End all subscriptions; may be called twice."""
         with self._lock:
             sinks, self._sinks, self._closed = self._sinks, [], True
-            self._note_wanted()
             for _, _, closed in sinks:
                 closed()
-
-    def _retained(self) -> list[Message]:
-        return [*self._last.values(), *self._events]
-
-    def _note_wanted(self) -> None:
-        self._wanted = frozenset().union(*(channels for _, channels, _ in self._sinks))
