@@ -31,8 +31,7 @@ struct Answer {
   Row edges, mass;  // cells of the most distal contact
   Row bend;         // at the nodes, curvature above that of the free body, by the best
   int discarded = -1;
-  double noise = 0.0;
-  double log_odds = 0.0;
+  double noise = 0.0, log_odds = 0.0;
   double objective = NAN, gap = NAN;  // of a point fit, in the caller's units
 };
 
@@ -145,6 +144,7 @@ class Mixture {
 
 inline Answer answer(const Input& input, const Priors& priors, const Settings& settings) {
   constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
+  constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
   Answer out;
   std::tie(out.problem, out.shows) = problem_of(input);
   if (out.problem != Problem::none) return out;
@@ -192,7 +192,8 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
   }
   // A hand that holds the end explains what a contact beside it does.
-  if (settings.held_end == Settings::Held::perhaps) open += std::min(held, all - held);
+  if (settings.held_end != Settings::Held::perhaps) held = 0.0;
+  const bool doubtful = open + std::min(held, all - held) > priors.excluded * all;
   const bool sure = (settings.contacts >= 0 || out.number[count] > 1.0 - priors.excluded) &&
                     touched > 1.0 - priors.excluded && open <= priors.excluded * all;
   for (std::size_t j = 0; j < count; ++j) {
@@ -212,7 +213,8 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     const std::size_t at = mixture.cell(felt.arc);
     felt.force = mixture.force[at];
     felt.deviation = std::sqrt(mixture.variance[at]);
-    felt.localized = sure && felt.high - felt.low <= settings.width_limit;
+    felt.localized =
+        sure && felt.high - felt.low <= settings.width_limit && (!doubtful || felt.low >= kNearEnd);
     if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
       double heaviest = 0.0;
       for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {

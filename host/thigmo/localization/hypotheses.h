@@ -106,8 +106,10 @@ class Weighing {
     const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
     if (poor || strong) hinge(bent, strong);
     if (poor) spread(bent);
-    // What bends a straight body so far may hold its end.
-    const bool held_perhaps = poor || (turned && readings.turn <= priors_.end_turn);
+    // What bends a straight body may hold its end; what bends it little, where a contact is near
+    // it.
+    const bool near = turn_of(bent) > priors_.straight && found[one].contacts[0].likeliest() > 0.8;
+    const bool held_perhaps = poor || ((turned || near) && readings.turn <= priors_.end_turn);
     if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
     if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
     for (const Doubt& doubt : doubts_) {
@@ -209,19 +211,18 @@ class Weighing {
                         double doubtful) {
     const double weight = contact_ + std::log(unfolded_);
     const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless, doubtful};
-    std::vector<RivalContact> beside;
+    ContactsBeside beside;
     OneContact alone = one_contact(white_, prior_, kCells, 0.0, start, &rivals, &beside);
     const std::size_t first = found.size();
     found.push_back(contact(Load::contact, std::move(alone), weight, 2, -1));
     const double matters = best() + kMatters;
-    for (RivalContact& other : beside) {
-      const double odds = weight + log_odds[other.index];
-      if (other.contact.log_evidence + odds > matters) {
-        other.contact =
-            one_contact(with(column, other.index), prior_, kCells, 0.0, found[first].curvature);
+    for (auto& [index, other] : beside) {
+      const double odds = weight + log_odds[index];
+      if (other.log_evidence + odds > matters) {
+        other = one_contact(with(column, index), prior_, kCells, 0.0, found[first].curvature);
       }
-      found.push_back(contact(Load::contact, std::move(other.contact), odds, 2, -1));
-      found.back().bad = other.index;
+      found.push_back(contact(Load::contact, std::move(other), odds, 2, -1));
+      found.back().bad = index;
     }
     return first;
   }
@@ -347,10 +348,8 @@ class Weighing {
   // is unknown.
   double gain_of_second(const Hypothesis& one) const {
     const int n = frame_.size();
-    const Marginal& first = one.contacts[0];
-    const auto top = std::max_element(first.mass.begin(), first.mass.end()) - first.mass.begin();
     Row place = middles({0.0, 1.0}, kSecondCells);
-    place.push_back(first.place[top]);
+    place.push_back(one.contacts[0].likeliest());
     Body body(frame_, prior_, one.curvature);
     const Levers& levers = body.levers(place);
     const Row unit = prior_deviations(prior_, levers.largest);

@@ -264,6 +264,9 @@ struct Marginal {
   double width = 0.0;  // of a cell
   Row mass;            // (M,) of sum one
   Row force, spread;   // (M,) its mean and standard deviation
+  double likeliest() const {
+    return place[std::max_element(mass.begin(), mass.end()) - mass.begin()];
+  }
 };
 
 struct OneContact : Fit, Marginal {
@@ -279,11 +282,8 @@ struct Rivals {
   double misfit;          // of the contact alone, beyond which they are not weighed
 };
 
-// A contact beside one of them, weighed on the same grid of the same shape.
-struct RivalContact {
-  int index;
-  OneContact contact;
-};
+// Contacts beside some of them, by their index, weighed on the same grid of the same shape.
+using ContactsBeside = std::vector<std::pair<int, OneContact>>;
 
 // Of contacts at places of a grid, with a force of prior variance `power` times `unit`: weight, and
 // mean and variance of the force.
@@ -491,7 +491,7 @@ class OneContactGrid {
 // One contact anywhere on the body; and beside rivals, those that are worth weighing.
 inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior, int cells,
                               double half, const Nodes& start, const Rivals* rivals = nullptr,
-                              std::vector<RivalContact>* beside = nullptr) {
+                              ContactsBeside* beside = nullptr) {
   const Frame& frame = *readings.frame;
   OneContactGrid grid(readings, prior);
   OneContact out;
@@ -517,7 +517,7 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
     for (int e = 0; e < rivals->column.size(); ++e) {
       if (out.log_evidence + gain[e] + rivals->log_odds[e] < least) continue;
       OneContact other = out;
-      if (grid.weigh_beside(rivals->column[e], other)) beside->push_back({e, std::move(other)});
+      if (grid.weigh_beside(rivals->column[e], other)) beside->emplace_back(e, std::move(other));
     }
     return out;
   }

@@ -32,7 +32,7 @@ END = math.log(0.15 / 0.85) - 0.7
 # three free loads fit two opposed contacts as well.
 END_STRAIGHT = -7.0
 # Of a hand or a clamp that holds the end of a body that need not be a tube.
-HELD = -1.0
+HELD = 0.0
 # Of one more contact, of a contact that is spread out, of a kink anywhere on the body.
 ANOTHER = -1.7
 SPREAD = -3.0
