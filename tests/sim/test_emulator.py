@@ -60,7 +60,7 @@ def stream(seed: int) -> str:
     robot._client.taps.append(tap)
     robot.grow_to(10.0)
     robot.wait(5.0)
-    digest.update(repr(transport.truth().now.length_cm).encode())
+    digest.update(repr(transport.truth().length_cm).encode())
     return digest.hexdigest()
 
 
@@ -74,7 +74,7 @@ def test_growth_ends_at_the_length_asked_for(room: Scene) -> None:
     room.start_length_cm = 0.0
     robot, transport = ready(room)
     robot.grow_to(10.0)
-    assert transport.truth().now.length_cm == pytest.approx(10.0, abs=0.1)
+    assert transport.truth().length_cm == pytest.approx(10.0, abs=0.1)
     assert transport.lockstep.plant.encoder[1] == pytest.approx(2 * 10.0 * 76, rel=0.02)
 
 
@@ -85,7 +85,7 @@ def test_homing_finds_the_base(room: Scene) -> None:
     robot.clear_faults()
     robot.arm()
     robot.home()
-    assert transport.truth().now.length_cm == 0.0
+    assert transport.truth().length_cm == 0.0
     assert robot.status().length_cm == pytest.approx(0.0, abs=0.05)
 
 
@@ -98,7 +98,7 @@ def test_sweep_reaches_its_amplitude_and_touches_the_peg(room: Scene) -> None:
 
     def look() -> None:
         seen.append((*plant.muscle_psi, plant.free_curvature))
-        touched.update(contact.peg for contact in plant.truth().now.contacts)
+        touched.update(contact.peg for contact in plant.truth().contacts)
 
     robot.while_waiting(look)
     result = robot.sweep(left_psi=18.0, right_psi=18.0, period_s=30.0)

@@ -61,8 +61,6 @@ int bridge_hang(chip* c, int interrupts);
 int bridge_run(chip* c, uint64_t cycle);
 uint64_t bridge_cycle(chip* c);
 uint64_t bridge_asleep(chip* c);  // cycles asleep since the last bridge_measure_reset
-uint32_t bridge_pc(chip* c);
-uint32_t bridge_lowest_stack(chip* c);  // lowest stack pointer at an interrupt's entry
 uint64_t bridge_resets(chip* c, int cause);
 
 // Analog inputs: ideal counts (0..1024) at two cycles, linear in between, held after.

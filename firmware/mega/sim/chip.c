@@ -89,8 +89,6 @@ static void on_running(struct avr_irq_t* irq, uint32_t value, void* param) {
       w->figures.waited = avr->cycle - w->requested;
     w->requested = NEVER;
     stall(w->c, kAcceptCycles);
-    const uint32_t stack = avr->data[R_SPL] | avr->data[R_SPH] << 8;
-    if (stack < w->c->lowest_stack) w->c->lowest_stack = stack;
   } else if (w->accepted != NEVER) {
     const uint64_t took = avr->cycle + kRetiCycles - w->accepted;
     bridge_interrupt* f = &w->figures;
@@ -290,8 +288,6 @@ int bridge_hang(chip* c, int interrupts) {
 
 uint64_t bridge_cycle(chip* c) { return c->avr->cycle; }
 uint64_t bridge_asleep(chip* c) { return c->asleep; }
-uint32_t bridge_pc(chip* c) { return c->avr->pc; }
-uint32_t bridge_lowest_stack(chip* c) { return c->lowest_stack; }
 uint64_t bridge_resets(chip* c, int cause) {
   for (int bit = 0; bit < 4; bit++)
     if (cause == 1 << bit) return c->resets[bit];
@@ -380,7 +376,6 @@ void bridge_measure_reset(chip* c) {
   for (int v = 0; v < BRIDGE_VECTORS; v++)
     c->watch[v].figures = (bridge_interrupt){.shortest = UINT64_MAX};
   c->asleep = 0;
-  c->lowest_stack = 0xFFFF;
 }
 
 void bridge_marks_on(chip* c, int on) { c->marking = on; }

@@ -126,7 +126,6 @@ struct chip {
   void (*core_reset)(avr_t* avr);
   uint8_t driven[PORTS], level[PORTS];  // inputs, by port
   uint64_t resets[4];
-  uint32_t lowest_stack;
   uint64_t filler;
   cycles tick_origin;  // cycle of timer 1's tick 0
 };

@@ -5,8 +5,7 @@ thing, measures, and names what is wrong with the terminal to look at. `jog` and
 output as it is; the board ends each push by itself within half a second.
 """
 
-from thigmo.bringup.attendant import Attendant, Turned
-from thigmo.bringup.checks import STAGES, BringUp, Finding
+from thigmo.bringup.checks import STAGES, Attendant, BringUp, Finding, Turned
 from thigmo.bringup.push import JOG_CM, PRESS_PSI, PRESS_S, jog, press
 
 __all__ = [

@@ -8,10 +8,9 @@ A stage in which something is wrong is the last. Names of plugs are those of doc
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Literal, Protocol
 
-from thigmo.bringup.attendant import Attendant
 from thigmo.bringup.push import duty_of, push
 from thigmo.config import SIDES
 from thigmo.errors import ThigmoError
@@ -36,6 +35,23 @@ _TURN_S = 0.3
 _TURN_CM = 0.03
 
 
+Found = Iterator[tuple[str, str, str]]  # subject, what was found, and the cure ("" = good)
+Turned = Literal["out", "in", "not"]
+
+
+class Attendant(Protocol):
+    """Stands beside the robot, does with his hands what a check needs, and says what he sees."""
+
+    def ready(self, request: str) -> None:
+        """Do something; return when it is done."""
+
+    def press_emergency_stop(self, pressed: bool) -> None:
+        """Press the emergency stop, or release it; return when it is done."""
+
+    def spool_turned(self) -> Turned:
+        """Say how the spool turned since the last question: it paid out, wound in, or neither."""
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """What a check found.
@@ -53,10 +69,6 @@ class Finding:
     good: bool
     what: str
     cure: str = ""
-
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
 
 
 class BringUp:
@@ -103,23 +115,17 @@ class BringUp:
         except ThigmoError as error:
             yield Finding(stage, "robot", False, error.what, error.next_step)
 
-    # Each yields subject, what was found, and the cure ("" = good).
-
-    def _board(self) -> Iterator[tuple[str, str, str]]:
+    def _board(self) -> Found:
         robot = self._robot
-        who = robot.identity
-        yield (
-            "firmware",
-            f"{who['firmware']} on {who['board']}, reset cause {who['reset_cause']}",
-            "",
-        )
+        told = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
+        yield "firmware", told, ""
         if "bad_config" in robot.status().faults:
             robot.load_defaults()
             yield "configuration", "there was none: defaults loaded and stored", ""
         else:
             yield "configuration", "valid", ""
 
-    def _supply(self) -> Iterator[tuple[str, str, str]]:
+    def _supply(self) -> Found:
         status = self._robot.status()
         if "supply_good" in status.conditions:
             yield "5 V", f"{status.supply_v:.2f} V, by the board", ""
@@ -130,7 +136,7 @@ class BringUp:
                 "USB cable or port",
             )  # fmt: skip
 
-    def _estop(self) -> Iterator[tuple[str, str, str]]:
+    def _estop(self) -> Found:
         robot, loose = self._robot, "check S1's contact at J15.1-2, R41 and the wire to pin 22"
         if self._waits_for("estop", False) is False:
             yield "emergency stop", "reads pressed while it is released", loose
@@ -157,7 +163,7 @@ class BringUp:
             robot.wait(0.05, despite_faults=True)
         return True
 
-    def _pressure(self) -> Iterator[tuple[str, str, str]]:
+    def _pressure(self) -> Found:
         self._attendant.ready("Shut the air off (V1): muscles and body are empty")
         self._robot.clear_faults()
         robot = self._robot
@@ -187,7 +193,7 @@ class BringUp:
             robot.save()
             robot.clear_faults()
 
-    def _flex(self) -> Iterator[tuple[str, str, str]]:
+    def _flex(self) -> Found:
         robot = self._robot
         enabled = robot.parameter("flex_enabled")
         robot.clear_faults()
@@ -196,22 +202,19 @@ class BringUp:
             side, index = divmod(sensor, _A_SIDE)
             name, pin = f"flex {SIDES[side]} {index}", f"J{6 + side}.{index + 2}"
             is_open, is_short = robot.flex_circuit(sensor)
+            what, cure = f"{ohms[sensor] / 1e3:.1f} kOhm", ""
             if not enabled[sensor]:
-                yield name, "not in use (flex_enabled)", ""
+                what = "not in use (flex_enabled)"
             elif is_open:
-                yield (
-                    name,
-                    "open",
-                    f"plug it in, check {pin} and its 5 V; a dead one: flex_enabled 0",
-                )
+                what = "open"
+                cure = f"plug it in, check {pin} and its 5 V; a dead one: flex_enabled 0"
             elif is_short:
-                yield name, "shorted", f"check {pin} for a short to 5 V"
+                what, cure = "shorted", f"check {pin} for a short to 5 V"
             elif not _FLAT_OHM[0] < ohms[sensor] < _FLAT_OHM[1]:
-                yield name, f"{ohms[sensor] / 1e3:.1f} kOhm", f"check its divider at {pin}"
-            else:
-                yield name, f"{ohms[sensor] / 1e3:.1f} kOhm", ""
+                cure = f"check its divider at {pin}"
+            yield name, what, cure
 
-    def _valves(self) -> Iterator[tuple[str, str, str]]:
+    def _valves(self) -> Found:
         self._attendant.ready(
             "Turn the 24 V on, then the air: FR1 at 25 psi. Hands away from the muscles"
         )
@@ -255,7 +258,7 @@ class BringUp:
         reading = self._robot.read(0.1, despite_faults=True)
         return reading.left_psi, reading.right_psi
 
-    def _motor(self) -> Iterator[tuple[str, str, str]]:
+    def _motor(self) -> Found:
         self._attendant.ready(
             "Body air off. Turn the 12 V on; the tail is free, or has 5 cm of line to spare"
         )
@@ -292,7 +295,7 @@ class BringUp:
         else:
             yield "motor", went, ""
 
-    def _home(self) -> Iterator[tuple[str, str, str]]:
+    def _home(self) -> Found:
         self._attendant.ready("The tail is tied on and lies in the base. Homing winds it in slowly")
         robot = self._robot
         robot.arm(body_air=False)

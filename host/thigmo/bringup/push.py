@@ -45,15 +45,12 @@ def push(robot: Robot, output: Output, level: int, seconds: float) -> None:
         robot.wait(min(_REPEAT_S, left))
 
 
-def jog(
-    robot: Robot, cm: float, progress: Callable[[float], None] = lambda moved_cm: None
-) -> float:
+def jog(robot: Robot, cm: float) -> float:
     """Pay out (positive) or wind in a little line, slowly, whether the length is known or not.
 
     Args:
         robot: armed, its muscles empty.
         cm: of tip, at most `JOG_CM` either way.
-        progress: told how far it is.
 
     Returns:
         How far the encoder went, cm.
@@ -72,7 +69,6 @@ def jog(
         while moved < abs(cm):
             push(robot, Output.MOTOR, way * _JOG_DUTY, _REPEAT_S)
             moved = way * (robot.read(0.02).length_cm - start)
-            progress(way * moved)
             if moved < -_WRONG_CM:
                 raise RobotFaultError(
                     "the encoder goes the other way than the motor is driven",

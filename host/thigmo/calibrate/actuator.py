@@ -154,6 +154,11 @@ class ActuatorResults(StepResult):
 
     each: tuple[ActuatorResult, ...]
     verdict: Verdict
+    EVIDENCE: ClassVar = ("each",)
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"each": [result.as_data() for result in self.each], **super().as_data()}
 
     def write(self, config: RobotConfig) -> None:
         """All maps."""

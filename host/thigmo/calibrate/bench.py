@@ -248,13 +248,8 @@ class Bench:
     def finish(self, step: str, result: StepResult) -> None:
         """Store a result, say its verdict, and send good constants to the board."""
         before = self.config
-        backup = self.session.keep(step, result)
-        verdict = result.verdict
-        self.say(f"{step}: {'good' if verdict.good else 'BAD'}: {verdict.reason}")
-        for note in verdict.notes:
-            self.say(f"  {note}")
-        if backup is not None:
-            self.say(f"  robot.toml updated; the one before is {backup.name}")
+        for line in self.session.keep(step, result):
+            self.say(line)
         if self.config != before:
             self.robot.vent()
             self.robot.configure(self.config)

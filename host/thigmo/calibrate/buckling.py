@@ -7,45 +7,19 @@ fitted; the thesis's line through their curvatures, read off at s = 0, takes two
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.columns import of_sensors, sensors_of
+from thigmo.calibrate.columns import constants_of
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
-from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PushReadings:
-    """Hard pushes at the tip.
-
-    Attributes:
-        curvature: (t, m) readings of each trial, 1/cm, left base first; nan = unusable.
-        body_pressure_psi: set by hand.
-        length_cm: everted length; the tip is pushed.
-    """
-
-    curvature: Array
-    body_pressure_psi: float
-    length_cm: float
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> PushReadings:
-        """From a CSV: curvature_left_0 .. curvature_right_N, body_pressure_psi, length_cm."""
-        table = Table.read(path)
-        body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
-        length = table.numbers("length_cm", config.body.length_cm)
-        if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
-            raise DataError(f"{path}: body pressure or length varies", "one file for each")
-        return cls(of_sensors(table, "curvature", config), float(body[0]), float(length[0]))
 
 
 @dataclass(frozen=True)
@@ -75,31 +49,34 @@ class BucklingResult(StepResult):
         config.body.critical_pressure_psi = self.body_pressure_psi
 
 
-def fit_buckling(readings: PushReadings, config: RobotConfig) -> BucklingResult:
-    """Critical curvature over the trials.
+def fit_buckling(
+    curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
+) -> BucklingResult:
+    """Critical curvature over hard pushes at the tip.
+
+    Args:
+        curvature: (t, m) readings of each trial, 1/cm, left base first; nan = unusable.
+        body_pressure_psi: set by hand.
+        length_cm: everted length; the tip is pushed.
+        config: with the sensors' errors.
 
     Raises:
         DataError: no sensor lies beyond the fold, or the columns disagree with the configuration.
     """
-    sensors = sensors_of(config)
-    k = np.atleast_2d(readings.curvature)
-    if k.shape[1] != len(sensors):
-        raise DataError(f"{k.shape[1]} columns for {len(sensors)} sensors", "use this robot's file")
-    center = np.array([s.center_cm for s in sensors])
-    span = np.array([s.span_cm for s in sensors])
-    noise = np.array([np.hypot(s.noise, s.zero_se) for s in sensors])
-    gain = np.array([s.scale_se for s in sensors])
-    healthy = np.array([s.healthy for s in sensors])
-    way = np.array([s.valid_direction for s in sensors])
-    length = readings.length_cm
+    k = np.atleast_2d(curvature)
+    names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
+    center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
+    if k.shape[1] != len(center):
+        raise DataError(f"{k.shape[1]} columns for {len(center)} sensors", "use this robot's file")
+    noise = np.hypot(white, zero_se)
     # The fold spreads over a diameter from the base.
     near = center - span / 2 < config.body.diameter_cm
-    beyond = healthy & ~near & (center + span / 2 <= length)
+    beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
     if beyond.sum() < 2:
         raise DataError(
             "fewer than two healthy sensors lie beyond the fold", "calibrate the flex sensors first"
         )
-    each, excess, own = (np.full(len(k), np.nan) for _ in range(3))
+    each, excess, own = np.full((3, len(k)), np.nan)
     notes: list[str] = []
     shallow, unread = [], []
     for trial, row in enumerate(k):
@@ -109,42 +86,39 @@ def fit_buckling(readings: PushReadings, config: RobotConfig) -> BucklingResult:
         if pick.sum() < 2:
             unread.append(trial)
             continue
-        estimate, error = _moment(row[pick], center[pick], span[pick], noise[pick], length)
-        base = healthy & near & np.isfinite(row)
-        sign = np.sign(estimate) or 1.0
-        base &= (way == 0) | (way == sign)
-        over, least = np.nan, 0.0
+        sign = float(np.sign(np.median(row[pick]))) or 1.0
+        moment, error = _moment(sign * row[pick], center[pick], span[pick], noise[pick], length_cm)
+        base = (healthy > 0) & near & np.isfinite(row) & ((way == 0) | (way == sign))
+        least = 0.0
         if base.any():
             # A beam without a fold would show this at the base sensors.
-            lever = _levers(abs(estimate), center[base], span[base], length)
-            gap = sign * row[base] - abs(estimate) * lever
-            over = float(np.mean(gap))
+            lever = _levers(moment, center[base], span[base], length_cm)
+            excess[trial] = np.mean(sign * row[base] - moment * lever)
             least = 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error))
-        excess[trial] = over
-        if over < least:
+        if excess[trial] < least:
             shallow.append(trial)
         else:
-            each[trial], own[trial] = abs(estimate), error
-    for rows, what in (
-        (shallow, "the base did not fold: push harder"),
-        (unread, "too few readings"),
-    ):
-        if rows:
-            notes.append(f"trial {', '.join(str(r + 1) for r in rows)} left out, {what}")
+            each[trial], own[trial] = moment, error
     kept = np.isfinite(each)
+    odd = []
     if kept.sum() >= 4:
         middle = float(np.median(each[kept]))
-        scatter = 1.4826 * float(np.median(np.abs(each[kept] - middle)))
+        scatter = float(median_abs_deviation(each[kept], scale="normal"))
         limit = 4.5 * max(scatter, float(np.nanmedian(own)), 0.01 * middle)
-        odd = np.nonzero(kept & (np.abs(each - middle) > limit))[0]
-        if len(odd):
-            notes.append(f"trial {', '.join(str(r + 1) for r in odd)} left out as outlier")
-            each[odd] = np.nan
-            kept = np.isfinite(each)
+        odd = np.flatnonzero(kept & (np.abs(each - middle) > limit)).tolist()
+        each[odd] = np.nan
+    for rows, what in (
+        (shallow, ", the base did not fold: push harder"),
+        (unread, ", too few readings"),
+        (odd, " as outlier"),
+    ):
+        if rows:
+            notes.append(f"trial {', '.join(str(r + 1) for r in rows)} left out{what}")
+    kept = np.isfinite(each)
     n = int(kept.sum())
     if n == 0:
         verdict = Verdict(False, "no trial shows a fold; push the tip harder", tuple(notes))
-        return BucklingResult(np.nan, np.inf, each, excess, readings.body_pressure_psi, verdict)
+        return BucklingResult(np.nan, np.inf, each, excess, body_pressure_psi, verdict)
     mean = float(each[kept].mean())
     # A handful of trials tells their scatter poorly: never less than the readings' own error.
     scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
@@ -154,39 +128,32 @@ def fit_buckling(readings: PushReadings, config: RobotConfig) -> BucklingResult:
     se = float(np.hypot(within, common))
     share = se / mean
     good = n >= 3 and share <= 0.05
-    reason = (
-        f"{mean:.5f} 1/cm +- {100 * share:.1f} % from {n} trials "
-        f"at {readings.body_pressure_psi:g} psi"
-    )
+    reason = f"{mean:.5f} 1/cm +- {100 * share:.1f} % from {n} trials at {body_pressure_psi:g} psi"
     if n < 3:
         reason += "; three or more trials are needed"
     elif not good:
         reason += "; take more trials or calibrate the flex sensors better"
     verdict = Verdict(good, reason, tuple(notes))
-    return BucklingResult(mean, se, each, excess, readings.body_pressure_psi, verdict)
+    return BucklingResult(mean, se, each, excess, body_pressure_psi, verdict)
 
 
 def _moment(
     row: Array, center: Array, span: Array, noise: Array, length: float
 ) -> tuple[float, float]:
-    """Contact moment at the base (1/cm, signed) and its standard error in one trial."""
-    sign = float(np.sign(np.median(row))) or 1.0
-    estimate = 0.01
-    error = 0.0
+    """Contact moment at the base (1/cm) and its standard error in one trial, bent to the left."""
+    estimate, error = 0.01, 0.0
     for _ in range(4):
         lever = _levers(estimate, center, span, length)
+        weights = 1 / noise**2
         if len(row) >= 6:
             # One outlier among the readings must not carry a trial.
-            ratio = sign * row / lever
-            middle = float(np.median(ratio))
-            loose = 1.4826 * float(np.median(np.abs(ratio - middle))) + 1e-9
-            weights = (np.abs(ratio - middle) < 5 * np.maximum(loose, noise / lever)) / noise**2
-        else:
-            weights = 1 / noise**2
-        estimate = float((weights * lever * sign * row).sum() / (weights * lever**2).sum())
+            ratio = row / lever
+            loose = median_abs_deviation(ratio, scale="normal") + 1e-9
+            weights *= np.abs(ratio - np.median(ratio)) < 5 * np.maximum(loose, noise / lever)
+        estimate = float((weights * lever * row).sum() / (weights * lever**2).sum())
         error = float(1 / np.sqrt((weights * lever**2).sum()))
         estimate = max(estimate, 1e-5)
-    return sign * estimate, error
+    return estimate, error
 
 
 def _levers(moment: float, center: Array, span: Array, length: float) -> Array:

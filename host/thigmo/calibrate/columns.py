@@ -26,9 +26,9 @@ def places_of(config: RobotConfig) -> list[tuple[Side, int]]:
     return [(side, k) for side in SIDES for k in range(len(config.sensors.column(side)))]
 
 
-def scales_of(config: RobotConfig) -> Array:
-    """(m,) 1/cm per ohm."""
-    return np.array([sensor.scale_per_ohm for sensor in sensors_of(config)])
+def constants_of(config: RobotConfig, *names: str) -> Array:
+    """(n, m) entries of all sensors, by name."""
+    return np.array([[getattr(one, name) for one in sensors_of(config)] for name in names], float)
 
 
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:

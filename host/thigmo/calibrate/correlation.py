@@ -29,8 +29,6 @@ _LASTING_PRIOR = [0.7] + [0.3 / 9] * 9
 # One sigma over sweeps of a sensor's gain, relative [a guess: root mean square 0.9 %].
 _SWEEP_GAINS = (0.0, 0.01, 0.02)
 _SWEEP_PRIOR = (0.6, 0.25, 0.15)
-
-
 # So many sensors' worth is the prior against what the others show.
 _PRIOR_COUNT = 1.0
 
@@ -40,16 +38,12 @@ class Candidates:
     """One sensor's line at every point of the grid.
 
     Attributes:
-        line: its coefficients.
-        design: (n, p).
-        y: (n,).
+        line: its coefficients and residuals.
         log_evidence: (g,) restricted, without the prior.
         covariances: (g, p, p) of the coefficients.
     """
 
     line: LinearFit
-    design: Array
-    y: Array
     log_evidence: Array
     covariances: Array
 
@@ -136,7 +130,9 @@ def candidates(
     spread = gain @ covariance @ gain.T + solved @ prior @ solved
     # Student's t has a variance of nu / (nu - 2) times its scale squared.
     spread *= (squares / max(freedom - 2, 1))[:, None, None]
-    return Candidates(replace(fit, coefficients=gain @ values), design, y, evidence, spread)
+    coefficients = gain @ values
+    line = replace(fit, coefficients=coefficients, residuals=y - design @ coefficients)
+    return Candidates(line, evidence, spread)
 
 
 def mixed(sensors: Sequence[Candidates | None]) -> list[OrderedFit | None]:
@@ -154,17 +150,16 @@ def mixed(sensors: Sequence[Candidates | None]) -> list[OrderedFit | None]:
         # What a single sensor shows is its own: it needs others to move the shares.
         shown = weights.sum(axis=0) - weights.mean(axis=0)
         share = (_PRIOR_COUNT * prior + shown) / (_PRIOR_COUNT + len(known) - 1)
-    found = iter([_mixture(one, weight) for one, weight in zip(known, weights, strict=True)])
-    return [None if one is None else next(found) for one in sensors]
-
-
-def _mixture(one: Candidates, weight: Array) -> OrderedFit:
-    total = np.einsum("g,gpq->pq", weight, one.covariances)
     lasting = np.repeat([share for share, _ in _LASTING], len(_SWEEP_GAINS))
-    gain = float(np.sqrt(weight @ np.tile(np.square(_SWEEP_GAINS), len(_LASTING))))
-    residuals = one.y - one.design @ one.line.coefficients
-    line = replace(one.line, covariance=total, residuals=residuals)
-    return OrderedFit(line, float(weight @ lasting), gain)
+    gains = np.tile(np.square(_SWEEP_GAINS), len(_LASTING))
+    weight_of = iter(weights)
+
+    def mixture(one: Candidates, weight: Array) -> OrderedFit:
+        total = np.einsum("g,gpq->pq", weight, one.covariances)
+        line = replace(one.line, covariance=total)
+        return OrderedFit(line, float(weight @ lasting), float(np.sqrt(weight @ gains)))
+
+    return [None if one is None else mixture(one, next(weight_of)) for one in sensors]
 
 
 def _parts(

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
-from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 TIP_SE_CM = 0.08  # one sigma of a camera place along or across the robot
@@ -49,12 +48,6 @@ class EncoderResult(StepResult):
         config.spool.counts_per_cm = self.counts_per_cm
 
 
-def read_encoder(path: str | os.PathLike[str]) -> tuple[Array, Array]:
-    """counts and length_cm from a CSV."""
-    table = Table.read(path)
-    return table.numbers("counts"), table.numbers("length_cm")
-
-
 def fit_encoder(counts: Array, length_cm: Array, config: RobotConfig) -> EncoderResult:
     """Slope of counts over length, in order of growth.
 
@@ -82,40 +75,35 @@ def fit_encoder(counts: Array, length_cm: Array, config: RobotConfig) -> Encoder
     if per_count > 0:
         value = 1 / (per_count * config.spool.payout_ratio)
         error = se / per_count * value
+    good = False
     if per_count <= 0:
-        verdict = Verdict(
-            False, "counts fall while the robot grows: swap the encoder's A and B", tuple(notes)
-        )
+        reason = "counts fall while the robot grows: swap the encoder's A and B"
     elif slip is not None:
         row, size = slip
-        verdict = Verdict(
-            False,
+        reason = (
             f"the line slipped by about {size:.1f} cm before row {row + 1}: the spool turned and "
-            "the tip did not follow; tighten the line and repeat",
-            tuple(notes),
+            "the tip did not follow; tighten the line and repeat"
         )
     else:
-        out = np.nonzero(~fit.used & ~missing)[0].tolist()
+        out = np.flatnonzero(~fit.used & ~missing).tolist()
         if out:
             notes.append(f"left out {listed(names, out)} as outliers")
-        unit = counts / max(np.nanmax(np.abs(counts)), 1)
-        bow = 0.0
         if fit.used.sum() >= 6:
+            unit = counts / max(np.nanmax(np.abs(counts)), 1)
             curved = fit_linear(
                 np.column_stack([np.ones(len(unit)), unit, unit**2]),
                 np.where(fit.used, length, np.nan), TIP_SE_CM, reject=False,
             )  # fmt: skip
-            if abs(curved.coefficients[2]) > 4 * curved.se(2):
-                bow = float(curved.coefficients[2]) / 4
-        if abs(bow) > 0.3:
-            notes.append(f"the wound radius changes: lengths are off by up to {abs(bow):.1f} cm")
+            bow = float(curved.coefficients[2])
+            if abs(bow) > max(4 * curved.se(2), 1.2):
+                notes.append(
+                    f"the wound radius changes: lengths are off by up to {abs(bow) / 4:.1f} cm"
+                )
         good = error / value < 0.02
-        verdict = Verdict(
-            good,
-            f"{value:.2f} counts per cm of line +- {100 * error / value:.2f} %"
-            + ("" if good else "; take more lengths"),
-            tuple(notes),
-        )
+        reason = f"{value:.2f} counts per cm of line +- {100 * error / value:.2f} %"
+        if not good:
+            reason += "; take more lengths"
+    verdict = Verdict(good, reason, tuple(notes))
     return EncoderResult(value, error, length, counts, fit.used, verdict)
 
 
@@ -192,7 +180,7 @@ def fit_pressure_zero(
     for column, side in enumerate(SIDES):
         values = y[np.isfinite(y[:, column]), column]
         middle = float(np.median(values)) if len(values) else float("nan")
-        spread = 1.4826 * float(np.median(np.abs(values - middle))) if len(values) else 0.0
+        spread = float(median_abs_deviation(values, scale="normal")) if len(values) else 0.0
         calm = values[np.abs(values - middle) <= 5 * max(spread, 0.5)]
         zero = float(calm.mean()) if len(calm) else float("nan")
         se = float(calm.std(ddof=1) / np.sqrt(len(calm))) if len(calm) > 1 else float("inf")
@@ -200,15 +188,13 @@ def fit_pressure_zero(
         half = len(calm) // 2
         fall = float(calm[:half].mean() - calm[half:].mean()) if half else 0.0
         fall_psi = abs(fall) * full_psi / span
+        good = False
         if not np.isfinite(zero) or zero < 0.05 * 1024:
-            good, reason = False, "reads below 5 % of its supply: broken wire"
+            reason = "reads below 5 % of its supply: broken wire"
         elif abs(off) > 3.0:
-            good, reason = (
-                False,
-                f"is {off:+.1f} psi from its data sheet: not vented, or wrong type",
-            )
+            reason = f"is {off:+.1f} psi from its data sheet: not vented, or wrong type"
         elif fall_psi > 0.15:
-            good, reason = False, f"still moves by {fall_psi:.2f} psi: wait until vented"
+            reason = f"still moves by {fall_psi:.2f} psi: wait until vented"
         else:
             good, reason = True, f"zero at {zero:.2f} counts ({off:+.2f} psi of the data sheet)"
         if not good:

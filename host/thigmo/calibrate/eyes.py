@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,9 +18,9 @@ from thigmo.camera import (
     Sighting,
     look,
 )
+from thigmo.camera import render as painter
 from thigmo.camera.centerline import Centerline
 from thigmo.camera.sheet import card_decals, tip_decal
-from thigmo.camera.source import Painted
 from thigmo.errors import DataError
 
 
@@ -107,11 +106,10 @@ def emulated_source(
     """
     if robot.scenery() is None:
         raise DataError("this robot is not emulated", "give a camera: camera:0, a folder, a video")
-    painter = import_module("thigmo.emulator.render")
     rng = np.random.default_rng([seed, 0xCA3E4A])
     camera = painter.overhead_camera(rng)
     room = painter.random_look(rng)
-    measured = float(camera.eye[2] + rng.normal(0, 0.5))
+    measured = float(camera.eye_cm[2] + rng.normal(0, 0.5))
     table_seed = int(rng.integers(1 << 31))
     count = 0
 
@@ -119,7 +117,7 @@ def emulated_source(
         nonlocal count
         count += 1
         truth = robot.scenery()
-        line = truth.now.centreline
+        line = truth.centreline
         patches = card_decals(sheet)
         body = None
         if len(line) > 1 and line[-1, 0] > 2.0:
@@ -136,4 +134,4 @@ def emulated_source(
             np.uint8,
         )  # fmt: skip
 
-    return Painted(paint), measured
+    return PictureSource(paint, live=True), measured

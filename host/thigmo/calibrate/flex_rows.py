@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from thigmo.calibrate.columns import places_of, sensors_of
+from thigmo.calibrate.columns import constants_of, places_of
 from thigmo.calibrate.encoder import TIP_SE_CM
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
@@ -111,10 +111,8 @@ def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) 
 def model_rows(readings: FlexReadings, config: RobotConfig, notes: list[str]) -> Rows:
     """What each row should show, and which rows can be used."""
     n, length = len(readings.kind), readings.length_cm
-    sensors = sensors_of(config)
-    centers = np.array([sensor.center_cm for sensor in sensors])
-    spans = np.array([sensor.span_cm for sensor in sensors])
-    model, error = np.full((n, len(sensors)), np.nan), np.zeros((n, len(sensors)))
+    centers, spans = constants_of(config, "center_cm", "span_cm")
+    model, error = np.full((n, len(spans)), np.nan), np.zeros((n, len(spans)))
     lost, wrong, folded = [], [], []
     # The straight robot, as the camera sees it, is y = 0.
     aside = readings.tip_cm[np.array(readings.kind) == "straight", 1]

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.stats import norm
+from scipy.optimize import curve_fit, least_squares
+from scipy.stats import median_abs_deviation
 
 from thigmo.calibrate.columns import grouped, sides_of
 from thigmo.calibrate.verdict import StepResult, Verdict
@@ -108,36 +108,28 @@ def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
     if len(t) < 10 or np.ptp(t) < 5:
         raise DataError("the record is too short to see a decay", "record 30 s after eversion")
 
+    def law(t: Array, log_tau: float, amplitude: float, rest: float) -> Array:
+        return np.asarray(amplitude * np.exp(-t / np.exp(log_tau)) + rest)
+
     def residuals(x: Array) -> Array:
-        return np.asarray(x[1] * np.exp(-t / np.exp(x[0])) + x[2] - y)
+        return law(t, *x) - y
 
-    def slopes(x: Array) -> Array:
-        tau = np.exp(x[0])
-        decay = np.exp(-t / tau)
-        return np.column_stack([x[1] * decay * t / tau, decay, np.ones(len(t))])
-
-    spread = float(np.median(np.abs(np.diff(y))) / (np.sqrt(2) * norm.ppf(0.75))) or 1e-9
+    spread = median_abs_deviation(np.diff(y), scale="normal") / np.sqrt(2) or 1e-9
     rest = float(np.median(y[t > t.min() + 0.7 * np.ptp(t)]))
     early = float(np.median(y[t < t.min() + 0.1 * np.ptp(t)]))
-    best: Any = None
-    for tau in (3.0, 8.0, 15.0):
-        start = np.array([np.log(tau), (early - rest) * np.exp(t.min() / tau), rest])
-        fit = least_squares(
-            residuals, start, jac=slopes, loss="cauchy", f_scale=2.5 * spread, x_scale="jac"
-        )
-        if best is None or fit.cost < best.cost:
-            best = fit
-    keep = np.abs(residuals(best.x)) < 4 * spread
+    starts = [[np.log(tau), (early - rest) * np.exp(t.min() / tau), rest] for tau in (3, 8, 15)]
+    tried = [
+        least_squares(residuals, start, loss="cauchy", f_scale=2.5 * spread, x_scale="jac")
+        for start in starts
+    ]
+    best = min(tried, key=lambda fit: float(fit.cost)).x
+    keep = np.abs(residuals(best)) < 4 * spread
     if keep.sum() < 10:
         keep[:] = True
-    t, y = t[keep], y[keep]
-    fit = least_squares(residuals, best.x, jac=slopes, x_scale="jac")
-    rest_of = residuals(fit.x)
-    variance = float(rest_of @ rest_of) / max(1, len(t) - 3)
-    covariance = np.linalg.pinv(slopes(fit.x).T @ slopes(fit.x)) * variance
-    tau = float(np.exp(fit.x[0]))
+    found, covariance = curve_fit(law, t[keep], y[keep], best)
+    tau = float(np.exp(found[0]))
     turn = np.diag([tau, 1.0, 1.0])
-    return np.array([tau, fit.x[1], fit.x[2]]), turn @ covariance @ turn
+    return np.array([tau, *found[1:]]), turn @ covariance @ turn
 
 
 def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> HysteresisResult:

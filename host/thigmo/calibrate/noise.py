@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import median_abs_deviation
 
 from thigmo.calibrate.columns import places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
@@ -27,7 +27,6 @@ class SensorNoise:
         white_se: its standard error.
         drift_per_min: slope at rest, 1/cm a minute.
         slow: scatter beyond white noise of ten-reading means, 1/cm.
-
         hysteresis: half the gap between rising and falling pressure, 1/cm (nan = unknown).
         dropouts: share of wild readings.
     """
@@ -74,7 +73,6 @@ def fit_noise(
         t_s: (n,) times of averaged readings of the resting robot.
         curvature: (n, m) readings, 1/cm.
         config: for the sensors' names.
-
         rising: (s, m) readings at a pressure, rising.
         falling: (s, m) readings at the same pressures, falling.
 
@@ -87,44 +85,35 @@ def fit_noise(
         raise DataError(f"{y.shape} readings for {len(sensors)} sensors", "use this robot's file")
     if len(y) < 20:
         raise DataError(f"{len(y)} readings at rest", "record 20 or more")
-    found, notes = [], []
+    t_s, found, notes = np.asarray(t_s, float), [], []
     for column, (side, k) in enumerate(sensors):
-        part = _rest(np.asarray(t_s, float), y[:, column])
-        if part is None:
+        finite = np.isfinite(y[:, column]) & np.isfinite(t_s)
+        if finite.sum() < 20:
             notes.append(f"sensor {side} {k} (0 = at the base) gives no readings: check its wire")
             continue
-        white, white_se, drift, drift_se, slow, dropouts = part
+        own, middle = y[finite, column], np.median(y[finite, column])
+        calm = np.abs(own - middle) < 6 * max(median_abs_deviation(own, scale="normal"), 1e-12)
+        t, quiet = t_s[finite][calm], own[calm]
+        # Differences of neighbours know nothing of drift.
+        white = float(np.sqrt(np.mean(np.diff(quiet) ** 2) / 2))
+        line = np.polyfit(t, quiet, 1)
+        drift, level = float(line[0]) * 60, quiet - np.polyval(line, t)
+        blocks = level[: len(level) // 10 * 10].reshape(-1, 10).mean(axis=1)
+        extra = float(blocks.var(ddof=1)) - white**2 / 10 if len(blocks) > 2 else 0.0
         gap = float("nan")
         if rising is not None and falling is not None:
             gap = abs(float(np.nanmedian(falling[:, column] - rising[:, column]))) / 2
-        found.append(SensorNoise(side, k, white, white_se, drift, slow, gap, dropouts))
-        if dropouts > 0.05:
-            notes.append(f"{side} {k}: {100 * dropouts:.0f} % wild readings; check its wire")
-        if abs(drift) > max(5e-4, 4 * drift_se):
+        sensor = SensorNoise(
+            side, k, white, white * float(np.sqrt(3 / (4 * len(quiet)))), drift,
+            slow=float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0,
+            hysteresis=gap, dropouts=float(1 - calm.mean()),
+        )  # fmt: skip
+        found.append(sensor)
+        if sensor.dropouts > 0.05:
+            notes.append(f"{side} {k}: {100 * sensor.dropouts:.0f} % wild readings; check its wire")
+        if abs(drift) > max(5e-4, 4 * 60 * white / float(np.sqrt(len(quiet)) * t.std())):
             notes.append(f"{side} {k} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
     return NoiseResult(tuple(found), _verdict(found, notes))
-
-
-def _rest(t: Array, y: Array) -> tuple[float, float, float, float, float, float] | None:
-    """White sigma and its error, drift a minute and its error, slow scatter, share of wild ones."""
-    finite = np.isfinite(y) & np.isfinite(t)
-    if finite.sum() < 20:
-        return None
-    t, y = t[finite], y[finite]
-    middle = np.median(y)
-    spread = float(np.median(np.abs(y - middle)) / norm.ppf(0.75))
-    calm = np.abs(y - middle) < 6 * max(spread, 1e-12)
-    quiet_t, quiet = t[calm], y[calm]
-    # Differences of neighbours know nothing of drift.
-    white = float(np.sqrt(np.mean(np.diff(quiet) ** 2) / 2))
-    white_se = white * float(np.sqrt(3 / (4 * len(quiet))))
-    drift = float(np.polyfit(quiet_t, quiet, 1)[0]) * 60
-    level = quiet - np.polyval(np.polyfit(quiet_t, quiet, 1), quiet_t)
-    blocks = level[: len(level) // 10 * 10].reshape(-1, 10).mean(axis=1)
-    extra = float(blocks.var(ddof=1)) - white**2 / 10 if len(blocks) > 2 else 0.0
-    slow = float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0
-    drift_se = 60 * white / float(np.sqrt(len(quiet)) * quiet_t.std())
-    return white, white_se, drift, drift_se, slow, float(1 - calm.mean())
 
 
 def _verdict(found: Sequence[SensorNoise], notes: list[str]) -> Verdict:

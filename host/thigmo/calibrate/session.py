@@ -112,19 +112,20 @@ class Session:
         data: dict[str, Any] = json.loads(path.read_text())
         return data if data.get("verdict", {}).get("good") else None
 
-    def keep(self, step: str, result: StepResult) -> Path | None:
-        """Store a result and its figure; a good one goes into robot.toml. Returns the backup."""
+    def keep(self, step: str, result: StepResult) -> list[str]:
+        """Store a result and its figure; a good one goes into robot.toml. Returns what to say."""
         from thigmo.calibrate.figures import draw  # takes Matplotlib with it
 
         (self.folder / f"{step}.json").write_text(json.dumps(result.as_data(), indent=1))
         draw(result, self.folder / f"{step}.png")
-        if not result.verdict.good:
-            return None
-        made = result.apply(self.config)
-        if made == self.config:
-            return None
-        self.config = made
-        return made.save(self.robot_file)
+        good, reason, notes = result.verdict.good, result.verdict.reason, result.verdict.notes
+        said = [f"{step}: {'good' if good else 'BAD'}: {reason}", *(f"  {note}" for note in notes)]
+        made = result.apply(self.config) if good else self.config
+        if made != self.config:
+            self.config = made
+            if (backup := made.save(self.robot_file)) is not None:
+                said.append(f"  {self.robot_file} updated; the one before is {backup.name}")
+        return said
 
 
 def blank(config: RobotConfig) -> RobotConfig:

@@ -8,20 +8,20 @@ calibration already holds the curvature under it; rho matters for the shape of t
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
+from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.columns import grouped, sensors_of
+from thigmo.calibrate.columns import constants_of
 from thigmo.calibrate.regression import lasting
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
-from thigmo.record.table import Table
 
 Array = NDArray[np.float64]
 
@@ -37,16 +37,6 @@ class AxisPoints:
 
     points_cm: Array
     force_arc_cm: float
-
-    @classmethod
-    def read_all(cls, path: str | os.PathLike[str]) -> list[AxisPoints]:
-        """From a CSV: picture, x_cm, y_cm, force_arc_cm."""
-        table = Table.read(path)
-        picture = table.whole("picture")
-        rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
-        seen = np.isfinite(rows).all(axis=1)
-        picture, rows = picture[seen], rows[seen]
-        return [cls(rows[own, :2], float(rows[own[0], 2])) for _, own in grouped(picture.tolist())]
 
 
 @dataclass(frozen=True)
@@ -74,9 +64,8 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     """
     length = config.body.length_cm
     fine = np.arange(0.0, length + 1e-9, 0.1)
-    gap = np.ones(len(fine))
-    for sensor in sensors_of(config):
-        gap[np.abs(fine - sensor.center_cm) <= sensor.span_cm / 2] = 0.0
+    center, span = constants_of(config, "center_cm", "span_cm")
+    gap = (np.abs(fine[:, None] - center) > span / 2).all(axis=1).astype(float)
     share = float(gap.mean())
     if not 0.05 < share < 0.95:
         raise DataError("sensors cover all of the body or none of it", "there is no gap to compare")
@@ -102,9 +91,8 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     middle = float(np.median(values))
     size = np.array(bends)
     se = middle * float(np.median(np.array(errors) * size)) / size
-    odd = np.abs(values - middle) > 4.5 * np.maximum(
-        se, 1.4826 * np.median(np.abs(values - middle))
-    )
+    scatter = float(median_abs_deviation(values, scale="normal"))
+    odd = np.abs(values - middle) > 4.5 * np.maximum(se, scatter)
     if odd.any():
         notes.append(f"{int(odd.sum())} picture(s) left out as outliers")
     kept, weights = values[~odd], 1 / se[~odd] ** 2
@@ -141,11 +129,11 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
             lean = np.where(inside, np.cos(heading - end), 0.0)
             lever = np.cumsum(lean[::-1])[::-1] * step
             k = x[2] * lever * (1 + x[3] * gap)
-            heading = x[1] + np.concatenate([[0.0], np.cumsum((k[1:] + k[:-1]) / 2 * step)])
-        middle = (heading[1:] + heading[:-1]) / 2
-        along = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)])
-        across = x[0] + np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)])
-        return along, across, heading
+            heading = x[1] + cumulative_trapezoid(k, dx=step, initial=0)
+        along, across = (
+            cumulative_trapezoid(way(heading), dx=step, initial=0) for way in (np.cos, np.sin)
+        )
+        return along, x[0] + across, heading
 
     def residuals(x: Array) -> Array:
         along, across, heading = shape(x)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, cast
 
-import numpy as np
-from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 
 from thigmo.config import RobotConfig
 
@@ -41,7 +40,7 @@ class StepResult:
     def as_data(self) -> dict[str, Any]:
         """Plain data for the calibration folder: every field but the evidence."""
         kept = [f.name for f in fields(cast(Any, self)) if f.name not in self.EVIDENCE]
-        return {name: plain(getattr(self, name)) for name in kept}
+        return cast("dict[str, Any]", plain({name: getattr(self, name) for name in kept}))
 
     def apply(self, config: RobotConfig) -> RobotConfig:
         """A copy of the configuration with this step's results in it."""
@@ -55,17 +54,7 @@ class StepResult:
 
 def plain(value: Any) -> Any:
     """A value as JSON has it: records become dicts, arrays lists."""
-    if isinstance(value, StepResult):
-        return value.as_data()
-    if isinstance(value, BaseModel):
-        return value.model_dump()
-    if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return to_jsonable_python(value, fallback=lambda array: array.tolist())
 
 
 def listed(names: Sequence[str], rows: Sequence[int]) -> str:

@@ -59,7 +59,7 @@ def flatten(
 ) -> Flat:
     """Lay a picture flat at a height."""
     columns, rows = np.round((_HIGH_CM - _LOW_CM) * px_per_cm).astype(int).tolist()
-    turn = cv2.Rodrigues(camera.rotation)[0]
+    turn = camera.turn
     # The plane to the pinhole's rays, and the flat picture's pixels to the plane.
     to_ray = np.column_stack([turn[:, :2], turn[:, 2] * height_cm + np.ravel(camera.translation)])
     cell = 1 / px_per_cm

@@ -54,6 +54,11 @@ class Centerline:
         """Tip's place."""
         return float(self.x_cm[-1]), float(self.y_cm[-1])
 
+    @property
+    def curvature(self) -> float:
+        """Mean over the body, 1/cm."""
+        return float(self.heading[-1] - self.heading[0]) / self.length_cm
+
     def mean_curvature(self, center_cm: float, span_cm: float) -> tuple[float, float]:
         """Average curvature over a sensor's span, and its one sigma (1/cm).
 

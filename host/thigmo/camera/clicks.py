@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.camera.errors import CameraError
-from thigmo.camera.model import write_json
+from thigmo.camera.model import read_json, write_json
 
 Pixel = tuple[float, float]
 
@@ -37,7 +34,7 @@ class Clicks:
         Raises:
             CameraError: the folder cannot be written.
         """
-        write_json(path, {"tip": self.tip, "axis": self.axis, "obstacles": self.obstacles})
+        write_json(path, self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Clicks:
@@ -46,22 +43,7 @@ class Clicks:
         Raises:
             CameraError: missing or damaged file.
         """
-        try:
-            data = json.loads(Path(path).read_text())
-            tip = data.get("tip")
-            return cls(
-                None if tip is None else _pixel(tip),
-                tuple(_pixel(p) for p in data.get("axis", ())),
-                tuple(tuple(_pixel(p) for p in rim) for rim in data.get("obstacles", ())),
-            )
-        except (OSError, ValueError, TypeError, AttributeError, IndexError) as error:
-            raise CameraError(
-                f"cannot read clicks from {path} ({error})", "click again with `--click`"
-            ) from error
-
-
-def _pixel(pair: Any) -> Pixel:
-    return float(pair[0]), float(pair[1])
+        return read_json(path, cls, "file of clicks", "click with `--click`")
 
 
 def parse_pixel(text: str) -> Pixel:

@@ -12,17 +12,24 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
 from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
-from thigmo.camera.sheet import Points, Sheet, board, dictionary, marker_dictionaries
+from thigmo.camera.sheet import Sheet, board, dictionary, marker_dictionaries
 
 Picture = NDArray[np.uint8]
+Points = Annotated[
+    NDArray[np.float64],
+    PlainValidator(lambda values: np.array(values, float)),
+    PlainSerializer(np.ndarray.tolist),
+]
 T = TypeVar("T")
 
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
@@ -38,12 +45,14 @@ class Lens:
         distortion: (5,) k1, k2, p1, p2, k3.
         size: picture width and height.
         rms_px: residual of its calibration.
+        version: of its file.
     """
 
     matrix: Points
     distortion: Points
     size: tuple[int, int]
-    rms_px: float = 0.0
+    rms_px: Annotated[float, Field(alias="lens_rms_px")] = 0.0
+    version: Literal[1] = 1
 
     def require(self, picture: Picture) -> None:
         """Refuse a picture of another size.
@@ -65,27 +74,7 @@ class Lens:
         Raises:
             CameraError: the folder cannot be written.
         """
-        write_json(path, self.as_data())
-
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "version": 1,
-            "matrix": self.matrix.tolist(),
-            "distortion": self.distortion.tolist(),
-            "size": list(self.size),
-            "lens_rms_px": self.rms_px,
-        }
-
-    @classmethod
-    def from_data(cls, data: dict[str, Any]) -> Lens:
-        """From plain data."""
-        return cls(
-            np.array(data["matrix"], float),
-            np.array(data["distortion"], float),
-            (int(data["size"][0]), int(data["size"][1])),
-            float(data["lens_rms_px"]),
-        )
+        write_json(path, self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Lens:
@@ -94,7 +83,7 @@ class Lens:
         Raises:
             CameraError: missing or damaged file.
         """
-        return _read_json(path, cls.from_data, "lens")
+        return read_json(path, cls, "lens calibration", "run `thigmo camera lens`")
 
 
 @dataclass(frozen=True)
@@ -132,26 +121,43 @@ class CameraModel:
 
     def to_plane(self, pixels: NDArray[np.float64], height_cm: float = 0.0) -> Points:
         """Pixels (n, 2) to workspace x, y (n, 2) in cm at a height above the table."""
-        rays = cv2.undistortPoints(
-            np.asarray(pixels, float).reshape(-1, 1, 2),
-            self.lens.matrix,
-            self.lens.distortion,
-            None,
-            None,
-            None,
-            _UNDISTORT,
-        ).reshape(-1, 2)
-        turn, _ = cv2.Rodrigues(self.rotation)
-        directions = np.column_stack([rays, np.ones(len(rays))]) @ turn
+        rays = self._undistorted(pixels)
+        directions = np.column_stack([rays, np.ones(len(rays))]) @ self.turn
         eye = self.eye_cm
         reach = (height_cm - eye[2]) / directions[:, 2]
         return np.asarray(eye[:2] + reach[:, None] * directions[:, :2], float)
 
+    @cached_property
+    def turn(self) -> Points:
+        """Rotation matrix (3, 3), workspace to camera."""
+        return np.asarray(cv2.Rodrigues(self.rotation)[0], float)
+
+    @cached_property
+    def rays(self) -> NDArray[np.float32]:
+        """Direction (h, w, 3) of every pixel's ray in the workspace."""
+        step, (width, height) = 8, self.lens.size  # they are smooth, so interpolated
+        knots = (
+            np.arange(-1.0, side // step + 2) * step + (step - 1) / 2 for side in (width, height)
+        )
+        grid = np.stack(np.meshgrid(*knots), axis=-1)
+        coarse = self._undistorted(grid).reshape(grid.shape).astype(np.float32)
+        fine = cv2.resize(coarse, None, fx=step, fy=step, interpolation=cv2.INTER_LINEAR)
+        flat = fine[step : step + height, step : step + width]
+        homogeneous = np.dstack([flat, np.ones((height, width), np.float32)])
+        return np.asarray(homogeneous @ self.turn.astype(np.float32), np.float32)
+
+    def _undistorted(self, pixels: NDArray[np.float64]) -> Points:
+        """Pixels (..., 2) to the slopes (n, 2) of their rays in the camera's frame."""
+        flat = cv2.undistortPoints(
+            np.asarray(pixels, float).reshape(-1, 1, 2), self.lens.matrix, self.lens.distortion,
+            None, None, None, _UNDISTORT,
+        )  # fmt: skip
+        return np.asarray(flat, float).reshape(-1, 2)
+
     @property
     def eye_cm(self) -> Points:
         """Place (3,) of the camera in the workspace, cm."""
-        turn, _ = cv2.Rodrigues(self.rotation)
-        return np.asarray(-turn.T @ self.translation.reshape(3), float)
+        return np.asarray(-self.turn.T @ self.translation.reshape(3), float)
 
     @property
     def cm_per_px(self) -> float:
@@ -164,16 +170,7 @@ class CameraModel:
         Raises:
             CameraError: the folder cannot be written.
         """
-        data = {
-            **self.lens.as_data(),
-            "rotation": self.rotation.tolist(),
-            "translation": self.translation.tolist(),
-            "rms_px": self.rms_px,
-            "accuracy_cm": self.accuracy_cm,
-            "hidden": list(self.hidden),
-            "corners": {str(k): v.tolist() for k, v in self.corners.items()},
-        }
-        write_json(path, data)
+        write_json(path, self.lens, self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CameraModel:
@@ -182,40 +179,56 @@ class CameraModel:
         Raises:
             CameraError: missing or damaged file.
         """
-        return _read_json(
-            path,
-            lambda data: cls(
-                Lens.from_data(data),
-                np.array(data["rotation"], float),
-                np.array(data["translation"], float),
-                {int(k): np.array(v, float) for k, v in data["corners"].items()},
-                float(data["rms_px"]),
-                float(data["accuracy_cm"]),
-                tuple(data["hidden"]),
-            ),
-            "camera",
-        )
+        # The lens's entries stand beside the camera's own.
+        return read_json(
+            path, cls, "camera calibration", "run `thigmo camera locate`",
+            lambda data: {"lens": data, **data},
+        )  # fmt: skip
 
 
-def _read_json(path: str | os.PathLike[str], made: Callable[[dict[str, Any]], T], what: str) -> T:
-    """What a file of `thigmo camera lens` or `locate` holds."""
-    command = f"run `thigmo camera {'locate' if what == 'camera' else what}`"
+def read_json(
+    path: str | os.PathLike[str],
+    kind: type[T],
+    what: str,
+    cure: str,
+    nested: Callable[[Any], Any] = lambda data: data,
+) -> T:
+    """A record that `write_json` wrote.
+
+    Args:
+        path: of the file.
+        kind: dataclass of the record.
+        what: the file should be.
+        cure: how to make one.
+        nested: the file's data as those of `kind`.
+
+    Raises:
+        CameraError: missing or damaged file.
+    """
     try:
-        return made(json.loads(Path(path).read_text()))
+        return TypeAdapter(kind).validate_python(nested(json.loads(Path(path).read_text())))
     except OSError as error:
-        raise CameraError(f"cannot read {path}: {error.strerror}", f"{command} first") from error
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        raise CameraError(f"{path} is no {what} calibration ({error})", f"{command} again") from (
+        raise CameraError(f"cannot read {path}: {error.strerror}", f"{cure} first") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise CameraError(f"{path} is no {what} ({where}: {first['msg']})", f"{cure} again") from (
             error
         )
+    except (ValueError, TypeError) as error:
+        raise CameraError(f"{path} is no {what} ({error})", f"{cure} again") from error
 
 
-def write_json(path: str | os.PathLike[str], data: dict[str, Any]) -> None:
-    """Write plain data.
+def write_json(path: str | os.PathLike[str], *records: Any) -> None:
+    """Write the plain entries of dataclasses, side by side.
 
     Raises:
         CameraError: the folder cannot be written.
     """
+    data: dict[str, Any] = {}
+    for record in records:
+        plain = TypeAdapter(type(record))
+        data |= plain.dump_python(record, by_alias=True, exclude={"lens"})
     try:
         Path(path).write_text(json.dumps(data, indent=1))
     except OSError as error:

@@ -10,18 +10,15 @@ One of three things settles it: a lens board (`thigmo camera lens`), the camera'
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from thigmo.camera.errors import PlaneFitError, SheetHiddenError
-from thigmo.camera.model import CameraModel, Lens, Picture, detect_markers, other_dictionary
-from thigmo.camera.sheet import Card, Points, Sheet
+from thigmo.camera.model import CameraModel, Lens, Picture, Points, detect_markers, other_dictionary
+from thigmo.camera.sheet import Sheet
 
 GOOD_CM = 0.15  # one sigma of a place at the robot's height: 0.3 cm at 95 %
 
@@ -76,13 +73,9 @@ def fit_pose(
     best: Any = None
     for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):
         fit = least_squares(
-            problem.residuals,
-            problem.start(view_deg),
-            jac=problem.jacobian,
-            loss="soft_l1",
-            x_scale="jac",
-            max_nfev=80,
-        )
+            problem.residuals, problem.start(view_deg), jac=problem.jacobian, loss="soft_l1",
+            x_scale="jac", max_nfev=80,
+        )  # fmt: skip
         if best is None or fit.cost < best.cost:
             best = fit
     whole = problem.residuals(best.x)[: 2 * len(problem.pixels)] * _CORNER_PX
@@ -118,77 +111,48 @@ def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
     return ", ".join(ways)
 
 
-@dataclass(frozen=True)
 class Problem:
     """Corners against sheet: unknowns are the lens (unless known), the pose, and each card's slip.
 
     All residuals are in units of their one sigma.
+
+    Args:
+        found: corners (4, 2) px by marker.
+        sheet: in use.
+        size: of the picture, px.
+        lens: where it is known.
+
+    Attributes:
+        cards: those seen.
+        pixels: corners (n, 2) in the picture.
     """
 
-    found: dict[int, Points]
-    sheet: Sheet
-    size: tuple[int, int]
-    lens: Lens | None
-
-    @cached_property
-    def markers(self) -> list[int]:
-        """Those seen, sorted."""
-        return sorted(self.found)
-
-    @cached_property
-    def cards(self) -> list[Card]:
-        """Those seen."""
-        card_of = self.sheet.marker_ids()
-        return [c for c in self.sheet.cards if any(card_of[m] is c for m in self.markers)]
-
-    @cached_property
-    def pixels(self) -> Points:
-        """Corners (n, 2) in the picture."""
-        return np.concatenate([self.found[m] for m in self.markers])
-
-    @cached_property
-    def owner(self) -> NDArray[np.intp]:
-        """Card of each corner (n,)."""
-        card_of = self.sheet.marker_ids()
-        return np.repeat([self.cards.index(card_of[m]) for m in self.markers], 4)
-
-    @cached_property
-    def local(self) -> Points:
-        """Corners (n, 2) from their card's cross, in the card's frame."""
-        card_of = self.sheet.marker_ids()
-        return np.concatenate(
-            [self.sheet.local_corners(m - card_of[m].first_id) for m in self.markers]
-        )
-
-    @cached_property
-    def laid(self) -> Points:
-        """x, y, z in cm and turn in rad of each card (c, 4), by the sheet file."""
-        return np.array([[c.x_cm, c.y_cm, c.z_cm, np.radians(c.turn_deg)] for c in self.cards])
-
-    @property
-    def _head(self) -> int:
-        return 0 if self.lens is not None else _LENS
-
-    @cached_property
-    def center(self) -> Points:
-        """Middle of the lens's prior."""
-        focal = self.size[0] / 2 / np.tan(np.radians(_VIEW_DEG / 2))
-        return np.array([np.log(focal), self.size[0] / 2, self.size[1] / 2, 0.0, 0.0])
-
-    @cached_property
-    def spread(self) -> Points:
-        """One sigma of every prior: the lens, then each card's slip (x, y, turn)."""
-        width = _CENTER_SPREAD * self.size[0]
-        lens = [_FOCAL_SPREAD, width, width, _LENS_SPREAD, _LENS_SPREAD]
-        place = self.sheet.placement_se_cm
-        slips = [place, place, _TURN_SE] * len(self.cards)
-        return np.array([*lens[: self._head], *slips])
+    def __init__(
+        self, found: dict[int, Points], sheet: Sheet, size: tuple[int, int], lens: Lens | None
+    ) -> None:
+        self.sheet, self.size, self.lens = sheet, size, lens
+        card_of, markers = sheet.marker_ids(), sorted(found)
+        self.cards = [c for c in sheet.cards if any(card_of[m] is c for m in markers)]
+        self.pixels = np.concatenate([found[m] for m in markers])
+        # Card of each corner (n,), and its place (n, 2) in the card's frame, from the card's cross.
+        self.owner = np.repeat([self.cards.index(card_of[m]) for m in markers], 4)
+        self.local = np.concatenate([sheet.local_corners(m - card_of[m].first_id) for m in markers])
+        # x, y, z in cm and turn in rad of each card (c, 4), by the sheet file.
+        self.laid = np.array([[c.x_cm, c.y_cm, c.z_cm, np.radians(c.turn_deg)] for c in self.cards])
+        self._head = 0 if lens is not None else _LENS
+        # Middle of the lens's prior, and one sigma of every prior: the lens, then each card's slip
+        # (x, y, turn).
+        width, place = size[0], sheet.placement_se_cm
+        self.center = np.array([_log_focal(width, _VIEW_DEG), width / 2, size[1] / 2, 0.0, 0.0])
+        middle = _CENTER_SPREAD * width
+        spread = [_FOCAL_SPREAD, middle, middle, _LENS_SPREAD, _LENS_SPREAD][: self._head]
+        self.spread = np.array([*spread, *[place, place, _TURN_SE] * len(self.cards)])
 
     def start(self, view_deg: float) -> Points:
         """Unknowns to begin with: a pinhole of that angle, the plane's pose, no slips."""
         head = self.center[: self._head].copy()
         if self.lens is None:
-            head[0] = np.log(self.size[0] / 2 / np.tan(np.radians(view_deg / 2)))
+            head[0] = _log_focal(self.size[0], view_deg)
         lens = self._lens(head)
         flat = self._solid(np.zeros((len(self.cards), 3)))
         flat[:, 2] = 0.0
@@ -215,38 +179,34 @@ class Problem:
         turn = (self.laid[:, 3] + slips[:, 2])[self.owner]
         u, v = self.local.T
         at = (self.laid[:, :2] + slips[:, :2])[self.owner]
-        return np.column_stack(
-            [
-                at[:, 0] + np.cos(turn) * u - np.sin(turn) * v,
-                at[:, 1] + np.sin(turn) * u + np.cos(turn) * v,
-                self.laid[self.owner, 2],
-            ]
-        )
+        x = at[:, 0] + np.cos(turn) * u - np.sin(turn) * v
+        y = at[:, 1] + np.sin(turn) * u + np.cos(turn) * v
+        return np.column_stack([x, y, self.laid[self.owner, 2]])
 
-    def _project(self, x: Points) -> tuple[Points, Points, Points]:
-        """Pixels (n, 2), OpenCV's derivatives (2 n, 15), and the solid corners (n, 3)."""
+    def _project(self, x: Points) -> tuple[Points, Points]:
+        """Pixels (n, 2) and OpenCV's derivatives (2 n, 15)."""
         lens, turn, move, slips = self.split(x)
-        solid = self._solid(slips)
-        seen, slopes = cv2.projectPoints(solid, turn, move, lens.matrix, lens.distortion)
-        return np.asarray(seen, float).reshape(-1, 2), np.asarray(slopes, float), solid
+        seen, slopes = cv2.projectPoints(
+            self._solid(slips), turn, move, lens.matrix, lens.distortion
+        )
+        return np.asarray(seen, float).reshape(-1, 2), np.asarray(slopes, float)
 
     def residuals(self, x: Points) -> Points:
         """Corners, priors of lens and slips, height by tape."""
-        seen, _, _ = self._project(x)
+        seen, _ = self._project(x)
         priors = np.concatenate([x[: self._head] - self.center[: self._head],
                                  x[self._head + _POSE :]]) / self.spread  # fmt: skip
         parts = [(seen - self.pixels).ravel() / _CORNER_PX, priors]
         if self.sheet.camera_height_cm is not None:
             _, turn, move, _ = self.split(x)
-            height = -(cv2.Rodrigues(turn)[0].T @ move)[2]
-            miss = (height - self.sheet.camera_height_cm) / self.sheet.camera_height_se_cm
-            parts.append(np.array([miss]))
+            height = -(cv2.Rodrigues(turn)[0].T @ move)[2:]
+            parts.append((height - self.sheet.camera_height_cm) / self.sheet.camera_height_se_cm)
         return np.concatenate(parts)
 
     def jacobian(self, x: Points) -> Points:
         """Derivatives of `residuals`."""
         lens, turn, move, slips = self.split(x)
-        _, slopes, _ = self._project(x)
+        _, slopes = self._project(x)
         rotation, by_turn = cv2.Rodrigues(turn)
         n, head = len(self.pixels), self._head
         made = np.zeros((2 * n, len(x)))
@@ -280,6 +240,11 @@ class Problem:
         return np.vstack(parts)
 
 
+def _log_focal(width: int, view_deg: float) -> float:
+    """Logarithm of the focal length (px) of a lens that sees that angle across the picture."""
+    return float(np.log(width / 2 / np.tan(np.radians(view_deg / 2))))
+
+
 def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
     """Worst one-sigma error of a place at the robot's height, from the parameters' spread."""
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
@@ -293,12 +258,10 @@ def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
 
     pixels = model(best).project(grid)
     steps = 1e-3 * np.sqrt(np.maximum(np.diag(covariance), 1e-16))
-    slopes = np.array(
-        [
-            (model(best + step).to_plane(pixels, 1.75) - model(best - step).to_plane(pixels, 1.75))
-            / (2 * step.max())
-            for step in np.diag(steps)
-        ]
-    )
+    slopes = np.array([
+        (model(best + step).to_plane(pixels, 1.75) - model(best - step).to_plane(pixels, 1.75))
+        / (2 * step.max())
+        for step in np.diag(steps)
+    ])  # fmt: skip
     spread = np.einsum("pgk,pq,qgk->gk", slopes, covariance, slopes)
     return float(np.sqrt(spread.sum(axis=1)).max())

@@ -31,6 +31,7 @@ DICTIONARY = "DICT_4X4_50"
 BOARD_DICTIONARY = "DICT_5X5_50"
 TIP_MARKER = 40
 A4_CM = (21.0, 29.7)
+PX_CM = 40  # of what is printed
 
 
 class Card(Model):
@@ -188,31 +189,31 @@ def _marker_image(sheet: Sheet, marker: int, size: int) -> Gray:
     return np.asarray(cv2.resize(made, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
-def card_image(sheet: Sheet, card: Card, pixels_per_cm: int = 40) -> Gray:
+def card_image(sheet: Sheet, card: Card) -> Gray:
     """A card as printed (before the printer's scale): markers, cross, arrow."""
     side_cm = sheet.card_cm / sheet.print_scale
-    n = round(side_cm * pixels_per_cm)
+    n = round(side_cm * PX_CM)
     picture = np.full((n, n), 255, np.uint8)
-    size = round(sheet.marker_cm * pixels_per_cm)
+    size = round(sheet.marker_cm * PX_CM)
     for k in range(4):
         upper_left = sheet.local_corners(k)[0] / sheet.print_scale
-        column = round((upper_left[0] + side_cm / 2) * pixels_per_cm)
-        row = round((side_cm / 2 - upper_left[1]) * pixels_per_cm)
+        column = round((upper_left[0] + side_cm / 2) * PX_CM)
+        row = round((side_cm / 2 - upper_left[1]) * PX_CM)
         made = _marker_image(sheet, card.first_id + k, size)
         picture[row : row + size, column : column + size] = made
-    middle, arm = n // 2, round(0.7 * pixels_per_cm)
-    line = max(1, pixels_per_cm // 20)
+    middle, arm = n // 2, round(0.7 * PX_CM)
+    line = PX_CM // 20
     cv2.line(picture, (middle - arm, middle), (middle + arm, middle), 0, line)
     cv2.line(picture, (middle, middle - arm), (middle, middle + arm), 0, line)
-    tail = (middle + round(0.9 * pixels_per_cm), middle)
-    head = (middle + round(2.2 * pixels_per_cm), middle)
+    tail = (middle + round(0.9 * PX_CM), middle)
+    head = (middle + round(2.2 * PX_CM), middle)
     cv2.arrowedLine(picture, tail, head, 0, line, tipLength=0.3)
     return picture
 
 
-def tip_image(sheet: Sheet, pixels_per_cm: int = 40) -> Gray:
+def tip_image(sheet: Sheet) -> Gray:
     """The tip marker with its white margin of one module."""
-    size = round(sheet.tip_marker_cm * pixels_per_cm)
+    size = round(sheet.tip_marker_cm * PX_CM)
     marker = _marker_image(sheet, sheet.tip_marker_id, size)
     return np.pad(marker, round(size / sheet.modules), constant_values=255)
 
@@ -242,25 +243,25 @@ def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Dec
     return _decal(tip_image(sheet), _turned(_square(side), ahead[0], ahead[1]) + center, height_cm)
 
 
-def pages(sheet: Sheet, pixels_per_cm: int = 40) -> list[Gray]:
+def _text(onto: Gray, text: str, column: int, row: int, size: float) -> None:
+    cv2.putText(onto, text, (column, row), cv2.FONT_HERSHEY_SIMPLEX, size, 0, 1)
+
+
+def pages(sheet: Sheet) -> list[Gray]:
     """A4 pages as pictures: two cards a page, tip markers, the lens board."""
-    width, height = (round(side * pixels_per_cm) for side in A4_CM)
+    width, height = (round(side * PX_CM) for side in A4_CM)
     made: list[Gray] = []
 
     def page(title: str) -> Gray:
         picture = np.full((height, width), 255, np.uint8)
-        scale, thick = pixels_per_cm / 55, max(1, pixels_per_cm // 25)
-        at = (pixels_per_cm * 3 // 2, pixels_per_cm * 3 // 2)
-        cv2.putText(picture, title, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, thick)
-        left = (width - 10 * pixels_per_cm) // 2
-        row = height - pixels_per_cm * 3 // 2
-        cv2.line(picture, (left, row), (left + 10 * pixels_per_cm, row), 0, thick)
-        for k in (0, 10):
-            column = left + k * pixels_per_cm
-            cv2.line(picture, (column, row - 12), (column, row + 12), 0, thick)
+        _text(picture, title, PX_CM * 3 // 2, PX_CM * 3 // 2, PX_CM / 55)
+        left = (width - 10 * PX_CM) // 2
+        row = height - PX_CM * 3 // 2
+        cv2.line(picture, (left, row), (left + 10 * PX_CM, row), 0)
+        for column in (left, left + 10 * PX_CM):
+            cv2.line(picture, (column, row - 12), (column, row + 12), 0)
         note = "10.0 cm: measure this bar; print at 100 %, not 'fit to page'"
-        below = (left - pixels_per_cm, row + pixels_per_cm * 3 // 4)
-        cv2.putText(picture, note, below, cv2.FONT_HERSHEY_SIMPLEX, scale * 0.8, 0, thick)
+        _text(picture, note, left - PX_CM, row + PX_CM * 3 // 4, 0.8 * PX_CM / 55)
         made.append(picture)
         return picture
 
@@ -274,29 +275,28 @@ def pages(sheet: Sheet, pixels_per_cm: int = 40) -> list[Gray]:
         two = sheet.cards[start : start + 2]
         onto = page("thigmo workspace cards: " + ", ".join(card.name for card in two))
         for slot, card in enumerate(two):
-            what = card_image(sheet, card, pixels_per_cm)
-            row = round((2.2 + slot * (sheet.card_cm + 0.8)) * pixels_per_cm)
-            if row + what.shape[0] > height - 2 * pixels_per_cm:
+            what = card_image(sheet, card)
+            row = round((2.2 + slot * (sheet.card_cm + 0.8)) * PX_CM)
+            if row + what.shape[0] > height - 2 * PX_CM:
                 raise CameraError(
                     "two cards do not fit a page", "choose a smaller marker_cm in the sheet file"
                 )
             paste(onto, what, (width - what.shape[1]) // 2, row)
-            place_text = f"{card.name}: cross at x {card.x_cm:g}, y {card.y_cm:g} cm"
-            at = (pixels_per_cm, row - pixels_per_cm // 5)
-            cv2.putText(onto, place_text, at, cv2.FONT_HERSHEY_SIMPLEX, pixels_per_cm / 70, 0, 1)
+            where = f"{card.name}: cross at x {card.x_cm:g}, y {card.y_cm:g} cm"
+            _text(onto, where, PX_CM, row - PX_CM // 5, PX_CM / 70)
     onto = page("thigmo tip markers: glue one on the tip, arrow side ahead (spares)")
-    tip = tip_image(sheet, pixels_per_cm)
+    tip = tip_image(sheet)
     for k in range(6):
-        column = round((2.0 + (k % 3) * 6.0) * pixels_per_cm)
-        paste(onto, tip, column, round((3.0 + (k // 3) * 6.0) * pixels_per_cm))
+        column = round((2.0 + (k % 3) * 6.0) * PX_CM)
+        paste(onto, tip, column, round((3.0 + (k // 3) * 6.0) * PX_CM))
     onto = page("thigmo lens board: glue on something flat, show it in 10 poses")
     squares = (sheet.board_columns, sheet.board_rows)
-    size = tuple(round(n * sheet.board_square_cm * pixels_per_cm) for n in squares)
+    size = tuple(round(n * sheet.board_square_cm * PX_CM) for n in squares)
     unscaled = board(sheet.model_copy(update={"print_scale": 1.0}))
     drawn = np.asarray(unscaled.generateImage(size, marginSize=0, borderBits=1), np.uint8)
-    if size[0] > width or size[1] > height - 4 * pixels_per_cm:
+    if size[0] > width or size[1] > height - 4 * PX_CM:
         raise CameraError("the lens board does not fit a page", "choose a smaller board_square_cm")
-    paste(onto, drawn, (width - size[0]) // 2, 2 * pixels_per_cm, frame=False)
+    paste(onto, drawn, (width - size[0]) // 2, 2 * PX_CM, frame=False)
     return made
 
 
@@ -309,24 +309,21 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
     target = Path(path)
     if target.suffix not in (".pdf", ".png"):
         raise CameraError(f"cannot print to {target.name}", "end the name in .pdf or .png")
-    pixels_per_cm = 40
-    drawn: list[Figure] = []
-    for picture in pages(sheet, pixels_per_cm):
-        figure = Figure(figsize=(A4_CM[0] / 2.54, A4_CM[1] / 2.54))
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
-        axes.set_axis_off()
+    drawn = []
+    for picture in pages(sheet):
+        figure = Figure(figsize=(A4_CM[0] / 2.54, A4_CM[1] / 2.54), dpi=PX_CM * 2.54)
+        figure.figimage(picture, cmap="gray", vmin=0, vmax=255)
         drawn.append(figure)
     try:
         if target.suffix == ".pdf":
             with PdfPages(target) as book:
                 for figure in drawn:
-                    book.savefig(figure, dpi=pixels_per_cm * 2.54)
+                    book.savefig(figure)
             names = [target]
         else:
             names = [target.with_name(f"{target.stem}-{n}.png") for n in range(1, len(drawn) + 1)]
             for name, figure in zip(names, drawn, strict=True):
-                figure.savefig(name, dpi=pixels_per_cm * 2.54)
+                figure.savefig(name)
     except OSError as error:
         raise CameraError(
             f"cannot write {target}: {error.strerror}", "choose a folder that you may write to"

@@ -329,8 +329,8 @@ def draw(
             _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
         at = camera.project(np.array([[axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius]]))[0]
-        mean = (axis.heading[-1] - axis.heading[0]) / axis.length_cm
-        _text(canvas, f"length {axis.length_cm:.1f} cm, mean curvature {mean:+.4f} /cm", at)
+        told = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
+        _text(canvas, told, at)
     if sighting.tip is not None:
         tip = sighting.tip
         at = camera.project(np.array([[tip.x_cm, tip.y_cm, wanted.diameter_cm / 2]]))[0]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, show
 
 if TYPE_CHECKING:
-    from thigmo.bringup import Attendant, Finding, Turned
+    from thigmo.bringup import Finding, Turned
     from thigmo.cli.console import Console
     from thigmo.robot import Robot
 
@@ -19,6 +20,7 @@ class _TerminalAttendant:
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        self._told = False
 
     def ready(self, request: str) -> None:
         """Ask for something, and wait until it is done."""
@@ -40,22 +42,11 @@ class _TerminalAttendant:
             if (turned := answers.get(answer.strip().lower()[:1])) is not None:
                 return turned
 
-    _told = False
-
-
-def _attendant(robot: Robot, console: Console) -> Attendant:
-    """The emulated robot's own, or whoever sits at the terminal."""
-    own = robot.operator
-    if robot.virtual and hasattr(own, "spool_turned"):
-        return own  # type: ignore[return-value]
-    return _TerminalAttendant(console)
-
 
 def bringup(
     robot: RobotOption,
     first: Annotated[
-        str,
-        typer.Option("--from", help="Stage to begin with; those before it were good."),
+        str, typer.Option("--from", help="Stage to begin with; those before it were good.")
     ] = "board",
     last: Annotated[
         str, typer.Option("--to", help="Stage to end with; what others need is not built yet.")
@@ -96,7 +87,10 @@ def bringup(
             machine.configure(RobotConfig.load(config))
         if first != STAGES[0]:
             _cured(machine)
-        findings = BringUp(machine, _attendant(machine, console), tell).run(first, last)
+        # The emulated robot has an attendant of its own.
+        own: Any = machine.operator if machine.virtual else None
+        attendant = own if hasattr(own, "spool_turned") else _TerminalAttendant(console)
+        findings = BringUp(machine, attendant, tell).run(first, last)
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage
     if not good:
@@ -106,7 +100,7 @@ def bringup(
     else:
         following = STAGES[STAGES.index(stage) + 1]
         on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
-    show(as_json, {"good": good, "findings": [finding.as_data() for finding in findings]}, on)
+    show(as_json, {"good": good, "findings": [asdict(finding) for finding in findings]}, on)
     if not good:
         raise typer.Exit(1)
 
@@ -157,7 +151,6 @@ def press(
 
     if side not in SIDES:
         raise ConfigError(f"there is no side {side!r}", "give left or right")
-    which: Literal["left", "right"] = "left" if side == "left" else "right"
     console = Console(quiet=as_json)
     with console.interruptible(), connect(robot) as machine:
         _cured(machine)
@@ -165,7 +158,7 @@ def press(
         with console.progress() as tell:
             began = machine.now()
             reached = hold(
-                machine, which, psi, seconds,
+                machine, side, psi, seconds,
                 lambda now: tell(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
             )  # fmt: skip
     said = f"The {side} muscle reached {reached:.2f} psi."

@@ -83,9 +83,8 @@ def calibrate(
     `--csv FILE` fits readings that a lab already has; a file that lacks a column
     is told all of them. Try it without a robot: `--robot emulator://empty`.
     """
-    from thigmo.calibrate.from_csv import fit_csv
-    from thigmo.calibrate.guided import STEPS
     from thigmo.calibrate.session import Session, blank
+    from thigmo.calibrate.steps import STEPS, fit_csv, run
     from thigmo.config import RobotConfig
     from thigmo.errors import DataError
 
@@ -98,7 +97,9 @@ def calibrate(
         held = folder / "robot.toml"
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()
         result = fit_csv(step, csv, base)  # before a folder is made: a bad file leaves none
-        _keep(step, result, Session(folder, start), as_json)
+        show(as_json, result.as_data(), *Session(folder, start).keep(step, result))
+        if not result.verdict.good:
+            raise typer.Exit(2)
         return
     if step == "status":
         if not (folder / "robot.toml").exists():
@@ -110,12 +111,11 @@ def calibrate(
         return
     if robot is None:
         raise DataError("no robot is named", "give --robot URL, or --csv FILE")
-    from thigmo.calibrate import guided
     from thigmo.calibrate.bench import Bench, Plan
     from thigmo.cli.console import Console, TerminalOperator
     from thigmo.robot import connect
 
-    steps = list(guided.STEPS) if step == "all" else [step]
+    steps = list(STEPS) if step == "all" else [step]
     console = Console(quiet=as_json)
     person = TerminalOperator(console)
     with console.interruptible(), connect(robot, seed=seed, operator=person) as machine:
@@ -133,8 +133,8 @@ def calibrate(
             if step == "all" and not again and session.done(name):
                 say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
                 continue
-            found[name] = guided.run(bench, name, again=again)
-            if not found[name].verdict.good and name in guided.NEEDED:
+            found[name] = run(bench, name, again=again)
+            if not found[name].verdict.good and STEPS[name].needed:
                 break
     if as_json:
         print_json({name: result.as_data() for name, result in found.items()})
@@ -146,23 +146,12 @@ def calibrate(
     say(f"constants so far: {session.robot_file}")
 
 
-def _keep(step: str, result: StepResult, session: Session, as_json: bool) -> None:
-    backup, verdict = session.keep(step, result), result.verdict
-    lines = [f"{step}: {'good' if verdict.good else 'BAD'}: {verdict.reason}"]
-    lines += [f"  {note}" for note in verdict.notes]
-    if backup is not None:
-        lines.append(f"  {session.robot_file} updated; the one before is {backup.name}")
-    show(as_json, result.as_data(), *lines)
-    if not verdict.good:
-        raise typer.Exit(2)
-
-
 def _status(session: Session, as_json: bool) -> None:
-    from thigmo.calibrate.guided import ROWS_OF, STEPS
+    from thigmo.calibrate.steps import STEPS
 
     told, lines = {}, []
-    for name in STEPS:
-        rows = sum(len(session.rows(p)) for p in ROWS_OF.get(name, ()))
+    for name, step in STEPS.items():
+        rows = sum(len(session.rows(procedure)) for procedure in step.rows)
         done = session.done(name)
         reason = done["verdict"]["reason"] if done else ""
         told[name] = {"done": done is not None, "readings": rows, "reason": reason}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -99,10 +100,10 @@ def lens(
 ) -> None:
     """Calibrate the lens from pictures of the lens board in several poses."""
     from thigmo.camera import calibrate_lens, open_source
-    from thigmo.camera.source import Capture, pictures
+    from thigmo.camera.source import pictures
 
     with closing(open_source(source)) as opened:
-        if isinstance(opened, Capture) and source.removeprefix("camera:").isdigit():
+        if opened.live:
             shots = []
             for number in range(count):
                 typer.prompt(
@@ -215,12 +216,10 @@ def check(
 
 
 def _clicks(picture: Any, tip: str | None, points: Path | None, click: str | None) -> Clicks | None:
-    from dataclasses import replace
-
     from thigmo.camera.clicks import Clicks, parse_pixel
     from thigmo.camera.clicks import click as ask
 
-    clicks: Clicks | None = None
+    clicks = None
     if click is not None:
         clicks = ask(picture, tuple(click.split(",")))
         if points is not None:
@@ -236,23 +235,16 @@ def _facts(seen: Sighting) -> dict[str, Any]:
     """A sighting as plain data."""
     tip, axis = seen.tip, seen.axis
     return {
-        "tip": None
-        if tip is None
-        else {"x_cm": tip.x_cm, "y_cm": tip.y_cm, "heading": tip.heading, "clicked": tip.clicked},
-        "axis": None
-        if axis is None
-        else {
+        "tip": tip and {key: getattr(tip, key) for key in ("x_cm", "y_cm", "heading", "clicked")},
+        "axis": axis and {
             "length_cm": axis.length_cm,
-            "mean_curvature": float(axis.heading[-1] - axis.heading[0]) / axis.length_cm,
+            "mean_curvature": axis.curvature,
             "residual_cm": axis.residual_cm,
         },
-        "obstacles": [
-            {"x_cm": o.x_cm, "y_cm": o.y_cm, "radius_cm": o.radius_cm, "rim": o.rim}
-            for o in seen.obstacles
-        ],
+        "obstacles": [asdict(obstacle) for obstacle in seen.obstacles],
         "hidden": list(seen.hidden),
         "problems": [str(problem) for problem in seen.problems],
-    }
+    }  # fmt: skip
 
 
 def _lines(seen: Sighting) -> Iterator[str]:
@@ -262,8 +254,8 @@ def _lines(seen: Sighting) -> Iterator[str]:
     if seen.tip is not None:
         yield f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm"
     if seen.axis is not None:
-        mean = (seen.axis.heading[-1] - seen.axis.heading[0]) / seen.axis.length_cm
-        yield f"body {seen.axis.length_cm:.1f} cm long, mean curvature {mean:+.5f} 1/cm"
+        length_cm, mean = seen.axis.length_cm, seen.axis.curvature
+        yield f"body {length_cm:.1f} cm long, mean curvature {mean:+.5f} 1/cm"
     for o in seen.obstacles:
         yield f"obstacle at x {o.x_cm:.2f}, y {o.y_cm:.2f}, radius {o.radius_cm:.2f} cm"
     if seen.hidden:

@@ -8,7 +8,7 @@ tests and tools/budgets.py use it directly.
 from __future__ import annotations
 
 import ctypes
-from ctypes import POINTER, byref, c_char, c_char_p, c_double, c_int, c_int64, c_uint8
+from ctypes import POINTER, byref, c_bool, c_char, c_char_p, c_double, c_int, c_int64
 from ctypes import c_uint16 as u16
 from ctypes import c_uint32 as u32
 from ctypes import c_uint64 as u64
@@ -40,25 +40,28 @@ class Cause(IntFlag):
     WATCHDOG = 8
 
 
-@dataclass(frozen=True, slots=True)
-class InterruptFigures:
-    """What one interrupt vector cost, in cycles from acceptance to the end of RETI."""
+class InterruptFigures(ctypes.Structure):
+    """What one interrupt vector cost, in cycles from acceptance to the end of RETI.
 
-    count: int
-    mean: float
-    longest: int
-    shortest: int
-    waited: int
-    """Longest time from request to acceptance."""
+    `waited` is the longest time from request to acceptance; `shortest` means nothing at a count
+    of 0.
+    """
+
+    _fields_ = [(name, u64) for name in ("count", "total", "longest", "shortest", "waited")]
+
+    @property
+    def mean(self) -> float:
+        """Mean cost; 0 where there was none."""
+        return float(self.total / max(self.count, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Pwm:
     """A 16-bit timer's outputs: compare values, top, and which outputs reach their pins."""
 
-    connected: tuple[bool, bool, bool]
-    inverted: tuple[bool, bool, bool]
-    compare: tuple[int, int, int]
+    connected: tuple[bool, ...]
+    inverted: tuple[bool, ...]
+    compare: tuple[int, ...]
     top: int
     period_cycles: int
 
@@ -76,14 +79,10 @@ class Port:
         return bool(self.port >> bit & 1) if self.ddr >> bit & 1 else None
 
 
-class _Interrupt(ctypes.Structure):
-    _fields_ = [(name, u64) for name in ("count", "total", "longest", "shortest", "waited")]
-
-
 class _Pwm(ctypes.Structure):
     _fields_ = [
-        ("connected", c_uint8 * 3),
-        ("inverted", c_uint8 * 3),
+        ("connected", c_bool * 3),
+        ("inverted", c_bool * 3),
         ("compare", u16 * 3),
         ("top", u16),
         ("period", u32),
@@ -122,8 +121,6 @@ def _library(path: Path) -> ctypes.CDLL:
         "run": (c_int, [handle, u64]),
         "cycle": (u64, [handle]),
         "asleep": (u64, [handle]),
-        "pc": (u32, [handle]),
-        "lowest_stack": (u32, [handle]),
         "resets": (u64, [handle, c_int]),
         "analog": (None, [handle, handle, handle, u64, u64]),
         "noise": (None, [handle, u64, handle]),
@@ -148,7 +145,7 @@ def _library(path: Path) -> ctypes.CDLL:
         "eeprom_cut": (None, [handle, c_int64]),
         "power_is_cut": (c_int, [handle]),
         "eeprom_writes": (u64, [handle]),
-        "interrupt_read": (None, [handle, c_int, POINTER(_Interrupt)]),
+        "interrupt_read": (None, [handle, c_int, POINTER(InterruptFigures)]),
         "measure_reset": (None, [handle]),
         "marks": (u32, [handle, handle, u32]),
         "marks_on": (None, [handle, c_int]),
@@ -167,12 +164,41 @@ def _doubles(values: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
+class _Figure:
+    """A number that the bridge tells, as an attribute of the chip."""
+
+    def __init__(self, name: str) -> None:
+        self._name = f"bridge_{name}"
+
+    def __get__(self, chip: Chip, owner: type[Chip]) -> int:
+        return int(getattr(chip._lib, self._name)(chip._chip))
+
+
 class Chip:
     """One simulated ATmega2560 at 16 MHz, powered on with empty flash.
 
     Args:
         library: the bridge's shared library (see `mega_build.bridge_library`).
     """
+
+    cycle = _Figure("cycle")
+    """Cycles since the chip was made."""
+    asleep_cycles = _Figure("asleep")
+    """Cycles spent in sleep since the last `measure_again`."""
+    tick_origin = _Figure("tick_origin")
+    """Cycle at which tick 0 of timer 1 begins; 0 while that timer stands still."""
+    lost_triggers = _Figure("lost_triggers")
+    """Timer triggers that met a running conversion or an uncleared flag."""
+    line_backlog = _Figure("line_backlog")
+    """Queued bytes that have not reached the board yet."""
+    line_overruns = _Figure("line_overruns")
+    """Bytes that the board's USART lost because nobody read it in time."""
+    line_byte_cycles = _Figure("line_cycles")
+    """Cycles of one byte at the board's setting; 0 while the USART is off."""
+    power_is_cut = _Figure("power_is_cut")
+    """The power is off; a power-on reset brings it back."""
+    eeprom_writes = _Figure("eeprom_writes")
+    """EEPROM bytes whose write was started."""
 
     def __init__(self, library: Path) -> None:
         self._lib = _library(library)
@@ -250,26 +276,6 @@ class Chip:
         """Run on for so long."""
         return self.run(self.cycle + round(milliseconds * CYCLES_PER_MS))
 
-    @property
-    def cycle(self) -> int:
-        """Cycles since the chip was made."""
-        return int(self._lib.bridge_cycle(self._chip))
-
-    @property
-    def asleep_cycles(self) -> int:
-        """Cycles spent in sleep since the last `measure_again`."""
-        return int(self._lib.bridge_asleep(self._chip))
-
-    @property
-    def pc(self) -> int:
-        """Program counter, in bytes."""
-        return int(self._lib.bridge_pc(self._chip))
-
-    @property
-    def lowest_stack(self) -> int:
-        """Lowest stack pointer seen when an interrupt was accepted."""
-        return int(self._lib.bridge_lowest_stack(self._chip))
-
     def resets(self, cause: Cause) -> int:
         """How often the chip restarted for that cause."""
         return int(self._lib.bridge_resets(self._chip, int(cause)))
@@ -303,16 +309,6 @@ class Chip:
         """Conversions recorded since the last call: array of `CONVERSION`."""
         return self._drain(self._lib.bridge_trace_read, CONVERSION)
 
-    @property
-    def tick_origin(self) -> int:
-        """Cycle at which tick 0 of timer 1 begins; 0 while that timer stands still."""
-        return int(self._lib.bridge_tick_origin(self._chip))
-
-    @property
-    def lost_triggers(self) -> int:
-        """Timer triggers that met a running conversion or an uncleared flag."""
-        return int(self._lib.bridge_lost_triggers(self._chip))
-
     # --- pins -------------------------------------------------------------------------------------
     def drive_pin(self, port: str, bit: int, level: bool, *, cycle: int | None = None) -> None:
         """Set an input's level now, or at a cycle (calls in order of cycle)."""
@@ -345,13 +341,8 @@ class Chip:
         """Outputs of timer 1, 3, 4 or 5."""
         raw = _Pwm()
         self._lib.bridge_pwm_read(self._chip, timer, byref(raw))
-        return Pwm(
-            connected=(bool(raw.connected[0]), bool(raw.connected[1]), bool(raw.connected[2])),
-            inverted=(bool(raw.inverted[0]), bool(raw.inverted[1]), bool(raw.inverted[2])),
-            compare=(raw.compare[0], raw.compare[1], raw.compare[2]),
-            top=raw.top,
-            period_cycles=raw.period,
-        )
+        flags = tuple(raw.connected), tuple(raw.inverted)
+        return Pwm(*flags, tuple(raw.compare), raw.top, raw.period)
 
     # --- wire of USART0 ---------------------------------------------------------------------------
     def line_baud(self, baud: int) -> None:
@@ -369,55 +360,24 @@ class Chip:
         )
         return self._bytes[:count].tobytes(), self._cycles[:count].copy()
 
-    @property
-    def line_backlog(self) -> int:
-        """Queued bytes that have not reached the board yet."""
-        return int(self._lib.bridge_line_backlog(self._chip))
-
-    @property
-    def line_overruns(self) -> int:
-        """Bytes that the board's USART lost because nobody read it in time."""
-        return int(self._lib.bridge_line_overruns(self._chip))
-
     def line_clear(self) -> None:
         """Drop what waits on the wire, both ways."""
         self._lib.bridge_line_clear(self._chip)
-
-    @property
-    def line_byte_cycles(self) -> int:
-        """Cycles of one byte at the board's setting; 0 while the USART is off."""
-        return int(self._lib.bridge_line_cycles(self._chip))
 
     # --- EEPROM's power ---------------------------------------------------------------------------
     def cut_power_in_write(self, write: int | None) -> None:
         """Cut the power in the middle of the n-th EEPROM write from now; None: never."""
         self._lib.bridge_eeprom_cut(self._chip, -1 if write is None else write)
 
-    @property
-    def power_is_cut(self) -> bool:
-        """The power is off; a power-on reset brings it back."""
-        return bool(self._lib.bridge_power_is_cut(self._chip))
-
-    @property
-    def eeprom_writes(self) -> int:
-        """EEPROM bytes whose write was started."""
-        return int(self._lib.bridge_eeprom_writes(self._chip))
-
     # --- measurement ------------------------------------------------------------------------------
     def interrupt(self, vector: int) -> InterruptFigures:
         """Cost of an interrupt vector since the last `measure_again`."""
-        raw = _Interrupt()
+        raw = InterruptFigures()
         self._lib.bridge_interrupt_read(self._chip, vector, byref(raw))
-        return InterruptFigures(
-            count=raw.count,
-            mean=raw.total / raw.count if raw.count else 0.0,
-            longest=raw.longest,
-            shortest=raw.shortest if raw.count else 0,
-            waited=raw.waited,
-        )
+        return raw
 
     def measure_again(self) -> None:
-        """Forget interrupt figures, sleep and stack so far."""
+        """Forget interrupt figures, and sleep so far."""
         self._lib.bridge_measure_reset(self._chip)
 
     def record_marks(self, on: bool) -> None:

@@ -102,12 +102,9 @@ class FaultInjector:
             case "pressure_frozen":
                 here = plant.pressure_seen[side] if fault.value is None else value
                 plant.pressure_frozen[side] = here if on else math.nan
-            case "pressure_gain":
-                plant.pressure_gain[side] = value if on else 1.0
-            case "pressure_offset":
-                plant.pressure_offset[side] = value if on else 0.0
-            case "pressure_noisy":
-                plant.pressure_noise[side] = value if on else 0.0
+            case "pressure_gain" | "pressure_offset" | "pressure_noisy":
+                neutral = 1.0 if fault.kind == "pressure_gain" else 0.0
+                getattr(plant, fault.kind)[side] = value if on else neutral
             case "pressure_stuck":
                 here = plant.muscle_psi[side] if fault.value is None else value
                 plant.forced_outlet[side] = here if on else math.nan
@@ -115,14 +112,10 @@ class FaultInjector:
                 plant.forced_outlet[side] = value if on else math.nan
             case "air_lost":
                 plant.forced_outlet[:] = 0.0 if on else math.nan
-            case "motor_lost":
-                plant.windings_open = on
             case "motor_shorted":
                 plant.motor_forced = int(value) if on else None
-            case "encoder_lost":
-                plant.encoder_lost = on
-            case "spool_stall":
-                plant.spool_stuck = on
+            case "motor_lost" | "encoder_lost" | "spool_stall":
+                setattr(plant, fault.kind, on)
             case "spool_slip":
                 plant.slip_cm_s = value if on else 0.0
             case "host_silent":

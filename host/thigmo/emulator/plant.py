@@ -44,31 +44,20 @@ _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 
 @dataclass(frozen=True)
-class Moment:
-    """How the body lies.
-
-    Attributes:
-        length_cm: everted length.
-        contacts: touching pegs, base first.
-        centreline: columns s, heading, curvature without fold, x, y; shape (n, 5).
-    """
-
-    length_cm: float
-    contacts: tuple[PegContact, ...]
-    centreline: Floats
-
-
-@dataclass(frozen=True)
 class Truth:
     """What the emulator knows.
 
     Attributes:
         pegs: the room; while dowels hold the body, those.
-        now: the present moment.
+        length_cm: everted length.
+        contacts: touching pegs, base first.
+        centreline: columns s, heading, curvature without fold, x, y; shape (n, 5).
     """
 
     pegs: tuple[Peg, ...]
-    now: Moment
+    length_cm: float
+    contacts: tuple[PegContact, ...]
+    centreline: Floats
 
 
 class Plant:
@@ -81,14 +70,14 @@ class Plant:
     Attributes that faults and operators set:
         body_psi: body pressure (its regulator is set through `set_body_pressure`).
         forced_outlet: transducer output forced to a pressure, nan = free, shape (2,).
-        spool_stuck: the spool does not turn.
+        spool_stall: the spool does not turn.
         slip_cm_s: line speed to which a failing brake lets the body pull the spool; 0 = it holds.
-        windings_open: the motor's circuit is broken: neither drive nor damping.
+        motor_lost: the motor's circuit is broken: neither drive nor damping.
         stuck: counts at which analog inputs stand, by channel: broken, shorted, frozen.
         motor_forced: duty that a failed driver gives the motor, whatever the board asks.
         encoder_lost: the encoder stands still.
         flex_noise: of flex sensors (left base first), counts.
-        pressure_frozen, pressure_gain, pressure_offset, pressure_noise: what ails the pressure
+        pressure_frozen, pressure_gain, pressure_offset, pressure_noisy: what ails the pressure
             sensors: psi at which they stand still (nan: none), relative, psi, psi; shape (2,).
         pushes: (arc, y) of points of the body that are held (set through `hold`); () = none.
     """
@@ -106,9 +95,9 @@ class Plant:
         self._regulator_psi = self.body_psi
         self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
         self.forced_outlet = np.full(2, np.nan)
-        self.spool_stuck = False
+        self.spool_stall = False
         self.slip_cm_s = 0.0
-        self.windings_open = False
+        self.motor_lost = False
         self.motor_forced: int | None = None
         self.encoder_lost = False
         self._encoder_missed = 0.0
@@ -117,7 +106,7 @@ class Plant:
         self.pressure_frozen = np.full(2, np.nan)
         self.pressure_gain = np.ones(2)
         self.pressure_offset = np.zeros(2)
-        self.pressure_noise = np.zeros(2)
+        self.pressure_noisy = np.zeros(2)
         self.pushes: tuple[tuple[float, float], ...] = ()
         self._dowel_cm = 0.0
         self._held: Solution | None = None
@@ -125,21 +114,14 @@ class Plant:
         t, m = scene.transducer, scene.muscle
         self._muscles = tuple(
             Muscle(
-                at_4ma_psi=t.at_4ma_psi,
-                at_20ma_psi=t.at_20ma_psi,
-                gain=1 + t.gain_error * draw,
-                lag_s=t.lag_s,
-                delay_s=t.delay_s,
-                play_psi=t.hysteresis_psi,
-                slew_psi_s=t.slew_psi_s,
-                supply_psi=t.supply_psi,
-                inflate_tau_s=m.inflate_tau_s,
-                deflate_tau_s=m.deflate_tau_s,
-                muscle_delay_s=m.delay_s,
+                at_4ma_psi=t.at_4ma_psi, at_20ma_psi=t.at_20ma_psi, gain=1 + t.gain_error * draw,
+                lag_s=t.lag_s, delay_s=t.delay_s, play_psi=t.hysteresis_psi,
+                slew_psi_s=t.slew_psi_s, supply_psi=t.supply_psi, inflate_tau_s=m.inflate_tau_s,
+                deflate_tau_s=m.deflate_tau_s, muscle_delay_s=m.delay_s,
                 reversal_psi=robot.actuators.side(side).reversal_psi,
             )
             for side, draw in zip(SIDES, rng.standard_normal(2), strict=True)
-        )
+        )  # fmt: skip
         self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(2)
         self._swing = Swing(frequency_hz=scene.body.frequency_hz, damping=scene.body.damping)
         s = scene.spool
@@ -297,8 +279,8 @@ class Plant:
         if not isnan(self.pressure_frozen[side]):
             return float(self.pressure_frozen[side])
         psi = self.muscle_psi[side] * self.pressure_gain[side] + self._pressure_zero[side]
-        if self.pressure_noise[side]:
-            psi += self.pressure_noise[side] * self._rng.standard_normal()
+        if self.pressure_noisy[side]:
+            psi += self.pressure_noisy[side] * self._rng.standard_normal()
         return float(psi + self.pressure_offset[side])
 
     @property
@@ -313,11 +295,10 @@ class Plant:
             contacts = held.contacts if self._dowel_cm else ()
             line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
             pegs = tuple(peg_for(contact, self._dowel_cm) for contact in contacts)
-            return Truth(pegs, Moment(self.length_cm, contacts, line))
+            return Truth(pegs, self.length_cm, contacts, line)
         if self.length_cm < _SMALLEST_CM:
-            return Truth(self.pegs, Moment(self.length_cm, (), np.zeros((1, 5))))
-        body = self.body
-        return Truth(self.pegs, Moment(self.length_cm, body.contacts(), body.nodes()))
+            return Truth(self.pegs, self.length_cm, (), np.zeros((1, 5)))
+        return Truth(self.pegs, self.length_cm, self.body.contacts(), self.body.nodes())
 
     # Motion.
 
@@ -355,9 +336,9 @@ class Plant:
             motor = -motor
         if self.motor_forced is not None:
             motor = self.motor_forced
-        if self.windings_open:
+        if self.motor_lost:
             motor, braked = 0, False
-        self._spool.advance(motor, braked or motor != 0, self.spool_stuck, self.pull_n)
+        self._spool.advance(motor, braked or motor != 0, self.spool_stall, self.pull_n)
         after = self._encoder()
         if self.encoder_lost:
             self._encoder_missed += after - before

@@ -21,9 +21,9 @@ def truth_now(known: Any, side: Side | None = None) -> Truth | None:
     pegs = [TruePeg(float(p.x), float(p.y), float(p.radius)) for p in known.pegs]
     touching = [
         TrueContact(
-            float(c.x), float(c.y), float(c.arc), float(known.now.length_cm), int(c.peg), side or ""
+            float(c.x), float(c.y), float(c.arc), float(known.length_cm), int(c.peg), side or ""
         )
-        for c in known.now.contacts
+        for c in known.contacts
     ]
     return Truth(pegs, touching)
 

@@ -8,7 +8,7 @@ axis's end, of dowels; and of curvature, in units of its own stated error too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from thigmo.studies.engine import Claim, Context, Outcome
 
 if TYPE_CHECKING:
-    from thigmo.camera import Lens, Sheet
-    from thigmo.emulator.render import PegShape, Picture, TrueCamera
+    from thigmo.camera import CameraModel, Lens, Sheet
+    from thigmo.camera.model import Picture
+    from thigmo.camera.render import PegShape
 
 Array = NDArray[np.float64]
 
@@ -103,9 +104,8 @@ def glimpse(seed: int, way: str = "height measured", lens: Lens | None = None) -
         way: a key of `WAYS`.
         lens: of `board_lens`, where the way calls for one.
     """
-    from thigmo.camera import Seen, Sheet, locate, look
+    from thigmo.camera import Seen, Sheet, locate, look, render
     from thigmo.camera.sheet import card_decals, tip_decal
-    from thigmo.emulator import render
 
     rng = np.random.default_rng([seed, 0x6115])
     known = WAYS[way]
@@ -113,7 +113,7 @@ def glimpse(seed: int, way: str = "height measured", lens: Lens | None = None) -
     if known.lens:
         camera = lens_camera(camera)
     sheet = Sheet()
-    tape = float(camera.eye[2] + rng.normal(0, 0.7))
+    tape = float(camera.eye_cm[2] + rng.normal(0, 0.7))
     if known.tape:
         sheet.camera_height_cm = tape
     if known.box:
@@ -187,7 +187,7 @@ def _body(rng: np.random.Generator, free: bool) -> tuple[Array, Array, Array, Ar
 
 def _pegs(rng: np.random.Generator, heading: Array, x: Array, y: Array) -> list[PegShape]:
     """One dowel that touches the body, one elsewhere."""
-    from thigmo.emulator.render import PegShape
+    from thigmo.camera.render import PegShape
 
     i, radius = int(rng.integers(90, 260)), float(rng.uniform(0.8, 1.6))
     side = rng.choice([-1, 1])
@@ -202,20 +202,17 @@ def _pegs(rng: np.random.Generator, heading: Array, x: Array, y: Array) -> list[
             return [touching, other]
 
 
-def lens_camera(camera: TrueCamera) -> TrueCamera:
+def lens_camera(camera: CameraModel) -> CameraModel:
     """The same place with the default camera's lens."""
-    from thigmo.emulator.render import TrueCamera, overhead_camera
+    from thigmo.camera.render import overhead_camera
 
-    fixed = overhead_camera(None)
-    return TrueCamera(
-        fixed.matrix, fixed.distortion, camera.rotation, camera.translation, camera.size
-    )
+    return replace(camera, lens=overhead_camera(None).lens)
 
 
 def board_lens(poses: int = 10, seed: int = 0) -> Lens:
     """Lens of the default camera, calibrated from painted pictures of the board."""
     from thigmo.camera import Sheet, calibrate_lens
-    from thigmo.emulator.render import overhead_camera
+    from thigmo.camera.render import overhead_camera
 
     sheet = Sheet()
     camera = overhead_camera(None)
@@ -223,23 +220,23 @@ def board_lens(poses: int = 10, seed: int = 0) -> Lens:
     return calibrate_lens([board_picture(camera, sheet, rng) for _ in range(poses)], sheet)
 
 
-def board_picture(camera: TrueCamera, sheet: Sheet, rng: np.random.Generator) -> Picture:
+def board_picture(camera: CameraModel, sheet: Sheet, rng: np.random.Generator) -> Picture:
     """A picture of the lens board, held tilted before the camera."""
     import cv2
 
+    from thigmo.camera.render import View, random_look, render
     from thigmo.camera.sheet import Decal, board
-    from thigmo.emulator.render import View, random_look, render
 
     columns, rows = sheet.board_columns, sheet.board_rows
     flat = sheet.model_copy(update={"print_scale": 1.0})
     image = np.asarray(board(flat).generateImage((columns * 100, rows * 100)), np.uint8)
     # Held at arm's length, to fill much of the picture.
-    height = float(rng.uniform(0.35, 0.6)) * float(camera.eye[2])
+    height = float(rng.uniform(0.35, 0.6)) * float(camera.eye_cm[2])
     turn = cv2.Rodrigues(np.append(rng.uniform(-0.45, 0.45, 2), rng.uniform(-3, 3)))[0]
     half = sheet.board_square_cm * sheet.print_scale / 2 * np.array([columns, rows])
     corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * half
-    reach = (camera.eye[2] - height) / camera.eye[2] * np.array([18.0, 32.0])
-    middle = np.append(camera.eye[:2] + rng.uniform(-1, 1, 2) * reach * 0.8, height)
+    reach = (camera.eye_cm[2] - height) / camera.eye_cm[2] * np.array([18.0, 32.0])
+    middle = np.append(camera.eye_cm[:2] + rng.uniform(-1, 1, 2) * reach * 0.8, height)
     solid = np.column_stack([corners, np.zeros(4)]) @ turn.T + middle
     margin = Decal(np.full((8, 8), 255, np.uint8), (solid - middle) * 1.12 + middle, "margin")
     patches = [margin, Decal(image, solid, "board")]

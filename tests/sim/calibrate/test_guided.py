@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.calibrate import guided
+from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan
 from thigmo.calibrate.eyes import Eyes, emulated_source
 from thigmo.calibrate.procedures import tip_rows
@@ -96,7 +96,7 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
     monkeypatch.setattr(lab.eyes, "axis", blinded)
     rows = tip_rows(bench)
     assert rows[2]["tip"] == [None, None]
-    readings = guided.flex_readings(rows, 53.0)
+    readings = steps.flex_readings(rows, 53.0)
     assert np.isnan(readings.tip_cm[2]).all()
     assert any("is not seen" in text for text in lab.told)
     lost = rows[2]["key"]
@@ -141,14 +141,14 @@ def test_pushed_tip_without_its_marker_is_not_seen(lab, monkeypatch):
 def test_noise_pressure_and_check_of_a_sound_robot(lab):
     bench = lab.bench()
     for step in ("pressure", "noise", "check"):
-        result = guided.run(bench, step)
+        result = steps.run(bench, step)
         assert result.verdict.good, result.verdict
         assert (lab.session.folder / f"{step}.png").exists()
     held = lab.robot.parameter("pressure_zero")
     # Taken again, the zeros are where the board now has them (half a count).
-    assert guided.run(bench, "pressure").board_values() == pytest.approx(held, abs=32)
+    assert steps.run(bench, "pressure").board_values() == pytest.approx(held, abs=32)
     with pytest.raises(DataError, match="no step 'magic'"):
-        guided.run(bench, "magic")
+        steps.run(bench, "magic")
 
 
 def test_the_zero_of_a_sensor_that_never_looks_vented_is_taken(tmp_path):
@@ -157,10 +157,10 @@ def test_the_zero_of_a_sensor_that_never_looks_vented_is_taken(tmp_path):
     lab = Lab(tmp_path, faults=[offset])
     bench = lab.bench(start=False)
     assert "vented" not in lab.robot.status().conditions
-    assert guided.run(bench, "pressure").verdict.good
+    assert steps.run(bench, "pressure").verdict.good
     lab.robot.wait(1.0)
     assert "vented" in lab.robot.status().conditions
-    assert guided.run(bench, "noise").verdict.good
+    assert steps.run(bench, "noise").verdict.good
     lab.robot.close()
 
 
@@ -174,7 +174,7 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
     bench = lab.bench()
     bench.plan = replace(bench.plan, zones=(2,), step_psi=4.5)
     for step in ("pressure", "actuator"):
-        result = guided.run(bench, step)
+        result = steps.run(bench, step)
         assert result.verdict.good, result.verdict
     lab.robot.close()
     muscle, body = lab.scene.muscle, lab.scene.body
@@ -195,7 +195,7 @@ def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
     lab = Lab(tmp_path, 4)
     bench = lab.bench()
     bench.plan = Plan()
-    result = guided.run(bench, "stiffness")
+    result = steps.run(bench, "stiffness")
     lab.robot.close()
     assert result.verdict.good, result.verdict
     assert result.ratio_se < 0.11
@@ -210,7 +210,7 @@ def test_a_robot_with_fewer_sensors_than_the_board_has_inputs_is_calibrated(tmp_
     bench = lab.bench()
     bench.plan = replace(bench.plan, places=6, straight=2, step_psi=4.5, zones=(2,))
     for step in ("actuator", "flex", "noise", "check"):
-        result = guided.run(bench, step)
+        result = steps.run(bench, step)
         assert result.verdict.good, (step, result.verdict)
     lab.robot.close()
     found, true = lab.session.config.sensors, lab.scene.robot.sensors
@@ -233,7 +233,7 @@ def test_check_names_a_dead_sensor(tmp_path):
         return replace(reading, resistance=ohm)
 
     lab.robot.read = with_open_sensor
-    result = guided.run(bench, "check")
+    result = steps.run(bench, "check")
     lab.robot.close()
     assert not result.verdict.good
     assert "sensor left 2: open circuit" in result.verdict.reason

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.calibrate import guided
+from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan
 from thigmo.calibrate.eyes import Eyes, emulated_source
 from thigmo.calibrate.session import Session, blank
@@ -66,7 +66,7 @@ def test_from_pixels_to_the_map(tmp_path):
         bench = Bench(robot, robot.operator, Eyes(source, camera, sheet), session, PLAN)
         bench.start()
         for step in ("pressure", "encoder", "actuator", "flex", "buckling"):
-            result = guided.run(bench, step)
+            result = steps.run(bench, step)
             assert result.verdict.good, result.verdict
     found = session.config
 

@@ -28,10 +28,10 @@ from thigmo.camera import (
     open_source,
 )
 from thigmo.camera.pose import GOOD_CM
+from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.camera.sight import write_picture
 from thigmo.cli.camera import group
-from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.errors import ConfigError, DataError
 from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
 
@@ -104,8 +104,8 @@ def test_lens_board_gives_the_lens():
     lens = board_lens(poses=7)
     true = overhead_camera(None)
     assert lens.rms_px < 0.3
-    assert lens.matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=0.005)
-    assert lens.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
+    assert lens.matrix[0, 0] == pytest.approx(true.lens.matrix[0, 0], rel=0.005)
+    assert lens.distortion[0] == pytest.approx(true.lens.distortion[0], abs=0.01)
     assert glimpse(3, "lens board", lens).place_cm < 0.3
 
 

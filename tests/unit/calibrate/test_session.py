@@ -8,12 +8,14 @@ from calibration_truth import bends
 
 from thigmo.calibrate.actuator import fit_actuator
 from thigmo.calibrate.bench import Bench
-from thigmo.calibrate.from_csv import COLUMNS, FITS, fit_csv
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.session import Session, blank
+from thigmo.calibrate.steps import STEPS, fit_csv
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
+
+FITS = [name for name, step in STEPS.items() if step.of_csv is not None]
 
 
 def test_rows_are_kept_in_order_and_a_torn_line_is_dropped(tmp_path):
@@ -55,15 +57,17 @@ def test_good_results_reach_robot_toml_with_a_backup_and_bad_ones_do_not(tmp_pat
     session = Session(tmp_path)
     before = session.robot_file.read_text()
     result = fit_actuator(bends(1))
-    backup = session.keep("actuator", result)
-    assert backup is not None
-    assert backup.read_text() == before
+    said, *_, last = session.keep("actuator", result)
+    assert said.startswith("actuator: good: g known to")
+    assert last.endswith("robot.toml updated; the one before is robot.toml.1.bak")
+    assert (tmp_path / "robot.toml.1.bak").read_text() == before
     assert RobotConfig.load(session.robot_file).actuators.left.maps[2] == result.zone
     assert session.done("actuator")["verdict"]["good"]
     after = session.robot_file.read_text()
     wrong = bends(1)
     swapped = fit_actuator(type(wrong)(**{**wrong.__dict__, "curvature": -wrong.curvature}))
-    assert session.keep("actuator", swapped) is None
+    (said,) = session.keep("actuator", swapped)
+    assert said.startswith("actuator: BAD: ")
     assert session.robot_file.read_text() == after
     assert session.done("actuator") is None
 
@@ -86,7 +90,6 @@ def test_blank_keeps_geometry_only():
 
 
 def test_every_fit_names_the_column_that_a_csv_lacks(tmp_path):
-    assert FITS.keys() == COLUMNS.keys()
     path = tmp_path / "bare.csv"
     path.write_text("nothing\n1\n")
     for step in FITS:
@@ -124,13 +127,13 @@ def test_infinite_and_fractional_cells_name_the_line(tmp_path):
             Table.read(path).whole("a")
 
 
-@pytest.mark.parametrize("step", sorted(FITS))
+@pytest.mark.parametrize("step", FITS)
 def test_a_csv_of_something_else_is_told_the_columns_of_the_step(tmp_path, step):
     path = tmp_path / "t.csv"
     path.write_text("colour\nred\n")
     with pytest.raises(MissingColumnError, match="no column") as caught:
         fit_csv(step, path, RobotConfig())
-    assert COLUMNS[step] in caught.value.__notes__[0]
+    assert STEPS[step].columns in caught.value.__notes__[0]
 
 
 def test_regression_coverage_with_known_and_unknown_errors():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS
 
-from thigmo.calibrate.buckling import PushReadings, fit_buckling
+from thigmo.calibrate.buckling import fit_buckling
 from thigmo.calibrate.check import CheckReadings, run_check
 from thigmo.calibrate.encoder import fit_encoder, fit_pressure_zero
 from thigmo.calibrate.figures import draw
@@ -23,7 +23,9 @@ from thigmo.mechanics.settling import Settling
 CRITICAL = 0.01108
 
 
-def pushes(seed: int, trials: int = 5, noise: float = 3e-4, spread: float = 0.01) -> PushReadings:
+def pushes(
+    seed: int, trials: int = 5, noise: float = 3e-4, spread: float = 0.01
+) -> tuple[np.ndarray, float, float]:
     """Folded base: contact moment at the critical value, sides in turn."""
     rng = np.random.default_rng(seed)
     rows = []
@@ -38,7 +40,7 @@ def pushes(seed: int, trials: int = 5, noise: float = 3e-4, spread: float = 0.01
         k = k.copy()
         k[[0, 5]] += sign * 0.15 / 5.5 * 0.23  # part of the fold lies under the base sensors
         rows.append(k + rng.normal(0, noise, 10))
-    return PushReadings(np.array(rows), 0.49, LENGTH)
+    return np.array(rows), 0.49, LENGTH
 
 
 def test_critical_curvature_within_three_percent_and_within_its_error():
@@ -47,7 +49,7 @@ def test_critical_curvature_within_three_percent_and_within_its_error():
         sensor.noise, sensor.zero_se, sensor.scale_se = 3e-4, 0.0, 0.0
     misses = []
     for seed in range(30):
-        result = fit_buckling(pushes(seed), config)
+        result = fit_buckling(*pushes(seed), config)
         assert result.verdict.good, result.verdict
         assert result.critical_curvature == pytest.approx(CRITICAL, rel=0.03)
         misses.append((result.critical_curvature - CRITICAL) / result.critical_se)
@@ -60,17 +62,16 @@ def test_gain_errors_widen_the_error_of_the_critical_curvature():
     for gain in (0.0, 0.05):
         for sensor in (*config.sensors.left, *config.sensors.right):
             sensor.scale_se = gain
-        found.append(fit_buckling(pushes(1), config).critical_se)
+        found.append(fit_buckling(*pushes(1), config).critical_se)
     assert found[1] > 1.2 * found[0]
 
 
 def test_push_without_a_fold_is_left_out_and_an_outlier_trial_named():
-    readings = pushes(2, trials=7)
-    rows = readings.curvature.copy()
+    rows = pushes(2, trials=7)[0]
     rows[1] *= 0.5
     rows[1, [0, 5]] = rows[1, 1] * 48 / 38
     rows[4] *= 2.0
-    result = fit_buckling(PushReadings(rows, 0.49, LENGTH), RobotConfig())
+    result = fit_buckling(rows, 0.49, LENGTH, RobotConfig())
     assert np.isnan(result.each[[1, 4]]).all()
     assert any("did not fold" in note for note in result.verdict.notes)
     assert any("outlier" in note for note in result.verdict.notes)
@@ -293,7 +294,7 @@ def test_every_result_draws_its_figure_and_makes_plain_data(tmp_path):
     config = RobotConfig()
     rng = np.random.default_rng(6)
     results = [
-        fit_buckling(pushes(0), config),
+        fit_buckling(*pushes(0), config),
         fit_hysteresis([CreepRecord("left", 0, *decay(rng, 8.0, 0.02))], config),
         fit_stiffness([axis(1.0, y, rng) for y in (7.0, -8.0, 9.0)], config),
         fit_noise(np.arange(40.0), rng.normal(0, 6e-4, (40, 10)), config),

@@ -14,7 +14,7 @@ from thigmo.errors import ConfigError
 def test_a_cards_markers_are_where_the_sheet_says():
     sheet = Sheet()
     card = sheet.cards[2]
-    picture = card_image(sheet, card, 40)
+    picture = card_image(sheet, card)
     found = detect_markers(picture, "DICT_4X4_50")
     assert sorted(found) == [8, 9, 10, 11]
     middle = picture.shape[0] / 2
@@ -36,7 +36,7 @@ def test_turned_and_shrunk_cards_move_their_corners():
 
 def test_pages_hold_every_marker_and_the_scale_bar():
     sheet = Sheet()
-    made = pages(sheet, 40)
+    made = pages(sheet)
     assert [picture.shape for picture in made] == [(1188, 840)] * 4
     ids = set()
     for picture in made[:2]:

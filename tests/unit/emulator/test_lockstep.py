@@ -63,7 +63,7 @@ def test_fault_begins_when_all_its_conditions_hold_and_ends(board: SilentBoard) 
     for step in range(100):
         board.motor = 200 if step >= 40 else 0
         lockstep.advance()
-        stuck.append(lockstep.plant.spool_stuck)
+        stuck.append(lockstep.plant.spool_stall)
     assert stuck.index(True) in (40, 41)
     assert stuck.count(True) == 30
     assert lockstep.faults.active == set()
@@ -83,10 +83,10 @@ def test_fault_begins_when_all_its_conditions_hold_and_ends(board: SilentBoard) 
         ("pressure_frozen", {"value": 7.0}, lambda s, b: s.plant.pressure_seen[0] == 7.0),
         ("pressure_gain", {}, lambda s, b: s.plant.pressure_gain[0] == 0.75),
         ("pressure_offset", {}, lambda s, b: s.plant.pressure_seen[0] < -2.0),
-        ("pressure_noisy", {}, lambda s, b: s.plant.pressure_noise[0] == 1.0),
+        ("pressure_noisy", {}, lambda s, b: s.plant.pressure_noisy[0] == 1.0),
         ("flex_frozen", {"sensor": 1}, lambda s, b: set(s.plant.stuck) == {1}),
         ("flex_noisy", {}, lambda s, b: s.plant.flex_noise == {0: 40.0}),
-        ("motor_lost", {}, lambda s, b: s.plant.windings_open),
+        ("motor_lost", {}, lambda s, b: s.plant.motor_lost),
         ("motor_shorted", {}, lambda s, b: s.plant.motor_forced == 800),
         ("encoder_lost", {}, lambda s, b: s.plant.encoder_lost),
         ("host_silent", {}, lambda s, b: s.faults.host_silent),
@@ -213,9 +213,9 @@ def test_operator_moves_the_dowels(board: SilentBoard) -> None:
     assert [peg.x for peg in link.truth().pegs] == [35.0, 20.0]
     board.drive, board.drive_enabled = (430, 0), (True, False)
     link.pass_time(6.0)
-    assert [contact.peg for contact in link.truth().now.contacts] == [0]
+    assert [contact.peg for contact in link.truth().contacts] == [0]
     link.operator.place_pegs([])
-    assert link.truth().now.contacts == ()
+    assert link.truth().contacts == ()
     assert link.lockstep.plant.sensor_curvature == pytest.approx(
         np.full(10, link.lockstep.plant.free_curvature), abs=1e-6
     )

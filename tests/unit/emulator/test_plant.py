@@ -310,7 +310,7 @@ def test_contact_moves_the_base_sensor_of_the_passive_side() -> None:
     scene.start_length_cm = 53.0
     plant = Plant(scene)
     ramp(plant, 14.0)
-    moment = plant.truth().now
+    moment = plant.truth()
     (contact,) = moment.contacts
     assert contact.arc == 53.0
     assert contact.kind in ("corner", "face")
@@ -329,7 +329,7 @@ def test_a_scene_file_chooses_its_mechanics_or_leaves_the_choice(
     ramp(plant, 14.0)
     used = {name for name, steps in plant.body.counts.items() if steps > 0}
     assert used == ({"arc", "elastica"} if model == "auto" else {model})
-    assert (len(plant.truth().now.contacts) > 0) == (model != "arc")
+    assert (len(plant.truth().contacts) > 0) == (model != "arc")
 
 
 def test_a_scenes_tolerance_decides_between_beam_and_elastica() -> None:
@@ -338,7 +338,7 @@ def test_a_scenes_tolerance_decides_between_beam_and_elastica() -> None:
         scene.plant.tolerance_cm = tolerance
         plant = Plant(scene)
         ramp(plant, 2.4)
-        assert plant.truth().now.contacts
+        assert plant.truth().contacts
         return plant.body.model
 
     assert last_model(5.0) == "beam"
@@ -353,9 +353,9 @@ def test_truth_is_the_room_and_how_the_body_lies_in_it() -> None:
     run(plant, 20.0, left=current_for(14.0))
     truth = plant.truth()
     assert truth.pegs == scene.peg_list()
-    assert [contact.peg for contact in truth.now.contacts] == [0]
-    assert truth.now.length_cm == 53.0
-    arc, *_, x, y = truth.now.centreline.T
+    assert [contact.peg for contact in truth.contacts] == [0]
+    assert truth.length_cm == 53.0
+    arc, *_, x, y = truth.centreline.T
     assert arc[-1] == pytest.approx(53.0)
     assert np.hypot(np.diff(x), np.diff(y)).sum() == pytest.approx(53.0, rel=1e-3)
     assert plant.body.counts["arc"] > 0
@@ -421,7 +421,7 @@ def test_friction_holds_the_usual_pull_and_shorted_windings_only_slow_a_stronger
         scene.spool.holding_n = holding_n
         scene.spool.dead_zone = 40.0  # 3 N of sliding friction
         plant = Plant(scene)
-        plant.windings_open = not shorted
+        plant.motor_lost = not shorted
         plant.set_body_pressure(1.47)
         run(plant, 1.0)
         before = plant.length_cm

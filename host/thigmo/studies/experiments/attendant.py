@@ -82,7 +82,7 @@ class Attendant:
             "Then press Enter; the robot will bend on, against the dowel."
         )
         if self._robot:
-            arc, heading, _, x, y = self._robot.scenery().now.centreline.T
+            arc, heading, _, x, y = self._robot.scenery().centreline.T
             radius = self._robot.config.body.radius_cm + thesis.DOWEL_CM + _CLEARANCE_CM
             normal = float(np.interp(at, arc, heading)) - trial.sign * np.pi / 2
             peg = Peg(
@@ -140,7 +140,7 @@ class Attendant:
 
     def truth(self) -> dict[str, list[float]]:
         """What an emulated room knows of the contacts, base first, as trials.csv has it."""
-        touching = self._robot.scenery().now.contacts if self._robot else []
+        touching = self._robot.scenery().contacts if self._robot else []
         return {
             "true_arcs_cm": [float(contact.arc) for contact in touching],
             "true_forces": [float(contact.normal) for contact in touching],

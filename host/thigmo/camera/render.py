@@ -9,105 +9,26 @@ and never at the truth behind them. Lengths in cm, z up from the table, angles i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import pairwise
 from math import tan
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.camera.model import CameraModel, Lens, Picture
+from thigmo.camera.sheet import Decal
 from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 Color = tuple[float, float, float]  # blue, green, red, 0..255
 
 _SHIFT = 6  # fractional bits of OpenCV's polygon vertices
 _TABLE_PX_CM = 12
+_SIZE = (1920, 1080)
 _LIVE_CM = 90.0  # the table is painted within this distance of the picture's middle
-
-
-class Patch(Protocol):
-    """A printed flat thing: gray image and its corners (4, 3), upper left first, clockwise."""
-
-    @property
-    def image(self) -> NDArray[np.uint8]:
-        """Gray picture."""
-        ...
-
-    @property
-    def corners_cm(self) -> NDArray[np.float64]:
-        """Corners, cm."""
-        ...
-
-
-@dataclass(frozen=True)
-class TrueCamera:
-    """The camera that takes the picture (OpenCV's conventions).
-
-    Attributes:
-        matrix: (3, 3) camera matrix, px.
-        distortion: (5,) k1, k2, p1, p2, k3.
-        rotation: (3,) Rodrigues vector, workspace to camera.
-        translation: (3,) cm.
-        size: width, height in px.
-    """
-
-    matrix: Array
-    distortion: Array
-    rotation: Array
-    translation: Array
-    size: tuple[int, int] = (1920, 1080)
-
-    def project(self, points: Array) -> Array:
-        """Workspace points (n, 3) to pixels (n, 2)."""
-        seen, _ = cv2.projectPoints(
-            np.asarray(points, float).reshape(-1, 1, 3),
-            self.rotation,
-            self.translation,
-            self.matrix,
-            self.distortion,
-        )
-        return np.asarray(seen, float).reshape(-1, 2)
-
-    @cached_property
-    def turn(self) -> Array:
-        """Rotation matrix (3, 3), workspace to camera."""
-        return np.asarray(cv2.Rodrigues(self.rotation)[0], float)
-
-    @cached_property
-    def eye(self) -> Array:
-        """Place (3,) of the camera."""
-        return np.asarray(-self.turn.T @ self.translation, float)
-
-    @cached_property
-    def rays(self) -> NDArray[np.float32]:
-        """Direction (h, w, 3) of every pixel's ray in the workspace (smooth, so interpolated)."""
-        step = 8
-        width, height = self.size
-        columns = np.arange(-step, width + 2 * step, step, dtype=float)
-        rows = np.arange(-step, height + 2 * step, step, dtype=float)
-        grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 1, 2)
-        ends = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
-        flat = cv2.undistortPoints(grid, self.matrix, self.distortion, None, None, None, ends)
-        flat = flat.reshape(len(rows), len(columns), 2).astype(np.float32)
-        full = np.einsum("rR,RCk->rCk", _between(height, step, len(rows)), flat, optimize=True)
-        across = _between(width, step, len(columns))
-        full = np.einsum("cC,rCk->rck", across, full, optimize=True)
-        homogeneous = np.dstack([full, np.ones((height, width), np.float32)])
-        return np.asarray(homogeneous @ self.turn.astype(np.float32), np.float32)
-
-    def plane(self, height_cm: float, box: tuple[slice, slice] = (slice(None), slice(None))) -> Any:
-        """Workspace x and y (h, w) where each pixel's ray meets a height."""
-        rays = self.rays[box]
-        reach = np.float32(height_cm - self.eye[2]) / rays[..., 2]
-        return (
-            np.float32(self.eye[0]) + reach * rays[..., 0],
-            np.float32(self.eye[1]) + reach * rays[..., 1],
-        )
 
 
 @dataclass(frozen=True)
@@ -178,21 +99,11 @@ class View:
 
     body: BodyShape | None = None
     pegs: Sequence[PegShape] = ()
-    patches: Sequence[Patch] = field(default_factory=tuple)
+    patches: Sequence[Decal] = ()
     housing: bool = True
 
 
-def _between(n: int, step: int, knots: int) -> NDArray[np.float32]:
-    """Linear interpolation matrix (n, knots); knot 0 lies one step before pixel 0."""
-    at = np.arange(n) / step + 1
-    left = np.floor(at).astype(int)
-    weights = np.zeros((n, knots), np.float32)
-    weights[np.arange(n), left] = 1 - (at - left)
-    weights[np.arange(n), left + 1] += at - left
-    return weights
-
-
-def overhead_camera(rng: np.random.Generator | None = None) -> TrueCamera:
+def overhead_camera(rng: np.random.Generator | None = None) -> CameraModel:
     """A camera above the default workspace, long side across the robot; varied by `rng`.
 
     Height 95..120 cm, tilt to 6 degrees, roll to 4, barrel distortion to -0.12, focal length such
@@ -212,12 +123,13 @@ def overhead_camera(rng: np.random.Generator | None = None) -> TrueCamera:
     k1 = -0.06 + vary * pick.uniform(-0.06, 0.05)
     k2 = 0.01 + vary * pick.uniform(-0.01, 0.02)
     half_view = np.arctan(64.0 / height)
-    middle = np.array(TrueCamera.size) / 2
+    middle = np.array(_SIZE) / 2
     focal = middle[0] / tan(half_view) * (1 - 0.3 * k1)
     middle = middle + vary * pick.uniform(-12, 12, 2)
     matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
     distortion = np.array([k1, k2, vary * pick.normal(0, 4e-4), vary * pick.normal(0, 4e-4), 0.0])
-    return TrueCamera(matrix, distortion, np.ravel(cv2.Rodrigues(turn)[0]), -turn @ eye)
+    lens = Lens(matrix, distortion, _SIZE)
+    return CameraModel(lens, np.ravel(cv2.Rodrigues(turn)[0]), -turn @ eye)
 
 
 def random_look(rng: np.random.Generator) -> Look:
@@ -239,7 +151,7 @@ def random_look(rng: np.random.Generator) -> Look:
 
 
 def render(
-    camera: TrueCamera,
+    camera: CameraModel,
     view: View,
     look: Look | None = None,
     rng: np.random.Generator | None = None,
@@ -283,10 +195,11 @@ def render(
 
 
 def _table(
-    camera: TrueCamera, view: View, look: Look, rng: np.random.Generator
+    camera: CameraModel, view: View, look: Look, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     """Table with grain, clutter and shadows, warped into the picture."""
-    x, y = camera.plane(0.0)
+    rays, eye = camera.rays, camera.eye_cm.astype(np.float32)
+    x, y = (eye[axis] - eye[2] / rays[..., 2] * rays[..., axis] for axis in (0, 1))
     low = np.maximum(np.array([x.min(), y.min()]) - 2, np.array([-_LIVE_CM, -_LIVE_CM]))
     high = np.minimum(np.array([x.max(), y.max()]) + 2, np.array([_LIVE_CM, _LIVE_CM]) + 40)
     px = _TABLE_PX_CM
@@ -374,7 +287,7 @@ def _fill(canvas: NDArray[np.float32], outline: Array, color: Color) -> None:
 
 def _tube(
     canvas: NDArray[np.float32],
-    camera: TrueCamera,
+    camera: CameraModel,
     body: BodyShape,
     look: Look,
     rng: np.random.Generator,
@@ -419,7 +332,7 @@ def _tube(
                 _fill(canvas, quad, _scaled(body.color, bright))
 
 
-def _housing(canvas: NDArray[np.float32], camera: TrueCamera) -> None:
+def _housing(canvas: NDArray[np.float32], camera: CameraModel) -> None:
     """The base's box: walls and lid."""
     around = np.array([[0.0, 5.0, 0], [0.0, -5.0, 0], [-10.0, -5.0, 0], [-10.0, 5.0, 0]])
     lid = camera.project(around + np.array([0, 0, 6.0]))
@@ -434,7 +347,7 @@ def _scaled(color: Color, by: float) -> Color:
 
 def _peg(
     canvas: NDArray[np.float32],
-    camera: TrueCamera,
+    camera: CameraModel,
     peg: PegShape,
     low_cm: float,
     high_cm: float,
@@ -457,7 +370,7 @@ def _peg(
         _fill(canvas, upper, peg.color)
 
 
-def _paste(canvas: NDArray[np.float32], camera: TrueCamera, patch: Patch) -> None:
+def _paste(canvas: NDArray[np.float32], camera: CameraModel, patch: Decal) -> None:
     """Lay a printed patch, flat at any tilt, into the picture."""
     corners = np.asarray(patch.corners_cm, float)
     outline = camera.project(corners)
@@ -471,7 +384,7 @@ def _paste(canvas: NDArray[np.float32], camera: TrueCamera, patch: Patch) -> Non
     across, down = corners[1] - corners[0], corners[3] - corners[0]
     normal = np.cross(across, down)
     rays = camera.rays[box].astype(float)
-    from_corner = camera.eye - corners[0]
+    from_corner = camera.eye_cm - corners[0]
     reach = -(from_corner @ normal) / (rays @ normal)
     at = from_corner + reach[..., None] * rays
     u = at @ across / (across @ across)

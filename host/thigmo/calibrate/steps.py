@@ -1,4 +1,4 @@
-"""The guided steps: readings of the bench into fits, verdicts and robot.toml.
+"""The steps: readings of the bench, or of a CSV, into fits, verdicts and robot.toml.
 
     growth   -> encoder, hysteresis        bends -> actuator, and free bends for flex
     tips     -> flex; stiffness with bows  pushes -> buckling
@@ -10,8 +10,9 @@ check (the keys of `STEPS`).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,9 @@ from thigmo.calibrate.actuator import (
     together,
 )
 from thigmo.calibrate.bench import SAME_CM, Bench, Row
-from thigmo.calibrate.buckling import BucklingResult, PushReadings, fit_buckling
+from thigmo.calibrate.buckling import BucklingResult, fit_buckling
 from thigmo.calibrate.check import CheckResult, run_check
-from thigmo.calibrate.columns import places_of, scales_of, sensors_of
+from thigmo.calibrate.columns import constants_of, grouped, of_sensors, places_of, sensors_of
 from thigmo.calibrate.encoder import EncoderResult, PressureResult, fit_encoder, fit_pressure_zero
 from thigmo.calibrate.flex import FlexResult, fit_flex
 from thigmo.calibrate.flex_data import FlexReadings
@@ -48,10 +49,12 @@ from thigmo.calibrate.procedures import (
 )
 from thigmo.calibrate.stiffness import AxisPoints, StiffnessResult, fit_stiffness
 from thigmo.calibrate.verdict import StepResult
-from thigmo.config import SIDES
+from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
+from thigmo.record.table import MissingColumnError, Table
 
 Array = NDArray[np.float64]
+Path = str | os.PathLike[str]
 
 _VENTED_PSI = 0.5
 _LAG_SE_S = 0.1  # a lag known worse than that is not used
@@ -186,7 +189,7 @@ def stiffness(bench: Bench) -> StiffnessResult:
 def buckling(bench: Bench) -> BucklingResult:
     """Critical curvature from hard pushes: run it after flex."""
     rows = push_rows(bench)
-    scale = scales_of(bench.config)
+    (scale,) = constants_of(bench.config, "scale_per_ohm")
     gone, rest = _column(rows, "ohm") * scale, _column(rows, "rest") * scale
     flex_done = bench.session.done("flex")
     if flex_done is not None:
@@ -199,14 +202,13 @@ def buckling(bench: Bench) -> BucklingResult:
         rest -= np.nan_to_num(loop) * turn[0::2]
         gone -= np.nan_to_num(loop) * turn[1::2]
     body = bench.config.body
-    readings = PushReadings(gone - rest, body.zones[-1].pressure_psi, body.length_cm)
-    return fit_buckling(readings, bench.config)
+    return fit_buckling(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
 
 
 def noise(bench: Bench) -> NoiseResult:
     """Noise at rest; hysteresis within a sweep from the bends, if they were taken."""
     rows = rest_rows(bench)
-    scale = scales_of(bench.config)
+    (scale,) = constants_of(bench.config, "scale_per_ohm")
     ohm = _column(rows, "ohm")
     rising, falling = _loops(bench, scale)
     return fit_noise(
@@ -244,28 +246,97 @@ def _column(rows: Sequence[Row], key: str, missing: Any = None) -> Array:
     return np.array([row.get(key, missing) for row in rows], float)
 
 
-STEPS: dict[str, Callable[[Bench], StepResult]] = {
-    "pressure": pressure,
-    "encoder": encoder,
-    "actuator": actuator,
-    "flex": flex,
-    "hysteresis": hysteresis,
-    "buckling": buckling,
-    "stiffness": stiffness,
-    "noise": noise,
-    "check": check,
-}
-# Without these, later steps would measure nonsense; a bad one of the others spoils nothing else.
-NEEDED = ("pressure", "encoder", "actuator", "flex")
-ROWS_OF = {
-    "encoder": ("growth",),
-    "hysteresis": ("growth",),
-    "actuator": ("bends", "lag"),
-    "flex": ("tips",),
-    "stiffness": ("bows",),
-    "buckling": ("pushes",),
-    "noise": ("rest",),
-}
+def _actuator_csv(path: Path, config: RobotConfig) -> StepResult:
+    found = [fit_actuator(readings) for readings in BendReadings.read_all(path)]
+    if not found:
+        raise DataError(f"{path} holds no bends", "give one line for each bend")
+    return together(found)
+
+
+def _noise_csv(path: Path, config: RobotConfig) -> StepResult:
+    table = Table.read(path)
+    return fit_noise(table.numbers("t_s"), of_sensors(table, "curvature", config), config)
+
+
+def _pressure_csv(path: Path, config: RobotConfig) -> StepResult:
+    table = Table.read(path)
+    return fit_pressure_zero(
+        np.column_stack([table.numbers("left_count"), table.numbers("right_count")])
+    )
+
+
+def _encoder_csv(path: Path, config: RobotConfig) -> StepResult:
+    table = Table.read(path)
+    return fit_encoder(table.numbers("counts"), table.numbers("length_cm"), config)
+
+
+def _buckling_csv(path: Path, config: RobotConfig) -> StepResult:
+    table = Table.read(path)
+    body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
+    length = table.numbers("length_cm", config.body.length_cm)
+    if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
+        raise DataError(f"{path}: body pressure or length varies", "one file for each")
+    curvature = of_sensors(table, "curvature", config)
+    return fit_buckling(curvature, float(body[0]), float(length[0]), config)
+
+
+def _stiffness_csv(path: Path, config: RobotConfig) -> StepResult:
+    table = Table.read(path)
+    picture = table.whole("picture")
+    rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
+    seen = np.isfinite(rows).all(axis=1)
+    picture, rows = picture[seen], rows[seen]
+    each = [AxisPoints(rows[own, :2], rows[own[0], 2]) for _, own in grouped(picture.tolist())]
+    return fit_stiffness(each, config)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the calibration.
+
+    Attributes:
+        guided: takes the readings that are missing, and fits them.
+        rows: names of the tables of readings that are its own.
+        needed: without it later steps would measure nonsense; a bad other one spoils nothing else.
+        columns: of its CSV; those in brackets may be left out.
+        of_csv: fits a CSV.
+    """
+
+    guided: Callable[[Bench], StepResult]
+    rows: tuple[str, ...] = ()
+    needed: bool = False
+    columns: str = ""
+    of_csv: Callable[[Path, RobotConfig], StepResult] | None = None
+
+
+_CURVATURES = "curvature_left_0 .. curvature_right_4"
+STEPS = {
+    "pressure": Step(pressure, (), True, "left_count, right_count", _pressure_csv),
+    "encoder": Step(encoder, ("growth",), True, "counts, length_cm", _encoder_csv),
+    "actuator": Step(
+        actuator, ("bends", "lag"), True,
+        "side, body_pressure_psi, pressure_psi, curvature [curvature_se, branch, trial]",
+        _actuator_csv,
+    ),
+    "flex": Step(
+        flex, ("tips",), True,
+        "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_4 "
+        "[t_s, curvature_se, active, length_cm, intended_y_cm, block, name]",
+        lambda path, config: fit_flex(FlexReadings.read(path, config), config),
+    ),
+    "hysteresis": Step(
+        hysteresis, ("growth",), False, "side, index, t_s, curvature [eversion]",
+        lambda path, config: fit_hysteresis(CreepRecord.read_all(path), config),
+    ),
+    "buckling": Step(
+        buckling, ("pushes",), False, f"{_CURVATURES} [body_pressure_psi, length_cm]", _buckling_csv
+    ),
+    "stiffness": Step(
+        stiffness, ("bows",), False, "picture, x_cm, y_cm, force_arc_cm", _stiffness_csv
+    ),
+    "noise": Step(noise, ("rest",), False, f"t_s, {_CURVATURES}", _noise_csv),
+    "check": Step(check),
+}  # fmt: skip
 
 
 def run(bench: Bench, step: str, *, again: bool = False) -> StepResult:
@@ -283,12 +354,36 @@ def run(bench: Bench, step: str, *, again: bool = False) -> StepResult:
     if step not in STEPS:
         raise DataError(f"there is no step '{step}'", f"use one of {', '.join(STEPS)}")
     if again:
-        for procedure in ROWS_OF.get(step, ()):
+        for procedure in STEPS[step].rows:
             bench.session.forget(procedure)
     if step == "pressure":
         bench.configure()  # no length is taken from a robot that does not look vented
     else:
         bench.start()
-    result = STEPS[step](bench)
+    result = STEPS[step].guided(bench)
     bench.finish(step, result)
     return result
+
+
+def fit_csv(step: str, path: Path, config: RobotConfig) -> StepResult:
+    """Fit a step to a CSV of readings that a lab already has: no robot, no camera.
+
+    Args:
+        step: a key of `STEPS` that has columns.
+        path: the file.
+        config: geometry of the robot.
+
+    Raises:
+        DataError: unknown step, or a file that does not hold what the step needs.
+    """
+    made = {name: one.of_csv for name, one in STEPS.items() if one.of_csv is not None}
+    if step not in made:
+        raise DataError(
+            f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(made))}"
+        )
+    try:
+        return made[step](path, config)
+    except MissingColumnError as error:
+        columns = STEPS[step].columns
+        error.add_note(f"columns of {step}: {columns}; those in brackets may be left out")
+        raise
