@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,6 @@ class Plan:
     tip_reach_cm: float | None = None
 
 
-@runtime_checkable
 class Hand(Operator, Protocol):
     """Whoever stands beside the robot, and can push its tip."""
 
@@ -72,24 +71,26 @@ class Bench:
 
     Attributes:
         robot: connected.
-        hand: the operator.
         eyes: the camera.
         session: the folder.
         plan: how much of everything.
         say: told what happens.
         rest: resistances of the straight robot, taken last (an eversion shifts them, so rows keep
             the one of their own session).
-        configured: the robot has the session's constants.
     """
 
     robot: Robot
-    hand: Hand
     eyes: Eyes
     session: Session
     plan: Plan = field(default_factory=Plan)
     say: Callable[[str], None] = lambda text: None
     rest: list[float] = field(default_factory=list)
-    configured: bool = False
+    _configured: bool = False
+
+    @property
+    def hand(self) -> Hand:
+        """The operator: at a terminal as on the emulator one who can push the tip."""
+        return cast(Hand, self.robot.operator)
 
     @property
     def config(self) -> RobotConfig:
@@ -98,9 +99,9 @@ class Bench:
 
     def configure(self) -> None:
         """Give the robot the session's constants, once."""
-        if not self.configured:
+        if not self._configured:
             self.robot.configure(self.config)
-            self.configured = True
+            self._configured = True
 
     def start(self) -> None:
         """Configure, learn the length, arm; what is done already is left as it is."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,10 +25,11 @@ from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.errors import DataError
 
 
+@dataclass
 class Eyes:
     """What the guided steps ask of the camera.
 
-    Args:
+    Attributes:
         source: of pictures; live ones show the robot as it is now.
         camera: located.
         sheet: in use.
@@ -35,21 +37,11 @@ class Eyes:
         dowel_radius_cm: of the obstacles, if known: fewer mistakes.
     """
 
-    def __init__(
-        self,
-        source: PictureSource,
-        camera: CameraModel,
-        sheet: Sheet,
-        diameter_cm: float = 3.5,
-        dowel_radius_cm: float | None = None,
-    ) -> None:
-        self.source = source
-        self.camera = camera
-        self.sheet = sheet
-        self.wanted = Seen(diameter_cm=diameter_cm)
-        if dowel_radius_cm is not None:
-            radii = (0.8 * dowel_radius_cm, 1.2 * dowel_radius_cm)
-            self.wanted = replace(self.wanted, obstacle_radius_cm=radii)
+    source: PictureSource
+    camera: CameraModel
+    sheet: Sheet
+    diameter_cm: float = 3.5
+    dowel_radius_cm: float | None = None
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis; a pushed tip's place needs its marker, a free bend does not.
@@ -61,7 +53,7 @@ class Eyes:
         Raises:
             CameraError: as named; also where the axis that was seen is doubtful.
         """
-        wanted = replace(self.wanted, constant=free_bend, obstacles=False, length_cm=length_cm)
+        wanted = Seen(self.diameter_cm, constant=free_bend, obstacles=False, length_cm=length_cm)
         sighting = look(self.source.read(), self.camera, self.sheet, wanted)
         doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in sighting.problems)
         if doubtful or sighting.axis is None or (sighting.tip is None and not free_bend):
@@ -74,7 +66,10 @@ class Eyes:
         Raises:
             CameraError: no cards, or the camera moved.
         """
-        return look(self.source.read(), self.camera, self.sheet, self.wanted)
+        wanted = Seen(self.diameter_cm)
+        if (radius := self.dowel_radius_cm) is not None:
+            wanted = replace(wanted, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
+        return look(self.source.read(), self.camera, self.sheet, wanted)
 
 
 class Scenery(Protocol):
@@ -111,27 +106,20 @@ def emulated_source(
     room = painter.random_look(rng)
     measured = float(camera.eye_cm[2] + rng.normal(0, 0.5))
     table_seed = int(rng.integers(1 << 31))
-    count = 0
+    numbers = count(1)
 
     def paint() -> NDArray[np.uint8]:
-        nonlocal count
-        count += 1
         truth = robot.scenery()
-        line = truth.centreline
-        patches = card_decals(sheet)
-        body = None
-        if len(line) > 1 and line[-1, 0] > 2.0:
-            body = painter.BodyShape(line[:, 3], line[:, 4], diameter_cm / 2)
-            patches.append(tip_decal(sheet, line[:, 3], line[:, 4], diameter_cm))
+        x, y = truth.centreline[:, 3:].T
+        patches, body = card_decals(sheet), None
+        if truth.length_cm > 2.0:
+            body = painter.BodyShape(x, y, diameter_cm / 2)
+            patches.append(tip_decal(sheet, x, y, diameter_cm))
         pegs = [painter.PegShape(float(p.x), float(p.y), float(p.radius)) for p in truth.pegs]
-        taken = spoil(camera) if spoil is not None else camera
         # The room stays, the sensor's noise does not.
-        return np.asarray(
-            painter.render(
-                taken, painter.View(body, pegs, patches), room,
-                np.random.default_rng(table_seed), np.random.default_rng([table_seed, count]),
-            ),
-            np.uint8,
+        return painter.render(
+            camera if spoil is None else spoil(camera), painter.View(body, pegs, patches), room,
+            np.random.default_rng(table_seed), np.random.default_rng([table_seed, next(numbers)]),
         )  # fmt: skip
 
     return PictureSource(paint, live=True), measured

@@ -24,8 +24,7 @@ class FlexReadings:
     """What was done and what was read.
 
     Attributes:
-        kind: (n,) of "straight", "tip", "bend".
-        t_s: (n,) time, in order.
+        kind: (n,) of "straight", "tip", "bend", in order of time.
         tip_cm: (n, 2) tip by camera; nan where the marker was not seen or there is none.
         curvature: (n,) of free bends, by camera, 1/cm; nan elsewhere.
         curvature_se: (n,) its one sigma.
@@ -38,7 +37,6 @@ class FlexReadings:
     """
 
     kind: tuple[str, ...]
-    t_s: Array
     tip_cm: Array
     curvature: Array
     curvature_se: Array
@@ -76,8 +74,6 @@ class FlexReadings:
         none = float("nan")
         readings = cls(
             tuple(table.words("kind")),
-            np.nan_to_num(table.numbers("t_s")) if "t_s" in table
-            else np.arange(table.rows, dtype=float),
             np.column_stack([table.numbers("tip_x_cm", none), table.numbers("tip_y_cm", none)]),
             table.numbers("curvature", none),
             table.numbers("curvature_se", 0.0),
@@ -117,20 +113,14 @@ class FlexReadings:
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
         """To a CSV that `read` takes."""
         columns: dict[str, Any] = {
-            "name": self.name,
-            "kind": self.kind,
-            "t_s": self.t_s.tolist(),
-            "tip_x_cm": self.tip_cm[:, 0].tolist(),
-            "tip_y_cm": self.tip_cm[:, 1].tolist(),
-            "curvature": self.curvature.tolist(),
-            "curvature_se": self.curvature_se.tolist(),
-            "active": self.active,
-            "length_cm": [self.length_cm] * len(self.kind),
-            "intended_y_cm": self.intended_y_cm.tolist(),
-            "block": self.block.tolist(),
-        }
+            "name": self.name, "kind": self.kind, "t_s": range(len(self.kind)),
+            "tip_x_cm": self.tip_cm[:, 0], "tip_y_cm": self.tip_cm[:, 1],
+            "curvature": self.curvature, "curvature_se": self.curvature_se, "active": self.active,
+            "length_cm": [self.length_cm] * len(self.kind), "intended_y_cm": self.intended_y_cm,
+            "block": self.block,
+        }  # fmt: skip
         for (side, k), ohm in zip(places_of(config), self.ohm.T, strict=True):
-            columns[f"ohm_{side}_{k}"] = ohm.tolist()
+            columns[f"ohm_{side}_{k}"] = ohm
         write_table(path, columns)
 
 

@@ -161,7 +161,6 @@ def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
     level = [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in rest.T]
     return FlexReadings(
         tuple(r.get("kind", "bend") for r in rows),
-        np.arange(len(rows), dtype=float),
         _column(rows, "tip", (None, None)),
         _column(rows, "k"),
         np.nan_to_num(_column(rows, "k_se")),

@@ -13,7 +13,6 @@ from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from thigmo.calibrate.bench import Hand
     from thigmo.calibrate.eyes import Eyes
     from thigmo.calibrate.session import Session
     from thigmo.calibrate.verdict import StepResult
@@ -123,11 +122,9 @@ def calibrate(
         session = Session(folder, start or (blank(known) if known else None))
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
-        hand = _hand(machine)
-        machine.configure(session.config)
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
         say: Callable[[str], None] = (lambda text: None) if as_json else typer.echo
-        bench = Bench(machine, hand, eyes, session, plan, say, configured=True)
+        bench = Bench(machine, eyes, session, plan, say)
         found: dict[str, StepResult] = {}
         for name in steps:
             if step == "all" and not again and session.done(name):
@@ -157,16 +154,6 @@ def _status(session: Session, as_json: bool) -> None:
         told[name] = {"done": done is not None, "readings": rows, "reason": reason}
         lines.append(f"{name:12s} {'done' if done else f'{rows} readings':14s} {reason}".rstrip())
     show(as_json, told, *lines)
-
-
-def _hand(machine: Robot) -> Hand:
-    from thigmo.calibrate.bench import Hand
-    from thigmo.errors import DataError
-
-    operator = machine.operator
-    if not isinstance(operator, Hand):
-        raise DataError("nobody can push the tip of this robot", "name another operator")
-    return operator
 
 
 def _eyes(

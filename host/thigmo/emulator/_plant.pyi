@@ -84,8 +84,8 @@ class Spool:
     def line_cm(self) -> float:
         """Line paid out."""
 
-class Ailments:
-    """What ails all flex sensors; see the scene's [noise] and [flex]."""
+class FlexSensor:
+    """A flex sensor on its divider, in the tail at first."""
 
     def __init__(
         self,
@@ -96,15 +96,6 @@ class Ailments:
         wrinkle_start_psi: float,
         wrinkle_full_psi: float,
         fold_bend: float,
-    ) -> None: ...
-
-class FlexSensor:
-    """A flex sensor on its divider, in the tail at first."""
-
-    def __init__(
-        self,
-        ailments: Ailments,
-        *,
         center_cm: float,
         span_cm: float,
         scale_per_ohm: float,
@@ -117,7 +108,10 @@ class FlexSensor:
         phase_1: float,
         phase_2: float,
     ) -> None:
-        """loop, stowed: 1/cm, of its hysteresis and of its bend in the tail; phases: rad."""
+        """The first six ail all sensors: see the scene's [noise] and [flex].
+
+        loop, stowed: 1/cm, of its hysteresis and of its bend in the tail; phases: rad.
+        """
 
     def evert(self, at_s: float, offset: float, creep: float) -> None:
         """Come out of the tip: with an offset of this eversion and a creep (1/cm)."""

@@ -156,13 +156,10 @@ struct Spool {
   }
 };
 
-// What ails all flex sensors.
-struct Ailments {
-  double loop_width, wrong_gain, wrinkle, wrinkle_start_psi, wrinkle_full_psi, fold_bend;
-};
-
 struct FlexSensor {
-  Ailments ailments;
+  // What ails all sensors.
+  double loop_width, wrong_gain, wrinkle, wrinkle_start_psi, wrinkle_full_psi, fold_bend;
+  // Its own.
   double center_cm, span_cm, scale_per_ohm, zero_ohm, divider_ohm, direction, loop, creep_tau_s;
   double stowed, phase_1, phase_2;
 
@@ -184,23 +181,21 @@ struct FlexSensor {
 
   // Ideal ADC count at a mean curvature (over the everted part), under its side's muscle.
   double count(double curvature, double length_cm, double t_s, double muscle_psi) {
-    double value = curvature * direction < 0.0 ? curvature * ailments.wrong_gain : curvature;
+    double value = curvature * direction < 0.0 ? curvature * wrong_gain : curvature;
     // Dahl's model of the loop: the lag saturates after loop_width of bending.
     const double change = curvature - bent;
     bent = curvature;
     if (change != 0.0) {
       const double end = std::copysign(1.0, change);
-      turn = end + (turn - end) * std::exp(-std::fabs(change) / ailments.loop_width);
+      turn = end + (turn - end) * std::exp(-std::fabs(change) / loop_width);
     }
     value -= loop * turn;
     // Garbage while this side's muscle wrinkles the wall under it.
-    const double wrinkled = std::clamp((muscle_psi - ailments.wrinkle_start_psi) /
-                                           (ailments.wrinkle_full_psi - ailments.wrinkle_start_psi),
-                                       0.0, 1.0);
+    const double wrinkled = std::clamp(
+        (muscle_psi - wrinkle_start_psi) / (wrinkle_full_psi - wrinkle_start_psi), 0.0, 1.0);
     if (wrinkled > 0.0) {
-      const double garbage =
-          0.3 * value + ailments.wrinkle * (std::sin(phase_1 + 0.9 * muscle_psi) +
-                                            0.6 * std::sin(phase_2 + 3.1 * muscle_psi));
+      const double garbage = 0.3 * value + wrinkle * (std::sin(phase_1 + 0.9 * muscle_psi) +
+                                                      0.6 * std::sin(phase_2 + 3.1 * muscle_psi));
       value += wrinkled * wrinkled * (3.0 - 2.0 * wrinkled) * (garbage - value);
     }
     if (everted) {
@@ -212,8 +207,7 @@ struct FlexSensor {
       const double out =
           std::clamp((length_cm - (center_cm - 0.5 * span_cm)) / std::max(span_cm, 1e-9), 0.0, 1.0);
       const double sign = direction != 0.0 ? direction : 1.0;
-      const double fold =
-          sign * ailments.fold_bend * (1.0 - std::cos(2.0 * std::numbers::pi * out)) * 0.5;
+      const double fold = sign * fold_bend * (1.0 - std::cos(2.0 * std::numbers::pi * out)) * 0.5;
       value = out * value + (1.0 - out) * stowed + fold;
     }
     const double ohm = std::max(zero_ohm + value / scale_per_ohm, 500.0);
@@ -258,15 +252,13 @@ NB_MODULE(_plant, m) {
       .def_ro("damping", &Spool::damping)
       .def_ro("sliding_n", &Spool::sliding_n)
       .def_ro("line_cm", &Spool::line_cm);
-  nb::class_<Ailments>(m, "Ailments")
-      .def(nb::init<D, D, D, D, D, D>(), nb::kw_only(), nb::arg("loop_width"),
-           nb::arg("wrong_gain"), nb::arg("wrinkle"), nb::arg("wrinkle_start_psi"),
-           nb::arg("wrinkle_full_psi"), nb::arg("fold_bend"));
   nb::class_<FlexSensor>(m, "FlexSensor")
-      .def(nb::init<Ailments, D, D, D, D, D, D, D, D, D, D, D>(), nb::arg("ailments"),
-           nb::kw_only(), nb::arg("center_cm"), nb::arg("span_cm"), nb::arg("scale_per_ohm"),
-           nb::arg("zero_ohm"), nb::arg("divider_ohm"), nb::arg("direction"), nb::arg("loop"),
-           nb::arg("creep_tau_s"), nb::arg("stowed"), nb::arg("phase_1"), nb::arg("phase_2"))
+      .def(nb::init<D, D, D, D, D, D, D, D, D, D, D, D, D, D, D, D, D>(), nb::kw_only(),
+           nb::arg("loop_width"), nb::arg("wrong_gain"), nb::arg("wrinkle"),
+           nb::arg("wrinkle_start_psi"), nb::arg("wrinkle_full_psi"), nb::arg("fold_bend"),
+           nb::arg("center_cm"), nb::arg("span_cm"), nb::arg("scale_per_ohm"), nb::arg("zero_ohm"),
+           nb::arg("divider_ohm"), nb::arg("direction"), nb::arg("loop"), nb::arg("creep_tau_s"),
+           nb::arg("stowed"), nb::arg("phase_1"), nb::arg("phase_2"))
       .def("evert", &FlexSensor::evert, nb::arg("at_s"), nb::arg("offset"), nb::arg("creep"))
       .def("stow", &FlexSensor::stow)
       .def("count", &FlexSensor::count, nb::arg("curvature"), nb::arg("length_cm"), nb::arg("t_s"),

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from thigmo import config
 from thigmo.config import SIDES
 from thigmo.emulator import _plant
-from thigmo.emulator._plant import Ailments, FlexSensor, Muscle, Spool, Swing
+from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
 from thigmo.emulator.hand import hold
 from thigmo.emulator.scene import Scene
@@ -158,7 +158,7 @@ class Plant:
     def _make_sensors(self) -> list[FlexSensor]:
         scene, rng = self.scene, self._rng
         f = scene.flex
-        ailments = Ailments(
+        ailments = dict(
             loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
             wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
             wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
@@ -172,7 +172,7 @@ class Plant:
             sensor = column[i % FLEX_RIGHT] if i % FLEX_RIGHT < len(column) else _NO_SENSOR
             sensors.append(
                 FlexSensor(
-                    ailments, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
+                    **ailments, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
                     scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
                     divider_ohm=scene.robot.sensors.divider_ohm, direction=sensor.valid_direction,
                     loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,

@@ -50,9 +50,7 @@ class Lab:
         return camera
 
     def bench(self, *, start: bool = True) -> Bench:
-        bench = Bench(
-            self.robot, self.robot.operator, self.eyes, self.session, PLAN, self.told.append
-        )
+        bench = Bench(self.robot, self.eyes, self.session, PLAN, self.told.append)
         if start:
             bench.start()
         return bench

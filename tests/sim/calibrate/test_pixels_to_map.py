@@ -63,7 +63,7 @@ def test_from_pixels_to_the_map(tmp_path):
         sheet.camera_height_cm = height
         camera = locate(source.read(), sheet)
         session = Session(tmp_path / "calibration", blank(truth))
-        bench = Bench(robot, robot.operator, Eyes(source, camera, sheet), session, PLAN)
+        bench = Bench(robot, Eyes(source, camera, sheet), session, PLAN)
         bench.start()
         for step in ("pressure", "encoder", "actuator", "flex", "buckling"):
             result = steps.run(bench, step)

@@ -60,21 +60,18 @@ class Lab:
             wrinkled = slice(0, 5) if side == "left" else slice(5, 10)
             row[wrinkled] *= self.rng.uniform(0.0, 0.8, 5)
             add("bend", row, seen=seen, side=side)
-        n = len(kind)
         curvature_se = np.where(np.array(kind) == "bend", 1e-4, 0.0)
         return FlexReadings(
-            tuple(kind), np.arange(n, dtype=float), np.array(tips), np.array(curvature),
+            tuple(kind), np.array(tips), np.array(curvature),
             curvature_se, tuple(active), np.array(ohm), LENGTH, np.array(asked),
         )  # fmt: skip
 
 
 def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
     """Rows of two recordings at the same length, the second after the first."""
-    later = float(first.t_s.max(initial=0.0)) + 1.0 - float(second.t_s.min(initial=0.0))
     return replace(
         first,
         kind=first.kind + second.kind,
-        t_s=np.concatenate([first.t_s, second.t_s + later]),
         tip_cm=np.vstack([first.tip_cm, second.tip_cm]),
         curvature=np.concatenate([first.curvature, second.curvature]),
         curvature_se=np.concatenate([first.curvature_se, second.curvature_se]),
@@ -139,7 +136,7 @@ def real_sweeps(
             seen = sign * ramp + rng.normal(0, 1e-4, rows)
             readings.append(
                 FlexReadings(
-                    ("bend",) * rows, np.arange(rows, dtype=float), np.full((rows, 2), np.nan),
+                    ("bend",) * rows, np.full((rows, 2), np.nan),
                     seen, np.full(rows, 1e-4), (active,) * rows, ohm, LENGTH,
                     np.full(rows, np.nan),
                 )

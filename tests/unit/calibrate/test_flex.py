@@ -355,7 +355,7 @@ def test_one_sweep_of_one_loop_keeps_a_zero_that_a_sensor_can_have():
     ohm = lab.zero + (k[:, None] + 0.002 * (k[:, None] > 0.005)) / lab.scale
     ohm += lab.rng.normal(0, 40, ohm.shape)
     readings = FlexReadings(
-        ("bend",) * 91, np.arange(91.0), np.full((91, 2), np.nan), k, np.zeros(91), ("",) * 91,
+        ("bend",) * 91, np.full((91, 2), np.nan), k, np.zeros(91), ("",) * 91,
         ohm, LENGTH, np.full(91, np.nan),
     )  # fmt: skip
     for fit, zero in zip(fit_flex(readings, lab.config).sensors, lab.zero, strict=True):

@@ -34,7 +34,7 @@ def test_rows_are_kept_in_order_and_a_torn_line_is_dropped(tmp_path):
 
 
 def test_rows_are_prepared_for_once_and_not_where_all_are_held(tmp_path):
-    bench = Bench(None, None, None, Session(tmp_path))
+    bench = Bench(None, None, Session(tmp_path))
     done: list[str] = []
 
     def take(key: str) -> dict[str, int]:
