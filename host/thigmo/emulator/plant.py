@@ -158,12 +158,12 @@ class Plant:
     def _make_sensors(self) -> list[FlexSensor]:
         scene, rng = self.scene, self._rng
         f = scene.flex
-        ailments = dict(
-            loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
-            wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
-            wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
-            fold_bend=f.fold_bend,
-        )  # fmt: skip
+        ailments = {
+            "loop_width": scene.noise.hysteresis_width, "wrong_gain": f.wrong_direction_gain,
+            "wrinkle": f.wrinkle, "wrinkle_start_psi": f.wrinkle_start_psi,
+            "wrinkle_full_psi": max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
+            "fold_bend": f.fold_bend,
+        }  # fmt: skip
         draws = rng.standard_normal((_SENSORS, 2))
         phases = rng.uniform(0, 2 * pi, (_SENSORS, 2))
         sensors = []
