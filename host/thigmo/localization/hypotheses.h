@@ -106,10 +106,8 @@ class Weighing {
     const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
     if (poor || strong) hinge(bent, strong);
     if (poor) spread(bent);
-    // What bends a straight body may hold its end; what bends it little, where a contact is near
-    // it.
-    const bool near = turn_of(bent) > priors_.straight && found[one].contacts[0].likeliest() > 0.8;
-    const bool held_perhaps = poor || ((turned || near) && readings.turn <= priors_.end_turn);
+    // What bends a straight body so far may hold its end.
+    const bool held_perhaps = poor || (turned && readings.turn <= priors_.end_turn);
     if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
     if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
     for (const Doubt& doubt : doubts_) {
