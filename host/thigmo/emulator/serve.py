@@ -35,13 +35,16 @@ class PtyServer:
 
     Args:
         lockstep: board and plant.
+        reset_on_open: restart the board when a program opens the port, as DTR does.
         link: a symbolic link to make to the port, for a stable name.
 
     Attributes:
         path: the port to open.
     """
 
-    def __init__(self, lockstep: Lockstep, *, link: Path | None = None) -> None:
+    def __init__(
+        self, lockstep: Lockstep, *, reset_on_open: bool = True, link: Path | None = None
+    ) -> None:
         try:
             import pty
             import tty
@@ -50,6 +53,7 @@ class PtyServer:
                 "this system has no pseudo-terminals", "use emulator://SCENE, or run it on Linux"
             ) from error
         self.lockstep = lockstep
+        self._reset_on_open = reset_on_open
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self.path = os.ttyname(slave)
@@ -108,7 +112,8 @@ class PtyServer:
         board = self.lockstep.board
         if opened and not self._opened:
             self._out.clear()
-            board.reset(int(ResetCause.EXTERNAL))  # as DTR does
+            if self._reset_on_open:
+                board.reset(int(ResetCause.EXTERNAL))
         self._opened = opened
         if events & select.POLLIN:
             data = self._take()
