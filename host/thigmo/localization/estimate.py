@@ -111,7 +111,7 @@ def localize(
         raise refusal(found.problem, found.shows, localizer.length)
     if method != "posterior":
         return _point_fit(found, localizer.length, method)
-    return _result(found, localizer.length)
+    return _result(found, localizer.length, tube_radius is None and held_end is None)
 
 
 def localizer_of(
@@ -229,15 +229,15 @@ def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeR
     )
 
 
-def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
-    """The answer in the caller's units."""
+def _result(found: _posterior.Answer, total: float, end_untold: bool) -> LocalizeResult:
+    """The answer in the caller's units; `end_untold`: whether something may hold the end."""
     status = STATUSES[found.status]
     contacts = tuple(Contact(*fields) for fields in found.contacts(total))
     return LocalizeResult(
         status,
         contacts,
         found.hypothesis,
-        _message(status, found, len(contacts)),
+        _message(status, found, len(contacts), end_untold),
         found.noise,
         found.log_odds,
         found.hypotheses,
@@ -248,7 +248,7 @@ def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
     )
 
 
-def _message(status: Status, found: _posterior.Answer, count: int) -> str:
+def _message(status: Status, found: _posterior.Answer, count: int, end_untold: bool) -> str:
     bad = "; one reading looks bad (see `discarded`)" if found.discarded >= 0 else ""
     if status == "no contact":
         return "the readings are those of the free body" + bad
@@ -266,4 +266,6 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
         return f"{places} the readings{more}{bad}"
     if number[0] > priors.EXCLUDED:
         return f"a contact has probability {1.0 - number[0]:.2f}{more}{bad}"
+    if end_untold and found.hypotheses.get("end wrench", 0.0) > priors.EXCLUDED:
+        return f"something may hold the end: give tube_radius or held_end{more}{bad}"
     return f"the readings do not fix the place; see `intervals`{more}{bad}"

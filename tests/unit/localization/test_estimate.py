@@ -254,3 +254,5 @@ def test_a_strongly_bent_rod_may_be_held_at_its_end_unless_it_is_a_tube():
     assert tube.status == "localized"
     assert any_rod.status == "ambiguous"
     assert sum(share for name, share in any_rod.hypotheses.items() if "end" in name) > 0.05
+    assert "tube_radius or held_end" in any_rod.message
+    assert find(reading, COLUMN, tube_radius=None, held_end=False).status == "localized"
