@@ -28,7 +28,6 @@ from xml.sax.saxutils import quoteattr
 
 from cyclonedds.core import DDSException, Listener, Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -42,6 +41,17 @@ from thigmo.live.relay import Facts
 from thigmo.stream import BodyShape, Contacts, Grid, Message
 
 _DEPTH = 100  # contacts that a late listener gets, and transforms under way
+# Types, how many messages a reader may be behind, and whether late listeners get the last of them.
+_TOPICS = {
+    "map": (ros.OccupancyGrid, 1, True),
+    "contacts": (ros.PoseWithCovarianceStamped, _DEPTH, True),
+    "body": (ros.Path, 1, True),
+    "joint_states": (ros.JointState, 10, False),
+    "tf": (ros.TFMessage, _DEPTH, False),
+    "tf_static": (ros.TFMessage, 1, True),
+    "diagnostics": (ros.DiagnosticArray, 10, False),
+}
+_GLOBAL = ("tf", "tf_static", "diagnostics")  # in no namespace
 _WIRE = Policy.DataRepresentation(use_cdrv0_representation=True)  # XCDR 1, as all of ROS 2
 _RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
 # DDS ports of a machine's first participants, at which ROS 2 looks for local ones, too
@@ -79,16 +89,10 @@ class RosNode(Closing):
         try:
             self._domain = Domain(domain, _configuration(interface))
             self._participant = DomainParticipant(domain)
-            writer = self._writer
-            self._map = writer(f"rt/{namespace}/map", ros.OccupancyGrid, 1, latched=True)
-            self._contacts = writer(
-                f"rt/{namespace}/contacts", ros.PoseWithCovarianceStamped, _DEPTH, latched=True
-            )
-            self._body = writer(f"rt/{namespace}/body", ros.Path, 1, latched=True)
-            self._joints = writer(f"rt/{namespace}/joint_states", ros.JointState, 10)
-            self._tf = writer("rt/tf", ros.TFMessage, _DEPTH)
-            self._tf_static = writer("rt/tf_static", ros.TFMessage, 1, latched=True)
-            self._diagnostics = writer("rt/diagnostics", ros.DiagnosticArray, 10)
+            self._writers = {
+                topic: self._writer(topic if topic in _GLOBAL else f"{namespace}/{topic}", *offer)
+                for topic, offer in _TOPICS.items()
+            }
             self._stops = self._stop_readers(f"rt/{namespace}/stop", on_stop)
         except DDSException as error:
             raise LinkError(
@@ -96,33 +100,30 @@ class RosNode(Closing):
                 "check --domain, --interface and CYCLONEDDS_URI",
             ) from error
         if frame != made.BASE:
-            self._tf_static.write(made.base_transform(time.time(), frame))
+            self._writers["tf_static"].write(made.base_transform(time.time(), frame))
 
     def publish(self, message: Message) -> None:
         """Publish what a message of the stream says, if ROS is told of its kind."""
         match message:
             case Grid():
-                self._map.write(made.occupancy_grid(message, self._frame))
+                self._writers["map"].write(made.occupancy_grid(message, self._frame))
             case Contacts():
                 for pose in made.contact_poses(message, self._frame):
-                    self._contacts.write(pose)
+                    self._writers["contacts"].write(pose)
             case BodyShape() if len(message.poses) > 1:
-                self._body.write(made.body_path(message, self._frame))
-                self._joints.write(made.joint_state(message))
-                self._tf.write(made.tip_transform(message))
+                self._writers["body"].write(made.body_path(message, self._frame))
+                self._writers["joint_states"].write(made.joint_state(message))
+                self._writers["tf"].write(made.tip_transform(message))
 
     def tell(self, facts: Facts) -> None:
         """Publish how things are, as diagnostics."""
-        self._diagnostics.write(made.diagnostics(time.time(), facts))
+        self._writers["diagnostics"].write(made.diagnostics(time.time(), facts))
 
     def close(self) -> None:
         """Leave the domain."""
-        del self._stops, self._map, self._contacts, self._body, self._joints
-        del self._tf, self._tf_static, self._diagnostics, self._participant, self._domain
+        del self._stops, self._writers, self._participant, self._domain
 
-    def _writer(
-        self, topic: str, kind: type[IdlStruct], depth: int, *, latched: bool = False
-    ) -> DataWriter[Any]:
+    def _writer(self, topic: str, kind: Any, depth: int, latched: bool) -> DataWriter[Any]:
         history = Policy.History.KeepLast(depth)
         policies = [_RELIABLE, history, _WIRE]
         if latched:
@@ -131,9 +132,8 @@ class RosNode(Closing):
                 Policy.Durability.TransientLocal,
                 Policy.DurabilityService(duration(seconds=0), history, -1, -1, -1),
             ]
-        return DataWriter(
-            self._participant, Topic(self._participant, topic, kind), qos=Qos(*policies)
-        )
+        named = Topic(self._participant, f"rt/{topic}", kind)
+        return DataWriter(self._participant, named, qos=Qos(*policies))
 
     def _stop_readers(self, topic: str, on_stop: Callable[[], None]) -> list[DataReader[Any]]:
         """A reader for each quality that publishers may offer: DDS connects none with a reader that

@@ -6,12 +6,12 @@ Pure functions; `ros` publishes what they return.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from math import atan2, cos, hypot, isnan, pi, sin
+from math import cos, isnan, pi, sin
 from typing import Any
 
 import numpy as np
 
+from thigmo.config import SIDES
 from thigmo.live import ros_types as ros
 from thigmo.live.relay import Facts
 from thigmo.record import MapContact, Pose
@@ -45,15 +45,12 @@ def contact_poses(contacts: Contacts, frame: str) -> list[Any]:
     A pose lies on the touched surface, and its x axis points into the obstacle.
     """
     head = header(contacts.epoch_s, frame)
-    return [
-        ros.PoseWithCovarianceStamped(
-            head,
-            ros.PoseWithCovariance(
-                _pose((contact.x_cm, contact.y_cm, contact.normal_rad)), _covariance(contact)
-            ),
-        )
-        for contact in contacts.contacts
-    ]
+    made = []
+    for contact in contacts.contacts:
+        pose = _pose((contact.x_cm, contact.y_cm, contact.normal_rad))
+        known = ros.PoseWithCovariance(pose, _covariance(contact))
+        made.append(ros.PoseWithCovarianceStamped(head, known))
+    return made
 
 
 def body_path(shape: BodyShape, frame: str) -> Any:
@@ -64,7 +61,9 @@ def body_path(shape: BodyShape, frame: str) -> Any:
 
 def joint_state(shape: BodyShape) -> Any:
     """The everted length (a prismatic joint, m), and the turn of each tenth of the body (rad)."""
-    along, heading = _along(shape)
+    x, y, heading = np.asarray(shape.poses, dtype=np.float64).T
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
+    heading = np.unwrap(heading)
     turns = np.diff(np.interp(np.linspace(0.0, along[-1], BENDS + 1), along, heading))
     names = ["everted_length", *(f"bend_{number}" for number in range(1, BENDS + 1))]
     positions = [float(along[-1]) * _M_PER_CM, *turns.tolist()]
@@ -96,36 +95,20 @@ def diagnostics(epoch_s: float, facts: Facts) -> Any:
     if state is None:
         parts.append(status("run", _STALE, "no run has spoken yet", {}))
     else:
-        aborted = state.outcome.startswith("aborted")
-        parts.append(
-            status(
-                "run",
-                _ERROR if aborted else _OK,
-                state.doing if state.outcome == "running" else state.outcome,
-                {
-                    "state": state.state,
-                    "stage (m)": f"{state.stage_cm * _M_PER_CM:.4f}",
-                    "done": f"{state.done:.3f}",
-                    "paused": str(state.paused).lower(),
-                },
-            )
-        )
+        level = _ERROR if state.outcome.startswith("aborted") else _OK
+        said = state.doing if state.outcome == "running" else state.outcome
+        values = {
+            "state": state.state,
+            "stage (m)": f"{state.stage_cm * _M_PER_CM:.4f}",
+            "done": f"{state.done:.3f}",
+            "paused": str(state.paused).lower(),
+        }
+        parts.append(status("run", level, said, values))
     if board is not None:
-        parts.append(
-            status(
-                "board",
-                _board_level(board, facts),
-                ", ".join(board.faults) or board.state,
-                _board_values(board),
-            )
-        )
+        level = _STALE if not facts.under_way else _ERROR if board.faults else _OK
+        said = ", ".join(board.faults) or board.state
+        parts.append(status("board", level, said, _board_values(board)))
     return ros.DiagnosticArray(header(epoch_s, ""), parts)
-
-
-def _board_level(board: Telemetry, facts: Facts) -> int:
-    if not facts.under_way:
-        return _STALE
-    return _ERROR if board.faults else _OK
 
 
 def _board_values(board: Telemetry) -> dict[str, str]:
@@ -136,12 +119,10 @@ def _board_values(board: Telemetry) -> dict[str, str]:
         "motor duty": _number(board.motor, 3),
         "supply (V)": _number(board.supply_v, 2),
     }
-    for side, pressure, demand, drive in zip(
-        ("left", "right"), board.pressure_psi, board.demand_psi, board.drive_ma, strict=True
-    ):
-        values[f"{side} pressure (Pa)"] = _number(pressure * _PA_PER_PSI, 0)
-        values[f"{side} set point (Pa)"] = _number(demand * _PA_PER_PSI, 0)
-        values[f"{side} transducer (mA)"] = _number(drive, 2)
+    for muscle, side in enumerate(SIDES):
+        values[f"{side} pressure (Pa)"] = _number(board.pressure_psi[muscle] * _PA_PER_PSI, 0)
+        values[f"{side} set point (Pa)"] = _number(board.demand_psi[muscle] * _PA_PER_PSI, 0)
+        values[f"{side} transducer (mA)"] = _number(board.drive_ma[muscle], 2)
     return values
 
 
@@ -164,13 +145,6 @@ def _transform(head: Any, child: str, pose: Pose) -> Any:
     return ros.TFMessage([ros.TransformStamped(head, child, moved)])
 
 
-def _along(shape: BodyShape) -> tuple[np.ndarray, np.ndarray]:
-    """Arc length (cm) and heading (unwrapped) of each pose."""
-    x, y, heading = np.asarray(shape.poses, dtype=np.float64).T
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
-    return along, np.unwrap(heading)
-
-
 def _covariance(contact: MapContact) -> list[float]:
     """Of x, y, z and the rotations about them; the robot moves in the plane, where the others are
     exactly known.
@@ -184,12 +158,8 @@ def _covariance(contact: MapContact) -> list[float]:
 
 def _heading_variance(track: Sequence[tuple[float, float]]) -> float:
     """Of the surface's direction: the skin turns by so much over the 95 % interval along it."""
-    steps = [
-        (x1 - x0, y1 - y0)
-        for (x0, y0), (x1, y1) in pairwise(track)
-        if hypot(x1 - x0, y1 - y0) > 0.0
-    ]
-    if len(steps) < 2:
+    steps = np.diff(np.reshape(track, (-1, 2)), axis=0)
+    x, y = steps[np.any(steps != 0.0, axis=1)].T
+    if len(x) < 2:
         return pi**2 / 3  # any direction
-    heading = np.unwrap([atan2(dy, dx) for dx, dy in steps])
-    return float((np.ptp(heading) / _SIGMAS_95) ** 2)
+    return float((np.ptp(np.unwrap(np.arctan2(y, x))) / _SIGMAS_95) ** 2)

@@ -33,6 +33,7 @@ from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, 
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _TICK_S = 0.03
 _PULSE_S = 0.25  # the page calls its connection lost after six of them
 _MOST_ROWS_A_TICK = 40  # an emulator at full speed makes more than a chart has pixels for
@@ -62,11 +63,6 @@ class WatchOptions:
     host: str = "127.0.0.1"
     port: int | None = None
     leaves: bool = False
-
-    @property
-    def token(self) -> bool:
-        """Whether requests need one."""
-        return self.host not in ("127.0.0.1", "::1", "localhost")
 
 
 class _Run:
@@ -110,7 +106,7 @@ class PageServer:
 
     def __init__(self, options: WatchOptions) -> None:
         self.options = options
-        self.token = secrets.token_urlsafe(16) if options.token else None
+        self.token = None if options.host in _LOOPBACK else secrets.token_urlsafe(16)
         self._past = PastRun(options.past) if options.past else None
         self._watched = Watched(options.url) if options.past is None else None
         self._viewers: set[Viewer] = set()
@@ -157,14 +153,13 @@ class PageServer:
         while self._watched is not None:
             said: list[Message] = []  # of one run
             for message in self._watched.take():
-                if message is not None and not isinstance(message, Hello):
-                    said.append(message)
-                    continue
-                self._pass_on(said)
-                said = []
-                if message is not None:
+                if isinstance(message, Hello):
                     self._begin(message)
+                elif message is not None:
+                    said.append(message)
                 else:
+                    self._pass_on(said)
+                    said = []
                     self._run.over.set()
                     self._tell()
             self._pass_on(said)

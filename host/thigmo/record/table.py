@@ -88,24 +88,17 @@ class Table:
             DataError: a word where a number belongs.
         """
         found = np.empty(self.rows)
-        for number, cell in enumerate(
-            self.words(column, None if default is None else str(default))
-        ):
+        cells = self.words(column, None if default is None else str(default))
+        for number, (cell, line) in enumerate(zip(cells, self.lines, strict=True)):
+            where, cure = f"{self.name}, line {line}: {column}", "correct it, or leave that row out"
             try:
                 found[number] = float(cell) if cell else np.nan
             except ValueError as error:
-                comma = cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdecimal()
-                raise DataError(
-                    f"{self.name}, line {self.lines[number]}: {column} is {_short(cell)}, not a "
-                    "number",
-                    "export it with points in numbers, not commas" if comma
-                    else "correct it, or leave that row out",
-                ) from error  # fmt: skip
+                if cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdecimal():
+                    cure = "export it with points in numbers, not commas"
+                raise DataError(f"{where} is {_short(cell)}, not a number", cure) from error
             if np.isinf(found[number]):
-                raise DataError(
-                    f"{self.name}, line {self.lines[number]}: {column} is {cell}, not a finite "
-                    "number", "correct it, or leave that row out",
-                )  # fmt: skip
+                raise DataError(f"{where} is {cell}, not a finite number", cure)
         return found
 
     def whole(self, column: str, default: int | None = None) -> NDArray[np.int64]:
@@ -116,12 +109,9 @@ class Table:
             DataError: an empty cell, or a number that is not whole.
         """
         values = self.numbers(column, None if default is None else float(default))
-        odd = np.nonzero(~(values == np.round(values)))[0]
-        if len(odd):
-            raise DataError(
-                f"{self.name}, line {self.lines[odd[0]]}: column '{column}' needs a whole number",
-                "mend that cell",
-            )
+        for row in np.flatnonzero(values != np.round(values))[:1]:
+            where = f"{self.name}, line {self.lines[row]}"
+            raise DataError(f"{where}: column '{column}' needs a whole number", "mend that cell")
         return values.astype(np.int64)
 
     def words(self, column: str, default: str | None = None) -> list[str]:
@@ -135,10 +125,6 @@ class Table:
         if default is None:
             raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
         return [default] * self.rows
-
-    def block(self, prefix: str, count: int) -> Array:
-        """Columns `prefix0` .. side by side (n, count)."""
-        return np.column_stack([self.numbers(f"{prefix}{k}") for k in range(count)])
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[object]]) -> None:
