@@ -7,14 +7,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from thigmo.cli.output import extra, named
-
-if TYPE_CHECKING:
-    from thigmo.live.server import WatchOptions
 
 
 def watch(
@@ -52,8 +49,10 @@ def watch(
     ] = False,
 ) -> None:  # fmt: skip
     """Show a run in the browser: the robot in its room, its signals, its contacts; and stop it."""
+    import asyncio
+
     from thigmo.errors import DataError
-    from thigmo.live.server import WatchOptions
+    from thigmo.live.server import WatchOptions, serve
 
     past = finished_run(target)
     if past is not None and foxglove:
@@ -61,17 +60,24 @@ def watch(
             f"--foxglove serves runs that are under way, and {past} has ended",
             f"open {past / 'run.mcap'} in Foxglove as a local file",
         )
-    explore = ["--out", str(out), *(["--config", str(config)] if config else [])]
-    options = WatchOptions(
-        url=None if past else target,
-        past=past,
-        explore=tuple(explore),
-        host=host,
-        port=port,
-        leaves=leave,
-    )
-    with _foxglove(options.url, foxglove_port) if foxglove else nullcontext():
-        _serve(options, browser=browser)
+    url = None if past else target
+    options = WatchOptions(past, url, _exploring(out, config), host, port, leave)
+
+    def announce(address: str) -> None:
+        typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)
+        if browser:
+            _open_browser(address)
+
+    with _foxglove(url, foxglove_port) if foxglove else nullcontext():
+        try:
+            asyncio.run(serve(options, announce))
+        except KeyboardInterrupt:
+            raise typer.Exit from None
+
+
+def _exploring(out: Path, config: Path | None) -> tuple[str, ...]:
+    """Options of the explorations that the page starts."""
+    return ("--out", str(out), *(("--config", str(config)) if config else ()))
 
 
 def finished_run(target: str | None) -> Path | None:
@@ -111,31 +117,14 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
             thread.join()
 
 
-def _serve(options: WatchOptions, *, browser: bool) -> None:
-    import asyncio
-
-    from thigmo.live.server import serve
-
-    def announce(address: str) -> None:
-        typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)
-        if browser:
-            open_browser(address)
-
-    try:
-        asyncio.run(serve(options, announce))
-    except KeyboardInterrupt:
-        raise typer.Exit from None
-
-
 def open_page(url: str, out: Path, config: Path | None) -> None:
     """Serve the page of a robot's runs beside this command, and open it. It stays until the run is
     over and nobody looks any more."""
     import subprocess
     import threading
 
-    options = ["--leave", "--out", str(out), *(["--config", str(config)] if config else [])]
     page = subprocess.Popen(
-        [sys.executable, "-m", "thigmo", "watch", url, *options],
+        [sys.executable, "-m", "thigmo", "watch", url, "--leave", *_exploring(out, config)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -151,7 +140,7 @@ def open_page(url: str, out: Path, config: Path | None) -> None:
     threading.Thread(target=tell_address, daemon=True).start()
 
 
-def open_browser(address: str) -> None:
+def _open_browser(address: str) -> None:
     """Open the page, where there is a browser; in a process of its own, for some never return."""
     import subprocess
 

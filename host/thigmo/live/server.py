@@ -86,7 +86,7 @@ class _Run:
         self.history: deque[str] = deque(maxlen=_HISTORY_ROWS)
         self.history_s = float("-inf")
         self.board = ""
-        self.past: PastRun | None = None  # its record, once somebody looks back at it
+        self.past: PastRun | None = None  # once somebody looks back at it
 
     @property
     def ended(self) -> bool:
@@ -107,13 +107,12 @@ class PageServer:
     def __init__(self, options: WatchOptions) -> None:
         self.options = options
         self.token = None if options.host in _LOOPBACK else secrets.token_urlsafe(16)
-        self._past = PastRun(options.past) if options.past else None
         self._watched = Watched(options.url) if options.past is None else None
         self._viewers: set[Viewer] = set()
         self._operator: Viewer | None = None
         self._run = _Run(None)
+        self._run.past = PastRun(options.past) if options.past else None
         self._started: StartedRun | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
         self._way: Way = "none"
         self._left_s = time.monotonic()  # when somebody last looked
 
@@ -171,7 +170,6 @@ class PageServer:
         if self._started is not None and not self._started.runs:
             self._started = None  # it was another one, and so was its failure
         for viewer in self._viewers:
-            viewer.looks_back = False  # who looks at a robot that moves must be able to stop it
             viewer.forget()
         self._tell()
 
@@ -233,13 +231,14 @@ class PageServer:
 
     def _page(self, viewer: Viewer) -> dict[str, Any]:
         """What a page is told of the server, the run and its own part."""
-        if self._past is not None:
-            return {"channel": "page", "mode": "record", "stop": "none", **self._past.page()}
+        if self.options.past is not None:
+            assert self._run.past is not None
+            return {"channel": "page", "mode": "record", "stop": "none", **self._run.past.page()}
         run, url, started = self._run, self.options.url, self._started
         heard_s = self._watched.heard_s if self._watched else 0.0
         return {
             "channel": "page",
-            "mode": "idle" if run.hello is None else "record" if viewer.looks_back else "live",
+            "mode": "live" if run.hello else "idle",
             "run": _run_facts(run.hello) if run.hello else None,
             "ended": run.ended,
             "body": run.body,
@@ -306,11 +305,6 @@ class PageServer:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = viewer
-        elif command == "record":
-            # Reading the record takes a while, in which this page must be heard.
-            task = asyncio.create_task(self._look_back(viewer))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
         elif viewer is self._operator:
             await self._operate(command, told)
         if command:
@@ -352,33 +346,24 @@ class PageServer:
             return Stopped(failed=f"the run {run.name} does not answer")
         return Stopped([run.url])
 
-    async def _look_back(self, viewer: Viewer) -> None:
-        """Show a page the run that has just ended, from its record."""
+    async def _looked_back(self) -> PastRun:
+        """The record of the run that is to be looked at, or has just ended."""
         run = self._run
-        if run.hello is None or not run.ended or not run.hello.folder:
-            return
-        if run.past is None:
+        if run.past is None and run.ended and run.hello is not None and run.hello.folder:
             try:
                 run.past = await asyncio.to_thread(PastRun, Path(run.hello.folder))
             except ThigmoError as error:
                 run.failure = str(error)
-            if run.past is None or run is not self._run:
-                return  # it cannot be read, or another run has begun
-        viewer.looks_back = True
-        self._tell()
-
-    def _shown(self) -> PastRun:
-        past = self._past or self._run.past
-        if past is None:
-            raise web.HTTPNotFound(text="No run has ended yet.")
-        return past
+        if run.past is None:
+            raise web.HTTPNotFound(text="No run has ended yet, or its record cannot be read.")
+        return run.past
 
     async def _record(self, request: web.Request) -> web.Response:
-        facts_of_it = await asyncio.to_thread(self._shown().facts)
-        return web.Response(body=facts_of_it, content_type="application/json")
+        facts = await asyncio.to_thread((await self._looked_back()).facts)
+        return web.Response(body=facts, content_type="application/json")
 
     async def _readings(self, request: web.Request) -> web.Response:
-        readings = await asyncio.to_thread(self._shown().readings)
+        readings = await asyncio.to_thread((await self._looked_back()).readings)
         return web.Response(body=readings, content_type="application/octet-stream")
 
     def left(self) -> bool:
@@ -419,17 +404,14 @@ async def serve(
 
 async def _listen(runner: web.AppRunner, options: WatchOptions) -> int:
     """Listen; the port that it is."""
-    port = PORT if options.port is None else options.port
-    try:
+    for port in (PORT, 0) if options.port is None else (options.port,):
         try:
             await web.TCPSite(runner, options.host, port).start()
+            break
         except OSError as error:
-            if error.errno != errno.EADDRINUSE or options.port is not None:
-                raise
-            await web.TCPSite(runner, options.host, 0).start()
-    except OSError as error:
-        raise ThigmoError(
-            f"cannot serve the page at {options.host}: {error.strerror}",
-            "choose another place with --host or --port",
-        ) from error
+            if error.errno != errno.EADDRINUSE or port != PORT or options.port is not None:
+                raise ThigmoError(
+                    f"cannot serve the page at {options.host}: {error.strerror}",
+                    "choose another place with --host or --port",
+                ) from error
     return int(runner.addresses[0][1])

@@ -25,7 +25,6 @@ class Viewer:
 
     Attributes:
         socket: the WebSocket.
-        looks_back: it shows the run that has just ended, with its player.
         dropped: readings that it has missed.
     """
 
@@ -39,7 +38,6 @@ class Viewer:
         self._due = asyncio.Event()
         self._under_way = 0
         self._told = 0
-        self.looks_back = False
         self.dropped = 0
 
     def add_rows(self, rows: Iterable[str], board: str, *, most: int = _MOST_ROWS) -> None:

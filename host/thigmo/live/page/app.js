@@ -12,6 +12,7 @@ import { $, add, addRows, reset, store } from "./store.js";
 import { drawWords, forget as forgetWords } from "./words.js";
 
 let lost = false, asked = false, spent = 0;
+let back = null; // the finished run that is looked back at
 let again = false; // the server is about to tell all of it once more
 // For tests, pictures and the benchmark: what the page knows; how old the newest reading was each
 // time that one was drawn, if they are to be kept; and whether the page is to stand still.
@@ -45,7 +46,17 @@ function ask() {
 
 function forget() { forgetBody(); forgetRoom(); forgetWords(); }
 
+async function lookBack() {
+  const { id } = store.page.run;
+  if (!(await fetch("record.json", { method: "HEAD" })).ok) return; // the server tells why
+  back = id;
+  takePage({ ...store.page });
+  ask();
+}
+
 function takePage(message) {
+  // Who looks at a robot that moves must be able to stop it: another run is live.
+  if (message.mode === "live" && message.run.id === back) message.mode = "record";
   const before = store.page, same = before?.run?.id === message.run?.id;
   store.page = message;
   document.body.dataset.mode = message.mode;
@@ -78,11 +89,11 @@ function batch(messages) {
 }
 
 const { send } = listen({
-  opened: () => { again = true; },
+  opened: () => { again = true; back = null; },
   batch,
   lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("offline"); ask(); },
 });
-connectControl(send);
+connectControl(send, lookBack);
 connectPlayer(ask);
 redrawCharts();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { forgetRoom(); redrawCharts(); ask(); });

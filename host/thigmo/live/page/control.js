@@ -3,11 +3,11 @@
 
 import { $, store } from "./store.js";
 
-export function connectControl(send) {
+export function connectControl(send, lookBack) {
   $("start").addEventListener("click", () => send({ command: "start", realtime: $("pace").value === "realtime" }));
   $("pause").addEventListener("click", () => send({ command: asked() ? "resume" : "pause" }));
   $("take").addEventListener("click", () => send({ command: "take" }));
-  $("open-record").addEventListener("click", () => send({ command: "record" }));
+  $("open-record").addEventListener("click", lookBack);
   $("question").addEventListener("submit", (event) => {
     event.preventDefault();
     send({ command: "answer", text: $("answer").value });
