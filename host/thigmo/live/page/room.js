@@ -114,10 +114,7 @@ function drawMap(grid) {
   }, layers.map);
 }
 
-function rgb(name, alpha) {
-  const hex = css(name).replace("#", "");
-  return [0, 2, 4].map((n) => parseInt(hex.slice(n, n + 2), 16)).concat(alpha);
-}
+const rgb = (name, alpha) => [...css(name).match(/\d+/g).map(Number), alpha];
 
 function drawTruth(pegs) {
   for (const peg of pegs) {

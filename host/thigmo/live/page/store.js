@@ -125,11 +125,16 @@ export function until(list, t, at) {
 // Row that is shown: the last one up to now.
 export const index = () => until(store.columns[0], store.now, (t) => t) - 1;
 
-export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 export const $ = (id) => document.getElementById(id);
 export function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
   made.append(...children);
   return made;
+}
+const probe = document.body.appendChild(element("i", { hidden: "" }));
+// A colour of style.css as it is now, light or dark: rgb(...).
+export function css(name) {
+  probe.style.color = `var(${name})`;
+  return getComputedStyle(probe).color;
 }
