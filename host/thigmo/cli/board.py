@@ -137,12 +137,12 @@ def retract(
     as_json: JsonOption = False,
 ) -> None:
     """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
-    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.robot import connect
 
     console = Console(quiet=as_json)
-    with connect(robot, operator=TerminalOperator(console)) as machine:
+    with connect(robot, operator=console) as machine:
         if config is not None:
             machine.configure(RobotConfig.load(config))
         elif machine.known_config is not None:

@@ -64,7 +64,7 @@ def bringup(
     Before it: docs/hardware, "Before the first power".
     """
     from thigmo.bringup import STAGES, BringUp
-    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.errors import ConfigError
     from thigmo.robot import connect
@@ -81,8 +81,7 @@ def bringup(
         if not as_json:
             typer.echo(f"{mark} {finding.stage}: {finding.subject}: {finding.what}{cure}")
 
-    operator = TerminalOperator(console)
-    with console.interruptible(), connect(robot, seed=seed, operator=operator) as machine:
+    with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         if config is not None:
             machine.configure(RobotConfig.load(config))
         if first != STAGES[0]:

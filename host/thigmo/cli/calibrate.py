@@ -111,13 +111,12 @@ def calibrate(
     if robot is None:
         raise DataError("no robot is named", "give --robot URL, or --csv FILE")
     from thigmo.calibrate.bench import Bench, Plan
-    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.cli.console import Console
     from thigmo.robot import connect
 
     steps = list(STEPS) if step == "all" else [step]
     console = Console(quiet=as_json)
-    person = TerminalOperator(console)
-    with console.interruptible(), connect(robot, seed=seed, operator=person) as machine:
+    with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
         plan = Plan(trials=trials, step_psi=step_psi, places=places,

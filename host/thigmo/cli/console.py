@@ -26,7 +26,9 @@ _LOGGED = ("growing", "sweeping", "mapping", "drawing")
 
 
 class Console:
-    """What a command shows. Everything but results goes to stderr; with `quiet`, prompts only.
+    """What a command shows, and the person beside the robot whom it asks (an `Operator`).
+
+    Everything but results goes to stderr; with `quiet`, prompts only.
 
     Args:
         quiet: show nothing but prompts and results.
@@ -162,17 +164,10 @@ class Console:
             f"To retract it: thigmo retract --robot {document.url}"
         )
 
-
-class TerminalOperator:
-    """Asks the person beside the robot."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-
     def everted_length_cm(self) -> float:
         """Ask for the everted length until it is a number."""
         while True:
-            answer = self._console.ask("Measure the everted length. How many cm?")
+            answer = self.ask("Measure the everted length. How many cm?")
             try:
                 value = float(answer.replace(",", ".").removesuffix("cm"))
             except ValueError:
@@ -182,7 +177,7 @@ class TerminalOperator:
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Ask for the body pressure to be set."""
-        self._console.ask(
+        self.ask(
             f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa), "
             "then press Enter."
         )
@@ -192,16 +187,14 @@ class TerminalOperator:
         places = "; ".join(
             f"{2 * peg.radius:.1f} cm thick at x = {peg.x:.1f}, y = {peg.y:.1f} cm" for peg in pegs
         )
-        self._console.ask(
-            f"Take all dowels away, then place: {places or 'none'}. Then press Enter."
-        )
+        self.ask(f"Take all dowels away, then place: {places or 'none'}. Then press Enter.")
 
     def push_tip(self, y_cm: float | None) -> None:
         """Ask for the tip to be pushed aside and held, or let go."""
         if y_cm is None:
-            self._console.ask("Let go of the tip and lay the robot straight, then press Enter.")
+            self.ask("Let go of the tip and lay the robot straight, then press Enter.")
             return
         side = "left" if y_cm > 0 else "right"
-        self._console.ask(
+        self.ask(
             f"Push the tip {abs(y_cm):.1f} cm to the {side} and hold it there, then press Enter."
         )

@@ -154,7 +154,7 @@ class _Desk:
 
         An exploration opens the robot by itself.
         """
-        from thigmo.cli.console import Console, TerminalOperator
+        from thigmo.cli.console import Console
         from thigmo.config import RobotConfig
         from thigmo.errors import DataError
         from thigmo.robot import connect
@@ -163,11 +163,10 @@ class _Desk:
         from thigmo.studies.experiments.recorded import TrialFolder, run_trials
 
         console = Console(quiet=self.quiet)
-        person = TerminalOperator(console)
         given = RobotConfig.load(self.config) if self.config else None
         exploration = name == "exploration"
         with console.interruptible():
-            with connect(self.robot, seed=self.seed, operator=person) as machine:
+            with connect(self.robot, seed=self.seed, operator=console) as machine:
                 known = given or machine.known_config
                 emulated = machine.scenery() is not None
                 if known is None:
@@ -192,7 +191,7 @@ class _Desk:
                 runs = ExplorationFolder(self.out, known)
                 with console.progress() as show:
                     done = run_explorations(
-                        self.robot, attendant, runs, self.trials, seed=self.seed, operator=person,
+                        self.robot, attendant, runs, self.trials, seed=self.seed, operator=console,
                         progress=show, say=self.say,
                     )  # fmt: skip
             if not done:

@@ -48,7 +48,7 @@ def explore(
     as_json: JsonOption = False,
 ) -> None:
     """Grow, sweep, feel, localize and map, stage by stage to the full length."""
-    from thigmo.cli.console import Console, TerminalOperator
+    from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.errors import ConfigError
     from thigmo.exploration import explore as run
@@ -71,7 +71,7 @@ def explore(
             realtime=realtime,
             protocol=protocol,
             prior=prior,
-            operator=TerminalOperator(console),
+            operator=console,
             progress=show,
         )
     if as_json:
