@@ -1,4 +1,6 @@
-"""A finished run for the page's player: all readings as one block, and what else was told."""
+"""What the page shows of a run beside its stream: the robot's build and, where the robot is
+emulated, the pegs of its room; of a finished run all readings as one block, and what else was told.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,37 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thigmo.live import facts
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import ConfigError
 from thigmo.live.rows import block, board
 from thigmo.record import RunFolder
 from thigmo.stream import Message, Telemetry, read_messages, to_json
 
 _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
+
+
+def body(folder: str) -> dict[str, Any]:
+    """The robot's build from the run folder's robot.toml, or the defaults' if there is none."""
+    try:
+        config = RobotConfig.load(Path(folder) / "robot.toml") if folder else RobotConfig()
+    except ConfigError:
+        config = RobotConfig()
+    return {
+        "length_cm": config.body.length_cm,
+        "radius_cm": config.body.radius_cm,
+        "sensors": {
+            side: [sensor.center_cm for sensor in config.sensors.column(side)] for side in SIDES
+        },
+    }
+
+
+def pegs(folder: str) -> list[dict[str, float]]:
+    """Pegs of an emulated room, which the run folder's contacts.json has after the first stage."""
+    try:
+        truth = json.loads((Path(folder) / "contacts.json").read_bytes())["truth"] if folder else {}
+    except (OSError, ValueError, KeyError):
+        return []  # the run's own report tells what is wrong with its folder
+    return list(truth["pegs"]) if truth else []
 
 
 class PastRun:
@@ -39,8 +66,8 @@ class PastRun:
                 "id": self._folder, "name": self._document.name, "url": self._document.url,
                 "folder": self._folder, "t_s": self._origin_s, "virtual": False,
             },
-            "body": facts.body(self._folder),
-            "truth": facts.pegs(self._folder),
+            "body": body(self._folder),
+            "truth": pegs(self._folder),
         }  # fmt: skip
 
     def facts(self) -> bytes:

@@ -21,9 +21,8 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from thigmo.errors import ThigmoError
-from thigmo.live import facts
 from thigmo.live.guard import add_headers, guard
-from thigmo.live.past import PastRun
+from thigmo.live.past import PastRun, body, pegs
 from thigmo.live.rows import board, row_text, thinned
 from thigmo.live.starting import StartedRun, in_the_run
 from thigmo.live.stopping import Stopped, Way, stop_port, way_to
@@ -78,7 +77,7 @@ class _Run:
         self.over = asyncio.Event()
         self.pausing = False
         self.failure = ""
-        self.body = facts.body(folder)
+        self.body = body(folder)
         self.pegs: list[dict[str, float]] = []
         # What a page that comes later has missed.
         self.held: dict[str, str] = {}
@@ -188,13 +187,12 @@ class PageServer:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
             channel, text = message.CHANNEL, to_json(message).decode()
-            holds = channel in RETAINED
-            if holds:
+            if channel in RETAINED:
                 self._run.held[channel] = text
             elif isinstance(message, Event):
                 self._run.events.append(text)
             for viewer in self._viewers:
-                viewer.add(channel, text, holds=holds)
+                viewer.add(channel, text)
 
     def _pass_readings(self, readings: list[Telemetry]) -> None:
         kept = readings[thinned(len(readings), _MOST_ROWS_A_TICK)]
@@ -216,7 +214,7 @@ class PageServer:
             self._way = await asyncio.to_thread(way_to, self._moving)
             run = self._run
             if run.hello is not None and not run.ended:
-                run.pegs = await asyncio.to_thread(facts.pegs, run.hello.folder)
+                run.pegs = await asyncio.to_thread(pegs, run.hello.folder)
             self._tell()
             await asyncio.sleep(_PULSE_S)
 
@@ -227,7 +225,7 @@ class PageServer:
 
     def _tell(self) -> None:
         for viewer in self._viewers:
-            viewer.add("page", json.dumps(self._page(viewer)), holds=True)
+            viewer.add("page", json.dumps(self._page(viewer)))
 
     def _page(self, viewer: Viewer) -> dict[str, Any]:
         """What a page is told of the server, the run and its own part."""
@@ -270,7 +268,7 @@ class PageServer:
         self._viewers.add(viewer)
         if self._operator is None:
             self._operator = viewer
-        viewer.add("page", json.dumps(self._page(viewer)), holds=True)
+        viewer.add("page", json.dumps(self._page(viewer)))
         self._give_past(viewer)
         sender = asyncio.create_task(viewer.send_on())
         try:
@@ -289,9 +287,9 @@ class PageServer:
         """What a page that comes later has missed."""
         run = self._run
         for channel, text in run.held.items():
-            viewer.add(channel, text, holds=True)
+            viewer.add(channel, text)
         for text in run.events:
-            viewer.add(Event.CHANNEL, text, holds=False)
+            viewer.add(Event.CHANNEL, text)
         if run.history:
             viewer.add_rows(run.history, run.board, most=_HISTORY_ROWS)
 

@@ -14,6 +14,9 @@ from collections.abc import Iterable
 
 from aiohttp import web
 
+from thigmo.stream import RETAINED
+
+_PAGE = "page"  # channel of what the server says of itself
 _UNANSWERED = 4  # batches under way
 _MOST_ROWS = 600  # three seconds of telemetry
 _MOST_EVENTS = 500
@@ -55,9 +58,9 @@ class Viewer:
             self.dropped += 1
         self._due.set()
 
-    def add(self, channel: str, text: str, *, holds: bool) -> None:
-        """Queue a message; of a channel that `holds`, only the last one counts."""
-        if holds:
+    def add(self, channel: str, text: str) -> None:
+        """Queue a message; of a channel that is retained, only the last one counts."""
+        if channel in RETAINED or channel == _PAGE:
             self._last.pop(channel, None)
             self._last[channel] = text
         else:
@@ -99,7 +102,7 @@ class Viewer:
 
     def _batch(self) -> str | None:
         # The page's own message first: it says which run the others are of.
-        parts = [self._last.pop("page")] if "page" in self._last else []
+        parts = [self._last.pop(_PAGE)] if _PAGE in self._last else []
         if self.dropped > self._told:
             self._told = self.dropped
             parts.append(json.dumps({"channel": "dropped", "count": self.dropped}))
