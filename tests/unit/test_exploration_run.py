@@ -114,7 +114,7 @@ class Script:
         curvature = np.concatenate((np.full(5, np.nan), column))
         peak = Peak("left", 0.0, self.length, curvature, 0.03, 18.0, 0x3FF, 10)
         frames = [
-            SweepFrame("left", n / 20, psi, psi / 600, -0.008 if psi > 9 else 0.0, psi > 9)
+            SweepFrame("left", n / 20, psi, psi / 600, -0.008 if psi > 9 else 0.0)
             for n, psi in enumerate(np.linspace(0.0, left_psi, 100))
         ]
         unread = np.full((len(frames), 10), np.nan)

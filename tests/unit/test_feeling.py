@@ -37,7 +37,6 @@ def _half(side: Side, slope: float, onset_psi: float, noise: float = 0.0) -> lis
             psi,
             sign * psi / 600,
             slope * max(psi - onset_psi, 0.0) + noise * rng.standard_normal(),
-            touched=False,
         )
         for n, psi in enumerate(18 * np.sin(np.linspace(0, np.pi, 190)))
     ]

@@ -16,7 +16,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.missed import judged
 from thigmo.exploration.obstacles import SIGMAS, export_obstacles, occupancy
-from thigmo.exploration.prior import PriorMap, read_prior
+from thigmo.exploration.prior import match, read_prior
 from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
 from thigmo.record import (
     Ellipse,
@@ -211,13 +211,13 @@ def test_a_grid_is_read_with_its_orientation_and_yaw(tmp_path: Path) -> None:
     text = "image: room.png\nresolution: 0.1\norigin: [1.0, 2.0, 0.0]\nnegate: 0\n"
     text += "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
     (tmp_path / "room.yaml").write_text(text)
-    (obstacle,) = read_prior(tmp_path / "room.yaml").obstacles
+    (obstacle,) = read_prior(tmp_path / "room.yaml")
     assert (obstacle.x_cm, obstacle.y_cm) == pytest.approx((135.0, 225.0))
     (tmp_path / "room.yaml").write_text(text.replace("0.0]", f"{pi / 2}]"))
-    (turned,) = read_prior(tmp_path / "room.yaml").obstacles
+    (turned,) = read_prior(tmp_path / "room.yaml")
     assert (turned.x_cm, turned.y_cm) == pytest.approx((100.0 - 25.0, 200.0 + 35.0))
     (tmp_path / "room.yaml").write_text(text.replace("negate: 0", "negate: 1"))
-    (inverted,) = read_prior(tmp_path / "room.yaml").obstacles
+    (inverted,) = read_prior(tmp_path / "room.yaml")
     assert inverted.x_cm < 135.0  # now all the others are occupied
 
 
@@ -248,21 +248,21 @@ def test_a_bad_map_is_one_clear_line(
     assert "\n" not in str(raised.value)
 
 
-def _known(contact: MapContact) -> PriorMap:
-    return PriorMap([
+def _known(contact: MapContact) -> list[Obstacle]:
+    return [
         Obstacle(
             contact.x_cm, contact.y_cm, contact.covariance_cm2,
             Ellipse.of(contact.covariance_cm2), contact.track, "felt", "localized",
             normal_rad=contact.normal_rad,
         )
-    ])  # fmt: skip
+    ]  # fmt: skip
 
 
 def test_a_contact_at_a_known_obstacle_is_that_obstacle() -> None:
     prior = _known(_contact())
-    assert prior.match(_contact(arc=41.0)) == 0
-    assert prior.match(_contact(arc=20.0)) is None
-    assert PriorMap([]).match(_contact()) is None
+    assert match(prior, _contact(arc=41.0)) == 0
+    assert match(prior, _contact(arc=20.0)) is None
+    assert match([], _contact()) is None
 
 
 def test_a_known_obstacle_that_is_met_is_one_with_the_contact(folder: RunFolder) -> None:
@@ -276,7 +276,7 @@ def test_a_known_obstacle_that_is_met_is_one_with_the_contact(folder: RunFolder)
 def test_a_known_obstacle_that_was_swept_through_is_missed_and_free(folder: RunFolder) -> None:
     ahead, far = _contact(), replace(_contact(), x_cm=10.0, y_cm=30.0)
     ahead = replace(ahead, x_cm=47.0, y_cm=3.0, covariance_cm2=((0.2, 0.0), (0.0, 0.2)))
-    prior = PriorMap([*_known(ahead).obstacles, *_known(far).obstacles])
+    prior = [*_known(ahead), *_known(far)]
     document = judged(_document(), CONFIG, prior)
     assert document.missed is not None
     (gone,) = document.missed
@@ -285,7 +285,7 @@ def test_a_known_obstacle_that_was_swept_through_is_missed_and_free(folder: RunF
     assert [o.source for o in known.obstacles] == ["prior, not felt", "prior"]
     assert _grey(folder, 47.0, 3.0) == FREE
     assert _grey(folder, *far.track[12]) == OCCUPIED
-    assert len(read_prior(folder.path).obstacles) == 1  # the next run does not expect it
+    assert len(read_prior(folder.path)) == 1  # the next run does not expect it
 
 
 def _truth(*contacts: TrueContact) -> Truth:

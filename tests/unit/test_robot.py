@@ -26,9 +26,8 @@ from thigmo.link import protocol as wire
 from thigmo.robot import (
     Robot,
     SensorTable,
-    SnapshotReading,
-    SweepConditions,
-    average_peak,
+    SweepFrame,
+    SweepWatcher,
     sweep_period_s,
 )
 from thigmo.robot.readings import resistance_ohm
@@ -369,12 +368,10 @@ def test_a_peak_is_the_mean_of_its_readings() -> None:
     table = SensorTable.of(RobotConfig())
     zero = np.full(10, 16 * 640.0)
     shots = [
-        SnapshotReading(
-            "left", float(n), [16 * 600 + n] * 10, 17.9, 17.0 + n, 0.02, 0.03 + n * 1e-5
-        )
+        SweepFrame("left", float(n), 17.0 + n, 0.03 + n * 1e-5, -0.01, (16 * 600 + n,) * 10)
         for n in range(10)
     ]
-    peak = average_peak(shots, SweepConditions(table, zero, 16, sensors=0x3FF, length_cm=53.0))
+    peak = SweepWatcher(table, zero, 16, sensors=0x3FF, length_cm=53.0).average(shots)
     assert (peak.count, peak.t_s, peak.pressure_psi) == (10, 4.5, 21.5)
     assert peak.free_curvature == pytest.approx(0.030045)
     assert peak.curvature == pytest.approx(table.curvature(np.full(10, 16 * 600 + 4.5), zero, 16))

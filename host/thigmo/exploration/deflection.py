@@ -34,25 +34,15 @@ _BACK_CM, _ON_CM = 1.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Deflection:
-    """A body that leans on a peg while nothing inflates it.
+    """A body that leans on a peg while nothing inflates it."""
 
-    Attributes:
-        length_cm: everted length.
-        arc_cm: where it leans, by the best guess.
-        interval_cm: it is within these.
-        force_per_cm2: of the peg, over EI; positive bends to the left.
-        curvature_se: standard error of the bend, 1/cm.
-        sensors: how many tell so.
-        bend: (10,) by how much the zeros moved, 1/cm; NaN where that says nothing.
-    """
-
-    length_cm: float
-    arc_cm: float
-    interval_cm: tuple[float, float]
-    force_per_cm2: float
-    curvature_se: float
-    sensors: int
-    bend: Floats
+    length_cm: float  # everted length
+    arc_cm: float  # where it leans, by the best guess
+    interval_cm: tuple[float, float]  # it is within these
+    force_per_cm2: float  # of the peg, over EI; positive bends to the left
+    curvature_se: float  # standard error of the bend, 1/cm
+    sensors: int  # how many tell so
+    bend: Floats  # (10,) by how much the zeros moved, 1/cm; NaN where that says nothing
 
     @property
     def clear_cm(self) -> float:
@@ -60,12 +50,9 @@ class Deflection:
         return max(self.interval_cm[0] - _CLEAR_CM, 0.0)
 
     def released(self, before: Floats, after: Floats) -> bool:
-        """Whether the zeros came back when the tip was clear, as those of a held body do.
+        """Whether the zeros (10,) came back when the tip was clear, as those of a held body do.
 
         True as well where no sensor can tell: what may be a peg is not grown into.
-
-        Args:
-            before, after: (10,) the zeros before the tip was clear and after it, 1/cm.
         """
         back = before - after
         told = np.isfinite(self.bend) & np.isfinite(back) & (back != 0.0)
@@ -81,9 +68,8 @@ def deflection(
     Args:
         length_cm: (n,) believed lengths, ascending.
         bend: (n, 10) what the sensors read there, 1/cm, from any zero.
-        before, after: (10,) the zeros before and after the growth, from the same; NaN where a
-            sensor has none.
-        table: where the sensors are, and their noise.
+        before, after: (10,) the zeros around the growth, from the same; NaN without one.
+        table: of the sensors.
     """
     if len(length_cm) < _SMOOTH:
         return None

@@ -30,19 +30,11 @@ _ONSET_CM = 1.0  # a fold that has entered a sensor by less may go unseen
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """Growth that stopped before the line did.
+    """Growth that stopped before the line did."""
 
-    Attributes:
-        tip_cm: where the tip is, by the best guess.
-        interval_cm: it is within these.
-        believed_cm: length by the encoder.
-        sensors: how many should have everted and did not.
-    """
-
-    tip_cm: float
-    interval_cm: tuple[float, float]
-    believed_cm: float
-    sensors: int
+    arc_cm: float  # where the tip is, by the best guess
+    interval_cm: tuple[float, float]  # it is within these
+    sensors: int  # how many should have everted and did not
 
 
 def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Stall | None:
@@ -51,7 +43,7 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Stall | None:
     Args:
         length_cm: (n,) believed lengths, ascending.
         bend: (n, 10) what the sensors read there, 1/cm, from any zero.
-        table: where they are.
+        table: of the sensors.
     """
     if len(length_cm) <= 2 * _SETTLED:
         return None
@@ -67,7 +59,7 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Stall | None:
             tip = float(np.mean([found[0] for found in stuck]))
             low = min(found[1] for found in stuck)
             high = max(found[2] for found in stuck)
-            return Stall(tip, (low, high), float(length_cm[-1]), len(here))
+            return Stall(tip, (low, high), len(here))
     return None
 
 

@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -17,13 +17,13 @@ from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.live import RunControl
-from thigmo.exploration.prior import PriorMap, keep_prior, read_prior
+from thigmo.exploration.prior import keep_prior, read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.run import Exploration, Progress, Protocol
-from thigmo.record import RunDocument, RunFolder
+from thigmo.record import Obstacle, RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
-from thigmo.stream import Hello, Server, recording
+from thigmo.stream import Event, Hello, Server, recording
 
 
 class _TerminatedError(BaseException):
@@ -68,7 +68,7 @@ def explore(
             run folder says how far it came.
     """
     tell = progress or (lambda doing, fraction: None)
-    given = None if prior is None else read_prior(prior)
+    given = [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     document = RunDocument(
@@ -88,18 +88,14 @@ def explore(
             raise _unknown_robot(url)
         folder = RunFolder.create(out, label, started.astimezone())
         used.save(folder.path / "robot.toml")
-        if given is not None:
+        if prior is not None:
             keep_prior(given, folder, used.body.radius_cm)
 
         def draw(kind: object, error: BaseException | None, trace: object) -> None:
             tell("drawing the map", 1.0)
             try:
-                draw_map(
-                    folder.read_document(),
-                    folder.map_path,
-                    radius_cm=used.body.radius_cm,
-                    prior=given.obstacles if given else (),
-                )
+                known, radius_cm = folder.read_document(), used.body.radius_cm
+                draw_map(known, folder.map_path, radius_cm=radius_cm, prior=given)
             except (ThigmoError, OSError) as failure:
                 if error is None:
                     raise
@@ -118,7 +114,7 @@ def _recorded_run(
     document: RunDocument,
     tell: Progress,
     protocol: Protocol,
-    prior: PriorMap | None,
+    prior: Sequence[Obstacle],
 ) -> Exploration:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
@@ -138,8 +134,10 @@ def _recorded_run(
             interrupted = isinstance(
                 error, KeyboardInterrupt | _TerminatedError | StoppedByViewerError
             )
-            run.document = replace(run.document, outcome=f"aborted: {_why(error)}")
-            run.live.aborted(error, _why(error))
+            why = _why(error)
+            run.document = replace(run.document, outcome=f"aborted: {why}")
+            told = (error.what, error.next_step) if isinstance(error, ThigmoError) else (why, "")
+            run.live.tell(Event, "aborted", "fault", *told)
             error.add_note(f"run folder: {folder.path}")
             raise
         finally:
@@ -154,7 +152,7 @@ def _recorded_run(
                 wall_time_s=round(time.monotonic() - start, 3),
             )
             run.keep()
-            run.end()
+            run.tell()
     return run
 
 

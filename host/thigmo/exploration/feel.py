@@ -7,6 +7,7 @@ free response corrects it, and with what earlier sweeps rule out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,12 +15,12 @@ import numpy as np
 from thigmo.config import RobotConfig, Side
 from thigmo.exploration.known import WIDEST_CM, cell_masses, expected
 from thigmo.exploration.measuring import fold_moment
-from thigmo.exploration.prior import PriorMap
+from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
 from thigmo.localization import Contact, LocalizeResult, localize
 from thigmo.mechanics.buckling import fold_share
-from thigmo.record import Shape
+from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
 from thigmo.robot.readings import Floats
 
@@ -32,36 +33,20 @@ LIKELY = 0.5  # probability from which a contact that the localizer lists goes o
 
 @dataclass(frozen=True, slots=True)
 class Felt:
-    """One contact that a stage felt.
-
-    Attributes:
-        side: inflated muscle.
-        length_cm: everted length.
-        bend: the body's shape at the measurement.
-        contact: the localizer's.
-        mass: posterior over the arc, on `arc_grid`.
-        hypothesis: the localizer's.
-        readings: number of sensors used.
-    """
+    """One contact that a stage felt: the localizer's, in a body that bends so."""
 
     side: Side
     length_cm: float
     bend: Bend
     contact: Contact
-    mass: Floats
+    mass: Floats  # posterior over the arc, on `arc_grid`
     hypothesis: str
-    readings: int
+    readings: int  # number of sensors used
 
 
 @dataclass(frozen=True, slots=True)
 class Feeling:
-    """What one peak told.
-
-    Attributes:
-        result: the localizer's answer.
-        felt: those of its contacts that have a place.
-        shape: the body at the peak.
-    """
+    """What one peak told: the answer, those of its contacts that have a place, and the body."""
 
     result: LocalizeResult
     felt: list[Felt]
@@ -74,7 +59,7 @@ def feel(
     zone: int,
     response: FreeResponse,
     nearest_arc: float = 0.0,
-    prior: PriorMap | None = None,
+    prior: Sequence[Obstacle] = (),
 ) -> Feeling:
     """Localize the contacts behind a peak's readings.
 
@@ -84,7 +69,7 @@ def feel(
         zone: index of the body-pressure zone that held.
         response: what each sensor reads of an untouched robot.
         nearest_arc: no contact lies nearer to the base than this (`SweptSpace`), cm.
-        prior: where obstacles are expected.
+        prior: obstacles that are expected.
 
     Raises:
         DataError: no usable sensor.
@@ -106,7 +91,7 @@ def feel(
         critical_curvature_error=max(
             body.critical_curvature_se / body.critical_curvature, _LEAST_FOLD_ERROR
         ),
-        tube_radius=config.body.radius_cm,
+        tube_radius=body.radius_cm,
         width_limit=WIDEST_CM,
         within=(nearest_arc, peak.length_cm) if nearest_arc > 0 else None,
     )
@@ -115,41 +100,24 @@ def feel(
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
-    unfolded = (
-        peak.curvature[use] - free.mean - fold * fold_share(centers, spans, config.body.diameter_cm)
-    )
+    unfolded = peak.curvature[use] - free.mean - fold * fold_share(centers, spans, body.diameter_cm)
     last = max((contact.arc for contact in found), default=0.0)
     bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
-    masses = [_mass(result, contact, config.body.length_cm) for contact in found]
-    if prior is not None and len(found) == 1:
-        boost = _boost(prior, bend, arc_grid(config.body.length_cm), config.body.radius_cm)
-        found[0], masses[0] = expected(
-            found[0], result.bend, arc_grid(config.body.length_cm), masses[0], boost
-        )
+    curve, arcs = centreline(bend), arc_grid(body.length_cm)
+    masses = [_mass(result, contact, arcs) for contact in found]
+    if prior and len(found) == 1:
+        # A peg in the way of a bend pushes against it.
+        skin = [
+            skin_point(curve, float(arc), -bend.free_curvature, body.radius_cm)[:2] for arc in arcs
+        ]
+        likelier = boost(prior, np.array(skin), bend.length_cm)
+        found[0], masses[0] = expected(found[0], result.bend, arcs, masses[0], likelier)
         result = replace(result, status=found[0].status, contacts=tuple(found))
     felt = [
-        Felt(
-            side=peak.side,
-            length_cm=peak.length_cm,
-            bend=bend,
-            contact=contact,
-            mass=mass,
-            hypothesis=result.hypothesis,
-            readings=int(use.sum()),
-        )
+        Felt(peak.side, peak.length_cm, bend, contact, mass, result.hypothesis, int(use.sum()))
         for contact, mass in zip(found, masses, strict=True)
     ]
-    shape = Shape(peak.side, peak.pressure_psi, centreline(bend).poses(1.0))
-    return Feeling(result, felt, shape)
-
-
-def _boost(prior: PriorMap, bend: Bend, arcs: Floats, radius_cm: float) -> Floats:
-    """A map's obstacles as a prior over the arc, through the body's shape."""
-    curve = centreline(bend)
-    # A peg in the way of a bend pushes against it.
-    force = -bend.free_curvature
-    points = np.array([skin_point(curve, float(arc), force, radius_cm)[:2] for arc in arcs])
-    return prior.boost(points, bend.length_cm)
+    return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
 
 
 def arc_grid(full_cm: float) -> Floats:
@@ -157,16 +125,15 @@ def arc_grid(full_cm: float) -> Floats:
     return np.linspace(0.0, full_cm, round(full_cm / _GRID_CM) + 1)
 
 
-def _mass(result: LocalizeResult, contact: Contact, full_cm: float) -> Floats:
+def _mass(result: LocalizeResult, contact: Contact, arcs: Floats) -> Floats:
     """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
-    grid = arc_grid(full_cm)
     if len(result.contacts) == 1:
-        mass = cell_masses(result, grid)
+        mass = cell_masses(result, arcs)
     else:
         low, high = contact.interval
         deviation = max((high - low) / 3.92, _GRID_CM)
-        mass = np.exp(-0.5 * ((grid - contact.arc) / deviation) ** 2)
+        mass = np.exp(-0.5 * ((arcs - contact.arc) / deviation) ** 2)
     if not mass.sum() > 0:
-        mass = np.ones(len(grid))
+        mass = np.ones(len(arcs))
     normalised: Floats = mass / mass.sum()
     return normalised

@@ -34,7 +34,7 @@ def median(arcs: Floats, mass: Floats) -> float:
 def expected(
     contact: Contact, bend: Floats, arcs: Floats, mass: Floats, boost: Floats
 ) -> tuple[Contact, Floats]:
-    """Multiply a single contact's posterior with a prior over its arc.
+    """A single contact and its posterior, multiplied with a prior over its arc.
 
     Args:
         contact: the localizer's.
@@ -42,9 +42,6 @@ def expected(
         arcs: (n,) evenly spaced, cm.
         mass: (n,) posterior in each cell, of sum one.
         boost: (n,) prior density there, of any scale.
-
-    Returns:
-        The contact and its posterior with that prior.
     """
     product = mass * boost
     if float(np.ptp(boost)) < _FLAT * float(boost.max()) or not product.sum() > 0:
@@ -83,12 +80,7 @@ _FLOOR = 1e-3  # share of a posterior that stays open, for a stage that was wron
 
 
 def fused(grid: Floats, masses: list[Floats]) -> Floats:
-    """Posterior over the arc from the posteriors of several stages that felt the same peg.
-
-    Args:
-        grid: arcs, evenly spaced, cm.
-        masses: on the grid, each with the sum 1.
-    """
+    """Posterior over evenly spaced arcs (cm) of stages that felt the same peg, each of sum 1."""
     step = grid[1] - grid[0]
     reach = np.arange(-3 * _SLIDE_CM, 3 * _SLIDE_CM + step / 2, step)
     kernel = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)

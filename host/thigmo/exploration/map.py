@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +14,9 @@ from thigmo.exploration.deflection import Deflection
 from thigmo.exploration.eversion import Stall
 from thigmo.exploration.feel import Felt, arc_grid
 from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
-from thigmo.exploration.prior import PriorMap
+from thigmo.exploration.prior import match
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
-from thigmo.record import MapContact, TrueContact
+from thigmo.record import MapContact, Obstacle, TrueContact
 
 # Two contacts are one if they differ by less than this many standard deviations in the plane...
 _SAME_SIGMA = 3.0
@@ -29,14 +31,11 @@ class ContactMap:
     A contact that is the same as a known one within the uncertainty is fused with it: their
     posteriors over the arc are multiplied, for the peg stands still and the body near it bends
     alike at every length, and the result is placed through the newest shape.
-
-    Attributes:
-        config: robot.toml as used.
-        prior: the map that was given; a contact that is one of its obstacles says so.
     """
 
-    config: RobotConfig
-    prior: PriorMap | None = None
+    config: RobotConfig  # robot.toml as used
+    # obstacles of the map that was given; a contact that is one of them says so
+    prior: Sequence[Obstacle] = ()
     _pegs: list[list[Felt]] = field(default_factory=list)
     _placed: list[MapContact] = field(default_factory=list)
 
@@ -68,21 +67,10 @@ class ContactMap:
         low, high = stall.interval_cm
         # Anywhere in the interval along the path, and anywhere across the tip's face.
         along, across = (high - low) ** 2 / 12, (2 * self.config.body.radius_cm) ** 2 / 12
-        covariance = ((along, 0.0), (0.0, across))
         track = [(low, 0.0), (high, 0.0)]
-        self._add_met(
-            MapContact(
-                arc_cm=stall.tip_cm,
-                force_per_cm2=0.0,
-                interval_cm=stall.interval_cm,
-                status=_status(stall.interval_cm),
-                everted_length_cm=stall.tip_cm,
-                side="",
-                model="stalled growth: sensors that were due did not evert",
-                readings=stall.sensors,
-                **PlacedContact(stall.tip_cm, 0.0, 0.0, covariance, track)._asdict(),
-            )
-        )
+        placed = PlacedContact(stall.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
+        model = "stalled growth: sensors that were due did not evert"
+        self._add_met(stall, stall.arc_cm, 0.0, model, placed)
 
     def add_leaning(self, leaning: Deflection) -> None:
         """Take what growth bent the body on, which may have been felt before."""
@@ -95,23 +83,25 @@ class ContactMap:
             radius_cm=self.config.body.radius_cm,
             curvature_se=leaning.curvature_se,
         )
-        self._add_met(
-            MapContact(
-                arc_cm=arc,
-                force_per_cm2=force,
-                interval_cm=leaning.interval_cm,
-                status=_status(leaning.interval_cm),
-                everted_length_cm=leaning.length_cm,
-                side="",
-                model="growth bent the body: its zeros moved",
-                readings=leaning.sensors,
-                **placed._asdict(),
-            )
-        )
+        model = "growth bent the body: its zeros moved"
+        self._add_met(leaning, leaning.length_cm, force, model, placed)
 
-    def _add_met(self, met: MapContact) -> None:
+    def _add_met(
+        self, told: Stall | Deflection, length_cm: float, force: float, model: str,
+        placed: PlacedContact,
+    ) -> None:  # fmt: skip
         """A contact without a posterior along the body: growth met it. Of two, the surer stays."""
-        met = self._known(met)
+        met = self._contact(
+            placed,
+            arc_cm=told.arc_cm,
+            force_per_cm2=force,
+            interval_cm=told.interval_cm,
+            status=_status(told.interval_cm),
+            everted_length_cm=length_cm,
+            side="",
+            model=model,
+            readings=told.sensors,
+        )
         for index, known in enumerate(self._placed):
             if _apart(known, met) < _SAME_SIGMA:
                 self._keep_surer(index, met, [])
@@ -127,9 +117,10 @@ class ContactMap:
             merged = [*known.merged, known.everted_length_cm]
             self._placed[index] = replace(again, merged=merged)
 
-    def _known(self, found: MapContact) -> MapContact:
-        """The contact with the obstacle of the map that was given that it is."""
-        return replace(found, known=self.prior.match(found)) if self.prior else found
+    def _contact(self, placed: PlacedContact, **told: Any) -> MapContact:
+        """A contact at its place, with the obstacle of the map that was given that it is."""
+        found = MapContact(**told, **placed._asdict())
+        return replace(found, known=match(self.prior, found))
 
     def _agree(self, index: int, felt: Felt) -> bool:
         """Whether one place explains a known peg's posterior and a new one better than two do.
@@ -174,19 +165,17 @@ class ContactMap:
             curvature_se=self.config.actuators.side(newest.side).offset_se,
             end_offset_cm=offset,
         )
-        return self._known(
-            MapContact(
-                arc_cm=arc,
-                force_per_cm2=force,
-                interval_cm=(float(interval[0]), float(interval[1])),
-                status=status,
-                everted_length_cm=newest.length_cm,
-                side=newest.side,
-                model=newest.hypothesis,
-                readings=newest.readings,
-                merged=[felt.length_cm for felt in stages[:-1]],
-                **placed._asdict(),
-            )
+        return self._contact(
+            placed,
+            arc_cm=arc,
+            force_per_cm2=force,
+            interval_cm=(float(interval[0]), float(interval[1])),
+            status=status,
+            everted_length_cm=newest.length_cm,
+            side=newest.side,
+            model=newest.hypothesis,
+            readings=newest.readings,
+            merged=[felt.length_cm for felt in stages[:-1]],
         )
 
 

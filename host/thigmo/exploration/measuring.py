@@ -83,12 +83,6 @@ def measuring_pressure(
 
     The lowest pressure on the way up at which the base's excess curvature reaches its share of the
     fold's moment, or else the pressure of its largest excess; never more than the muscle holds.
-
-    Args:
-        frames: of the sweep that found the contact.
-        side: whose trigger fired.
-        config: robot.toml.
-        zone: index of the body-pressure zone.
     """
     highest = config.actuators.side(side).max_pressure_psi
     mine = [frame for frame in frames if frame.side == side]

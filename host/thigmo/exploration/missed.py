@@ -13,12 +13,12 @@ import numpy as np
 
 from thigmo.config import RobotConfig, Side
 from thigmo.exploration.map import errors
-from thigmo.exploration.obstacles import unfelt
-from thigmo.exploration.prior import PriorMap
+from thigmo.exploration.obstacles import GONE, occupancy
 from thigmo.record import (
     FalseContact,
     MapContact,
     MissedContact,
+    Obstacle,
     RunDocument,
     TrueContact,
     TruePeg,
@@ -35,7 +35,7 @@ _SAME_LENGTH_CM = 0.5
 
 
 def judged(
-    document: RunDocument, config: RobotConfig, prior: PriorMap | None = None
+    document: RunDocument, config: RobotConfig, prior: Sequence[Obstacle] = ()
 ) -> RunDocument:
     """The document with its errors, and with what was missed and what is false."""
     truth = document.truth
@@ -43,23 +43,19 @@ def judged(
     missed: list[MissedContact] | None = None
     false = None
     if truth is not None:
-        missed = _missed(document, truth.contacts, config)
+        pegs = {true.peg: true for true in truth.contacts}  # as touched last
+        away = sorted(pegs.keys() - felt_pegs(document))
+        missed = [_missed(document, pegs[peg], truth.contacts, config) for peg in away]
         false = [
             FalseContact(index, contact.x_cm, contact.y_cm, _why_false(contact, truth.contacts))
             for index, contact in enumerate(document.contacts)
             if not any(_same(contact, true) for true in truth.contacts)
         ]
-    if prior is not None:
-        gone = unfelt(document, prior, radius_cm=config.body.radius_cm)
-        missed = (missed or []) + [
-            MissedContact(
-                "prior",
-                prior.obstacles[index].x_cm,
-                prior.obstacles[index].y_cm,
-                "its place was swept without being felt: it is gone, or the map given is wrong",
-            )
-            for index in gone
-        ]
+    if prior:
+        why = "its place was swept without being felt: it is gone, or the map given is wrong"
+        _, known = occupancy(document, config.body.radius_cm, prior)
+        gone = [each for each in known if each.source == GONE]
+        missed = (missed or []) + [MissedContact("prior", o.x_cm, o.y_cm, why) for o in gone]
     return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
 
 
@@ -72,27 +68,6 @@ def met_ahead(pegs: Sequence[TruePeg], tip_cm: float) -> list[TrueContact]:
         TrueContact(p.x_cm - p.radius_cm, p.y_cm, tip_cm, tip_cm, n) for n, p in enumerate(pegs)
     ]
     return sorted(faces, key=lambda face: np.hypot(face.x_cm - tip_cm, face.y_cm))[:1]
-
-
-def _missed(
-    document: RunDocument, truth: Sequence[TrueContact], config: RobotConfig
-) -> list[MissedContact]:
-    """One entry for each peg that some sweep's peak touched and that is not on the map."""
-    entries = []
-    for peg in sorted({true.peg for true in truth} - felt_pegs(document)):
-        last = [true for true in truth if true.peg == peg][-1]
-        entries.append(
-            MissedContact(
-                "truth",
-                last.x_cm,
-                last.y_cm,
-                _why_missed(document, last, truth, config),
-                last.arc_cm,
-                last.everted_length_cm,
-                last.side,
-            )
-        )
-    return entries
 
 
 def felt_pegs(document: RunDocument) -> set[int]:
@@ -118,6 +93,14 @@ def _at(length_cm: float, side: str, true: TrueContact) -> bool:
     """Whether a true contact belongs to a stage's side."""
     near = abs(true.everted_length_cm - length_cm) < _SAME_LENGTH_CM
     return near and true.side in ("", side)
+
+
+def _missed(
+    document: RunDocument, last: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
+) -> MissedContact:
+    """The entry of a peg that some sweep's peak touched and that is not on the map."""
+    why, at_cm = _why_missed(document, last, truth, config), last.everted_length_cm
+    return MissedContact("truth", last.x_cm, last.y_cm, why, last.arc_cm, at_cm, last.side)
 
 
 def _why_missed(

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.exploration.prior import PriorMap
 from thigmo.record import (
     Ellipse,
     FreeArea,
@@ -36,6 +35,7 @@ _SIGMA_95 = 2.4477
 # Standard errors of a swept shape beyond which a cell is free: one in a thousand is not. Over 200
 # random rooms so few cells inside pegs that were felt are free (`thigmo bench exploration`).
 SIGMAS = 3.1
+GONE = "prior, not felt"  # source of an expected obstacle whose place was swept
 _BITS = 4  # fractions of a cell in OpenCV's drawing
 
 Mask = NDArray[np.bool_]
@@ -46,7 +46,7 @@ def export_obstacles(
     document: RunDocument,
     *,
     radius_cm: float,
-    prior: PriorMap | None = None,
+    prior: Sequence[Obstacle] = (),
     prefix: str = "",
 ) -> ObstacleMap:
     """Write obstacles.json, map.pgm and map.yaml of what a run knows.
@@ -55,7 +55,7 @@ def export_obstacles(
         folder: the run's.
         document: contacts and stages.
         radius_cm: of the tube.
-        prior: the map that the run was given.
+        prior: obstacles of the map that the run was given.
         prefix: of the files' names (a replay's differ).
 
     Raises:
@@ -78,54 +78,38 @@ def export_obstacles(
 def occupancy(
     document: RunDocument,
     radius_cm: float,
-    prior: PriorMap | None = None,
+    prior: Sequence[Obstacle] = (),
     sigmas: float = SIGMAS,
 ) -> tuple[OccupancyGrid, list[Obstacle]]:
     """The grid of what a run knows, and its obstacles.
 
     Args:
-        document: contacts and stages.
-        radius_cm: of the tube.
-        prior: the map that the run was given.
+        document, radius_cm, prior: as for `export_obstacles`.
         sigmas: standard errors that free cells keep from what is not.
     """
     grid = _empty_grid(document, radius_cm, prior)
     free = _free(grid, document, radius_cm, sigmas)
     obstacles = _obstacles(document.contacts, prior, grid, free)
     grid.cells[free] = FREE
-    there = [each for each in obstacles if each.source != "prior, not felt"]
+    there = [each for each in obstacles if each.source != GONE]
     for value, reach in ((UNKNOWN, max(sigmas, _SIGMA_95)), (OCCUPIED, _SIGMA_95)):
         for obstacle in there:
             grid.cells[_near_track(grid, obstacle, reach)] = value
     return grid, obstacles
 
 
-def unfelt(document: RunDocument, prior: PriorMap, *, radius_cm: float) -> list[int]:
-    """Indices of the prior map's obstacles whose place was swept without their being felt."""
-    grid = _empty_grid(document, radius_cm, prior)
-    free = _free(grid, document, radius_cm)
-    met = {contact.known for contact in document.contacts}
-    return [
-        index
-        for index in range(len(prior.obstacles))
-        if index not in met and _swept_through(prior.obstacles[index], grid, free)
-    ]
-
-
 def _obstacles(
-    contacts: Sequence[MapContact], prior: PriorMap | None, grid: OccupancyGrid, free: Mask
+    contacts: Sequence[MapContact], prior: Sequence[Obstacle], grid: OccupancyGrid, free: Mask
 ) -> list[Obstacle]:
     """Contacts felt, and what the prior map shows besides."""
     felt = [_obstacle(contact) for contact in contacts]
-    if prior is None:
-        return felt
     met = {contact.known for contact in contacts}
     rest = [
         replace(
             obstacle,
-            source="prior, not felt" if _swept_through(obstacle, grid, free) else "prior",
+            source=GONE if _swept_through(obstacle, grid, free) else "prior",
         )
-        for index, obstacle in enumerate(prior.obstacles)
+        for index, obstacle in enumerate(prior)
         if index not in met
     ]
     return felt + rest
@@ -155,13 +139,15 @@ def _body_side(contact: MapContact) -> str:
     return "right" if contact.force_per_cm2 > 0 else "left"
 
 
-def _empty_grid(document: RunDocument, radius_cm: float, prior: PriorMap | None) -> OccupancyGrid:
+def _empty_grid(
+    document: RunDocument, radius_cm: float, prior: Sequence[Obstacle]
+) -> OccupancyGrid:
     """A grid of unknown cells around all that is known."""
     points = [np.array([[0.0, radius_cm], [0.0, -radius_cm]])]
     for stage in document.stages:
         points.append(np.array([[stage.everted_length_cm, 0.0]]))
         points += [np.asarray(shape.poses)[:, :2] for shape in stage.shapes]
-    for obstacle in [*map(_obstacle, document.contacts), *(prior.obstacles if prior else [])]:
+    for obstacle in [*map(_obstacle, document.contacts), *prior]:
         reach = obstacle.ellipse_95.semi_major_cm
         point = np.array([[obstacle.x_cm, obstacle.y_cm]])
         points += [np.asarray(obstacle.track), point - reach, point + reach]

@@ -48,13 +48,7 @@ def stage_lengths(config: RobotConfig) -> list[float]:
 
 
 def next_stage(config: RobotConfig, length_cm: float, *, swept: bool) -> float | None:
-    """The stage to go to from a length, or None at the end.
-
-    Args:
-        config: the robot.
-        length_cm: everted length now.
-        swept: whether the sweep at this length is done.
-    """
+    """The stage to go to from a length that was `swept` or not, or None at the end."""
     for stage in stage_lengths(config):
         if stage > length_cm + _SAME_CM or (abs(stage - length_cm) <= _SAME_CM and not swept):
             return stage

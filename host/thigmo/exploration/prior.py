@@ -9,7 +9,7 @@ or hide one. Coordinates are those of obstacles.json: the robot's base at the or
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -38,39 +38,25 @@ _FLOOR_CM = 1.5
 _SAME_SIGMA = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class PriorMap:
-    """Obstacles that are expected.
+def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
+    """Prior density at points of the skin, (n, 2) in cm, relative to that of a new obstacle.
 
-    Attributes:
-        obstacles: of the map, those that it had itself found gone left out.
+    That one may touch a body of `length_cm` anywhere.
     """
+    # Known and new are equally likely: the bell over an arc holds as much as the rest of it.
+    peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi))
+    value = np.ones(len(points))
+    for obstacle in prior:
+        value += peak * np.exp(-0.5 * _squared(obstacle, points, np.zeros((2, 2))))
+    return value
 
-    obstacles: list[Obstacle]
 
-    def boost(self, points: Floats, length_cm: float) -> Floats:
-        """Prior density at points of the skin, relative to that of a new obstacle.
-
-        Args:
-            points: (n, 2), cm.
-            length_cm: of the body that a new obstacle may touch anywhere.
-        """
-        # Known and new are equally likely: the bell over an arc holds as much as the rest of it.
-        peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi))
-        value = np.ones(len(points))
-        for obstacle in self.obstacles:
-            squared = _squared(obstacle, points, np.zeros((2, 2)))
-            value += peak * np.exp(-0.5 * squared)
-        return value
-
-    def match(self, contact: MapContact) -> int | None:
-        """Index of the obstacle that a contact is, or None for a new one."""
-        point = np.array([[contact.x_cm, contact.y_cm]])
-        covariance = np.asarray(contact.covariance_cm2)
-        apart = [float(_squared(o, point, covariance)[0]) for o in self.obstacles]
-        if not apart or min(apart) > _SAME_SIGMA**2:
-            return None
-        return int(np.argmin(apart))
+def match(prior: Sequence[Obstacle], contact: MapContact) -> int | None:
+    """Index of the expected obstacle that a contact is, or None for a new one."""
+    point = np.array([[contact.x_cm, contact.y_cm]])
+    covariance = np.asarray(contact.covariance_cm2)
+    apart = [float(_squared(o, point, covariance)[0]) for o in prior]
+    return int(np.argmin(apart)) if apart and min(apart) <= _SAME_SIGMA**2 else None
 
 
 def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
@@ -86,8 +72,10 @@ def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
     return squared
 
 
-def read_prior(path: str | os.PathLike[str]) -> PriorMap:
-    """Read a map: a run folder, its obstacles.json, or a ROS map's YAML file.
+def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
+    """Obstacles of a map: a run folder, its obstacles.json, or a ROS map's YAML file.
+
+    Those that the map had itself found gone are left out.
 
     Raises:
         RunFolderError: it is neither, or cannot be read.
@@ -96,33 +84,31 @@ def read_prior(path: str | os.PathLike[str]) -> PriorMap:
     if file.is_dir():
         file = file / OBSTACLES_FILE
     if file.suffix == ".json":
-        known = read_obstacles(file).obstacles
-        return PriorMap([o for o in known if o.source != "prior, not felt"])
+        return [o for o in read_obstacles(file).obstacles if o.source != "prior, not felt"]
     if file.suffix in (".yaml", ".yml"):
-        return PriorMap(_grid_obstacles(read_ros_map(file)))
+        return _grid_obstacles(read_ros_map(file))
     raise RunFolderError(
         f"{path} is no map", "give a run folder, its obstacles.json, or a ROS map's YAML file"
     )
 
 
-def keep_prior(prior: PriorMap, folder: RunFolder, radius_cm: float) -> None:
+def keep_prior(prior: list[Obstacle], folder: RunFolder, radius_cm: float) -> None:
     """Keep the map that a run was given in its folder, for the replay.
 
     Raises:
         RunFolderError: the folder cannot be written.
     """
-    kept = ObstacleMap("prior", "", "given", radius_cm, prior.obstacles)
-    write_obstacles(kept, folder.path / PRIOR_FILE)
+    write_obstacles(ObstacleMap("prior", "", "given", radius_cm, prior), folder.path / PRIOR_FILE)
 
 
-def kept_prior(folder: RunFolder) -> PriorMap | None:
-    """The map that a run was given, or None.
+def kept_prior(folder: RunFolder) -> list[Obstacle]:
+    """Obstacles of the map that a run was given; none without one.
 
     Raises:
         RunFolderError: it cannot be read.
     """
     file = folder.path / PRIOR_FILE
-    return PriorMap(read_obstacles(file).obstacles) if file.exists() else None
+    return read_obstacles(file).obstacles if file.exists() else []
 
 
 def _grid_obstacles(grid: OccupancyGrid) -> list[Obstacle]:

@@ -42,17 +42,11 @@ _LEAST_OFFSET = 8e-4  # 1/cm: no curve through ten pressures is the muscle's own
 
 
 class FreeReading(NamedTuple):
-    """What N sensors would read if nothing touched.
+    """What N sensors would read if nothing touched."""
 
-    Attributes:
-        mean: (N,) 1/cm.
-        body_curvature: of the free body itself, 1/cm.
-        shared_errors: (N, K) what is unknown of `mean`: columns of one standard deviation.
-    """
-
-    mean: Floats
-    body_curvature: float
-    shared_errors: Floats
+    mean: Floats  # (N,) 1/cm
+    body_curvature: float  # of the free body itself, 1/cm
+    shared_errors: Floats  # (N, K) what is unknown of `mean`: columns of one standard deviation
 
 
 def scale_errors(config: RobotConfig) -> Floats:
@@ -103,11 +97,7 @@ class FreeResponse:
     def learn(self, sweep: SweepResult, side: Side, zone: int, below: float = np.inf) -> None:
         """Take the rising half of a sweep's side, as far as nothing was touched.
 
-        Args:
-            sweep: any.
-            side: of it.
-            zone: index of the body-pressure zone.
-            below: nothing was touched up to this free curvature (1/cm, unsigned).
+        That is, up to a free curvature (1/cm, unsigned).
         """
         mine = np.array([f.side == side for f in sweep.frames], dtype=np.bool_)
         if not mine.any():

@@ -20,26 +20,24 @@ from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.deflection import deflection
 from thigmo.exploration.eversion import stall
-from thigmo.exploration.map import ContactMap
-from thigmo.exploration.missed import judged
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
-from thigmo.exploration.stage import Interpreter, stage_entry
+from thigmo.exploration.stage import Interpreter
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
-from thigmo.record import Entry, Log, MapContact, RunDocument, RunFolder, Stage
+from thigmo.record import Entry, Log, RunDocument, RunFolder, Stage
 from thigmo.report import draw_map
 from thigmo.robot import (
     SENSORS,
     GrowthWatcher,
     SensorTable,
-    SnapshotReading,
     StandingWatch,
-    SweepConditions,
+    SweepFrame,
     SweepResult,
     SweepWatcher,
-    snapshot_reading,
+    mask_of,
+    peak_frame,
 )
 from thigmo.robot.readings import Floats
 
@@ -50,23 +48,15 @@ _ZEROED = 1 << 2  # of sensor_report.flags
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult:
-    """What the record says now.
+    """What the record says now."""
 
-    Attributes:
-        document: contacts and triggers found again; truth and errors from the run's document.
-        sweeps: sweeps in the record.
-        bad_frames: frames that could not be decoded.
-        truncated: the record is cut short.
-        gaps: places at which the record is damaged.
-        missing: the same in words, for the operator; empty if the record is whole.
-    """
-
+    # contacts and triggers found again; truth and errors from the run's document
     document: RunDocument
-    sweeps: int
-    bad_frames: int
-    truncated: bool
-    gaps: int = 0
-    missing: str = ""
+    sweeps: int  # sweeps in the record
+    bad_frames: int  # frames that could not be decoded
+    truncated: bool  # the record is cut short
+    gaps: int = 0  # places at which the record is damaged
+    missing: str = ""  # the same in words, for the operator; empty if the record is whole
 
     def as_json(self) -> dict[str, Any]:
         """The object that `thigmo replay --json` prints."""
@@ -91,10 +81,6 @@ class _Sweep:
     t_s: float
     watcher: SweepWatcher
 
-    @property
-    def length_cm(self) -> float:
-        return self.watcher.conditions.length_cm
-
 
 class _Reader:
     """Reads the board's state off its frames, as the robot object does live."""
@@ -110,7 +96,7 @@ class _Reader:
         self.oversample = 16
         self._zone = 0
         self._status: wire.StatusReport | None = None
-        self._snapshots: list[SnapshotReading] = []
+        self._snapshots: list[SweepFrame] = []
         self._events: set[int] = set()
         self._last_sweep = (0, 0)
         self._swept = True  # the last sweep came to its end
@@ -168,7 +154,7 @@ class _Reader:
             case wire.Event() if message.number not in self._events:
                 self._events.add(message.number)
                 if message.code == wire.EventCode.CONTACT and self.sweeps:
-                    self.sweeps[-1].watcher.event(message)
+                    self.sweeps[-1].watcher.triggered(message, self._device_s(message.t_us))
                 if message.code == wire.EventCode.PEAK:
                     self._peaked = True
                 if message.code == wire.EventCode.ACTIVITY_DONE:
@@ -197,15 +183,13 @@ class _Reader:
         status = self._status
         mask, young, length = 0, 0, 0.0
         if status:
-            aside = np.flatnonzero(self._table.healthy & ~self._enabled)
-            young = status.everted_mask & int(sum(1 << int(sensor) for sensor in aside))
+            young = status.everted_mask & mask_of(self._table.healthy & ~self._enabled)
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
         zeros = self._zero_sum.copy()
-        conditions = SweepConditions(
+        watcher = SweepWatcher(
             self._table, zeros, self.oversample, mask, length, young, self._standing
         )
-        watcher = SweepWatcher(self._device_s, lambda side: [], conditions)
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
         self.sweeps.append(_Sweep(self._zone, sides, t_s, watcher))
@@ -215,17 +199,16 @@ class _Reader:
             self._snapshots = []
         if message.index != len(self._snapshots):
             return  # the reply to a repeated request
-        self._snapshots.append(snapshot_reading(message, self._device_s(message.t_us)))
+        self._snapshots.append(peak_frame(message, self._device_s(message.t_us)))
         if len(self._snapshots) == message.count and self.sweeps:
             self.sweeps[-1].watcher.peaks.append(self._snapshots)
 
 
 def replay(run: str | os.PathLike[str]) -> ReplayResult:
-    """Localize again from a run's raw record; writes `replay.json`, `replay.png`,
-    `replay-obstacles.json` and `replay-map.yaml` with its picture into it.
+    """Localize again from the raw record of a run folder.
 
-    Args:
-        run: the run folder.
+    Writes `replay.json`, `replay.png`, `replay-obstacles.json` and `replay-map.yaml` with its
+    picture into it.
 
     Raises:
         RunFolderError: no record, or one of another protocol schema.
@@ -236,34 +219,29 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     log = folder.read_log()
     reader = _read(folder, config, log)
     prior = kept_prior(folder)
-    found = ContactMap(config, prior)
+    found, table = Interpreter(config, prior), SensorTable.of(config)
     stages = []
-    interpreter, table = Interpreter(config, prior), SensorTable.of(config)
     for looked, measured in _stages(reader.sweeps):
         sweep = looked[-1]
         result = SweepResult.joined([part.watcher.result() for part in looked])
         again = [part.watcher.result() for part in measured]
-        measuring = SweepResult.joined(again) if again else None
-        felt = interpreter.feel(result, measuring, sweep.zone)
-        for feeling in felt:
-            for contact in feeling.felt:
-                found.add(contact)
-        stages.append(stage_entry(sweep.length_cm, sweep.t_s, result, felt, config, sweep.zone))
+        feelings = found.feel(result, SweepResult.joined(again) if again else None, sweep.zone)
+        found.add(feelings)
+        length_cm = sweep.watcher.length_cm
+        stages.append(found.entry(sweep.t_s, length_cm, result, feelings, sweep.zone))
     if reader.backed_off:
         grown = reader.growth.profile(table, reader.oversample)
         if (stalled := stall(*grown, table)) is not None:
-            found.add_ahead(stalled)
+            found.map.add_ahead(stalled)
         elif (held := deflection(*grown, *reader.zeros_ahead, table)) and held.released(
             *reader.zeros()
         ):
-            found.add_leaning(held)
-    document = _document(folder, log, found.contacts, stages)
-    document = judged(document, config, prior)
+            found.map.add_leaning(held)
+    document = found.judged(_document(folder, log, stages))
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
-    shown = prior.obstacles if prior else ()
-    draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=shown)
+    draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
     return ReplayResult(
         document, len(reader.sweeps), reader.bad, log.truncated, log.gaps, log.missing
     )
@@ -301,7 +279,7 @@ def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[list[_Sweep], list[_Sweep]]]
 
     They follow each other at the same length; a side that is swept again is measured.
     """
-    for _, group in groupby(sweeps, key=lambda sweep: round(sweep.length_cm, 1)):
+    for _, group in groupby(sweeps, key=lambda each: round(each.watcher.length_cm, 1)):
         looked: list[_Sweep] = []
         measured: list[_Sweep] = []
         seen: set[Side] = set()
@@ -312,9 +290,7 @@ def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[list[_Sweep], list[_Sweep]]]
         yield looked, measured
 
 
-def _document(
-    folder: RunFolder, log: Log, contacts: list[MapContact], stages: list[Stage]
-) -> RunDocument:
+def _document(folder: RunFolder, log: Log, stages: list[Stage]) -> RunDocument:
     """The replay's document; name, truth and outcome are the run's own, if it got so far."""
     recorded = log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0
     try:
@@ -331,7 +307,6 @@ def _document(
         known,
         thigmo=__version__,
         outcome=f"replayed; {known.outcome}",
-        contacts=contacts,
         stages=stages,
         robot_time_s=recorded,
         wall_time_s=0.0,

@@ -106,19 +106,13 @@ class ExplorationResult:
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map: the robot's bends, the swept space, the contacts, the truth if known.
 
-        Args:
-            axes: where to; None makes a new figure with matplotlib's pyplot.
+        On the axes given, or on a new figure of matplotlib's pyplot.
 
         Raises:
             ConfigError, RunFolderError: the folder's robot.toml or prior.json cannot be read.
         """
-        prior = kept_prior(RunFolder(self.folder))
-        return plot_map(
-            self.document,
-            axes,
-            radius_cm=self.config.body.radius_cm,
-            prior=prior.obstacles if prior else (),
-        )
+        radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
+        return plot_map(self.document, axes, radius_cm=radius, prior=prior)
 
     def as_json(self) -> dict[str, Any]:
         """The object that `thigmo explore --json` prints: the document without its shapes.

@@ -8,9 +8,10 @@ folder is closed and readable.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Literal
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError
@@ -18,20 +19,19 @@ from thigmo.exploration.deflection import Deflection, deflection
 from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.live import Live, RunControl
-from thigmo.exploration.map import ContactMap, peg_ahead
+from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
     held_sides,
     measuring_pressure,
     pressed_enough,
 )
-from thigmo.exploration.missed import judged, met_ahead
+from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
-from thigmo.exploration.prior import PriorMap
-from thigmo.exploration.stage import Interpreter, placed, stage_entry
+from thigmo.exploration.stage import Interpreter, placed
 from thigmo.exploration.states import State, next_state
-from thigmo.record import LogWriter, RunDocument, RunFolder, Truth, read_ros_map
+from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
     SENSORS,
     TRIGGER_PER_CM,
@@ -39,10 +39,13 @@ from thigmo.robot import (
     Robot,
     SensorTable,
     SweepResult,
+    in_mask,
     rising_period_s,
     sweep_period_s,
 )
 from thigmo.robot.readings import Floats
+from thigmo.robot.state import together
+from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
 
 _MOST_ZERO_TRIES = 5
 _ALL = (1 << SENSORS) - 1
@@ -60,83 +63,45 @@ Protocol = Literal["measure", "thesis"]
 Progress = Callable[[str, float], None]
 
 
+@dataclass
 class Exploration:
-    """Drives one robot through the state table.
+    """Drives one robot through the state table."""
 
-    Args:
-        robot: connected, not yet configured.
-        config: robot.toml.
-        folder: the run folder, made.
-        log: its record, open.
-        document: what is known at the start; kept up to date, and written after each stage.
-        progress: called at each state and while waiting.
-        protocol: how a contact is measured.
-        prior: a map of the room.
-        control: whether viewers want it to wait.
-    """
+    robot: Robot  # connected, not yet configured
+    config: RobotConfig  # robot.toml
+    folder: RunFolder  # made
+    log: LogWriter  # its record, open
+    # what is known at the start; kept up to date, and written after each stage
+    document: RunDocument
+    progress: Progress  # called at each state and while waiting
+    protocol: Protocol = "measure"  # how a contact is measured
+    prior: Sequence[Obstacle] = ()  # obstacles of a map of the room
+    control: RunControl = field(default_factory=RunControl)  # whether viewers want it to wait
+    state: State = State.CONFIGURE
+    length_cm: float = 0.0  # everted length
+    _stage_cm: float = 0.0
+    _start_cm: float = 0.0  # length at which the stage's growth began
+    _straight_cm: float = 0.0  # up to this length the body is known not to be held bent
+    _zone: int = 0
+    _body_psi: float | None = None  # what the operator last set
+    _swept: bool = False
+    _looked: SweepResult = field(default_factory=SweepResult)  # for contacts
+    _measured: SweepResult | None = None
+    _feelings: list[Feeling] = field(default_factory=list)
+    _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
+    _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
+    _stall: Stall | None = None
+    _deflection: Deflection | None = None
+    _zero_tries: int = 0
 
-    def __init__(
-        self,
-        robot: Robot,
-        config: RobotConfig,
-        folder: RunFolder,
-        log: LogWriter,
-        document: RunDocument,
-        progress: Progress,
-        protocol: Protocol = "measure",
-        prior: PriorMap | None = None,
-        control: RunControl | None = None,
-    ) -> None:
-        self.robot = robot
-        self.live = Live(robot)
-        self.control = control or RunControl()
-        self.config = config
-        self.folder = folder
-        self.log = log
-        self.document = document
-        self.progress = progress
-        self.state = State.CONFIGURE
-        self.length_cm = 0.0
-        self.stage_cm = 0.0
-        self.zone = 0
-        self.body_psi: float | None = None  # what the operator last set
-        self.swept = False
-        self.protocol = protocol
-        self.prior = prior
-        self.interpreter = Interpreter(config, prior)
-        self.map = ContactMap(config, prior)
-        self.sweep: SweepResult | None = None
-        self.measuring: SweepResult | None = None
-        self.feelings: list[Feeling] = []
-        self._start_cm = 0.0  # length at which the stage's growth began
-        self._growth = GrowthWatcher()
-        self._stall: Stall | None = None
-        self._deflection: Deflection | None = None
-        self._straight_cm = 0.0  # up to this length the body is known not to be held bent
-        self._known: set[Side] = set()  # sides whose contact the sweep that found it has placed
-        self._zero_tries = 0
-        self._lengths = stage_lengths(config)
-        self._actions: dict[State, Callable[[], str]] = {
-            State.CONFIGURE: self._configure,
-            State.CONFIRM: self._confirm,
-            State.ARM: self._arm,
-            State.PLAN: self._plan,
-            State.PRESSURIZE: self._pressurize,
-            State.GROW: self._grow,
-            State.BACK_OFF: self._back_off,
-            State.SETTLE: self._settle,
-            State.ZERO: self._zero,
-            State.SWEEP: self._sweep,
-            State.REST: self._rest,
-            State.MEASURE: self._measure,
-            State.LOCALIZE: self._localize,
-            State.MAP: self._map,
-            State.VENT: self._vent,
-            State.FINISH: self._finish,
-        }
+    def __post_init__(self) -> None:
+        self.live = Live(self.robot)
+        self._found = Interpreter(self.config, self.prior)
+        self._table = SensorTable.of(self.config)
+        self._whole_cm = sum(stage_lengths(self.config))
 
     def run(self) -> None:
-        """Walk the table to its end.
+        """Walk the table to its end; each state has the method of its name.
 
         Raises:
             ThigmoError: the robot, the link or the operator stopped it; the document says where.
@@ -144,31 +109,35 @@ class Exploration:
         while self.state is not State.DONE:
             if self.state is State.PLAN:
                 self._pause()
-            self._tell()
-            outcome = self._actions[self.state]()
+            self.tell()
+            outcome: str = getattr(self, f"_{self.state.name.lower()}")()
             after = next_state(self.state, outcome)
             self.log.note(
                 "state", self.robot.now(), state=self.state.name, outcome=outcome, next=after.name
             )
             self.state = after
 
-    def _tell(self, waiting: str = "", *, paused: bool = False) -> None:
+    def tell(self, waiting: str = "", *, paused: bool = False) -> None:
+        """Tell those who watch what it does, or how it ended."""
         words = self.state.value
-        if self.stage_cm:
-            words += f" at {self.stage_cm:g} cm"
+        if self._stage_cm:
+            words += f" at {self._stage_cm:g} cm"
         words += f": {waiting}" if waiting else ""
-        done = sum(stage.everted_length_cm for stage in self.document.stages) / sum(self._lengths)
+        done = sum(stage.everted_length_cm for stage in self.document.stages) / self._whole_cm
         self.progress(words, done)
-        self.live.state(
-            self.state, words, self.stage_cm, done, paused=paused, outcome=self.document.outcome
-        )
+        outcome = self.document.outcome
+        self.live.tell(RunState, self.state.name, words, self._stage_cm, done, paused, outcome)
+
+    def _note(self, **known: Any) -> None:
+        """Keep in the document what is known now."""
+        self.document = replace(self.document, **known)
 
     def _pause(self) -> None:
         """Wait, vented, as long as a viewer wants."""
         if not self.control.paused:
             return
         self.robot.vent()
-        self._tell("paused", paused=True)
+        self.tell("paused", paused=True)
         while self.control.paused:
             if self.robot.virtual:  # its time would rush by
                 self.control.wait(_PAUSE_S)
@@ -181,10 +150,9 @@ class Exploration:
         return "verified"
 
     def _confirm(self) -> str:
-        self.live.log("the operator measures the everted length")
-        length = self.robot.operator.everted_length_cm()
-        self.robot.confirm_length(length)
-        self.length_cm = length
+        self.live.tell(Log, "info", "the operator measures the everted length")
+        self.length_cm = self.robot.operator.everted_length_cm()
+        self.robot.confirm_length(self.length_cm)
         return "length known"
 
     def _arm(self) -> str:
@@ -196,41 +164,40 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        stage = next_stage(self.config, self.length_cm, swept=self.swept)
+        stage = next_stage(self.config, self.length_cm, swept=self._swept)
         if stage is None:
-            self.document = replace(self.document, outcome="full length")
+            self._note(outcome="full length")
             return "fully deployed"
         grows = stage > self.length_cm + 0.1
-        radius = self.config.body.radius_cm
-        if grows and peg_ahead(self.document.contacts, self.length_cm, radius):
-            self.document = replace(self.document, outcome="peg ahead")
+        if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
+            self._note(outcome="peg ahead")
             return "peg ahead"
-        self.stage_cm, self.swept, self._zero_tries = stage, False, 0
+        self._stage_cm, self._swept, self._zero_tries = stage, False, 0
         self._start_cm, self._growth = self.length_cm, GrowthWatcher()
         return "grow" if grows else "sweep here"
 
     def _pressurize(self) -> str:
-        self.zone = growth_zone(self.config, self.length_cm, self.stage_cm)
-        pressure = self.config.body.zones[self.zone].pressure_psi
-        if self.protocol == "thesis" or pressure != self.body_psi:
-            self.live.log(f"the operator sets the body pressure to {pressure:g} psi")
+        self._zone = growth_zone(self.config, self.length_cm, self._stage_cm)
+        pressure = self.config.body.zones[self._zone].pressure_psi
+        if self.protocol == "thesis" or pressure != self._body_psi:
+            self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
             self.robot.operator.set_body_pressure(pressure)
-            self.body_psi = pressure
-        self.robot.select_zone(self.zone)
+            self._body_psi = pressure
+        self.robot.select_zone(self._zone)
         return "pressure set"
 
     def _grow(self) -> str:
-        target = growth_target(self.config, self.length_cm, self.stage_cm)
+        target = growth_target(self.config, self.length_cm, self._stage_cm)
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
-            self._stall = stall(*self._grown(), SensorTable.of(self.config))
+            self._stall = stall(*self._grown(), self._table)
             if self._stall is not None:
                 return "no eversion"
-        return "whole pitch" if target == self.stage_cm else "pressure boundary"
+        return "whole pitch" if target == self._stage_cm else "pressure boundary"
 
     def _grown(self) -> tuple[Floats, Floats]:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(SensorTable.of(self.config), self.robot.oversample)
+        return self._growth.profile(self._table, self.robot.oversample)
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
@@ -240,25 +207,26 @@ class Exploration:
         """
         truth = self.robot.truth()
         if truth is not None:
-            known = self.document.truth.contacts if self.document.truth else []
-            met = met_ahead(truth.pegs, self._stall.tip_cm) if self._stall else truth.contacts
-            self.document = replace(self.document, truth=Truth(truth.pegs, [*known, *met]))
-        clear = min(self._start_cm, self._deflection.clear_cm if self._deflection else math.inf)
-        self.length_cm = self.robot.retract_to(clear)
-        if self._deflection is not None:
+            met = met_ahead(truth.pegs, self._stall.arc_cm) if self._stall else truth.contacts
+            self._note(truth=together([self.document.truth, Truth(truth.pegs, met)]))
+        held = self._deflection
+        self.length_cm = self.robot.retract_to(
+            min(self._start_cm, held.clear_cm if held else math.inf)
+        )
+        if held is not None:
             return "clear of what held it"
         if self._stall is not None:
-            self.map.add_ahead(self._stall)
+            self._found.map.add_ahead(self._stall)
         self._end_at_peg()
         return "peg ahead"
 
     def _end_at_peg(self) -> None:
-        self.document = replace(self.document, outcome="peg ahead")
+        self._note(outcome="peg ahead")
         self._judge()
 
     def _settle(self) -> str:
         if self.protocol == "thesis":
-            self._wait_settled()
+            self._wait_settled(_ALL)
             return "settled"
         # Sensors that have just everted are not needed to feel a contact, only to measure it.
         self._wait_settled(_BASE)
@@ -266,29 +234,28 @@ class Exploration:
         self.robot.set_aside(status.everted & ~status.settled)
         return "settled"
 
-    def _wait_settled(self, sensors: int = _ALL) -> None:
-        self.robot.wait_settled(lambda left_s: self._tell(f"{left_s:.0f} s left"), sensors)
+    def _wait_settled(self, sensors: int) -> None:
+        self.robot.wait_settled(lambda left_s: self.tell(f"{left_s:.0f} s left"), sensors)
 
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
         if self._deflection is not None:
             return self._released(self._deflection)
-        if self.swept:
+        if self._swept:
             return "zeroed after sweep"
-        if self.stage_cm > self._straight_cm:
-            table = SensorTable.of(self.config)
-            self._deflection = deflection(*self._grown(), *self.robot.zeros(), table)
+        if self._stage_cm > self._straight_cm:
+            self._deflection = deflection(*self._grown(), *self.robot.zeros(), self._table)
         return "zeroed after growth" if self._deflection is None else "held bent"
 
     def _released(self, held: Deflection) -> str:
         """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
         self._deflection = None
         if held.released(*self.robot.zeros()):
-            self.map.add_leaning(held)
+            self._found.map.add_leaning(held)
             self._end_at_peg()
             return "straight again: peg ahead"
-        self.swept, self._straight_cm = True, held.length_cm
+        self._swept, self._straight_cm = True, held.length_cm
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
@@ -306,21 +273,18 @@ class Exploration:
         return True
 
     def _sweep(self) -> str:
-        actuators = self.config.actuators
         thesis = self.protocol == "thesis"
+        period_s = sweep_period_s if thesis else rising_period_s
         self._known = set()
-        self.sweep = self.robot.sweep(
-            left_psi=actuators.left.max_pressure_psi,
-            right_psi=actuators.right.max_pressure_psi,
-            period_s=sweep_period_s(self.config, self.zone)
-            if thesis
-            else rising_period_s(self.config, self.zone),
+        self._looked = self.robot.sweep(
+            left_psi=self.config.actuators.left.max_pressure_psi,
+            right_psi=self.config.actuators.right.max_pressure_psi,
+            period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self.swept = True
-        self.measuring = None
-        fired = held_sides(self.sweep)
+        self._swept, self._measured = True, None
+        fired = held_sides(self._looked)
         if not fired:
             return "no contact"
         if thesis:
@@ -336,17 +300,17 @@ class Exploration:
         held = held_now(so_far.frames, side)
         if held <= TRIGGER_PER_CM:
             return False
-        feeling = self.interpreter.so_far(so_far, self.zone)
+        feeling = self._found.so_far(so_far, self._zone)
         if feeling is not None and self.live.due:
             self.live.feels(self.length_cm, feeling, sweeping=True)
         if feeling is not None and placed(feeling):
             self._known.add(side)
             return True
-        return pressed_enough(held, self.config, self.zone)
+        return pressed_enough(held, self.config, self._zone)
 
     def _tell_feeling(self, so_far: SweepResult) -> bool:
         """Tell viewers what a measurement feels so far; it goes on to its end."""
-        if self.live.due and (feeling := self.interpreter.so_far(so_far, self.zone)) is not None:
+        if self.live.due and (feeling := self._found.so_far(so_far, self._zone)) is not None:
             self.live.feels(self.length_cm, feeling, sweeping=True)
         return False
 
@@ -356,8 +320,7 @@ class Exploration:
         if not aside:
             return "every sensor known"
         self.robot.vent()
-        noise = SensorTable.of(self.config).noise
-        young = [n for n in range(SENSORS) if aside >> n & 1]
+        noise, young = self._table.noise, in_mask(aside)
         if (self.robot.young_noise()[young] <= _YOUNG_NOISE * noise[young]).all():
             return "every sensor known"
         if aside & ~self.robot.status().settled:
@@ -370,80 +333,67 @@ class Exploration:
         return "every sensor known"
 
     def _measure(self) -> str:
-        assert self.sweep is not None
-        fired = held_sides(self.sweep) - self._known
+        fired = held_sides(self._looked) - self._known
+        frames = self._looked.frames
         left, right = (
-            measuring_pressure(self.sweep.frames, side, self.config, self.zone)
-            if side in fired
-            else 0.0
+            measuring_pressure(frames, side, self.config, self._zone) if side in fired else 0.0
             for side in SIDES
         )
         self.robot.vent()
-        self.measuring = self.robot.sweep(
+        self._measured = self.robot.sweep(
             left_psi=left,
             right_psi=right,
-            period_s=sweep_period_s(self.config, self.zone, top_psi=max(left, right)),
+            period_s=sweep_period_s(self.config, self._zone, top_psi=max(left, right)),
             rising_only=True,
             enough=self._tell_feeling,
         )
         return "measured"
 
     def _localize(self) -> str:
-        assert self.sweep is not None
-        self.feelings = self.interpreter.feel(self.sweep, self.measuring, self.zone)
-        self.live.felt(self.length_cm, self.feelings)
-        return "contact" if any(f.felt for f in self.feelings) else "none"
+        self._feelings = self._found.feel(self._looked, self._measured, self._zone)
+        for feeling in self._feelings:
+            self.live.feels(self.length_cm, feeling)
+        if not self._feelings:
+            nothing = "nothing was felt at this stage"
+            self.live.tell(Posterior, "", self.length_cm, (), (), "no contact", "", nothing)
+        return "contact" if any(feeling.felt for feeling in self._feelings) else "none"
 
     def _map(self) -> str:
-        for feeling in self.feelings:
-            for felt in feeling.felt:
-                self.map.add(felt)
-        self.document = replace(self.document, contacts=self.map.contacts)
-        self.live.contacts(self.document.contacts)
+        self._found.add(self._feelings)
+        self._note(contacts=self._found.map.contacts)
+        self.live.tell(Contacts, tuple(self.document.contacts))
         return "mapped"
 
     def _vent(self) -> str:
         self.robot.vent()
-        self._keep_stage()
-        return "vented, thesis protocol" if self.protocol == "thesis" else "vented"
-
-    def _keep_stage(self) -> None:
-        """Put the stage into the document, and the document on the disk."""
-        assert self.sweep is not None
-        stage = stage_entry(
-            self.length_cm, self.robot.now(), self.sweep, self.feelings, self.config, self.zone
+        stage = self._found.entry(
+            self.robot.now(), self.length_cm, self._looked, self._feelings, self._zone
         )
-        self.document = replace(
-            self.document, stages=[*self.document.stages, stage], truth=self._truth()
-        )
+        self._note(stages=[*self.document.stages, stage], truth=self._truth())
         self._judge()
-
-    def _judge(self) -> None:
-        """Say what is known of the contacts felt so far, and put it on the disk."""
-        document = replace(self.document, contacts=self.map.contacts)
-        self.document = judged(document, self.config, self.prior)
-        self.keep()
+        return "vented, thesis protocol" if self.protocol == "thesis" else "vented"
 
     def _truth(self) -> Truth | None:
         """The room's truth so far, with each side's contacts when it was measured."""
-        assert self.sweep is not None
-        if self.sweep.truth is None:
+        looked, measured = self._looked.truth, self._measured
+        if looked is None:
             return self.document.truth
-        known = self.document.truth.contacts if self.document.truth else []
-        again = self.measuring.truth if self.measuring else None
-        sides = {peak.side for peak in self.measuring.peaks} if self.measuring else set()
-        looked = [c for c in self.sweep.truth.contacts if c.side not in sides]
-        measured = again.contacts if again else []
-        return Truth(self.sweep.truth.pegs, [*known, *looked, *measured])
+        sides = {peak.side for peak in measured.peaks} if measured else set()
+        first = Truth(looked.pegs, [c for c in looked.contacts if c.side not in sides])
+        return together([self.document.truth, first, measured.truth if measured else None])
+
+    def _judge(self) -> None:
+        """Say what is known of the contacts felt so far, and put it on the disk."""
+        self.document = self._found.judged(self.document)
+        self.keep()
 
     def keep(self) -> None:
         """Put what is known on the disk and tell it: contacts.json, obstacles.json and the grid."""
         self.folder.write_document(self.document)
-        export_obstacles(
-            self.folder, self.document, radius_cm=self.config.body.radius_cm, prior=self.prior
-        )
-        self.live.contacts(self.document.contacts)
-        self.live.grid(read_ros_map(self.folder.path / "map.yaml"))
+        radius_cm = self.config.body.radius_cm
+        export_obstacles(self.folder, self.document, radius_cm=radius_cm, prior=self.prior)
+        self.live.tell(Contacts, tuple(self.document.contacts))
+        self.live.tell(partial(Grid.of, read_ros_map(self.folder.path / "map.yaml")))
 
     # The end.
 
@@ -451,10 +401,6 @@ class Exploration:
         self.robot.disarm()
         self.restore()
         return "safe"
-
-    def end(self) -> None:
-        """Tell those who watch how it ended."""
-        self._tell()
 
     def restore(self) -> None:
         """Leave the board with every healthy sensor in use, as robot.toml says."""

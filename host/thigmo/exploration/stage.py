@@ -6,11 +6,13 @@ Shared by the live run and the replay of a record, so that both say the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.exploration.feel import Feeling, feel
+from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     GIVES_UP,
     held_back,
@@ -18,12 +20,12 @@ from thigmo.exploration.measuring import (
     pressed_enough,
     touch_curvature,
 )
-from thigmo.exploration.prior import PriorMap
+from thigmo.exploration.missed import judged
 from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
-from thigmo.record import Shape, Stage, Trigger
-from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
+from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepFrame, SweepResult
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -41,45 +43,34 @@ _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no
 class Interpreter:
     """Reads a run's sweeps in their order, and learns the free response from those without contact.
 
-    Args:
-        config: robot.toml as used.
-        prior: the map that was given.
+    Attributes:
+        map: contacts so far, with the obstacles of the map that was given.
     """
 
-    def __init__(self, config: RobotConfig, prior: PriorMap | None = None) -> None:
+    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
         self._config = config
         self._prior = prior
+        self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
         self._swept = SweptSpace()
+        self.map = ContactMap(config, prior)
 
     def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
         """Contacts of a stage: where the board's trigger fired, or the readings leave no doubt.
 
         The trigger compares with the map; where the body bends more than that, a contact does not
-        hold the base back by as much.
-
-        Args:
-            sweep: the sweep that looked for contacts.
-            measuring: the one that measured, whose peaks count before the first one's.
-            zone: index of the body-pressure zone.
+        hold the base back by as much. Of a side that was measured again, that peak counts.
         """
         fired = held_sides(sweep)
         measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
         feelings = []
-        table = SensorTable.of(self._config)
         for peak in sweep.peaks:
-            if not table.usable(peak.side, peak.sensors).any():
+            if not self._table.usable(peak.side, peak.sensors).any():
                 continue  # nothing to feel with: no sensor is out and well
             nearest = self._nearest(sweep, peak) if peak.side in fired else 0.0
-            self._learn_before_touch(sweep, measuring, peak.side, zone)
-            feeling = feel(
-                measured.get(peak.side, peak),
-                self._config,
-                zone,
-                self._response,
-                nearest,
-                self._prior,
-            )
+            for each in (sweep, measuring) if measuring else (sweep,):
+                self._learn(self._response, each, sweep.frames, peak.side, zone)
+            feeling = self._felt(measured.get(peak.side, peak), zone, self._response, nearest)
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
             if peak.side in fired or certain:
                 feelings.append(feeling)
@@ -92,30 +83,71 @@ class Interpreter:
     def so_far(self, so_far: SweepResult, zone: int) -> Feeling | None:
         """What a sweep that is on its way up tells; None where no sensor is out and well."""
         peak = so_far.peaks[-1]
-        if not SensorTable.of(self._config).usable(peak.side, peak.sensors).any():
+        if not self._table.usable(peak.side, peak.sensors).any():
             return None
-        nearest = self._nearest(so_far, peak)
         response = self._response.copy()
-        touch = touch_curvature(so_far.frames, peak.side)
-        if touch is not None:
-            response.learn(so_far, peak.side, zone, abs(touch) - _TOUCH_MARGIN)
-        return feel(peak, self._config, zone, response, nearest, self._prior)
+        self._learn(response, so_far, so_far.frames, peak.side, zone)
+        return self._felt(peak, zone, response, self._nearest(so_far, peak))
 
-    def _learn_before_touch(
-        self, sweep: SweepResult, measuring: SweepResult | None, side: Side, zone: int
+    def _felt(self, peak: Peak, zone: int, response: FreeResponse, nearest_arc: float) -> Feeling:
+        return feel(peak, self._config, zone, response, nearest_arc, self._prior)
+
+    @staticmethod
+    def _learn(
+        response: FreeResponse,
+        sweep: SweepResult,
+        frames: Sequence[SweepFrame],
+        side: Side,
+        zone: int,
     ) -> None:
-        touch = touch_curvature(sweep.frames, side)
-        if touch is None:
-            return
-        for each in (sweep, measuring):
-            if each is not None:
-                self._response.learn(each, side, zone, abs(touch) - _TOUCH_MARGIN)
+        """Learn from a sweep what it read before the touch that some frames show."""
+        touch = touch_curvature(frames, side)
+        if touch is not None:
+            response.learn(sweep, side, zone, abs(touch) - _TOUCH_MARGIN)
 
     def _nearest(self, sweep: SweepResult, peak: Peak) -> float:
         touch = touch_curvature(sweep.frames, peak.side)
         if touch is None:
             return 0.0
         return self._swept.nearest_arc(peak.side, peak.length_cm, touch)
+
+    def add(self, feelings: Sequence[Feeling]) -> None:
+        """Put what a stage felt on the map."""
+        for feeling in feelings:
+            for felt in feeling.felt:
+                self.map.add(felt)
+
+    def entry(
+        self, t_s: float, length_cm: float, sweep: SweepResult, told: Sequence[Feeling], zone: int
+    ) -> Stage:
+        """The stage's entry in contacts.json."""
+        by_side = {feeling.shape.side: feeling.result for feeling in told}
+        shapes = _swept_shapes(length_cm, zone, sweep, self._config)
+        return Stage(
+            everted_length_cm=length_cm,
+            body_pressure_psi=self._config.body.zones[zone].pressure_psi,
+            t_s=t_s,
+            shapes=[*shapes, *(feeling.shape for feeling in told)],
+            triggers=[
+                Trigger(
+                    t.side,
+                    t.t_s,
+                    t.excess_per_cm,
+                    by_side[t.side].status if t.side in by_side else "no contact",
+                    by_side[t.side].message if t.side in by_side else _NOT_HELD,
+                )
+                for t in sweep.triggers
+            ],
+            held_back_per_cm={
+                side: round(float(held.max()), 6)
+                for side in SIDES
+                if (held := held_back(sweep.frames, side)).size
+            },
+        )
+
+    def judged(self, document: RunDocument) -> RunDocument:
+        """The document with the map's contacts, their errors, and what was missed or is false."""
+        return judged(replace(document, contacts=self.map.contacts), self._config, self._prior)
 
 
 def placed(feeling: Feeling) -> bool:
@@ -125,39 +157,6 @@ def placed(feeling: Feeling) -> bool:
     contact = feeling.felt[0].contact
     low, high = contact.interval
     return contact.status == "localized" and high - low <= ENOUGH_CM
-
-
-def stage_entry(
-    length_cm: float,
-    t_s: float,
-    sweep: SweepResult,
-    feelings: Sequence[Feeling],
-    config: RobotConfig,
-    zone: int,
-) -> Stage:
-    """The stage's entry in contacts.json."""
-    by_side = {feeling.shape.side: feeling.result for feeling in feelings}
-    return Stage(
-        everted_length_cm=length_cm,
-        body_pressure_psi=config.body.zones[zone].pressure_psi,
-        t_s=t_s,
-        shapes=[*_swept_shapes(length_cm, zone, sweep, config), *(f.shape for f in feelings)],
-        triggers=[
-            Trigger(
-                t.side,
-                t.t_s,
-                t.excess_per_cm,
-                by_side[t.side].status if t.side in by_side else "no contact",
-                by_side[t.side].message if t.side in by_side else _NOT_HELD,
-            )
-            for t in sweep.triggers
-        ],
-        held_back_per_cm={
-            side: round(float(held.max()), 6)
-            for side in SIDES
-            if (held := held_back(sweep.frames, side)).size
-        },
-    )
 
 
 def _swept_shapes(

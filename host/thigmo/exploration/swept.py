@@ -20,12 +20,9 @@ _SAME_BEND = 0.95
 
 @dataclass
 class SweptSpace:
-    """Lengths and bends that were swept without a contact.
+    """Lengths and bends that were swept without a contact."""
 
-    Attributes:
-        free: (side, everted length in cm, free curvature at the peak in 1/cm) of each.
-    """
-
+    # (side, everted length in cm, free curvature at the peak in 1/cm) of each
     free: list[tuple[Side, float, float]] = field(default_factory=list)
 
     def remember(self, side: Side, length_cm: float, peak_curvature: float) -> None:
@@ -33,12 +30,9 @@ class SweptSpace:
         self.free.append((side, length_cm, abs(peak_curvature)))
 
     def nearest_arc(self, side: Side, length_cm: float, touch_curvature: float) -> float:
-        """The arc (cm) below which a contact cannot be.
+        """The arc (cm) below which a contact on a side cannot be.
 
-        Args:
-            side: on which it was felt.
-            length_cm: everted length.
-            touch_curvature: free curvature at which the trigger fired, 1/cm.
+        It was felt at an everted length, from a free curvature (1/cm) on.
         """
         bend = abs(touch_curvature)
         arcs = [

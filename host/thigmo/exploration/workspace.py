@@ -27,20 +27,14 @@ _SHAPE_CM = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """What bends the body.
+    """What bends the body."""
 
-    Attributes:
-        length_cm: everted length.
-        free_curvature: of the inflated muscle, 1/cm, signed.
-        excess: (arc in cm, curvature above the free one in 1/cm), base first, linear in between and
-            zero beyond the last.
-        fold_rad: angle of a fold at the base, signed; 0 without one.
-    """
-
-    length_cm: float
-    free_curvature: float
+    length_cm: float  # everted length
+    free_curvature: float  # of the inflated muscle, 1/cm, signed
+    # (arc in cm, curvature above the free one in 1/cm), base first, linear in between and zero
+    # beyond the last
     excess: tuple[tuple[float, float], ...] = ()
-    fold_rad: float = 0.0
+    fold_rad: float = 0.0  # angle of a fold at the base, signed; 0 without one
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +100,9 @@ def excess_knots(
 
 
 def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
-    """The body as its sensors see it: linear between their centres, constant beyond the last.
+    """The body as sensors at `centers` (N,) in cm, ascending, see it by their readings in 1/cm.
 
-    Args:
-        length_cm: everted length.
-        centers: (N,) of the sensors, cm, ascending.
-        curvature: (N,) what they read, 1/cm.
+    It is linear between their centres, and constant beyond the last.
     """
     slope = 0.0
     if len(centers) > 1:
@@ -124,10 +115,7 @@ def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
 def common_error(length_cm: float, centers: Floats, error: Floats) -> float:
     """Standard error of a common curvature that puts the tip as far off as the sensors' own may.
 
-    Args:
-        length_cm: everted length.
-        centers: (N,) of the sensors, cm, ascending.
-        error: (N,) standard errors of what they read, each its own, 1/cm.
+    Theirs (N,) are independent, in 1/cm, at centers (N,) in cm, ascending.
     """
     arc = np.arange(0.0, length_cm, _STEP_CM)
     lever = length_cm - arc
@@ -138,8 +126,7 @@ def common_error(length_cm: float, centers: Floats, error: Floats) -> float:
 def ramp_knots(contacts: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     """The excess curvature that contacts cause on a straight beam: a ramp to each of them.
 
-    Args:
-        contacts: (arc in cm, force over EI in 1/cm^2) of each.
+    A contact is an arc in cm and a force over EI in 1/cm^2.
     """
     known = sorted(contacts)
     places = [0.0, *(arc for arc, _ in known)]

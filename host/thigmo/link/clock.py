@@ -9,7 +9,6 @@ pair of each stretch of time is kept and a line is fitted through the best of th
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from statistics import fmean, linear_regression
 from typing import NamedTuple
 
@@ -28,33 +27,18 @@ class Pair(NamedTuple):
     round_trip_s: float
 
 
-class Line(NamedTuple):
-    """host = host_s + slope * (device - device_us) / 1e6."""
-
-    host_s: float
-    device_us: float
-    slope: float
-
-
-@dataclass(slots=True)
-class _Stretch:
-    until_s: float
-    best: Pair
-
-
 class DeviceClock:
     """Unwraps and maps; bounded memory."""
 
     def __init__(self) -> None:
         self._last: int | None = None
-        self._stretches: deque[_Stretch] = deque(maxlen=_STRETCHES)
-        self._line: Line | None = None
+        self._best: deque[Pair] = deque(maxlen=_STRETCHES)  # of each stretch
+        self._until_s = 0.0  # end of the newest stretch
 
     def reset(self) -> None:
         """Forget everything: the board restarted."""
         self._last = None
-        self._stretches.clear()
-        self._line = None
+        self._best.clear()
 
     def unwrap(self, t_us: int) -> int:
         """Microseconds since the first wrap's start, of a 32-bit stamp.
@@ -73,50 +57,33 @@ class DeviceClock:
     def pair(self, sent_s: float, received_s: float, device_us: int) -> None:
         """Take a round trip: host times around an (unwrapped) device stamp."""
         pair = Pair((sent_s + received_s) / 2, device_us, received_s - sent_s)
-        newest = self._stretches[-1] if self._stretches else None
-        if newest is None or received_s >= newest.until_s:
-            self._stretches.append(_Stretch(received_s + _STRETCH_S, pair))
-        elif pair.round_trip_s < newest.best.round_trip_s:
-            newest.best = pair
-        else:
-            return
-        self._line = None
+        if not self._best or received_s >= self._until_s:
+            self._best.append(pair)
+            self._until_s = received_s + _STRETCH_S
+        elif pair.round_trip_s < self._best[-1].round_trip_s:
+            self._best[-1] = pair
 
     @property
     def synchronised(self) -> bool:
         """Whether any pair is known."""
-        return bool(self._stretches)
-
-    @property
-    def round_trip_s(self) -> float:
-        """Shortest round trip kept; half of it bounds the error of the map. Infinite at first."""
-        return min((s.best.round_trip_s for s in self._stretches), default=float("inf"))
-
-    def line(self) -> Line:
-        """The map.
-
-        Raises:
-            LookupError: no pair is known yet.
-        """
-        if self._line is None:
-            self._line = self._fit()
-        return self._line
+        return bool(self._best)
 
     def to_host(self, device_us: float) -> float:
         """Host seconds of unwrapped device microseconds; raises LookupError before any pair."""
-        line = self.line()
-        return line.host_s + line.slope * (device_us - line.device_us) * 1e-6
+        host_s, base_us, slope = self._line()
+        return host_s + slope * (device_us - base_us) * 1e-6
 
     def to_device(self, host_s: float) -> float:
         """Unwrapped device microseconds of host seconds; raises LookupError before any pair."""
-        line = self.line()
-        return line.device_us + (host_s - line.host_s) / line.slope * 1e6
+        base_s, device_us, slope = self._line()
+        return device_us + (host_s - base_s) / slope * 1e6
 
-    def _fit(self) -> Line:
-        if not self._stretches:
+    def _line(self) -> tuple[float, float, float]:
+        """Host seconds and device microseconds of a point, and the slope through it."""
+        if not self._best:
             raise LookupError("the clocks are not synchronised yet")
-        limit = 1.5 * self.round_trip_s + 0.5e-3
-        pairs = [s.best for s in self._stretches if s.best.round_trip_s <= limit]
+        limit = 1.5 * min(pair.round_trip_s for pair in self._best) + 0.5e-3
+        pairs = [pair for pair in self._best if pair.round_trip_s <= limit]
         base = pairs[0].device_us  # differences keep the sums small and exact
         device_us = [float(p.device_us - base) for p in pairs]
         host_s = [p.host_s - pairs[0].host_s for p in pairs]
@@ -125,4 +92,4 @@ class DeviceClock:
             fitted = linear_regression(device_us, host_s).slope * 1e6
             if abs(fitted - 1.0) <= _MAX_SKEW:
                 slope = fitted
-        return Line(pairs[0].host_s + fmean(host_s), base + fmean(device_us), slope)
+        return pairs[0].host_s + fmean(host_s), base + fmean(device_us), slope

@@ -27,20 +27,13 @@ class FrameError(ValueError):
 
 
 class Frame(NamedTuple):
-    """One good frame.
+    """One good frame."""
 
-    Attributes:
-        id: of the message.
-        seq, session: header.
-        payload: the message's bytes.
-        wire: the stuffed bytes as they came, without the closing zero.
-    """
-
-    id: int
+    id: int  # of the message
     seq: int
     session: int
-    payload: bytes
-    wire: bytes
+    payload: bytes  # the message's bytes
+    wire: bytes  # the stuffed bytes as they came, without the closing zero
 
     def message(self) -> Message:
         """The typed message.
@@ -84,17 +77,11 @@ def decode(wire: bytes) -> Frame:
 
 @dataclass(slots=True)
 class Decoder:
-    """Frames out of a byte stream.
+    """Frames out of a byte stream."""
 
-    Attributes:
-        frames: good ones so far.
-        bad: pieces between zero bytes that were no good frame.
-        bad_bytes: bytes in those pieces.
-    """
-
-    frames: int = 0
-    bad: int = 0
-    bad_bytes: int = 0
+    frames: int = 0  # good ones so far
+    bad: int = 0  # pieces between zero bytes that were no good frame
+    bad_bytes: int = 0  # bytes in those pieces
     _rest: bytes = b""
     _overlong: bool = False
 

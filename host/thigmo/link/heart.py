@@ -28,25 +28,17 @@ HOLD_AFTER = 4  # beats unheard after which a board counts as mute
 
 @dataclass(slots=True)
 class Heart:
-    """Beats of one session.
+    """Beats of one session."""
 
-    Attributes:
-        session: whose.
-        period_s: between beats.
-        counter: of the last beat; 0 before the first.
-        next_s: when the next one is due, by the clock that `beat` is given.
-        hold_after: beats without a byte from the board after which the heart holds until `heard`:
-            a board that restarted is in its boot loader, which a stray byte keeps for 9.3 s
-            (docs/hardware/facts.md). None: never.
-        unheard: beats since the board was last heard.
-    """
-
-    session: int
-    period_s: float = PERIOD_S
-    counter: int = 0
-    next_s: float = float("-inf")
+    session: int  # whose
+    period_s: float = PERIOD_S  # between beats
+    counter: int = 0  # of the last beat; 0 before the first
+    next_s: float = float("-inf")  # when the next one is due, by the clock that `beat` is given
+    # beats without a byte from the board after which the heart holds until `heard`: a board that
+    # restarted is in its boot loader, which a stray byte keeps for 9.3 s
+    # (docs/hardware/facts.md). None: never.
     hold_after: int | None = None
-    unheard: int = 0
+    unheard: int = 0  # beats since the board was last heard
 
     def beat(self, now_s: float) -> bytes | None:
         """The frame to send now, or None if none is due. Late beats are not made up for."""

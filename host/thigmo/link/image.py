@@ -26,20 +26,13 @@ LARGEST = 253_952  # bytes below the Mega's boot loader
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A firmware image and what its signature says.
+    """A firmware image and what its signature says."""
 
-    Attributes:
-        path: the Intel HEX file.
-        size: bytes of program.
-        schema_hash, protocol: of the messages that it speaks.
-        version: major, minor, patch.
-    """
-
-    path: Path
-    size: int
-    schema_hash: int
-    protocol: int
-    version: tuple[int, int, int]
+    path: Path  # the Intel HEX file
+    size: int  # bytes of program
+    schema_hash: int  # of the messages that it speaks
+    protocol: int  # their version
+    version: tuple[int, int, int]  # major, minor, patch
 
 
 def read_hex(path: Path) -> list[tuple[int, bytes]]:

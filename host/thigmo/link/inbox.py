@@ -23,21 +23,15 @@ _BEATS = 64
 
 
 class Inbox:
-    """Telemetry, events and clock of one conversation after another.
-
-    Attributes:
-        clock: the board's clock.
-        stats: counters.
-        events: received and not yet taken, oldest first. When it is full the board keeps the rest.
-        telemetry: the latest frame, or None.
-        on_telemetry, on_event: called for each, in order. They must not send commands.
-    """
+    """Telemetry, events and clock of one conversation after another."""
 
     def __init__(self) -> None:
-        self.clock = DeviceClock()
+        self.clock = DeviceClock()  # the board's
         self.stats = LinkCounters()
+        # Received and not yet taken, oldest first. When it is full the board keeps the rest.
         self.events: deque[ReceivedEvent] = deque()
-        self.telemetry: TelemetryFrame | None = None
+        self.telemetry: TelemetryFrame | None = None  # the latest
+        # Called for each, in order. They must not send commands.
         self.on_telemetry: list[Callable[[TelemetryFrame], None]] = []
         self.on_event: list[Callable[[ReceivedEvent], None]] = []
         self._session = 0

@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from thigmo.link import protocol as wire
 
 
+@dataclass
 class TelemetryFrame:
-    """One telemetry frame, decoded when asked.
+    """One telemetry frame, decoded when asked."""
 
-    Attributes:
-        seq: its number; gaps are drops.
-        t_s: host time of its arrival.
-        device_us: unwrapped device time of its readings.
-        payload: the undecoded message.
-    """
+    seq: int  # its number; gaps are drops
+    t_s: float  # host time of its arrival
+    device_us: int  # unwrapped device time of its readings
+    payload: bytes  # the undecoded message
 
-    __slots__ = ("_message", "device_us", "payload", "seq", "t_s")
-
-    def __init__(self, seq: int, t_s: float, device_us: int, payload: bytes) -> None:
-        self.seq = seq
-        self.t_s = t_s
-        self.device_us = device_us
-        self.payload = payload
-        self._message: wire.Telemetry | None = None
-
-    @property
+    @cached_property
     def message(self) -> wire.Telemetry:
         """The typed message."""
-        if self._message is None:
-            self._message = wire.Telemetry.unpack(self.payload)
-        return self._message
+        return wire.Telemetry.unpack(self.payload)
 
 
 class ReceivedEvent(NamedTuple):
@@ -45,27 +34,17 @@ class ReceivedEvent(NamedTuple):
 
 @dataclass(slots=True)
 class LinkCounters:
-    """What the link went through, as the host sees it.
+    """What the link went through, as the host sees it."""
 
-    Attributes:
-        frames, bad_frames, garbage_bytes: received.
-        foreign: good frames of another session, or answers to no question.
-        repeats: commands sent again.
-        timeouts: commands that found no answer.
-        telemetry, telemetry_lost, telemetry_stale: frames, gaps, and frames out of order.
-        events, event_repeats: new ones, and ones already known.
-        hellos: conversations opened.
-    """
-
-    frames: int = 0
+    frames: int = 0  # good ones received
     bad_frames: int = 0
-    garbage_bytes: int = 0
-    foreign: int = 0
-    repeats: int = 0
-    timeouts: int = 0
-    telemetry: int = 0
-    telemetry_lost: int = 0
-    telemetry_stale: int = 0
-    events: int = 0
-    event_repeats: int = 0
-    hellos: int = 0
+    garbage_bytes: int = 0  # in no good frame
+    foreign: int = 0  # good frames of another session, or answers to no question
+    repeats: int = 0  # commands sent again
+    timeouts: int = 0  # commands that found no answer
+    telemetry: int = 0  # frames
+    telemetry_lost: int = 0  # by the gaps in their numbers
+    telemetry_stale: int = 0  # frames out of order
+    events: int = 0  # new ones
+    event_repeats: int = 0  # ones already known
+    hellos: int = 0  # conversations opened

@@ -31,23 +31,14 @@ def _nonce() -> int:
 
 @dataclass(slots=True)
 class StopCall:
-    """One stop, from the first frame to its echo.
+    """One stop, from the first frame to its echo."""
 
-    Attributes:
-        called_s: when it began, by the clock that all methods are given.
-        heard_s: when a byte last came from the board.
-        nonce: of this stop.
-        next_s: when the next frame is due.
-        unheard: frames sent since the board was last heard.
-        confirmed: the board has echoed the nonce: its outputs are off.
-    """
-
-    called_s: float
-    heard_s: float = float("-inf")
-    nonce: int = field(default_factory=_nonce)
-    next_s: float = float("-inf")
-    unheard: int = 0
-    confirmed: bool = False
+    called_s: float  # when it began, by the clock that all methods are given
+    heard_s: float = float("-inf")  # when a byte last came from the board
+    nonce: int = field(default_factory=_nonce)  # of this stop
+    next_s: float = float("-inf")  # when the next frame is due
+    unheard: int = 0  # frames sent since the board was last heard
+    confirmed: bool = False  # the board has echoed the nonce: its outputs are off
 
     def frame(self, now_s: float) -> bytes | None:
         """The bytes to send now, or None if none are due.

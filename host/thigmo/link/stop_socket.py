@@ -79,10 +79,7 @@ def serve(url: str) -> Listener:
 def answer(listener: Listener, url: str, stop: Callable[[], bool]) -> None:
     """Take one call and obey it; returns when it is answered.
 
-    Args:
-        listener: of `serve`.
-        url: of the port.
-        stop: stops the robot; whether the board confirmed it.
+    `stop` stops the robot, and says whether the board confirmed it. The port's address goes back.
 
     Raises:
         OSError: the listener is closed.
@@ -104,13 +101,9 @@ def running() -> list[str]:
 
 
 def call(where: str) -> str | None:
-    """Stop the robot of a port's process.
+    """Stop the robot of the process behind a socket; returns its port's address.
 
-    Args:
-        where: its socket.
-
-    Returns:
-        The port's address; None if nobody listens there.
+    None if nobody listens there.
 
     Raises:
         LinkError: the process is there, but the board did not confirm the stop.

@@ -16,23 +16,16 @@ _BY_ID = {**{p.id: p.name for p in wire.PARAMETERS.values()}, wire.MAP_ID: "maps
 
 @dataclass(frozen=True, slots=True)
 class StoredConfiguration:
-    """What the running firmware made of the stored configuration.
+    """What the running firmware made of the stored configuration."""
 
-    Attributes:
-        generation: of the stored configuration; 0 = none.
-        kept: number of stored parameters in use, the maps as one.
-        new: names of parameters that were not stored and are at their defaults (the first 8).
-        new_count: their number.
-        unknown: ids of stored parameters that this firmware does not have (the first 8).
-        unknown_count: their number.
-    """
-
-    generation: int
-    kept: int
+    generation: int  # of the stored configuration; 0 = none
+    kept: int  # number of stored parameters in use, the maps as one
+    # names of parameters that were not stored and are at their defaults (the first 8)
     new: tuple[str, ...]
-    new_count: int
+    new_count: int  # their number
+    # ids of stored parameters that this firmware does not have (the first 8)
     unknown: tuple[int, ...]
-    unknown_count: int
+    unknown_count: int  # their number
 
     @classmethod
     def of(cls, report: wire.ConfigReport) -> Self:

@@ -5,21 +5,19 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import Operator
-from thigmo.robot.peaks import SweepConditions, average_peak, snapshot_reading
-from thigmo.robot.readings import SENSORS, SensorTable, other_side
+from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of, other_side
 from thigmo.robot.robot import Robot, connect
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import (
     ContactTrigger,
     Peak,
     Reading,
-    SnapshotReading,
     Status,
     SweepFrame,
     SweepResult,
 )
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
-from thigmo.robot.sweeping import SweepWatcher
+from thigmo.robot.sweeping import SweepWatcher, peak_frame
 
 __all__ = [
     "SENSORS",
@@ -31,17 +29,16 @@ __all__ = [
     "Reading",
     "Robot",
     "SensorTable",
-    "SnapshotReading",
     "StandingWatch",
     "Status",
-    "SweepConditions",
     "SweepFrame",
     "SweepResult",
     "SweepWatcher",
-    "average_peak",
     "connect",
+    "in_mask",
+    "mask_of",
     "other_side",
+    "peak_frame",
     "rising_period_s",
-    "snapshot_reading",
     "sweep_period_s",
 ]

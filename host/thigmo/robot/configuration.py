@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 
 def send_config(client: Client, config: RobotConfig) -> bool:
-    """Make the board's parameters and maps those of robot.toml, verified by reading them back.
-
-    Returns:
-        Whether any of them changed.
+    """Make the board's parameters and maps those of robot.toml; whether any of them changed.
 
     Raises:
         ConfigError: a value that the board cannot hold, or does not give back.
@@ -58,9 +55,7 @@ def get_parameter(client: Client, name: str) -> list[int]:
 def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
     """Set parameters in the board's memory; all of them run from then on, or none.
 
-    Args:
-        client: the link.
-        wanted: by the schema's names; in their wire units, one for each element, or one for all.
+    They are in wire units, by the schema's names: one value for each element, or one for all.
 
     Raises:
         ConfigError: no such parameter, a wrong number of values, one out of range, or values that

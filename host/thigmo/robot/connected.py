@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
 from thigmo.closing import Closing
-from thigmo.config import RobotConfig
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, LinkError
 from thigmo.link import protocol as wire
-from thigmo.record import Truth
+from thigmo.record import TrueContact, TruePeg, Truth
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.publishing import Publisher
@@ -25,7 +25,6 @@ from thigmo.robot.readings import SENSORS, Floats, SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
 from thigmo.robot.sweeping import SweepWatcher
-from thigmo.robot.truth import truth_now
 from thigmo.robot.watch import Watch
 from thigmo.room import Simulated
 from thigmo.stream import Hub, Message, Telemetry
@@ -80,12 +79,9 @@ class Connected(Closing):
     def make_safe(self, *, interrupted: bool = False) -> bool:
         """Valves to 0 mA and motor braked, if the board can still be reached; never raises.
 
-        Args:
-            interrupted: by an operator: `stop`, which waits behind no command and latches,
-                instead of `disarm`.
-
-        Returns:
-            Whether the board acknowledged. If not, its own heartbeat limit does the same.
+        An interruption by an operator is a `stop`, which waits behind no command and latches; else
+        it is a `disarm`. Returns whether the board acknowledged; if not, its own heartbeat limit
+        does the same.
         """
         try:
             if interrupted:
@@ -127,12 +123,9 @@ class Connected(Closing):
         self._client.stop()
 
     def clear_stop(self) -> bool:
-        """Let a stopped robot go, on behalf of the operator who has looked at it.
+        """Let a stopped robot go, for the operator who has looked at it; whether one was stopped.
 
         No program should call it on its own account. `clear_faults` leaves a stop latched.
-
-        Returns:
-            Whether one was latched.
 
         Raises:
             CommandRefusedError: the robot was stopped once more meanwhile.
@@ -161,10 +154,7 @@ class Connected(Closing):
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> Callable[[], None]:
         """Call `callback` with each telemetry frame, decoded, while the link is read.
 
-        It must be quick, and must command nothing; commands go on meanwhile.
-
-        Returns:
-            A function that ends it.
+        It must be quick, and must command nothing. Returns a function that ends it.
         """
 
         def take(message: Message) -> None:
@@ -329,4 +319,17 @@ class Connected(Closing):
 
     def truth(self) -> Truth | None:
         """What the emulated room knows now; None on hardware."""
-        return truth_now(self.scenery())
+        return self._truth("")
+
+    def _truth(self, side: Side | Literal[""]) -> Truth | None:
+        """The same, as the contacts of a side that is inflated."""
+        known = self.scenery()
+        if known is None:
+            return None
+        pegs = [TruePeg(float(p.x), float(p.y), float(p.radius)) for p in known.pegs]
+        length = float(known.length_cm)
+        touching = [
+            TrueContact(float(c.x), float(c.y), float(c.arc), length, int(c.peg), side)
+            for c in known.contacts
+        ]
+        return Truth(pegs, touching)

@@ -26,11 +26,7 @@ _SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(SENSORS)]
 class Decoder:
     """Decodes with one set of constants and zeros; made anew when these change.
 
-    Args:
-        table: the sensors' constants.
-        zero_sum: their zeros, (10,) sums of counts; NaN where there is none.
-        oversample: conversions that a sum holds.
-        epoch_s: UTC seconds at which the link's clock was 0.
+    Zeros are (10,) sums of `oversample` counts; NaN where there is none.
     """
 
     def __init__(

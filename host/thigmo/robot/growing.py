@@ -18,14 +18,11 @@ _FRAME_SPACING_S = 0.05
 
 @dataclass
 class GrowthWatcher:
-    """Thinned telemetry of one growth or several in a row.
+    """Thinned telemetry of one growth or several in a row."""
 
-    Attributes:
-        length_cm: everted length by the spool's encoder, of each frame.
-        flex_sum: raw readings, left base first, of each frame.
-    """
-
+    # everted length by the spool's encoder, of each frame
     length_cm: list[float] = field(default_factory=list)
+    # raw readings, left base first, of each frame
     flex_sum: list[tuple[int, ...]] = field(default_factory=list)
     _next_s: float = 0.0
 

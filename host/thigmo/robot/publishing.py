@@ -26,24 +26,14 @@ _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
 class Publisher:
-    """Publishes a client's telemetry and events.
-
-    Args:
-        client: the link.
-        config, zero_sum, oversample: as for `use`.
-
-    Attributes:
-        hub: where.
-        epoch_s: UTC seconds at which the link's clock was 0.
-        supply_v: the board's supply, as last asked for; NaN before.
-    """
+    """Publishes a client's telemetry and events on its hub."""
 
     def __init__(
         self, client: Client, config: RobotConfig, zero_sum: Floats, oversample: int
     ) -> None:
         self.hub = Hub()
-        self.epoch_s = time.time() - client.now()
-        self.supply_v = nan
+        self.epoch_s = time.time() - client.now()  # UTC seconds at which the link's clock was 0
+        self.supply_v = nan  # as last asked for
         self._shape_s = 0.0
         self.use(config, zero_sum, oversample)
         client.on_telemetry.append(self._telemetry)
@@ -87,11 +77,9 @@ class Publisher:
 def bent(
     length_cm: float, knots: list[tuple[float, float]]
 ) -> tuple[tuple[float, float, float], ...]:
-    """Poses along a body whose curvature is known at some arcs, and linear between them.
+    """Poses along a body whose curvature (1/cm) is known at some arcs (cm), linear between them.
 
-    Args:
-        length_cm: of the body.
-        knots: arc in cm and curvature in 1/cm; at least one. Beyond the outermost it is constant.
+    Beyond the outermost it is constant.
     """
     count = max(2, round(length_cm / _STEP_CM) + 1)
     arc = np.linspace(0.0, max(length_cm, 0.0), count)

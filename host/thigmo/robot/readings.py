@@ -46,6 +46,16 @@ def sensor_name(sensor: int) -> str:
     return f"{SIDES[side]} {index}"
 
 
+def mask_of(chosen: NDArray[np.bool_]) -> int:
+    """A mask of sensors, bit 0 = left base, from one truth value each."""
+    return sum(1 << int(sensor) for sensor in np.flatnonzero(chosen))
+
+
+def in_mask(mask: int) -> list[int]:
+    """The sensors whose bits are set in a mask."""
+    return [sensor for sensor in range(SENSORS) if mask >> sensor & 1]
+
+
 def other_side(side: Side) -> Side:
     """The side whose sensors are usable while `side` is inflated."""
     return "right" if side == "left" else "left"
@@ -60,22 +70,15 @@ def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SensorTable:
-    """robot.toml's flex sensors as arrays of ten, left base first; absent ones are unhealthy.
-
-    Attributes:
-        center_cm, span_cm, scale_per_ohm, direction: per sensor.
-        noise: one sigma of an averaged reading, its zero's error included, 1/cm.
-        healthy: mask of sensors to use at all.
-        divider_ohm: the divider's fixed resistor.
-    """
+    """robot.toml's flex sensors as arrays of ten, left base first; absent ones are unhealthy."""
 
     center_cm: Floats
     span_cm: Floats
     scale_per_ohm: Floats
-    noise: Floats
-    direction: NDArray[np.int64]
-    healthy: NDArray[np.bool_]
-    divider_ohm: float
+    noise: Floats  # one sigma of an averaged reading, its zero's error included, 1/cm
+    direction: NDArray[np.int64]  # of bends that it answers to; 0: both
+    healthy: NDArray[np.bool_]  # mask of sensors to use at all
+    divider_ohm: float  # the divider's fixed resistor
 
     @classmethod
     def of(cls, config: RobotConfig) -> SensorTable:

@@ -11,16 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SIDES, RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.operator import Operator
-from thigmo.robot.peaks import SweepConditions
 from thigmo.robot.sensing import Sensing
-from thigmo.robot.state import SnapshotReading, SweepResult
+from thigmo.robot.state import SweepResult, together
 from thigmo.robot.sweeping import SweepWatcher
-from thigmo.robot.truth import joined, truth_now
 
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
@@ -95,83 +93,68 @@ class Robot(Sensing):
             CommandRefusedError: a sensor is half everted, the length or the zone is unknown.
             RobotFaultError: the board latched a fault; it is vented.
         """
-        if rising_only:
-            halves = []
-            for left, right in ((left_psi, 0.0), (0.0, right_psi)):
-                if max(left, right) > 0:
-                    halves.append(
-                        self._sweep(left, right, period_s, 1, hold_on_contact, True, enough)
-                    )
-                    self.vent()
-            return SweepResult.joined(halves)
-        return self._sweep(left_psi, right_psi, period_s, cycles, hold_on_contact, False, None)
+        halves = ((left_psi, 0.0), (0.0, right_psi)) if rising_only else ((left_psi, right_psi),)
+        found = []
+        for half in halves:
+            if not rising_only:
+                found.append(self._sweep(half, period_s, cycles, hold_on_contact))
+            elif max(half) > 0:
+                found.append(self._sweep(half, period_s, 1, hold_on_contact, True, enough))
+                self.vent()
+        return SweepResult.joined(found)
 
     def _sweep(
         self,
-        left_psi: float,
-        right_psi: float,
+        amplitudes_psi: tuple[float, float],
         period_s: float,
         cycles: int,
         hold_on_contact: bool,
-        rising: bool,
-        enough: Callable[[SweepResult], bool] | None,
+        rising: bool = False,
+        enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
         before = self.status()
         options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
-        truths: list[Truth] = []
+        left_cpsi, right_cpsi = (round(psi * 100) for psi in amplitudes_psi)
+        command = wire.Sweep(left_cpsi, right_cpsi, round(period_s * 1e3), cycles, options)
+        usable = before.everted & before.settled & before.zeroed
         watcher = SweepWatcher(
-            self._client.device_s,
-            lambda side: self._peak_and_truth(side, truths),
-            SweepConditions(
-                self._table,
-                self._zero_sum,
-                self._oversample,
-                before.everted & before.settled & before.zeroed,
-                before.length_cm or 0.0,
-                self._aside,
-                self._standing,
-            ),
-            rising=rising,
+            self._table,
+            self._zero_sum,
+            self._oversample,
+            usable,
+            before.length_cm or 0.0,
+            self._aside,
+            self._standing,
+            rising,
         )
+        truths: list[Truth | None] = []
+        shown = 0
+
+        def until() -> bool:
+            nonlocal shown
+            # A trigger may come before the pressure has risen: there is nothing to judge yet.
+            if enough is None or not watcher.triggers or watcher.peaks:
+                return False
+            if len(watcher.frames) == shown:
+                return False
+            shown = len(watcher.frames)
+            watcher.stopped = enough(watcher.result(together(truths), so_far=True))
+            return watcher.stopped
+
+        within_s = period_s * cycles + _SWEEP_EXTRA_S
         with self._telemetry_to(watcher):
-            self._start(
-                wire.Sweep(
-                    round(left_psi * 100),
-                    round(right_psi * 100),
-                    round(period_s * 1e3),
-                    cycles,
-                    options,
-                )
-            )
-
-            shown = 0
-
-            def until() -> bool:
-                nonlocal shown
-                # A trigger may come before the pressure has risen: there is nothing to judge yet.
-                if enough is None or not watcher.triggers or watcher.peaks:
-                    return False
-                if len(watcher.frames) == shown:
-                    return False
-                shown = len(watcher.frames)
-                watcher.stopped = enough(watcher.result(joined(truths), so_far=True))
-                return watcher.stopped
-
-            for event in self._watch.activity(
-                wire.Activity.SWEEPING, period_s * cycles + _SWEEP_EXTRA_S, until
-            ):
-                watcher.event(event)
-                if rising and event.code == wire.EventCode.PEAK:
-                    self._request(wire.Vent())
-                    break
+            self._start(command)
+            for event in self._watch.activity(wire.Activity.SWEEPING, within_s, until):
+                if event.code == wire.EventCode.CONTACT:
+                    watcher.triggered(event, self._client.device_s(event.t_us))
+                elif event.code == wire.EventCode.PEAK:
+                    truths.append(self._truth(SIDES[event.arg]))
+                    # Before the next half overwrites them.
+                    watcher.peaks.append(self.snapshots())
+                    if rising:
+                        self._request(wire.Vent())
+                        break
             if watcher.stopped:
-                truth = truth_now(self.scenery(), watcher.frames[-1].side)
-                truths += [truth] if truth else []
+                truths.append(self._truth(watcher.frames[-1].side))
                 self._request(wire.Vent())
-        return watcher.result(joined(truths))
-
-    def _peak_and_truth(self, side: Side, truths: list[Truth]) -> list[SnapshotReading]:
-        truth = truth_now(self.scenery(), side)
-        if truth is not None:
-            truths.append(truth)
-        return self.snapshots()
+        return watcher.result(together(truths))

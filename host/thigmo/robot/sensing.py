@@ -9,10 +9,10 @@ import numpy as np
 from thigmo.errors import CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.robot.everting import Everting
-from thigmo.robot.peaks import snapshot_reading
-from thigmo.robot.readings import SENSORS, Floats
+from thigmo.robot.readings import SENSORS, Floats, in_mask, mask_of
 from thigmo.robot.standing import StandingWatch
-from thigmo.robot.state import Reading, Recording, SnapshotReading
+from thigmo.robot.state import Reading, Recording, SweepFrame
+from thigmo.robot.sweeping import peak_frame
 
 _OPEN, _SHORT = 1 << 3, 1 << 4  # of sensor_report.flags
 _SETTLE_EXTRA_S = 30.0
@@ -81,14 +81,10 @@ class Sensing(Everting):
         while waiting := (status := self.status()).everted & ~status.settled & sensors:
             if self.now() > end:
                 raise CommandTimeoutError(
-                    f"sensors {[n for n in range(SENSORS) if waiting >> n & 1]} do not settle",
+                    f"sensors {in_mask(waiting)} do not settle",
                     "check the board's parameter settle_ms",
                 )
-            reports = [
-                self._client.request(wire.GetSensor(sensor))
-                for sensor in range(SENSORS)
-                if waiting >> sensor & 1
-            ]
+            reports = [self._client.request(wire.GetSensor(n)) for n in in_mask(waiting)]
             left_s = max(report.settle_left_ms for report in reports) / 1e3
             while left_s > 0:
                 progress(left_s)
@@ -97,25 +93,19 @@ class Sensing(Everting):
             self.wait(0.02)
 
     def zero(self) -> int:
-        """Average the everted sensors' readings into their zeros.
-
-        Returns:
-            Mask of the sensors zeroed.
+        """Average the everted sensors' readings into their zeros; returns the mask of these.
 
         Raises:
             CommandRefusedError: not vented, not settled, or drifting (`reason`).
         """
-        enabled = np.flatnonzero(self._table.healthy)
-        mask = self.status().everted & int(sum(1 << int(sensor) for sensor in enabled))
-        mask &= ~self._aside
+        mask = self.status().everted & mask_of(self._table.healthy) & ~self._aside
         self._zero_before = self._zero_sum.copy()
         if mask:
             self._start(wire.ZeroSensors(mask))
             self._watch.finish(wire.Activity.ZEROING, 20.0)
-        for sensor in range(SENSORS):
-            if mask >> sensor & 1:
-                report = self._client.request(wire.GetSensor(sensor))
-                self._zero_sum[sensor] = report.zero_sum_q8 / 256
+        for sensor in in_mask(mask):
+            report = self._client.request(wire.GetSensor(sensor))
+            self._zero_sum[sensor] = report.zero_sum_q8 / 256
         self._decode()
         return mask
 
@@ -197,8 +187,8 @@ class Sensing(Everting):
         ramp = round(ramp_psi_s * 100)
         self._request(wire.SetPressure(round(left_psi * 100), round(right_psi * 100), ramp))
 
-    def snapshots(self) -> list[SnapshotReading]:
+    def snapshots(self) -> list[SweepFrame]:
         """The readings captured around the last peak of a sweep, in time order."""
         first = self._client.request(wire.GetSnapshot(0))
         rest = [self._client.request(wire.GetSnapshot(n)) for n in range(1, first.count)]
-        return [snapshot_reading(one, self._client.device_s(one.t_us)) for one in (first, *rest)]
+        return [peak_frame(one, self._client.device_s(one.t_us)) for one in (first, *rest)]

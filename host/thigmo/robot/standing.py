@@ -30,12 +30,7 @@ _AMPLITUDE_SD = 0.03
 
 
 class StandingWatch:
-    """Follows telemetry through a run.
-
-    Args:
-        config: robot.toml.
-        oversample: conversions that a raw reading sums.
-    """
+    """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
     def __init__(self, config: RobotConfig, oversample: int) -> None:
         self._table = SensorTable.of(config)
@@ -72,15 +67,10 @@ class StandingWatch:
             self._sums.append(tuple(frame.flex_sum))
 
     def rest(self, at_s: float, sensors: int) -> tuple[Floats, Floats]:
-        """What young sensors would read of the straight robot, and its standard error.
+        """What young sensors of a mask would read of the straight robot, and its standard error.
 
-        Args:
-            at_s: device time.
-            sensors: mask of those wanted, bit 0 = left base.
-
-        Returns:
-            (10,) each: scale times resistance, 1/cm, as `SensorTable` has them; NaN where nothing
-            is known.
+        (10,) each, at a device time: scale times resistance, 1/cm, as `SensorTable` has them; NaN
+        where nothing is known.
         """
         size = len(self._ends)
         value, sigma = np.full(size, np.nan), np.full(size, np.nan)
@@ -116,13 +106,7 @@ class StandingWatch:
         return np.asarray(self._table.unzeroed(every, self._oversample)[:, sensor])
 
     def curvature(self, flex_sum: Floats, at_s: float, sensors: int) -> tuple[Floats, Floats]:
-        """Young sensors' curvature (10,) at a measurement and its added noise; NaN where unknown.
-
-        Args:
-            flex_sum: (10,) mean raw readings.
-            at_s: device time of the measurement.
-            sensors: mask of those wanted.
-        """
+        """Young sensors' curvature (10,) at a measurement, and its added noise; NaN if unknown."""
         value, sigma = self.rest(at_s, sensors)
         now = self._table.unzeroed(flex_sum, self._oversample)
         return now - value, sigma

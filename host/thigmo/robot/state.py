@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import and_
@@ -12,7 +12,6 @@ import numpy as np
 from thigmo.config import Side
 from thigmo.record import Truth
 from thigmo.robot.readings import Floats
-from thigmo.robot.truth import joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,57 +75,27 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Every telemetry frame of a while.
+    """Every telemetry frame of a while."""
 
-    Attributes:
-        t_s: device times, shape (n,).
-        resistance: of each sensor, shape (n, 10), ohm, left base first.
-        left_psi, right_psi: muscle pressures, shape (n,).
-    """
-
-    t_s: Floats
-    resistance: Floats
-    left_psi: Floats
-    right_psi: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class SnapshotReading:
-    """One captured reading as the board sent it, in host units; `flex_sum` stays raw."""
-
-    side: Side
-    t_s: float
-    flex_sum: Sequence[int]
-    pressure_psi: float
-    lagged_psi: float
-    base_curvature: float
-    free_curvature: float
+    t_s: Floats  # device times, shape (n,)
+    resistance: Floats  # of each sensor, shape (n, 10), ohm, left base first
+    left_psi: Floats  # muscle pressures, shape (n,)
+    right_psi: Floats  # muscle pressures, shape (n,)
 
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The average of a sweep's peak readings.
+    """The average of a sweep's peak readings."""
 
-    Attributes:
-        side: the inflated muscle.
-        t_s: device time at the middle.
-        length_cm: everted length.
-        curvature: of each sensor, shape (10,), 1/cm.
-        free_curvature: by the map, at the lag-filtered pressure, signed, 1/cm.
-        pressure_psi: lag-filtered pressure of the active muscle.
-        sensors: mask of sensors everted and settled and zeroed, or young with a known rest.
-        count: readings averaged.
-        added_noise: of young sensors, the standard error of that rest; 0 for others; (10,), 1/cm.
-    """
-
-    side: Side
-    t_s: float
-    length_cm: float
-    curvature: Floats
-    free_curvature: float
-    pressure_psi: float
-    sensors: int
-    count: int
+    side: Side  # the inflated muscle
+    t_s: float  # device time at the middle
+    length_cm: float  # everted length
+    curvature: Floats  # of each sensor, shape (10,), 1/cm
+    free_curvature: float  # by the map, at the lag-filtered pressure, signed, 1/cm
+    pressure_psi: float  # lag-filtered pressure of the active muscle
+    sensors: int  # mask of sensors everted and settled and zeroed, or young with a known rest
+    count: int  # readings averaged
+    # of young sensors, the standard error of that rest; 0 for others; (10,), 1/cm
     added_noise: Floats = field(default_factory=lambda: np.zeros(10))
 
 
@@ -141,25 +110,14 @@ class ContactTrigger:
 
 @dataclass(frozen=True, slots=True)
 class SweepFrame:
-    """One instant of a sweep.
+    """One instant of a sweep."""
 
-    Attributes:
-        side: inflated muscle.
-        t_s: device time.
-        pressure_psi: its measured pressure.
-        free_curvature: by the map, signed, 1/cm.
-        excess: base curvature of the inactive side minus free curvature, 1/cm.
-        touched: the trigger had fired before in this half.
-        flex_sum: raw readings, left base first.
-    """
-
-    side: Side
-    t_s: float
-    pressure_psi: float
-    free_curvature: float
-    excess: float
-    touched: bool
-    flex_sum: tuple[int, ...] = ()
+    side: Side  # inflated muscle
+    t_s: float  # device time
+    pressure_psi: float  # its measured pressure; of a captured peak's, filtered by the lag
+    free_curvature: float  # by the map, signed, 1/cm
+    excess: float  # base curvature of the inactive side minus free curvature, 1/cm
+    flex_sum: tuple[int, ...] = ()  # raw readings, left base first
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,5 +151,13 @@ class SweepResult:
             [frame for part in parts for frame in part.frames],
             np.concatenate([part.curvature for part in parts]),
             reduce(and_, (part.sensors for part in parts)),
-            joined([part.truth for part in parts if part.truth is not None]),
+            together([part.truth for part in parts]),
         )
+
+
+def together(truths: Iterable[Truth | None]) -> Truth | None:
+    """The same emulated room at several moments: all their contacts; None on hardware."""
+    known = [truth for truth in truths if truth is not None]
+    if not known:
+        return None
+    return Truth(known[0].pegs, [contact for truth in known for contact in truth.contacts])

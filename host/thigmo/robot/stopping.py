@@ -32,10 +32,7 @@ def stop_robot(url: str) -> None:
 
 
 def stop_all() -> list[str]:
-    """Stop every robot whose port a program of this user owns, all at once.
-
-    Returns:
-        Addresses of their ports.
+    """Stop every robot whose port a program of this user owns, all at once; returns the ports.
 
     Raises:
         LinkError: nobody owns one, or a board did not confirm the stop (the others are stopped).

@@ -24,13 +24,8 @@ class Supervised(Connected):
     def configure(self, config: RobotConfig) -> bool:
         """Send robot.toml to the board, read it back, and store it there if it changed.
 
-        A flex sensor's fault is cleared with it if the sensor is now marked unhealthy.
-
-        Args:
-            config: what the lab knows of its robot.
-
-        Returns:
-            Whether the board's configuration changed.
+        A flex sensor's fault is cleared with it if the sensor is now marked unhealthy. Returns
+        whether the board's configuration changed.
 
         Raises:
             ConfigError: a value that the board cannot hold, or does not give back.
@@ -90,13 +85,9 @@ class Supervised(Connected):
     # State.
 
     def clear_faults(self, *names: str) -> tuple[str, ...]:
-        """Clear latched faults whose cause is gone.
+        """Clear latched faults, named as in the schema or all, whose cause is gone.
 
-        Args:
-            names: the schema's names; none means all.
-
-        Returns:
-            Names of those that remain.
+        Returns the names of those that remain.
         """
         known = [wire.Fault[name.upper()] for name in names] or list(wire.Fault)
         mask = sum(fault.mask for fault in known)

@@ -38,7 +38,6 @@ def sweep_period_s(
     *,
     trigger_per_cm: float = TRIGGER_PER_CM,
     residual_lag: float = RESIDUAL_LAG,
-    allowed_fraction: float = ALLOWED_FRACTION,
     top_psi: float | None = None,
 ) -> float:
     """Period (s) of a whole sweep, both directions, at a body-pressure zone.
@@ -48,7 +47,6 @@ def sweep_period_s(
         zone: index of the body-pressure zone.
         trigger_per_cm: the trigger's threshold, 1/cm.
         residual_lag: share of the calibrated lag that is not compensated.
-        allowed_fraction: share of the threshold that the error may take.
         top_psi: to which it goes; as high as the muscles hold if not given.
     """
     worst = share = 0.0
@@ -59,5 +57,5 @@ def sweep_period_s(
         g_max = max(curve.curvature(top) for curve in (maps.inflate, maps.deflate))
         worst = max(worst, g_max * muscle.lag_s * residual_lag)
         share = max(share, top / muscle.max_pressure_psi)
-    slowest = 2 * pi * worst / (allowed_fraction * trigger_per_cm)
+    slowest = 2 * pi * worst / (ALLOWED_FRACTION * trigger_per_cm)
     return max(slowest, SHORTEST_PERIOD_S * min(share, 1.0))

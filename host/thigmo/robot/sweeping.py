@@ -1,94 +1,60 @@
-"""A sweep while it runs: triggers noted, peaks fetched before the next half overwrites them."""
+"""A sweep while it runs, and the average of its peak that the localizer gets.
+
+Shared by the live robot and the replay of a record, so that both give the same numbers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from thigmo.config import SIDES, Side
+from thigmo.config import SIDES
 from thigmo.link import protocol as wire
 from thigmo.record import Truth
-from thigmo.robot.peaks import SweepConditions, average_peak
-from thigmo.robot.readings import SENSORS, Floats
-from thigmo.robot.state import ContactTrigger, SnapshotReading, SweepFrame, SweepResult
+from thigmo.robot.readings import SENSORS, Floats, SensorTable, mask_of
+from thigmo.robot.standing import StandingWatch
+from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 
 _FRAME_SPACING_S = 0.05
 _IDLE_CPSI = 10
 _PEAK_READINGS = 10  # thesis: ten
 
 
+def peak_frame(reply: wire.Snapshot, t_s: float) -> SweepFrame:
+    """A reading that the board captured at a peak, in host units; `t_s` is its unwrapped time."""
+    free = reply.free_e5 / 1e5
+    excess = reply.base_e5 / 1e5 - free
+    return SweepFrame(
+        SIDES[reply.side], t_s, reply.lagged_cpsi / 100, free, excess, tuple(reply.flex_sum)
+    )
+
+
 @dataclass
 class SweepWatcher:
-    """Collects what a sweep tells, from its events and its telemetry.
+    """Collects what a sweep tells."""
 
-    Attributes:
-        device_s: unwraps the device's time.
-        fetch: reads the captured peak from the board.
-        conditions: what was known of the sensors at its beginning.
-        triggers, peaks, frames: what was collected.
-        rising: the sweep is cut short after its first peak; what comes later does not count.
-        stopped: the sweep was stopped on the way up; its last half second is its peak.
-    """
-
-    device_s: Callable[[int], float]
-    fetch: Callable[[Side], list[SnapshotReading]]
-    conditions: SweepConditions
-    triggers: list[ContactTrigger] = field(default_factory=list)
-    peaks: list[list[SnapshotReading]] = field(default_factory=list)
-    frames: list[SweepFrame] = field(default_factory=list)
+    table: SensorTable  # constants of the sensors
+    zero_sum: Floats  # their zeros, sums of counts, shape (10,); NaN where there is none
+    oversample: int  # conversions that a sum holds
+    sensors: int  # mask of those everted, settled and zeroed when it began
+    length_cm: float  # everted length
+    # mask of those everted and not settled, to be used as far as `standing` knows them
+    young: int = 0
+    standing: StandingWatch | None = None  # what they rest at
+    # the sweep is cut short after its first peak; what comes later does not count
     rising: bool = False
-    stopped: bool = False
+    stopped: bool = False  # the sweep was stopped on the way up; its last half second is its peak
+    triggers: list[ContactTrigger] = field(default_factory=list)
+    peaks: list[list[SweepFrame]] = field(default_factory=list)  # captured readings of each
+    frames: list[SweepFrame] = field(default_factory=list)  # thinned telemetry
     _next_s: float = 0.0
 
-    def event(self, event: wire.Event) -> None:
-        """Take one event of the sweep."""
-        if self.stopped:
-            return
-        if event.code == wire.EventCode.CONTACT:
-            self.triggers.append(
-                ContactTrigger(SIDES[event.arg], self.device_s(event.t_us), event.value / 1e5)
-            )
-        elif event.code == wire.EventCode.PEAK:
-            self.peaks.append(self.fetch(SIDES[event.arg]))
-
-    def result(self, truth: Truth | None = None, *, so_far: bool = False) -> SweepResult:
-        """What was collected, in curvature.
-
-        Args:
-            truth: what the emulator knew at the peaks.
-            so_far: the sweep goes on, and its peak is taken to be now.
-        """
-        end_s = self._end_s()
-        frames = [frame for frame in self.frames if frame.t_s <= end_s]
-        triggers = [trigger for trigger in self.triggers if trigger.t_s <= end_s]
-        last = [self._last()] if so_far or self.stopped else []
-        peaks = [average_peak(shots, self.conditions) for shots in self.peaks or last if shots]
-        sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
-        curvature = self.conditions.curvature(sums.reshape(-1, SENSORS))
-        return SweepResult(triggers, peaks, frames, curvature, self.conditions.sensors, truth)
-
-    def _last(self) -> list[SnapshotReading]:
-        """The last frames as readings, as many as a peak has, and as far apart."""
-        return [
-            SnapshotReading(
-                f.side,
-                f.t_s,
-                f.flex_sum,
-                f.pressure_psi,
-                f.pressure_psi,
-                f.free_curvature + f.excess,
-                f.free_curvature,
-            )
-            for f in self.frames[-_PEAK_READINGS:]
-        ]
-
-    def _end_s(self) -> float:
-        """Device time of the last instant that counts."""
-        if not self.rising or not self.peaks or not self.peaks[0]:
-            return float("inf")
-        return max(reading.t_s for reading in self.peaks[0])
+    def triggered(self, event: wire.Event, t_s: float) -> None:
+        """Take the event of a contact, of device time `t_s`."""
+        if not self.stopped:
+            self.triggers.append(ContactTrigger(SIDES[event.arg], t_s, event.value / 1e5))
 
     def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
         """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
@@ -96,20 +62,53 @@ class SweepWatcher:
             return
         self._next_s = t_s + _FRAME_SPACING_S
         frame = decode()
-        side: Side = "left" if frame.left_cpsi >= frame.right_cpsi else "right"
         pressure = max(frame.left_cpsi, frame.right_cpsi)
-        if pressure < _IDLE_CPSI:
-            return
-        touched = any(trigger.side == side for trigger in self.triggers)
-        excess = (frame.base_e5 - frame.free_e5) / 1e5
-        self.frames.append(
-            SweepFrame(
-                side,
-                t_s,
-                pressure / 100,
-                frame.free_e5 / 1e5,
-                excess,
-                touched,
-                tuple(frame.flex_sum),
+        if pressure >= _IDLE_CPSI:
+            side = SIDES[frame.left_cpsi < frame.right_cpsi]
+            free, excess = frame.free_e5 / 1e5, (frame.base_e5 - frame.free_e5) / 1e5
+            self.frames.append(
+                SweepFrame(side, t_s, pressure / 100, free, excess, tuple(frame.flex_sum))
             )
+
+    def result(self, truth: Truth | None = None, *, so_far: bool = False) -> SweepResult:
+        """What was collected, in curvature; with what the emulator knew at the peaks.
+
+        Where the sweep goes on, its peak so far is taken to be now.
+        """
+        cut = self.rising and self.peaks and self.peaks[0]
+        end_s = max(reading.t_s for reading in self.peaks[0]) if cut else np.inf
+        frames = [frame for frame in self.frames if frame.t_s <= end_s]
+        triggers = [trigger for trigger in self.triggers if trigger.t_s <= end_s]
+        last = [self.frames[-_PEAK_READINGS:]] if so_far or self.stopped else []
+        peaks = [self.average(readings) for readings in self.peaks or last if readings]
+        sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
+        curvature = self._curvature(sums.reshape(-1, SENSORS))
+        return SweepResult(triggers, peaks, frames, curvature, self.sensors, truth)
+
+    def _curvature(self, flex_sum: Floats) -> Floats:
+        return self.table.curvature(flex_sum, self.zero_sum, self.oversample)
+
+    def average(self, readings: Sequence[SweepFrame]) -> Peak:
+        """The average of a peak's readings (thesis: ten of them)."""
+        sums: Floats = np.asarray([s.flex_sum for s in readings], dtype=np.float64).mean(axis=0)
+        at_s = float(np.mean([s.t_s for s in readings]))
+        curvature = self._curvature(sums)
+        added = np.zeros(len(curvature))
+        sensors = self.sensors
+        if self.standing is not None and self.young:
+            late, sigma = self.standing.curvature(sums, at_s, self.young)
+            settled = np.isfinite(late)
+            curvature = np.where(settled, late, curvature)
+            added = np.where(settled, sigma, added)
+            sensors |= mask_of(settled)
+        return Peak(
+            side=readings[0].side,
+            t_s=at_s,
+            length_cm=self.length_cm,
+            curvature=curvature,
+            free_curvature=float(np.mean([s.free_curvature for s in readings])),
+            pressure_psi=float(np.mean([s.pressure_psi for s in readings])),
+            sensors=sensors,
+            count=len(readings),
+            added_noise=added,
         )

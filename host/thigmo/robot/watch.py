@@ -27,28 +27,22 @@ _OF_A_SENSOR = (wire.Fault.FLEX_OPEN, wire.Fault.FLEX_SHORT)
 class Watch:
     """Reads a client's events; a fault among them is raised.
 
-    Args:
-        client: the link.
-        url: to clear a fault at, for its message; empty where it goes with the connection.
-
-    Attributes:
-        interruptions: called after each look at the link; what they raise ends the waiting.
+    Its message names the url to clear the fault at; empty where it goes with the connection.
     """
 
     def __init__(self, client: Client, url: str = "") -> None:
         self._client = client
         self._url = url
         self._channels: dict[wire.Fault, int] = {}
+        # Called after each look at the link; what they raise ends the waiting.
         self.interruptions: list[Callable[[], None]] = []
 
     def events(
         self, seconds: float, until: Callable[[], bool] | None = None
     ) -> Iterator[wire.Event]:
-        """Events of the next seconds, as they come.
+        """Events of the next seconds, as they come, or until `until` is true.
 
-        Args:
-            seconds: at most.
-            until: asked whenever messages came, and ten times a second at least; true ends it.
+        That is asked whenever messages came, and ten times a second at least.
 
         Raises:
             RobotFaultError: the board latched a fault.
@@ -84,12 +78,9 @@ class Watch:
             raise self.fault_error((fault.key, *others))
 
     def fault_error(self, faults: tuple[str, ...]) -> RobotFaultError:
-        """The typed error of latched faults, in the schema's words.
+        """The typed error of latched faults, the first of them in the schema's words.
 
         A flex sensor is named, and so is a muscle, if the fault's event told which.
-
-        Args:
-            faults: their names, the one to tell first.
         """
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
@@ -138,10 +129,7 @@ class Watch:
     ) -> Iterator[wire.Event]:
         """Events of an activity that was started, its last one (done, or zeroed) included.
 
-        Args:
-            activity: its kind.
-            within_s: it has to end.
-            until: as `events`; who ends it so has to stop the activity.
+        Who ends it by `until` has to stop the activity.
 
         Raises:
             CommandRefusedError: the board ended it early; `reason` says why.

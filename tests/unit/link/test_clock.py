@@ -72,4 +72,4 @@ def test_across_a_wrap_the_map_goes_on() -> None:
 
 def test_memory_is_bounded() -> None:
     clock, _ = run(3600.0, 1.0, 0.0, 5)
-    assert len(clock._stretches) == 64
+    assert len(clock._best) == 64
