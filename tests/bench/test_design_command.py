@@ -36,7 +36,7 @@ def test_more_sensors_bound_better_and_close_pairs_are_hopeless(tmp_path: Path) 
     [
         (("--centers", "5,x"), "--centers"),
         (("--columns", "0"), "--columns"),
-        (("--centers", "60"), "beyond the length"),
+        (("--centers", "60"), "off a body of"),
     ],
 )
 def test_what_is_no_layout_is_named(tmp_path: Path, options: tuple[str, ...], named: str) -> None:
