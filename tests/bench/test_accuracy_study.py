@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo.studies import accuracy
-from thigmo.studies.accuracy import Score, Task, judge
+from thigmo.studies.accuracy import Case, judge, score
 from thigmo.studies.engine import Context
 from thigmo.studies.reading_errors import BAD, ERRORS, OFFSET, STEP, Frame
 from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
@@ -99,20 +99,20 @@ def test_scores_count_what_they_say() -> None:
         (1, 1, 0, 100.0, 9.0, 1),
         (0, nan, 0, nan, 1.0, 0),
     ]
-    score = Score.of("none", "peg", False, np.array(rows, dtype=float))
-    assert (score.count, score.found, score.wrong) == (4, 0.75, 0.25)
-    assert score.covered == pytest.approx(2 / 3)
-    assert score.wrong_against_others == 0.5
-    assert score.rmse_over_bound == pytest.approx(np.sqrt(40.0 / 20.0))
+    found = score(Case("peg", "none"), np.array(rows, dtype=float))
+    assert (found["count"], found["found"], found["wrong"]) == (4, 0.75, 0.25)
+    assert found["covered"] == pytest.approx(2 / 3)
+    assert found["wrong_against_others"] == 0.5
+    assert found["rmse_over_bound"] == pytest.approx(np.sqrt(40.0 / 20.0))
 
 
 def test_an_error_told_is_no_worse_than_one_that_is_not() -> None:
     told, untold = (
-        Score.of("map 10 %", "bent", told, judge(Task(0, "bent", "map 10 %", told, None, 0, 25)))
-        for told in (True, False)
+        score(case, judge((case, 0, 0, 25)))
+        for case in (Case("bent", "map 10 %", told) for told in (True, False))
     )
-    assert told.covered > untold.covered
-    assert told.wrong <= untold.wrong
+    assert told["covered"] > untold["covered"]
+    assert told["wrong"] <= untold["wrong"]
 
 
 def test_the_study_makes_its_tables_claims_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:

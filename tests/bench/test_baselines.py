@@ -92,13 +92,12 @@ def test_inner_forces_are_optimal_against_random_trials() -> None:
 
 def test_coupling_uses_the_critical_moment_when_the_base_folds() -> None:
     clean = readings(
-        np.array([40.0]),
-        np.array([CRITICAL / 40.0]),
+        np.array([3.5, 40.0]),
+        np.array([0.0, CRITICAL / 40.0]),
         BOTH,
         length=LENGTH,
         span=SPAN,
-        fold_angle=0.1,
-        fold_length=3.5,
+        free_curvature=np.array([0.1 / 3.5, 0.0, 0.0]),  # folded by 0.1 rad up to 3.5 cm
     )
     arcs, forces = BASELINES["coupled"](Problem(clean, BOTH, SPAN, LENGTH))
     assert arcs[0] * forces[0] == pytest.approx(CRITICAL)

@@ -107,10 +107,11 @@ def test_a_kink_is_seen_by_the_sensor_over_it_only() -> None:
 
 def test_a_fold_adds_its_angle_to_the_base() -> None:
     # A sensor over the whole body reads the turn of its end.
-    load = {"length": LENGTH, "span": LENGTH, "fold_length": 3.5}
-    arcs, normal, middle = np.array([40.0]), np.array([2e-5]), np.array([LENGTH / 2])
-    folded = readings(arcs, normal, middle, fold_angle=0.2, **load)
-    straight = readings(arcs, normal, middle, **load)
+    arcs, normal, middle = np.array([3.5, 40.0]), np.array([0.0, 2e-5]), np.array([LENGTH / 2])
+    folded, straight = (
+        readings(arcs, normal, middle, LENGTH, length=LENGTH, free_curvature=np.array(free))
+        for free in ([0.2 / 3.5, 0.0, 0.0], [0.0, 0.0, 0.0])
+    )
     assert LENGTH * (folded - straight)[0] == pytest.approx(0.2, abs=1e-3)
 
 

@@ -18,7 +18,7 @@ from thigmo.studies.attempt import attempt
 from thigmo.studies.engine import Claim, write
 from thigmo.studies.exploration import visit
 from thigmo.studies.rod import readings
-from thigmo.studies.speed_accuracy import SCENES, Score, pareto
+from thigmo.studies.speed_accuracy import SCENES, Row, pareto
 from thigmo.studies.stability import DEFAULT, STRESSES
 
 
@@ -64,11 +64,11 @@ def test_every_stress_draws_cases_at_its_corners() -> None:
 
 
 def test_the_pareto_front_holds_what_nothing_beats() -> None:
-    def score(method: str, time: float, error: float) -> Score:
-        return Score("s", method, 9, error, 0.0, error, error, 0.0, time, 1.0, 1.0)
+    def score(method: str, time: float, error: float) -> Row:
+        return {"method": method, "time_us": time, "mean_cm": error}
 
     front = pareto([score("a", 1, 5), score("b", 2, 6), score("c", 3, 2), score("d", 9, 2)])
-    assert [s.method for s in front] == ["a", "c"]
+    assert [s["method"] for s in front] == ["a", "c"]
 
 
 def test_an_outcome_is_written_whole(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo.studies import sweeps
-from thigmo.studies.sweeps import ERRORS, FRAMES, Inflation, Score, Task, judge
+from thigmo.studies.sweeps import ERRORS, FRAMES, Inflation, judge, score
 
 
 def test_readings_are_those_of_the_free_body_until_the_touch() -> None:
@@ -31,13 +31,13 @@ def test_errors_stay_the_same_through_an_inflation(error: str) -> None:
 
 
 def test_all_frames_are_judged_as_the_last_one_is() -> None:
-    rows = judge(Task(3, "none", 0, 6))
+    rows = judge(("none", 3, 0, 6))
     assert rows.keys() == sweeps.METHODS.keys()
     for name, each in rows.items():
         assert each.shape == (6, 5)
-        score = Score.of("none", name, each)
-        assert score.listed >= 0.5
-        assert score.mean_error_cm < 10.0
+        found = score("none", name, each)
+        assert found["listed"] >= 0.5
+        assert found["mean_error_cm"] < 10.0
 
 
 def test_scores_count_right() -> None:
@@ -45,7 +45,7 @@ def test_scores_count_right() -> None:
         [1.0, 1.0, 1.0, 0.5, 4.0], [1.0, 0.0, 1.0, 3.0, 2.0], [1.0, 0.0, 0.0, 9.0, 20.0],
         [0.0, np.nan, 0.0, np.nan, np.nan],
     ])  # fmt: skip
-    score = Score.of("none", "all frames", rows)
-    assert (score.listed, score.localized, score.wrong) == (0.75, 0.5, 0.25)
-    assert score.covered == pytest.approx(1 / 3)
-    assert score.median_width_cm == 4.0
+    found = score("none", "all frames", rows)
+    assert (found["listed"], found["localized"], found["wrong"]) == (0.75, 0.5, 0.25)
+    assert found["covered"] == pytest.approx(1 / 3)
+    assert found["median_width_cm"] == 4.0

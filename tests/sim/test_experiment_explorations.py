@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +18,8 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
 from thigmo.studies.experiments.attendant import Attendant, Place, Verdict
-from thigmo.studies.experiments.explorations import (
-    ExplorationFolder,
-    evaluate,
-    run_explorations,
-)
+from thigmo.studies.experiments.explorations import evaluate, run_explorations
+from thigmo.studies.experiments.folder import Folder
 
 pytestmark = pytest.mark.ci
 
@@ -59,9 +57,8 @@ class Stops(Attendant):
         return self.verdicts.pop(0) if self.verdicts else "quit"
 
 
-def kept(folder: Path) -> list[dict[str, str]]:
-    with (folder / "trials.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
+def kept(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
 
 
 def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
@@ -69,7 +66,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
 ) -> None:
     room = tmp_path / "room.toml"
     scene.save(room)
-    folder = ExplorationFolder(tmp_path / "one", scene.robot)
+    folder = Folder(tmp_path / "one", scene.robot, "explorations")
     with pytest.raises(DataError, match="no explorations"):
         evaluate(folder)
     stops = Stops("redo", "keep")
@@ -82,7 +79,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     assert run_explorations(url, Attendant(), folder, 1, seed=4, say=said.append)
     assert said[0] == "exploration: 1 of 2 explorations are there"
     assert [row["protocol"] for row in kept(folder.path)] == ["measure", "thesis"]
-    results = evaluate(ExplorationFolder(folder.path))
+    results = evaluate(Folder(folder.path))
     assert len(results.claims) == 3
     ours, theirs = results.tables["each"]
     assert float(ours["error_x_cm"]) < 4.0  # two sensors feel it
@@ -96,7 +93,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     other = scene.robot.model_copy(deep=True)
     other.body.critical_curvature = 0.02
     with pytest.raises(DataError, match="another robot"):
-        ExplorationFolder(folder.path, other)
+        Folder(folder.path, other)
 
 
 @pytest.fixture
@@ -125,7 +122,7 @@ def test_an_operator_explores_through_a_port_stops_and_evaluates(
     assert terminal.end() == 130
     (row,) = kept(tmp_path / "exploration")
     assert row["key"] == "our protocol | 1"
-    assert (float(row["dowel_x_cm"]), float(row["dowel_y_cm"])) == pytest.approx(place)
+    assert row["dowel_cm"] == pytest.approx(place)
     again = Terminal("experiment", "exploration", "--recorded", str(tmp_path / "exploration"))
     again.wait_for("trial 1, our protocol: |x error|")
     assert again.end() == 0

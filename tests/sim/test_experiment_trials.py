@@ -5,7 +5,7 @@ Prompts are answered through a pseudo-terminal, as an operator does.
 
 from __future__ import annotations
 
-import csv
+import json
 import os
 import pty
 import select
@@ -23,8 +23,9 @@ from thigmo.record.log import read_log
 from thigmo.robot import Robot, connect
 from thigmo.studies.experiments.attendant import Attendant, Verdict
 from thigmo.studies.experiments.evaluate import evaluate
+from thigmo.studies.experiments.folder import Folder
 from thigmo.studies.experiments.plan import plan
-from thigmo.studies.experiments.recorded import TrialFolder, run_trials
+from thigmo.studies.experiments.recorded import run_trials, trials
 
 pytestmark = pytest.mark.ci
 
@@ -50,46 +51,43 @@ class Stops(Attendant):
         return self.verdicts.pop(0) if self.verdicts else "quit"
 
 
-def taken(folder: Path) -> list[dict[str, str]]:
-    with (folder / "trials.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
+def taken(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
 
 
-def take_all(scene: str, path: Path, experiment: str) -> TrialFolder:
+def take_all(scene: str, path: Path, experiment: str) -> Folder:
     """A folder with every planned trial."""
     with connect(scene, seed=1) as robot:
         assert robot.known_config is not None
-        folder = TrialFolder(path, robot.known_config)
+        folder = Folder(path, robot.known_config)
         assert run_trials(robot, Attendant(robot=robot), folder, experiment, 1)
         assert robot.status().left_psi < 0.5
     return folder
 
 
 @pytest.fixture(scope="module")
-def single_contact(scene: str, tmp_path_factory: pytest.TempPathFactory) -> TrialFolder:
+def single_contact(scene: str, tmp_path_factory: pytest.TempPathFactory) -> Folder:
     """The trials of one contact."""
     return take_all(scene, tmp_path_factory.mktemp("single"), "single-contact")
 
 
-def as_planned(experiment: str, folder: TrialFolder) -> dict[str, Any]:
+def as_planned(experiment: str, folder: Folder) -> dict[str, Any]:
     """The evaluated rows of trials that were taken where they were planned, by condition."""
     planned = plan(experiment, 1)
     rows = taken(folder.path)
     assert [row["key"] for row in rows] == [trial.key for trial in planned]
     for trial, row in zip(planned, rows, strict=True):
-        arcs = [float(arc) for arc in row["true_arcs_cm"].split(";")]
-        assert arcs == pytest.approx(trial.arcs_cm, abs=1.6)
-        forces = [float(force) for force in row["true_forces"].split(";")]
-        assert np.sign(forces[-1]) <= 0  # the first of each is on the left side
+        assert row["true_arcs_cm"] == pytest.approx(trial.arcs_cm, abs=1.6)
+        assert np.sign(row["true_forces"][-1]) <= 0  # the first of each is on the left side
     notes = read_log(folder.path / "run-1.mcap").notes
     assert [note["key"] for _, note in notes] == [trial.key for trial in planned]
-    evaluated = evaluate(experiment, TrialFolder(folder.path).trials()).record()["rows"]
+    evaluated = evaluate(experiment, trials(Folder(folder.path))).record()["rows"]
     assert all(row["trials"] in (len(planned) / 2, 4, 2) for row in evaluated)
     return {row["condition"]: row for row in evaluated}
 
 
 def test_trials_of_one_contact_are_taken_where_they_were_planned_and_evaluated(
-    single_contact: TrialFolder,
+    single_contact: Folder,
 ) -> None:
     errors = as_planned("single-contact", single_contact)
     assert errors["high force"]["ours_workspace_mean"] < 3.0
@@ -106,18 +104,19 @@ def test_trials_of_two_contacts_and_of_the_actuated_robot(scene: str, tmp_path: 
 
 
 def test_a_lab_without_the_truth_gets_the_same_table(
-    single_contact: TrialFolder, tmp_path: Path
+    single_contact: Folder, tmp_path: Path
 ) -> None:
     shutil.copytree(single_contact.path, tmp_path / "blind")
-    folder = TrialFolder(tmp_path / "blind")
-    rows = taken(folder.path)
-    with folder.table.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        hidden = ("true_arcs_cm", "true_forces", "true_contact_x_cm")
-        writer.writerows({k: "" if k in hidden else v for k, v in row.items()} for row in rows)
+    folder = Folder(tmp_path / "blind")
+    hidden: dict[str, list[float]] = {
+        "true_arcs_cm": [],
+        "true_forces": [],
+        "true_contact_x_cm": [],
+    }
+    lines = [json.dumps(row | hidden) for row in taken(folder.path)]
+    (folder.path / "trials.jsonl").write_text("\n".join(lines) + "\n")
     known, blind = (
-        evaluate("single-contact", each.trials()).record()["rows"]
+        evaluate("single-contact", trials(each)).record()["rows"]
         for each in (single_contact, folder)
     )
     for with_truth, without in zip(known, blind, strict=True):
@@ -133,14 +132,14 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
 ) -> None:
     with connect(scene, seed=1) as robot:
         assert robot.known_config is not None
-        folder = TrialFolder(tmp_path / "one", robot.known_config)
+        folder = Folder(tmp_path / "one", robot.known_config)
         attendant = Stops(robot, "keep", "redo", "skip")
         assert not run_trials(robot, attendant, folder, "single-contact", 1)
     assert [row["state"] for row in taken(folder.path)] == ["kept", "skipped"]
-    assert len(folder.trials()) == 1
+    assert len(trials(folder)) == 1
     with connect(scene, seed=2) as robot:
         said: list[str] = []
-        again = TrialFolder(folder.path, folder.config)
+        again = Folder(folder.path, folder.config)
         person = Attendant(robot=robot)
         assert run_trials(robot, person, again, "single-contact", 1, said.append)
     assert said[0] == "single-contact: 2 of 6 trials are there"
@@ -152,12 +151,21 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
 def test_another_robot_may_not_add_to_a_folder(scene: str, tmp_path: Path) -> None:
     with connect(scene, seed=1) as robot:
         assert robot.known_config is not None
-        folder = TrialFolder(tmp_path / "one", robot.known_config)
+        folder = Folder(tmp_path / "one", robot.known_config)
         assert not run_trials(robot, Stops(robot, "keep"), folder, "single-contact", 1)
     other = folder.config.model_copy(deep=True)
     other.body.critical_curvature = 0.02
     with pytest.raises(DataError, match="another robot"):
-        TrialFolder(folder.path, other)
+        Folder(folder.path, other)
+
+
+def test_a_line_that_lacks_a_reading_is_named(single_contact: Folder, tmp_path: Path) -> None:
+    shutil.copytree(single_contact.path, tmp_path / "torn")
+    (row, *_) = taken(single_contact.path)
+    del row["curvature"]
+    (tmp_path / "torn" / "trials.jsonl").write_text(json.dumps(row) + "\n")
+    with pytest.raises(DataError, match="torn is damaged: KeyError\\('curvature'\\); mend"):
+        trials(Folder(tmp_path / "torn"))
 
 
 class Terminal:
@@ -250,7 +258,7 @@ def test_the_prompts_lead_an_operator_through_trials(scene: str, tmp_path: Path)
     assert terminal.end() == 0
     rows = taken(tmp_path / "actuated")
     assert [row["state"] for row in rows] == ["kept", "skipped"]
-    assert (rows[0]["dowel_x_cm"], rows[0]["dowel_y_cm"]) == ("43", "24.5")
+    assert (rows[0]["dowel_x_cm"], rows[0]["dowel_y_cm"]) == ([43.0], [24.5])
     assert (tmp_path / "actuated" / "actuated-rows.csv").exists()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -64,7 +65,7 @@ def experiment(
     Without --robot, readings are computed from the emulator's mechanics and the fitted errors
     (fast: thousands of trials); explorations run on the whole emulator. With --robot the trials of
     single-contact, two-contacts or actuated are taken one by one, on a bench with prompts, on
-    emulator:// by its own operator, and kept in OUT/NAME/trials.csv; the same command goes on
+    emulator:// by its own operator, and kept in OUT/NAME/trials.jsonl; the same command goes on
     after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
     from thigmo.cli.studies import conduct, report
@@ -106,10 +107,10 @@ def experiment(
 
 def _fit(seed: int, out: Path) -> None:
     from thigmo.cli.studies import study_progress
-    from thigmo.studies.experiments.fit import as_json, fit
+    from thigmo.studies.experiments.fit import fit
 
     with study_progress("fit to section 3.2") as tell:
-        found = as_json(fit(seed=seed, progress=tell))
+        found = json.dumps(fit(seed=seed, progress=tell), indent=1)
     out.mkdir(parents=True, exist_ok=True)
     (out / "constants.json").write_text(f"{found}\n")
     typer.echo(found)
@@ -159,8 +160,9 @@ class _Desk:
         from thigmo.errors import DataError
         from thigmo.robot import connect
         from thigmo.studies.experiments.attendant import Attendant
-        from thigmo.studies.experiments.explorations import ExplorationFolder, run_explorations
-        from thigmo.studies.experiments.recorded import TrialFolder, run_trials
+        from thigmo.studies.experiments.explorations import run_explorations
+        from thigmo.studies.experiments.folder import Folder
+        from thigmo.studies.experiments.recorded import run_trials
 
         console = Console(quiet=self.quiet)
         given = RobotConfig.load(self.config) if self.config else None
@@ -184,15 +186,14 @@ class _Desk:
                     partial(self.look, known.body.diameter_cm) if self.look else None,
                     machine if emulated and not exploration else None,
                 )
+                folder = Folder(self.out, known, "explorations" if exploration else "trials")
                 if not exploration:
-                    trials = TrialFolder(self.out, known)
-                    done = run_trials(machine, attendant, trials, name, self.trials, self.say)
+                    done = run_trials(machine, attendant, folder, name, self.trials, self.say)
             if exploration:
-                runs = ExplorationFolder(self.out, known)
                 with console.progress() as show:
                     done = run_explorations(
-                        self.robot, attendant, runs, self.trials, seed=self.seed, operator=console,
-                        progress=show, say=self.say,
+                        self.robot, attendant, folder, self.trials, seed=self.seed,
+                        operator=console, progress=show, say=self.say,
                     )  # fmt: skip
             if not done:
                 self.say("stopped; the same command goes on")
@@ -201,10 +202,10 @@ class _Desk:
 def _evaluated(name: str, folder: Path, jobs: int) -> Outcome:
     """What the trials in a folder say."""
     from thigmo.studies.engine import Context
-    from thigmo.studies.experiments import explorations
+    from thigmo.studies.experiments import explorations, recorded
     from thigmo.studies.experiments.evaluate import evaluate
-    from thigmo.studies.experiments.recorded import TrialFolder
+    from thigmo.studies.experiments.folder import Folder
 
     if name == "exploration":
-        return explorations.evaluate(explorations.ExplorationFolder(folder))
-    return evaluate(name, TrialFolder(folder).trials(), Context(jobs=jobs))
+        return explorations.evaluate(Folder(folder))
+    return evaluate(name, recorded.trials(Folder(folder)), Context(jobs=jobs))

@@ -88,29 +88,19 @@ def _show(name: str, rows: Sequence[Record]) -> None:
 @contextmanager
 def study_progress(name: str) -> Iterator[Tell]:
     """Yields a function of (part, done, total) that shows how far each part of a study is."""
+    from rich import progress
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
 
     console = Console(stderr=True)
     if not console.is_terminal:
         told = lines(lambda text: console.print(text, highlight=False, soft_wrap=True), monotonic)
         yield lambda part, done, total: told(f"{name}, {part}", done, total)
         return
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(24),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )
+    bar = progress.Progress(
+        progress.TextColumn("{task.description}"), progress.BarColumn(24),
+        progress.MofNCompleteColumn(), progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(), console=console,
+    )  # fmt: skip
     tasks: dict[str, Any] = {}
 
     def tell(part: str, done: int, total: int) -> None:

@@ -30,6 +30,15 @@ def plain(axes: Axes) -> None:
         axes.spines[spine].set_visible(False)
 
 
+def small(axes: Axes) -> None:
+    """A panel of a printed page: letters of its size, and a grid."""
+    axes.grid(which="both", alpha=0.2)
+    axes.tick_params(labelsize=7)
+    axes.title.set_fontsize(9)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.label.set_fontsize(8)
+
+
 def titled(axes: Axes, title: str, said: str) -> None:
     """A title at the left, and a line of facts below it."""
     axes.set_title(title, loc="left", fontsize=13, color=INK, pad=22)

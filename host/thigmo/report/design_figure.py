@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.report.axes import INK, MUTED
+from thigmo.report.axes import INK, MUTED, small
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,51 +30,42 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
     one, two = figure.subplots(1, 2, sharey=True)
     # Moments are ordered: so are their shades, in colour and in grey.
     colors = [colormaps["cividis"](share) for share in np.linspace(0.9, 0.0, len(found.moment))]
-    for m, moment in enumerate(found.moment):
-        felt = found.detected[m]
-        one.plot(
-            found.arc,
-            np.where(felt, found.bound[m], np.nan),
-            color=colors[m],
-            label=f"{moment:.4f} 1/cm",
-        )
-        one.plot(found.arc, np.where(felt, np.nan, found.bound[m]), ":", color=colors[m])
     centers = np.atleast_1d(np.asarray(position, dtype=np.float64))
-    widths = np.broadcast_to(np.asarray(span, dtype=np.float64), centers.shape)
-    for center, width in zip(centers, widths, strict=True):
-        one.plot([center - width / 2, center + width / 2], [0.115, 0.115], color=INK, linewidth=4)
+    for m, (moment, felt, bound) in enumerate(
+        zip(found.moment, found.detected, found.bound, strict=True)
+    ):
+        felt_bound, weak_bound = np.where(felt, bound, np.nan), np.where(felt, np.nan, bound)
+        one.plot(found.arc, felt_bound, color=colors[m], label=f"{moment:.4f} 1/cm")
+        one.plot(found.arc, weak_bound, ":", color=colors[m])
+        two.plot(found.separation, found.pair_bound[m, :, 0], "--", color=colors[m])
+        two.plot(found.separation, found.pair_bound[m, :, 1], color=colors[m])
+    half = np.broadcast_to(np.asarray(span, dtype=np.float64) / 2, centers.shape)
+    one.hlines(np.full(centers.size, 0.115), centers - half, centers + half, INK, linewidth=4)
+    limit = found.length * 10 / 53 / 3.92
+    one.axhline(limit, color=MUTED, linewidth=1, linestyle=(0, (1, 1)))
     one.set(
         xlabel="arc of the contact (cm)",
         ylabel="bound of its arc, one standard deviation (cm)",
-        yscale="log",
-        ylim=(0.1, 50),
         xlim=(0, found.length),
         title="One contact",
     )
-    limit = found.length * 10 / 53 / 3.92
-    one.axhline(limit, color=MUTED, linewidth=1, linestyle=(0, (1, 1)))
-    for m in range(len(found.moment)):
-        two.plot(found.separation, found.pair_bound[m, :, 0], "--", color=colors[m])
-        two.plot(found.separation, found.pair_bound[m, :, 1], color=colors[m])
     two.set(
         xlabel="separation of two opposed contacts (cm)",
-        yscale="log",
-        ylim=(0.1, 50),
         title="Two opposed contacts (no line: not told apart)",
         xlim=(found.separation[0], found.separation[-1]),
     )
     for axis in (one, two):
-        axis.grid(which="both", alpha=0.2)
+        axis.set(yscale="log", ylim=(0.1, 50))
         axis.yaxis.set_major_formatter("{x:g}")
-        axis.tick_params(labelsize=7)
-        axis.title.set_fontsize(9)
-        axis.xaxis.label.set_fontsize(8)
-        axis.yaxis.label.set_fontsize(8)
-    one.plot([], [], ":", color=INK, label="too weak to be reported")
-    one.plot([], [], color=INK, linewidth=4, label="sensors")
-    one.plot([], [], color=MUTED, linestyle=(0, (1, 1)), label="localized below this line")
-    one.plot([], [], "--", color=INK, label="two contacts: the proximal one")
-    one.plot([], [], color=INK, label="two contacts: the distal one, at the tip")
+        small(axis)
+    for style, label, color, width in (
+        (":", "too weak to be reported", INK, None),
+        ("-", "sensors", INK, 4),
+        ((0, (1, 1)), "localized below this line", MUTED, None),
+        ("--", "two contacts: the proximal one", INK, None),
+        ("-", "two contacts: the distal one, at the tip", INK, None),
+    ):
+        one.plot([], [], linestyle=style, color=color, linewidth=width, label=label)
     figure.legend(
         *one.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7,
         frameon=False, title="colours: moment at the base over EI", title_fontsize=7,

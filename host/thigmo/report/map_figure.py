@@ -21,6 +21,7 @@ from thigmo.record import outline, passed
 from thigmo.report.axes import INK, MUTED, new_axes, plain, titled
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from thigmo.record import MapContact, Obstacle, RunDocument, Stage, Truth
@@ -93,7 +94,10 @@ def plot_map(
         """All that is in the room."""
         _robot(on, document.stages, swept, radius_cm)
         for obstacle in prior:
-            _prior(on, obstacle)
+            on.plot(
+                *np.asarray(obstacle.track).T, "s", color=_PRIOR, ms=3.5, mfc="none", mew=0.9,
+                zorder=4, label="map given",
+            )  # fmt: skip
         for number, contact in enumerate(document.contacts, 1):
             _contact(on, contact, number if len(document.contacts) > 1 else None)
         if document.truth is not None:
@@ -189,7 +193,7 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
     if len(contact.track) > 1:
         axes.plot(
             *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
-            solid_capstyle="round", label=_once(axes, "95 % interval along the body"),
+            solid_capstyle="round", label="95 % interval along the body",
         )  # fmt: skip
     around = Spread.of(contact.covariance_cm2)
     axes.add_patch(
@@ -197,7 +201,7 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
             (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
             angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color,
             lw=1.0, ls=(0, (4, 2)), zorder=5,
-            label=_once(axes, "95 % ellipse in the plane"),
+            label="95 % ellipse in the plane",
         )
     )  # fmt: skip
     low, high = contact.interval_cm
@@ -219,15 +223,6 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         )  # fmt: skip
 
 
-def _prior(axes: Axes, obstacle: Obstacle) -> None:
-    """What the map given shows."""
-    x, y = np.asarray(obstacle.track).T
-    axes.plot(
-        x, y, "s", color=_PRIOR, ms=3.5, mfc="none", mew=0.9, zorder=4,
-        label=_once(axes, "map given"),
-    )  # fmt: skip
-
-
 def _truth(axes: Axes, truth: Truth) -> None:
     """What the emulated room knows, in its own colour."""
     from matplotlib.patches import Circle
@@ -237,18 +232,18 @@ def _truth(axes: Axes, truth: Truth) -> None:
             Circle(
                 (peg.x_cm, peg.y_cm), peg.radius_cm,
                 facecolor="#d5eadf", edgecolor=_TRUTH, lw=1.3, zorder=4,
-                label=_once(axes, "peg (truth)"),
+                label="peg (truth)",
             )
         )  # fmt: skip
     for touch in truth.contacts:
         axes.plot(
             touch.x_cm, touch.y_cm, "x", color=_TRUTH, ms=8, mew=2, zorder=6,
-            label=_once(axes, "true contact point"),
+            label="true contact point",
         )  # fmt: skip
 
 
 def _frame(axes: Axes, document: RunDocument) -> None:
-    """Axes, title and legend."""
+    """Axes and title."""
     axes.set_aspect("equal", adjustable="box")
     axes.margins(0.06)
     # A run cut short still gets a picture of a readable size.
@@ -269,14 +264,12 @@ def _frame(axes: Axes, document: RunDocument) -> None:
 
 
 def _legend(axes: Axes) -> None:
-    """The key, below the map, where it covers nothing."""
-    if axes.get_legend_handles_labels()[0]:
+    """The key, below the map, where it covers nothing; a line for each kind of thing."""
+    key: dict[str, Artist] = {}
+    for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+        key.setdefault(label, handle)
+    if key:
         axes.figure.legend(
-            *axes.get_legend_handles_labels(), loc="outside lower center", ncols=2,
-            fontsize=8, frameon=False,
+            list(key.values()), list(key), loc="outside lower center", ncols=2, fontsize=8,
+            frameon=False,
         )  # fmt: skip
-
-
-def _once(axes: Axes, label: str) -> str:
-    """A legend entry the first time, nothing later."""
-    return "_nolegend_" if label in axes.get_legend_handles_labels()[1] else label

@@ -22,13 +22,9 @@ FAILURE_CM = 10.0
 def attempt(
     case: Case, method: str, *, noise: float = SIGMA, start: float | None = None
 ) -> tuple[float, float]:
-    """Error (cm, infinite for no answer) and processor time (us) of one call.
+    """Error (cm, infinite for no answer) and processor time (us) of a call, told the noise (1/cm).
 
-    Args:
-        case: what is read, and the truth.
-        method: of `localize`, or the name of a baseline.
-        noise: that the method is told, 1/cm.
-        start: arc from which a baseline starts; the others take none.
+    Baselines that need a starting point take `start`; the others none.
     """
     count = len(case.arcs)
     begun = process_time()

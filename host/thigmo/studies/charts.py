@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike
 
-from thigmo.report.axes import CYCLE
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from thigmo.report.axes import CYCLE, small
 
 # A figure is drawn in the size in which it is printed, so that points are points.
 _PAGE_IN = 7.5
@@ -36,20 +35,14 @@ def panels(
         title: over all of them.
         share: whether panels share their y axis; "all": both axes.
     """
-    from matplotlib.figure import Figure
-
     width = min(size[0] * columns, _PAGE_IN)
     height = size[1] * rows * max(width / (size[0] * columns), _FLATTEST)
     figure = Figure(figsize=(width, height), layout="constrained")
     found = figure.subplots(rows, columns, sharex=share == "all", sharey=bool(share), squeeze=False)
     axes: list[Axes] = list(found.ravel())
     for axis in axes:
-        axis.grid(which="both", alpha=0.2)
         axis.set_prop_cycle(color=CYCLE)
-        axis.tick_params(labelsize=7)
-        axis.title.set_fontsize(9)
-        axis.xaxis.label.set_fontsize(8)
-        axis.yaxis.label.set_fontsize(8)
+        small(axis)
     if title:
         figure.suptitle(title, fontsize=9, wrap=True)
     return figure, axes
@@ -63,15 +56,7 @@ def curves(
     legend: bool = True,
     **settings: Any,
 ) -> None:
-    """Marked lines of (x, y) points by name.
-
-    Args:
-        axis: to draw on.
-        series: points by name.
-        strong: names drawn with thicker lines.
-        legend: whether to name them.
-        settings: of the axis (`Axes.set`).
-    """
+    """Marked lines of (x, y) points by name, `strong` ones thicker, and settings of the axis."""
     for name, points in series.items():
         x, y = np.array(list(points), dtype=np.float64).reshape(-1, 2).T
         axis.plot(x, y, "o-", markersize=4, linewidth=2.4 if name in strong else 1.1, label=name)
@@ -86,27 +71,21 @@ def cells(
     rows: Sequence[object],
     columns: Sequence[object],
     *,
-    texts: Sequence[Sequence[str]] | None = None,
+    texts: Sequence[Sequence[str]],
     **image: Any,
 ) -> Any:
-    """A map of cells with each value written into it; returns matplotlib's image.
+    """A map of cells with a text in each; returns matplotlib's image.
 
-    Args:
-        axis: to draw on.
-        values: (rows, columns).
-        rows, columns: labels of the ticks.
-        texts: what is written; None writes the values.
-        image: options of `Axes.imshow`.
+    Values are (rows, columns), labels of ticks stand for both, `image` are `Axes.imshow`'s options.
     """
     array = np.asarray(values, dtype=np.float64)
     axis.grid(visible=False, which="both")
     drawn = axis.imshow(array, aspect="auto", **image)
     fills = np.asarray(drawn.cmap(drawn.norm(array)))
     for (r, c), value in np.ndenumerate(array):
-        text = texts[r][c] if texts else "-" if np.isnan(value) else f"{value:.3g}"
         light = float(np.dot(fills[r, c, :3], (0.299, 0.587, 0.114)))
         ink = "black" if np.isnan(value) or light > 0.5 else "white"
-        axis.text(c, r, text, ha="center", va="center", fontsize=6, color=ink)
+        axis.text(c, r, texts[r][c], ha="center", va="center", fontsize=6, color=ink)
     axis.set_xticks(range(len(columns)), [str(label) for label in columns], fontsize=6)
     axis.set_yticks(range(len(rows)), [str(label) for label in rows], fontsize=6)
     return drawn
@@ -116,19 +95,13 @@ def named(
     axis: Axes,
     points: Sequence[tuple[float, float]],
     names: Sequence[str],
-    stairs: Sequence[tuple[float, float]] = (),
+    stairs: Sequence[tuple[float, float]],
 ) -> None:
     """Write each point's name beside it, where it covers no point, no other name and no stairs.
 
-    The panel's limits and scales must be set. A name that finds no room stands at the right.
-
-    Args:
-        axis: to write on.
-        points, names: as many of each.
-        stairs: points of a line that is drawn in steps, each after its point.
+    The panel's limits and scales must be set. A name that finds no room stands at the right. Stairs
+    are points of a line that is drawn in steps, each after its point.
     """
-    from matplotlib.transforms import Bbox
-
     figure = axis.get_figure(root=True)
     if figure is None:
         return

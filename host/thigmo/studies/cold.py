@@ -15,8 +15,8 @@ from time import perf_counter
 
 from thigmo.errors import DataError
 from thigmo.studies.engine import Claim, Context, Outcome
+from thigmo.studies.scaling import one_core
 from thigmo.studies.scenes import LENGTH, SIGMA, SPAN, one_contact
-from thigmo.studies.timing import one_core
 
 PROMISED_S = {"localize": 12.0, "explore": 45.0}
 

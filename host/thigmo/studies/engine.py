@@ -187,10 +187,7 @@ def extra(module: str) -> Any:
 
 
 def connect_cluster(address: str) -> Any:
-    """Connect joblib's "dask" backend to a scheduler.
-
-    Args:
-        address: of a Dask scheduler, e.g. "tcp://127.0.0.1:8786".
+    """Connect joblib's "dask" backend to a scheduler's address, e.g. "tcp://127.0.0.1:8786".
 
     Raises:
         DataError: dask is not installed, nobody answers at the address, or nobody works for it.

@@ -9,12 +9,13 @@ is a false contact. The map for planners of every room with pegs is held against
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
@@ -26,9 +27,6 @@ from thigmo.report.axes import GREEN, ORANGE, RED
 from thigmo.studies import charts, maps
 from thigmo.studies.engine import Claim, Context, Outcome, Record, records, share
 from thigmo.studies.rooms import explored
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ROUND = 3  # rooms of each kind, after which all that is known is written
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
@@ -94,9 +92,9 @@ class Explored:
 
     kind: str
     seed: int
-    x_cm: float
-    y_cm: float
-    radius_cm: float
+    x_cm: float = nan
+    y_cm: float = nan
+    radius_cm: float = nan
     status: str = "silent"
     missed: bool = True
     false: int = 0
@@ -125,49 +123,44 @@ def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
         for sensor in scene.robot.sensors.column(side):
             sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
     scene.pegs = []
-    place = nan, nan, nan
+    found = Explored(name, seed)
     if kind.more:
         scene.pegs = maps.room(seed).pegs
     elif kind.peg:
         peg, _ = random_peg(scene.robot, rng, radius=maps.RADII_CM)
-        place = peg.x, peg.y, peg.radius
+        found = replace(found, x_cm=peg.x, y_cm=peg.y, radius_cm=peg.radius)
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "room.toml"
         scene.save(file)
         try:
-            result = explored(f"emulator://{file}", folder, seed, config=known)
+            document = explored(f"emulator://{file}", folder, seed, config=known).document
         except ThigmoError as error:
-            return Explored(name, seed, *place, status=f"aborted: {error.what}"), []
+            return replace(found, status=f"aborted: {error.what}"), []
     levels = maps.LEVELS if kind.peg else ()
-    mapped = [maps.judge(result.document, seed, sigmas) for sigmas in levels]
-    return _judged(name, seed, place, result.document), mapped
+    mapped = [maps.judge(document, seed, sigmas) for sigmas in levels]
+    return _judged(found, document), mapped
 
 
-def _judged(
-    name: str, seed: int, place: tuple[float, float, float], document: RunDocument
-) -> Explored:
-    time = document.robot_time_s
+def _judged(found: Explored, document: RunDocument) -> Explored:
+    found = replace(found, robot_time_s=document.robot_time_s)
     best = best_contact(document.contacts)
     if best is None:
-        return Explored(name, seed, *place, robot_time_s=time)
+        return found
     truth = document.truth.contacts if document.truth else []
     false = len(document.false or [])
     arcs = [t.arc_cm for t in truth if abs(t.everted_length_cm - best.everted_length_cm) < 0.5]
     low, high = best.interval_cm
     held = any(low - _LENGTH_CM <= arc <= high + _LENGTH_CM for arc in arcs)
-    return Explored(
-        name,
-        seed,
-        *place,
-        best.status,
+    return replace(
+        found,
+        status=best.status,
         missed=len(document.contacts) == false,
         false=false,
         wrong=best.status == "localized" and not held,
         error_x_cm=nan if document.error_x_cm is None else document.error_x_cm,
         error_cm=nan if document.error_cm is None else document.error_cm,
         width_cm=high - low,
-        robot_time_s=time,
     )
 
 
@@ -195,7 +188,7 @@ def _outcome(runs: list[tuple[Explored, list[maps.Mapped]]]) -> Outcome:
     return Outcome(
         {"runs": records(found), "rows": rows, "levels": levels},
         {"explorations": _figure(found), "map": maps.figure(levels)},
-        _claims(found) + maps.claims(levels),
+        [*_claims(found), maps.claim(levels)],
         [
             *maps.notes("maps of robots as calibrated", levels)[1:],  # the first is promised
             *maps.notes("maps of other robots", maps.summary(wrong)),
@@ -205,15 +198,14 @@ def _outcome(runs: list[tuple[Explored, list[maps.Mapped]]]) -> Outcome:
 
 
 def _median_x(found: list[Explored]) -> float:
-    errors = [one.error_x_cm for one in found if not np.isnan(one.error_x_cm)]
-    return float(np.median(errors)) if errors else nan
+    errors = np.array([one.error_x_cm for one in found])
+    return float(np.nanmedian(errors)) if np.isfinite(errors).any() else nan
 
 
 def _by_kind(found: list[Explored]) -> list[Record]:
-    lines: list[Record] = []
-    for kind in KINDS:
-        mine = [one for one in found if one.kind == kind]
-        lines.append({
+    by_kind = {kind: [one for one in found if one.kind == kind] for kind in KINDS}
+    return [
+        {
             "kind": kind,
             "rooms": len(mine),
             "missed": sum(one.missed for one in mine) if KINDS[kind].peg else 0,
@@ -222,8 +214,9 @@ def _by_kind(found: list[Explored]) -> list[Record]:
             "localized_and_wrong": sum(one.wrong for one in mine),
             "aborted": sum(one.status.startswith("aborted") for one in mine),
             "median_error_x_cm": _median_x(mine),
-        })  # fmt: skip
-    return lines
+        }
+        for kind, mine in by_kind.items()
+    ]
 
 
 def _claims(found: list[Explored]) -> list[Claim]:
@@ -248,7 +241,6 @@ def _claims(found: list[Explored]) -> list[Claim]:
 def _figure(found: list[Explored]) -> Figure:
     """Where pegs were found, and what went wrong by kind."""
     figure, (left, right) = charts.panels(1, 2, size=(6.5, 5.5))
-    legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
     pegs = [one for one in found if KINDS[one.kind].peg and not KINDS[one.kind].more]
     for label, marker, color, those in (
         ("found", "o", GREEN, [e for e in pegs if not e.missed and not e.wrong]),
@@ -259,23 +251,18 @@ def _figure(found: list[Explored]) -> Figure:
         left.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
     left.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
     left.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", **legend)
-    kinds = list(KINDS)
-    at = np.arange(len(kinds))
+    rows, at = _by_kind(found), np.arange(len(KINDS))
     for shift, (label, color, what) in enumerate((
         ("missed", RED, "missed"),
-        ("localized, and wrong", ORANGE, "wrong"),
-        ("with false contacts", "0.5", "false"),
+        ("localized, and wrong", ORANGE, "localized_and_wrong"),
+        ("with false contacts", "0.5", "with_false_contacts"),
     )):  # fmt: skip
-        shares = [
-            100 * share([getattr(one, what) > 0 for one in found if one.kind == kind])
-            if what != "missed" or KINDS[kind].peg
-            else 0.0
-            for kind in kinds
-        ]
+        shares = [100 * float(row[what]) / max(float(row["rooms"]), 1.0) for row in rows]
         right.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
-    right.set_yticks(at, kinds, fontsize=8)
+    right.set_yticks(at, list(KINDS), fontsize=8)
     right.invert_yaxis()
-    right.set(xlabel=f"share of {len(found) // len(kinds)} rooms each (%)", xlim=(0, None))
+    right.set(xlabel=f"share of {len(found) // len(KINDS)} rooms each (%)", xlim=(0, None))
+    legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", **legend)
     figure.legend(*right.get_legend_handles_labels(), loc="outside lower right", **legend)
     return figure

@@ -110,11 +110,7 @@ QUICK = ("ready", "growing", "pressing")
 
 @dataclass(frozen=True)
 class Case:
-    """A failure in a state, of a robot with or without the valves that empty it.
-
-    Attributes:
-        second: what fails at the same moment.
-    """
+    """A failure in a state, with or without valves that empty the robot; and a second failure."""
 
     failure: Failure
     state: str
@@ -281,47 +277,28 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
     blind = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
     unseen = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
+    claims = (
+        ("steady true pressure of a noticed failure whose valve works, or is emptied",
+         [v.steady_psi for v in air], MAX_PSI + 1.5, "psi"),
+        ("true pressure at its highest, where the valve works",
+         [v.peak_psi for c, v in pairs if not c.failure.valve], MAX_PSI + 1.5, "psi"),
+        ("growth after host or firmware dies", [v.moved_cm for v in host], 2.0, "cm"),
+        ("growth after the encoder dies", [v.moved_cm for v in blind], 2.0, "cm"),
+        ("growth after a noticed failure, where valves empty the body",
+         [v.moved_cm for c, v in seen if c.fitted], EMPTIED_CM, "cm"),
+        ("time to safe of a noticed failure whose spool works",
+         [v.safe_s or 0.0 for c, v in seen if not c.failure.spool], 8.0, "s"),
+        ("noticed failures after which an output stays on",
+         [sum(v.safe_s is None for _, v in seen)], 0, ""),
+        ("failures in motion that nothing notices and nothing covers",
+         [sum(not c.failure.covered for c in unseen)], 0, ""),
+        ("failures after whose end only a reset would help",
+         [sum(not v.recovers for v in visits)], 0, ""),
+    )  # fmt: skip
     return Outcome(
         {name: some for name, some in lines.items() if some},
-        {},
-        [
-            Claim(
-                "steady true pressure of a noticed failure whose valve works, or is emptied",
-                max((v.steady_psi for v in air), default=0.0), MAX_PSI + 1.5, unit="psi",
-            ),
-            Claim(
-                "true pressure at its highest, where the valve works",
-                max((v.peak_psi for c, v in pairs if not c.failure.valve), default=0.0),
-                MAX_PSI + 1.5, unit="psi",
-            ),
-            Claim(
-                "growth after host or firmware dies",
-                max((v.moved_cm for v in host), default=0.0), 2.0, unit="cm",
-            ),
-            Claim(
-                "growth after the encoder dies",
-                max((v.moved_cm for v in blind), default=0.0), 2.0, unit="cm",
-            ),
-            Claim(
-                "growth after a noticed failure, where valves empty the body",
-                max((v.moved_cm for c, v in seen if c.fitted), default=0.0), EMPTIED_CM, unit="cm",
-            ),
-            Claim(
-                "time to safe of a noticed failure whose spool works",
-                max((v.safe_s or 0.0 for c, v in seen if not c.failure.spool), default=0.0), 8.0,
-                unit="s",
-            ),
-            Claim(
-                "noticed failures after which an output stays on",
-                sum(v.safe_s is None for _, v in seen), 0,
-            ),
-            Claim(
-                "failures in motion that nothing notices and nothing covers",
-                sum(not c.failure.covered for c in unseen), 0,
-            ),
-            Claim(
-                "failures after whose end only a reset would help",
-                sum(not v.recovers for v in visits), 0,
-            ),
+        claims=[
+            Claim(text, max(values, default=0.0), limit, unit=unit)
+            for text, values, limit, unit in claims
         ],
-    )  # fmt: skip
+    )

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
@@ -23,9 +23,7 @@ from thigmo.record.occupancy import FREE
 from thigmo.report.axes import GREEN, RED
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Record
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from thigmo.studies.scenes import RADIUS
 
 LEVELS = (0.0, 1.0, 2.0, SIGMAS, 4.0)
 RADII_CM = (0.25, 2.5)
@@ -67,11 +65,9 @@ def room(seed: int) -> Scene:
     return scene
 
 
-def judge(
-    document: RunDocument, seed: int, sigmas: float = SIGMAS, radius_cm: float = 1.75
-) -> Mapped:
+def judge(document: RunDocument, seed: int, sigmas: float = SIGMAS) -> Mapped:
     """Compare a run's map with the room that the emulator knows."""
-    grid, _ = occupancy(document, radius_cm, sigmas=sigmas)
+    grid, _ = occupancy(document, RADIUS, sigmas=sigmas)
     free = grid.cells == FREE
     x, y = grid.centers()
     felt = felt_pegs(document)
@@ -86,55 +82,49 @@ def judge(
 
 def summary(found: Sequence[Mapped]) -> list[Record]:
     """All rooms together, a line a level."""
-    return [_level(found, sigmas) for sigmas in LEVELS]
+    seen = sum(one.free_cm2 for one in found if one.sigmas == 0.0)
+    rows: list[Record] = []
+    for sigmas in LEVELS:
+        mine = [one for one in found if one.sigmas == sigmas]
+        felt, missed = sum(one.felt_cells for one in mine), sum(one.missed_cells for one in mine)
+        rows.append({
+            "sigmas": sigmas,
+            "rooms": len(mine),
+            "felt_cells": felt,
+            "felt_free_%": 100 * sum(one.felt_free for one in mine) / max(felt, 1),
+            "rooms_with_one": sum(one.felt_free > 0 for one in mine),
+            "missed_cells": missed,
+            "missed_free_%": 100 * sum(one.missed_free for one in mine) / max(missed, 1),
+            "kept_%": 100 * sum(one.free_cm2 for one in mine) / max(seen, 1e-9),
+        })  # fmt: skip
+    return rows
 
 
-def claims(levels: list[Record]) -> list[Claim]:
+def _written(levels: list[Record]) -> Record:
+    """The line of the maps that runs write."""
+    return levels[LEVELS.index(SIGMAS)]
+
+
+def claim(levels: list[Record]) -> Claim:
     """What is promised of the maps that a run of a calibrated robot writes."""
-    chosen = _written(levels)
-    return [
-        Claim(
-            f"maps of robots as calibrated, {chosen['rooms']} rooms: of {chosen['felt_cells']} "
-            "cells inside pegs that were felt, free",
-            float(chosen["felt_free_%"]),
-            0.1,
-            unit="%",
-        )
-    ]
+    row = _written(levels)
+    text = (
+        f"maps of robots as calibrated, {row['rooms']} rooms: of {row['felt_cells']} cells inside "
+        "pegs that were felt, free"
+    )
+    return Claim(text, float(row["felt_free_%"]), 0.1, unit="%")
 
 
 def notes(whose: str, levels: list[Record]) -> list[str]:
     """What maps cost, and what is not promised."""
-    chosen = _written(levels)
+    row = _written(levels)
     return [
-        f"{whose}, {chosen['rooms']} rooms: of {chosen['felt_cells']} cells inside pegs that were "
-        f"felt, free: {chosen['felt_free_%']:.2g} %",
-        f"{whose}: of {chosen['missed_cells']} cells inside pegs that were missed, free: "
-        f"{chosen['missed_free_%']:.2g} %",
-        f"{whose}: free space kept of what the sweeps seem to cover: {chosen['kept_%']:.0f} %",
+        f"{whose}, {row['rooms']} rooms: of {row['felt_cells']} cells inside pegs that were "
+        f"felt, free: {row['felt_free_%']:.2g} %",
+        f"{whose}: of {row['missed_cells']} cells inside pegs that were missed, free: "
+        f"{row['missed_free_%']:.2g} %",
+        f"{whose}: free space kept of what the sweeps seem to cover: {row['kept_%']:.0f} %",
     ]
-
-
-def _written(levels: list[Record]) -> Record:
-    """At the level of the maps that runs write."""
-    (chosen,) = (row for row in levels if row["sigmas"] == SIGMAS)
-    return chosen
-
-
-def _level(found: Sequence[Mapped], sigmas: float) -> dict[str, float | int]:
-    mine = [one for one in found if one.sigmas == sigmas]
-    felt, missed = sum(one.felt_cells for one in mine), sum(one.missed_cells for one in mine)
-    seen = sum(one.free_cm2 for one in found if one.sigmas == 0.0)
-    return {
-        "sigmas": sigmas,
-        "rooms": len(mine),
-        "felt_cells": felt,
-        "felt_free_%": 100 * sum(one.felt_free for one in mine) / max(felt, 1),
-        "rooms_with_one": sum(one.felt_free > 0 for one in mine),
-        "missed_cells": missed,
-        "missed_free_%": 100 * sum(one.missed_free for one in mine) / max(missed, 1),
-        "kept_%": 100 * sum(one.free_cm2 for one in mine) / max(seen, 1e-9),
-    }
 
 
 def figure(levels: list[Record]) -> Figure:

@@ -163,8 +163,7 @@ def rooms(
     """Pegs even over the room, each felt at the end of an inflation to a random free curvature.
 
     Args:
-        rng: every random number comes from it.
-        count: of rooms.
+        rng, count: so many rooms are drawn from it.
         length: everted length.
         most: largest free curvature.
         frames: of the inflation, evenly spaced.

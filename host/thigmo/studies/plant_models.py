@@ -7,7 +7,6 @@ distance, along the body at the end, from an elastica with a four times finer me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
 
@@ -28,18 +27,6 @@ _WAYS: tuple[tuple[str, ModelChoice, float], ...] = (
     ("auto, 0.2 cm", "auto", 0.2),
     ("auto, 0.05 cm", "auto", 0.05),
 )
-
-
-@dataclass(frozen=True)
-class Run:
-    """One scene by one way: time a step, error, the bound that was stated, and the models used."""
-
-    kind: str
-    way: str
-    step_us: float
-    error_cm: float
-    bound_cm: float
-    models: str
 
 
 def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
@@ -64,8 +51,8 @@ def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell
     return body
 
 
-def compare(seed: int, kind: str) -> list[Run]:
-    """All ways on one scene."""
+def compare(seed: int, kind: str) -> list[tuple[str, float, float, str]]:
+    """Every way on one scene: time of a step (us), error (cm), and the models used."""
     pegs, g = scene(kind, seed)
     exact = follow(pegs, g, "elastica", 0.05, 0.25)
     arcs = np.linspace(0.0, LENGTH, 107)[1:]
@@ -77,39 +64,35 @@ def compare(seed: int, kind: str) -> list[Run]:
         step_us = (perf_counter() - began) / _STEPS * 1e6
         found = np.array([body.pose(float(s))[:2] for s in arcs])
         error = float(np.hypot(*(found - truth).T).max())
-        models = "+".join(sorted(body.counts))
-        runs.append(Run(kind, way, step_us, error, body.error_bound_cm, models))
+        runs.append((way, step_us, error, "+".join(sorted(body.counts))))
     return runs
 
 
 def run(context: Context) -> Outcome:
     """Time against error of the plant's models."""
     count = context.count(5, 40)
-    runs: list[Run] = []
+    figure, (axis,) = charts.panels(size=(7, 5), title="Models of the body, on the same scenes")
+    rows: list[Record] = []
+    points: dict[str, list[tuple[float, float]]] = {way: [] for way, _, _ in _WAYS}
+    touched: list[float] = []
+    excess: list[float] = []
     for number, kind in enumerate(_KINDS):
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
-        for found in context.map(partial(compare, kind=kind), seeds, kind):
-            runs += found
-    rows: list[Record] = []
-    for kind in _KINDS:
-        for way, _, _ in _WAYS:
-            mine = [r for r in runs if r.kind == kind and r.way == way]
+        runs = context.map(partial(compare, kind=kind), seeds, kind)
+        for way, model, tolerance in _WAYS:
+            mine = [found for some in runs for found in some if found[0] == way]
+            _, times, errors, models = zip(*mine, strict=True)
             rows.append({
-                "scene": kind, "model": way,
-                "step_us": round(float(np.median([r.step_us for r in mine])), 2),
-                "median_cm": float(np.median([r.error_cm for r in mine])),
-                "worst_cm": max(r.error_cm for r in mine),
-                "used": "; ".join(sorted({r.models for r in mine})),
+                "scene": kind, "model": way, "step_us": round(float(np.median(times)), 2),
+                "median_cm": float(np.median(errors)), "worst_cm": max(errors),
+                "used": "; ".join(sorted(set(models))),
             })  # fmt: skip
-    excess = [
-        r.error_cm - float(r.way.split()[1])
-        for r in runs
-        if r.way.startswith("auto") and r.models != "arc"
-    ]
-    touched = [r.step_us for r in runs if r.way == "elastica" and r.kind != "free"]
-    figure, (axis,) = charts.panels(size=(7, 5), title="Models of the body, on the same scenes")
-    for way, marker in zip((way for way, _, _ in _WAYS), "os^Dvx", strict=True):
-        at = [(run.step_us, max(run.error_cm, 1e-8)) for run in runs if run.way == way]
+            points[way] += [(time, max(error, 1e-8)) for _, time, error, _ in mine]
+            if model == "auto":
+                excess += [error - tolerance for _, _, error, used in mine if used != "arc"]
+            if model == "elastica" and kind != "free":
+                touched += times
+    for (way, at), marker in zip(points.items(), "os^Dvx", strict=True):
         axis.loglog(*np.array(at).T, marker, alpha=0.5, label=way)
     axis.set(xlabel="time of a step (us)", ylabel="largest error of position (cm)")
     axis.legend()

@@ -30,7 +30,8 @@ class Frame:
     told: dict[str, Any]
 
 
-Spoil = Callable[[np.random.Generator, Frame], Frame]
+def _noise(rng: np.random.Generator, size: int) -> Floats:
+    return SIGMA * rng.standard_normal(size)
 
 
 @dataclass(frozen=True)
@@ -38,67 +39,55 @@ class Error:
     """One kind of error: how it changes a frame, and how `localize` is told.
 
     Attributes:
-        spoil: readings without noise and free curvature to those with the error.
         tell: keyword arguments of `localize`, from the frame; None if it cannot be told.
+        clean: what it does to a frame without noise.
+        noise: on so many readings.
+        read: what it does to readings with noise.
         groups: of scenes that it is tried on.
     """
 
-    spoil: Spoil
     tell: Callable[[Frame], dict[str, Any]] | None = None
+    clean: Callable[[np.random.Generator, Frame], Frame] = lambda rng, frame: frame
+    noise: Callable[[np.random.Generator, int], Floats] = _noise
+    read: Callable[[np.random.Generator, Floats], Floats] = lambda rng, readings: readings
     groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")
 
-
-def _noisy(rng: np.random.Generator, frame: Frame, curvature: Floats, size: float = 1.0) -> Frame:
-    """The frame with these readings instead, and white noise on them."""
-    noise = size * SIGMA * rng.standard_normal(curvature.size)
-    return replace(frame, curvature=curvature + noise)
-
-
-def _white(size: float = 1.0) -> Spoil:
-    return lambda rng, frame: _noisy(rng, frame, frame.curvature, size)
+    def spoil(self, rng: np.random.Generator, frame: Frame) -> Frame:
+        """A frame without noise as it is read."""
+        frame = self.clean(rng, frame)
+        noisy = frame.curvature + self.noise(rng, frame.curvature.size)
+        return replace(frame, curvature=self.read(rng, noisy))
 
 
 def _gains(size: float) -> Error:
-    def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
+    def clean(rng: np.random.Generator, frame: Frame) -> Frame:
         gains = 1.0 + size * rng.standard_normal(frame.curvature.size)
-        return _noisy(rng, frame, frame.curvature * gains)
+        return replace(frame, curvature=frame.curvature * gains)
 
-    return Error(spoil, lambda frame: {"gain_error": size})
+    return Error(lambda frame: {"gain_error": size}, clean)
 
 
 def _map(size: float) -> Error:
-    def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
-        free = frame.free / (1.0 + size * rng.standard_normal())
-        return _noisy(rng, replace(frame, free=free), frame.curvature)
+    def clean(rng: np.random.Generator, frame: Frame) -> Frame:
+        return replace(frame, free=frame.free / (1.0 + size * rng.standard_normal()))
 
-    return Error(spoil, lambda frame: {"map_error": size}, (*BENT, "free, bent"))
+    return Error(lambda frame: {"map_error": size}, clean, groups=(*BENT, "free, bent"))
 
 
 def _offset(rng: np.random.Generator, frame: Frame) -> Frame:
-    return _noisy(rng, frame, frame.curvature + OFFSET * rng.standard_normal())
+    return replace(frame, curvature=frame.curvature + OFFSET * rng.standard_normal())
 
 
 def _bad(offset: float | None) -> Error:
     """One reading is off by `offset`, or says nothing but zero."""
 
-    def spoil(rng: np.random.Generator, frame: Frame) -> Frame:
-        readings = _noisy(rng, frame, frame.curvature).curvature
+    def read(rng: np.random.Generator, readings: Floats) -> Floats:
         which = rng.integers(readings.size)
         sign = rng.choice([-1.0, 1.0])
         readings[which] = 0.0 if offset is None else readings[which] + sign * offset
-        return replace(frame, curvature=readings)
+        return readings
 
-    return Error(spoil)
-
-
-def _student(rng: np.random.Generator, frame: Frame) -> Frame:
-    noise = SIGMA * rng.standard_t(4.0, frame.curvature.size) / np.sqrt(2.0)
-    return replace(frame, curvature=frame.curvature + noise)
-
-
-def _counted(rng: np.random.Generator, frame: Frame) -> Frame:
-    noisy = _noisy(rng, frame, frame.curvature).curvature
-    return replace(frame, curvature=np.round(noisy / STEP) * STEP)
+    return Error(read=read)
 
 
 def _tell_friction(frame: Frame) -> dict[str, Any]:
@@ -127,19 +116,19 @@ def _tell_uneven(frame: Frame) -> dict[str, Any]:
 
 
 ERRORS: dict[str, Error] = {
-    "none": Error(_white(), groups=tuple(GROUPS)[:6]),
+    "none": Error(groups=tuple(GROUPS)[:6]),
     **{f"gains {percent} %": _gains(percent / 100) for percent in (3, 5, 10)},
     **{f"map {percent} %": _map(percent / 100) for percent in (5, 10)},
-    "offset": Error(_offset, lambda frame: {"offset_error": OFFSET}),
-    "friction": Error(_white(), _tell_friction, ("friction",)),
-    "stiffness 20 %": Error(_white(), _tell_uneven, ("uneven",)),
+    "offset": Error(lambda frame: {"offset_error": OFFSET}, _offset),
+    "friction": Error(_tell_friction, groups=("friction",)),
+    "stiffness 20 %": Error(_tell_uneven, groups=("uneven",)),
     "one reading 2e-3 off": _bad(2e-3),
     "one reading 8e-3 off": _bad(8e-3),
     "one reading stuck": _bad(None),
-    "Student's noise": Error(_student),
-    "noise twice stated": Error(_white(2.0)),
-    "noise half stated": Error(_white(0.5)),
-    "counts": Error(_counted),
+    "Student's noise": Error(noise=lambda rng, n: SIGMA * rng.standard_t(4.0, n) / np.sqrt(2.0)),
+    "noise twice stated": Error(noise=lambda rng, n: 2.0 * _noise(rng, n)),
+    "noise half stated": Error(noise=lambda rng, n: 0.5 * _noise(rng, n)),
+    "counts": Error(read=lambda rng, readings: np.round(readings / STEP) * STEP),
 }
 BAD = ("one reading 2e-3 off", "one reading 8e-3 off", "one reading stuck")
 OTHER_NOISE = ("Student's noise", "noise twice stated", "noise half stated", "counts")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -140,38 +141,8 @@ def solve(
 
 
 def readings(
-    arcs: Floats,
-    normal: Floats,
-    position: Floats,
-    *,
-    length: float,
-    span: float | Floats = 0.0,
-    free_curvature: float = 0.0,
-    tangential: float | Floats = 0.0,
-    couple: float | Floats = 0.0,
-    fold_angle: float = 0.0,
-    fold_length: float = 0.0,
+    arcs: Floats, normal: Floats, position: Floats, span: float | Floats = 0.0, **options: Any
 ) -> Floats:
-    """(N,) readings of one body under loads (C,), without noise; arguments as of `solve`.
-
-    With `fold_angle` (rad) the base is folded, evenly over `fold_length` from it.
-    """
-    loads = np.zeros((4, len(arcs) + 1))
-    loads[0] = *arcs, fold_length
-    for load, values in zip(loads[1:, :-1], (normal, tangential, couple), strict=True):
-        load[:] = values
-    if fold_length == 0.0:
-        loads = loads[:, :-1]
-    loads = loads[:, np.argsort(loads[0])]
-    folded: Floats = (np.append(loads[0], length) <= fold_length).astype(float)
-    fold = fold_angle / (fold_length or 1.0)
-    body = solve(
-        loads[:1],
-        loads[1:2],
-        length=length,
-        free_curvature=free_curvature + fold * folded,
-        tangential=loads[2],
-        couple=loads[3],
-    )
-    only: Floats = body.readings(position, span)[0]
+    """(N,) readings of one body under loads (C,), without noise; options are those of `solve`."""
+    only: Floats = solve(arcs[None], normal[None], **options).readings(position, span)[0]
     return only

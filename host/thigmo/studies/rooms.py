@@ -28,15 +28,9 @@ def explored(
     protocol: Protocol = "measure",
     frames: bool = False,
 ) -> ExplorationResult:
-    """Explore an emulated room.
+    """Explore an emulated room; the host takes the robot for what its lab would know, or `config`.
 
-    Args:
-        url: of the emulated robot.
-        out: folder in which the run folder is made.
-        seed: of the emulator's noise.
-        config: what the host takes the robot for; what its lab would know if not given.
-        protocol: of the exploration.
-        frames: whether raw frames are recorded, for `recorded_sweeps`.
+    `frames` records raw frames, for `recorded_sweeps`.
 
     Raises:
         ThigmoError: the exploration was aborted.

@@ -8,11 +8,15 @@ printed as claims, never asserted in a test.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from time import process_time
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from thigmo.localization import localize, localize_batch
 from thigmo.studies import charts
@@ -28,10 +32,6 @@ from thigmo.studies.scenes import (
     three_contacts,
     two_contacts,
 )
-from thigmo.studies.timing import least_us, one_core
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 BATCHES = (1, 10, 100, 1000, 10_000)
@@ -44,6 +44,34 @@ KINDS: dict[str, tuple[Callable[[np.random.Generator], Case], float]] = {
 }
 GRATINGS, GRATINGS_MS = 1000, 50.0
 ROW_US = 20.0
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Keep this process, and those that it starts, to one core, where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def least_us(call: Callable[[], object], repeats: int) -> float:
+    """Least time of the processor for a call (microseconds), after a first one that warms.
+
+    That is the time on a core of its own, whatever else the computer does.
+    """
+    call()
+    times = []
+    for _ in range(repeats):
+        start = process_time()
+        call()
+        times.append(process_time() - start)
+    return min(times) * 1e6
 
 
 def answer_us(
@@ -64,13 +92,9 @@ def answer_us(
     return float(np.median([least_us(partial(answer, case), repeats) for case in cases]))
 
 
+@one_core()
 def run(context: Context) -> Outcome:
     """The promises, time over the number of sensors, and time of a row over the batch."""
-    with one_core():
-        return _measured(context)
-
-
-def _measured(context: Context) -> Outcome:
     frames, repeats = context.count(5, 60), context.count(3, 20)
     outcome = Outcome()
     times: dict[str, float] = {}

@@ -11,11 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thigmo.studies.rod import readings
-
-Floats = NDArray[np.float64]
+from thigmo.studies.rod import Floats, readings
 
 LENGTH = 53.0
 SPAN = 5.5

@@ -25,15 +25,15 @@ _HELLO_MS = 50
 
 
 class ScriptedHost:
-    """Call `exchange` before each step of the board.
+    """Call `exchange` before each step of the board, which was just started.
 
     Args:
-        board: just started, no session open.
+        board: no session is open on it.
         script: what to say, from 100 ms on; the hello is said before that.
         step_ms: between exchanges.
 
     Attributes:
-        t_ms: since the first exchange; `step_ms`: to the next.
+        t_ms: since the first exchange.
         events: of the board, each once, in their order.
     """
 

@@ -11,23 +11,21 @@ default method is held against each on the cases that both saw.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from math import nan
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
 from thigmo.report.axes import GREEN
 from thigmo.studies import charts
 from thigmo.studies.attempt import attempt, mean_and_failures, mean_over
 from thigmo.studies.baselines import BASELINES
-from thigmo.studies.engine import Claim, Context, Outcome, records
+from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.pegs import any_peg
 from thigmo.studies.scenes import Case, actuated, few_sensors, one_contact, two_contacts
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DEFAULT = METHODS[0]
 CLAIMED = "one contact"
@@ -45,21 +43,13 @@ SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
 }
 
 
-@dataclass(frozen=True)
-class Score:
-    """One method's results on one kind of scene."""
+Row = dict[str, Any]
+"""One method's results on one kind of scene.
 
-    scene: str
-    method: str
-    cases: int
-    mean_cm: float
-    standard_error_cm: float  # of the mean
-    median_cm: float
-    p95_cm: float
-    failures: float
-    time_us: float
-    slower: float  # times the default method's median time
-    default_over_it: float  # the default method's mean error on the same cases over its own
+    standard_error_cm: of the mean.
+    slower: times the default method's median time.
+    default_over_it: the default method's mean error on the same cases over its own.
+"""
 
 
 def _case_scores(task: tuple[str, int, int]) -> list[tuple[float, float]]:
@@ -70,13 +60,10 @@ def _case_scores(task: tuple[str, int, int]) -> list[tuple[float, float]]:
     scene, seed, index = task
     case = SCENES[scene](np.random.default_rng([seed, index]))
     skipped = SLOW if index % EVERY else ()
-    return [
-        (float("nan"), float("nan")) if method in skipped else attempt(case, method)
-        for method in COMPARED
-    ]
+    return [(nan, nan) if method in skipped else attempt(case, method) for method in COMPARED]
 
 
-def score(context: Context, scene: str, cases: int) -> list[Score]:
+def score(context: Context, scene: str, cases: int) -> list[Row]:
     """Run the methods over random cases of one kind of scene."""
     _case_scores((scene, context.seed, cases))  # loads and trains what there is; not counted
     rows = context.map(_case_scores, [(scene, context.seed, i) for i in range(cases)], scene)
@@ -87,36 +74,36 @@ def score(context: Context, scene: str, cases: int) -> list[Score]:
         seen = ~np.isnan(table[:, column, 1])
         errors, times = table[seen, column, 0], table[seen, column, 1]
         mean, failures = mean_and_failures(errors)
-        some = errors[np.isfinite(errors)] if np.isfinite(mean) else np.array([np.nan])
+        some = errors[np.isfinite(errors)] if np.isfinite(mean) else np.array([nan])
         time_us = float(np.median(times))
-        scores.append(
-            Score(
-                scene, method, len(errors), mean, float(np.std(some) / np.sqrt(some.size)),
-                float(np.median(some)), float(np.percentile(some, 95)), failures, time_us,
-                time_us / default, mean_over(table[seen, 0, 0], errors),
-            )
-        )  # fmt: skip
+        scores.append({
+            "scene": scene, "method": method, "cases": len(errors), "mean_cm": mean,
+            "standard_error_cm": float(np.std(some) / np.sqrt(some.size)),
+            "median_cm": float(np.median(some)), "p95_cm": float(np.percentile(some, 95)),
+            "failures": failures, "time_us": time_us, "slower": time_us / default,
+            "default_over_it": mean_over(table[seen, 0, 0], errors),
+        })  # fmt: skip
     return scores
 
 
-def pareto(scores: list[Score]) -> list[Score]:
+def pareto(scores: list[Row]) -> list[Row]:
     """Methods that no other one beats in both time and mean error, fastest first."""
-    front: list[Score] = []
-    for candidate in sorted(scores, key=lambda s: (s.time_us, s.mean_cm)):
-        if np.isfinite(candidate.mean_cm) and (not front or candidate.mean_cm < front[-1].mean_cm):
-            front.append(candidate)
+    front: list[Row] = []
+    for one in sorted(scores, key=lambda s: (s["time_us"], s["mean_cm"])):
+        if np.isfinite(one["mean_cm"]) and (not front or one["mean_cm"] < front[-1]["mean_cm"]):
+            front.append(one)
     return front
 
 
-def chart(scores: list[Score]) -> Figure:
+def chart(scores: list[Row]) -> Figure:
     """Mean error against time, a panel a kind of scene, with the Pareto front; and the methods."""
-    scenes = list(dict.fromkeys(s.scene for s in scores))
+    scenes = list(dict.fromkeys(s["scene"] for s in scores))
     number = {name: str(n) for n, name in enumerate(COMPARED, 1)}
     figure, axes = charts.panels(
         len(scenes) // 2 + 1, 2, size=(6.4, 4.6),
         title="Speed against accuracy (dot size: share of failures, no answer or > 10 cm off)",
     )  # fmt: skip
-    shown = [[s for s in scores if s.scene == one and np.isfinite(s.mean_cm)] for one in scenes]
+    shown = [[s for s in scores if s["scene"] == k and np.isfinite(s["mean_cm"])] for k in scenes]
     for axis, scene, here in zip(axes, scenes, shown, strict=False):
         _draw(axis, scene, here)
     for axis in axes[len(scenes) :]:
@@ -131,26 +118,30 @@ def chart(scores: list[Score]) -> Figure:
     charts.legend_below(figure)
     # Last: numbers keep their places only if nothing moves any more.
     for axis, here in zip(axes, shown, strict=False):
-        points, front = ([(s.time_us, s.mean_cm) for s in some] for some in (here, pareto(here)))
-        charts.named(axis, points, [number[s.method] for s in here], front)
+        points, front = (list(zip(*_at(some), strict=True)) for some in (here, pareto(here)))
+        charts.named(axis, points, [number[s["method"]] for s in here], front)
     return figure
 
 
-def _draw(axis: Axes, scene: str, here: list[Score]) -> None:
+def _at(scores: list[Row]) -> tuple[list[float], list[float]]:
+    """Where methods stand in a panel."""
+    return [s["time_us"] for s in scores], [s["mean_cm"] for s in scores]
+
+
+def _draw(axis: Axes, scene: str, here: list[Row]) -> None:
     front = pareto(here)
     axis.plot(
-        [s.time_us for s in front], [s.mean_cm for s in front], color=GREEN, linewidth=1.2,
-        drawstyle="steps-post", zorder=1, label="Pareto front",
+        *_at(front), color=GREEN, linewidth=1.2, drawstyle="steps-post", zorder=1,
+        label="Pareto front",
     )  # fmt: skip
     for one in here:
         dot = GREEN if one in front else "0.5"
-        at = one.time_us, one.mean_cm
-        axis.scatter(*at, s=15 + 100 * one.failures, color=dot, zorder=2)
+        axis.scatter(*_at([one]), s=15 + 100 * one["failures"], color=dot, zorder=2)
+    times, _ = _at(here)
     axis.set(
         xscale="log", yscale="log", title=scene, xlabel="median time of one call (µs)",
-        ylabel="mean error of the arc (cm)",
+        ylabel="mean error of the arc (cm)", xlim=(min(times) / 3, max(times) * 3),
     )  # fmt: skip
-    axis.set_xlim(min(s.time_us for s in here) / 3, max(s.time_us for s in here) * 3)
     axis.yaxis.set_major_formatter("{x:g}")
     axis.yaxis.set_minor_formatter("{x:g}")
     axis.tick_params(axis="y", which="both", labelsize=7)
@@ -158,24 +149,24 @@ def _draw(axis: Axes, scene: str, here: list[Score]) -> None:
 
 def run(context: Context) -> Outcome:
     """The study: all methods on all kinds of scene."""
-    scores: list[Score] = []
+    scores: list[Row] = []
     outcome = Outcome()
     for scene in SCENES:
         scores += score(context, scene, context.count(12, 400 if scene == CLAIMED else 150))
-        outcome.tables["methods"] = records(scores)
+        outcome.tables["methods"] = scores
         context.save(outcome)
     outcome.figures["chart"] = chart(scores)
-    here = {s.method: s for s in scores if s.scene == CLAIMED}
+    here = {s["method"]: s for s in scores if s["scene"] == CLAIMED}
     mine, thesis = here[DEFAULT], here["alternating-trust-constr"]
     outcome.claims = [
         Claim(
             "one contact: default method, times faster than the thesis's alternation with a "
-            "general interior point", thesis.time_us / mine.time_us, 1000.0, at_most=False,
+            "general interior point", thesis["time_us"] / mine["time_us"], 1000.0, at_most=False,
         ),
         *(
             Claim(
                 f"one contact: default method's mean error over the thesis's ({text})",
-                mine.mean_cm / other.mean_cm, 0.5,
+                mine["mean_cm"] / other["mean_cm"], 0.5,
             )
             for other, text in (
                 (thesis, "general interior point"), (here["alternating"], "barrier path"),
@@ -184,12 +175,12 @@ def run(context: Context) -> Outcome:
     ]  # fmt: skip
     on_front = 0
     for scene in SCENES:
-        some = [s for s in scores if s.scene == scene]
-        on_front += DEFAULT in [s.method for s in pareto(some)]
-        others = [s for s in some if s.method != DEFAULT]
-        best = max(others, key=lambda s: np.nan_to_num(s.default_over_it))
-        text = f"{scene}: default method's mean error over that of the best other ({best.method})"
-        outcome.claims.append(Claim(text, best.default_over_it, 1.0))
+        some = [s for s in scores if s["scene"] == scene]
+        on_front += DEFAULT in [s["method"] for s in pareto(some)]
+        others = [s for s in some if s["method"] != DEFAULT]
+        best = max(others, key=lambda s: np.nan_to_num(s["default_over_it"]))
+        text = f"default method's mean error over that of the best other ({best['method']})"
+        outcome.claims.append(Claim(f"{scene}: {text}", best["default_over_it"], 1.0))
     text = "panels where the default method is on the Pareto front"
     outcome.claims.append(Claim(text, on_front, len(SCENES), at_most=False))
     return outcome

@@ -13,21 +13,17 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
 from thigmo.studies import charts
 from thigmo.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
 from thigmo.studies.engine import Claim, Context, Outcome, Record
+from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 """Case and the noise that the method is told, for a row and a column condition."""
 
@@ -164,10 +160,10 @@ def tabulate(stress: Stress, errors: Floats) -> list[Record]:
     return lines
 
 
-def pooled(stress: Stress, errors: Floats) -> list[dict[str, str | float | int]]:
+def pooled(stress: Stress, errors: Floats) -> list[Record]:
     """A line a method: over all cells."""
     flat = errors.reshape(-1, len(stress.methods))
-    lines: list[dict[str, str | float | int]] = []
+    lines: list[Record] = []
     for m, method in enumerate(stress.methods):
         mean, failures = mean_and_failures(flat[:, m])
         lines.append({
@@ -188,21 +184,19 @@ _ABREAST = 4  # panels in a row, so that the numbers in the cells can be read in
 def _maps(stress: Stress, errors: Floats) -> Figure:
     """A map of the cells for each method: mean error above, failures below."""
     methods = stress.methods
-    blocks = -(-len(methods) // _ABREAST)
     figure, axes = charts.panels(
-        2 * blocks,
-        _ABREAST,
-        size=(1.9, 1.8),
+        2 * -(-len(methods) // _ABREAST), _ABREAST, size=(1.9, 1.8), share="all",
         title=f"{stress.row_label} and {stress.column_label}",
-        share="all",
-    )
+    )  # fmt: skip
+    rows = np.reshape(np.array(axes), (-1, _ABREAST))
     for axis in axes:
         axis.set_axis_off()
     for m, method in enumerate(methods):
         block, column = divmod(m, _ABREAST)
+        rows[2 * block, column].set_title(method)
         for measure, (label, _, top) in enumerate(_MEASURES):
-            row = 2 * block + measure
-            axis = axes[row * _ABREAST + column]
+            row = rows[2 * block + measure]
+            axis = row[column]
             axis.set_axis_on()
             values = np.array([[mean_and_failures(e)[measure] for e in r] for r in errors[..., m]])
             values *= 100.0 if measure else 1.0
@@ -211,11 +205,9 @@ def _maps(stress: Stress, errors: Floats) -> Figure:
                 texts=[[_short(v, measure) for v in r] for r in values],
                 vmin=0.0, vmax=top, origin="lower",
             )  # fmt: skip
-            if measure == 0:
-                axis.set_title(method)
             if column == 0:
                 axis.set_ylabel(stress.row_label)
-                bar = figure.colorbar(image, ax=axes[row * _ABREAST : (row + 1) * _ABREAST])
+                bar = figure.colorbar(image, ax=row.tolist())
                 bar.set_label(label, fontsize=7)
                 bar.ax.tick_params(labelsize=6)
             if measure and m + _ABREAST >= len(methods):
@@ -250,18 +242,16 @@ def run(context: Context) -> Outcome:
     """The study: all stresses, all mapped methods."""
     cases = context.count(2, 20)
     outcome = Outcome()
-    lines: list[dict[str, str | float | int]] = []
+    lines: list[Record] = []
     for stress in STRESSES:
         # A general optimiser takes long from a bad start.
         errors = errors_of(context, stress, max(cases // 4, 1) if stress.starts else cases)
         outcome.tables[stress.name] = tabulate(stress, errors)
-        _, *others = pooled(stress, errors)
-        lines += pooled(stress, errors)
-        best = max(others, key=lambda line: line["default_over_it"])
-        text = "default method's mean error over that of the best other"
-        outcome.claims.append(
-            Claim(f"{stress.name}: {text} ({best['method']})", float(best["default_over_it"]), 1.0)
-        )
+        _, *others = over_all = pooled(stress, errors)
+        lines += over_all
+        most, best = max((float(line["default_over_it"]), line["method"]) for line in others)
+        text = f"{stress.name}: default method's mean error over that of the best other ({best})"
+        outcome.claims.append(Claim(text, most, 1.0))
         context.save(Outcome({stress.name: outcome.tables[stress.name]}, claims=outcome.claims))
         draw = _maps if len(stress.columns) > 1 else _lines
         outcome.figures[stress.name] = draw(stress, errors)

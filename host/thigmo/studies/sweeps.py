@@ -8,14 +8,13 @@ localized contact whose 95 % interval does not hold the place is wrong; shares a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from thigmo.localization import ContactFilter, LocalizeResult, localize
-from thigmo.studies.engine import Claim, Context, Outcome, parts, records
+from thigmo.studies.engine import Claim, Context, Outcome, parts, share
 from thigmo.studies.pegs import Rooms, rooms
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, SIGMA, SPAN
@@ -86,15 +85,6 @@ TOLD: dict[str, Callable[[np.random.Generator, Inflation], Inflation]] = {
 ERRORS = {**TOLD, **BAD, OTHER_NOISE: _more_noise}
 
 
-class Task(NamedTuple):
-    """A batch of rooms under one error."""
-
-    seed: int
-    error: str
-    number: int
-    size: int
-
-
 @cache
 def _rooms(seed: int, number: int, size: int) -> tuple[Rooms, Floats]:
     """Pegs, and (S, T, N) what the sensors read without noise: the same for every error."""
@@ -121,76 +111,68 @@ def _all(seen: Inflation) -> LocalizeResult:
 METHODS = {"last frame": _last, "all frames": _all}
 
 
-def judge(task: Task) -> dict[str, Floats]:
-    """(size, 5) of each method: listed, covered, localized, absolute error, width of interval."""
-    there, clean = _rooms(task.seed, task.number, task.size)
-    rng = np.random.default_rng([task.seed, 0x5F, list(ERRORS).index(task.error), task.number])
-    rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in METHODS}
-    for room in range(task.size):
+def judge(task: tuple[str, int, int, int]) -> dict[str, Floats]:
+    """Answer a batch of rooms under one error: its name, the seed, the batch's number and size.
+
+    Returns:
+        (size, 5) of each method: listed, covered, localized, absolute error, width of interval.
+    """
+    error, seed, number, size = task
+    there, clean = _rooms(seed, number, size)
+    rng = np.random.default_rng([seed, 0x5F, list(ERRORS).index(error), number])
+    rows = {name: np.full((size, 5), np.nan) for name in METHODS}
+    for room in range(size):
         noise = SIGMA * rng.standard_normal(clean[room].shape)
-        seen = Inflation(clean[room], there.free[:, room], {})
-        seen = ERRORS[task.error](rng, seen)
+        seen = ERRORS[error](rng, Inflation(clean[room], there.free[:, room], {}))
         seen = seen._replace(curvature=seen.curvature + noise)
+        arc = there.arc[-1, room]
         for name, method in METHODS.items():
             result = method(seen)
-            if not result.contacts:
-                rows[name].append((0.0, np.nan, 0.0, np.nan, np.nan))
-                continue
-            arc = there.arc[-1, room]
-            best = min(result.contacts, key=lambda contact: abs(contact.arc - arc))
-            low, high = best.interval
-            rows[name].append((
-                1.0, low - 1e-6 <= arc <= high + 1e-6, result.status == "localized",
-                abs(best.arc - arc), high - low,
-            ))  # fmt: skip
-    return {name: np.array(some, dtype=np.float64) for name, some in rows.items()}
+            rows[name][room, [0, 2]] = bool(result.contacts), False
+            if result.contacts:
+                best = min(result.contacts, key=lambda contact: abs(contact.arc - arc))
+                low, high = best.interval
+                rows[name][room] = (
+                    True, low - 1e-6 <= arc <= high + 1e-6, result.status == "localized",
+                    abs(best.arc - arc), high - low,
+                )  # fmt: skip
+    return rows
 
 
-@dataclass(frozen=True)
-class Score:
-    """One method under one error; shares are of all rooms, `covered` of those listed."""
+def score(error: str, method: str, rows: Floats) -> dict[str, Any]:
+    """One method under one error, of the rows of `judge`.
 
-    error: str
-    method: str
-    rooms: int
-    listed: float
-    covered: float
-    localized: float
-    wrong: float
-    mean_error_cm: float
-    median_width_cm: float
-
-    @classmethod
-    def of(cls, error: str, method: str, rows: Floats) -> Score:
-        """From the rows of `judge`."""
-        listed, covered, localized, off, width = rows.T
-        return cls(
-            error, method, len(rows), float(listed.mean()), float(np.nanmean(covered)),
-            float(localized.mean()), float(np.nansum(localized * (1.0 - covered)) / len(rows)),
-            float(np.nanmean(off)), float(np.nanmedian(width)),
-        )  # fmt: skip
+    Shares are of all rooms, `covered` of those listed.
+    """
+    listed, covered, localized, off, width = rows.T
+    return {
+        "error": error, "method": method, "rooms": len(rows), "listed": share(listed),
+        "covered": float(np.nanmean(covered)), "localized": share(localized),
+        "wrong": float(np.nansum(localized * (1.0 - covered)) / len(rows)),
+        "mean_error_cm": float(np.nanmean(off)), "median_width_cm": float(np.nanmedian(width)),
+    }  # fmt: skip
 
 
 def run(context: Context) -> Outcome:
     """The study: every error, by the last frame and by all."""
     batches = parts(context.count(BATCH, 160), BATCH)
-    scores: dict[tuple[str, str], Score] = {}
+    scores = {}
     for error in ERRORS:
-        got = context.map(judge, [Task(context.seed, error, *part) for part in batches], error)
+        got = context.map(judge, [(error, context.seed, *part) for part in batches], error)
         for method in METHODS:
             judged = np.concatenate([some[method] for some in got])
-            scores[error, method] = Score.of(error, method, judged)
+            scores[error, method] = score(error, method, judged)
     whole = {error: scores[error, "all frames"] for error in ERRORS}
     claims = [
-        Claim("errors told: least coverage", min(whole[e].covered for e in TOLD), 0.93, False),
-        Claim("errors told: localized and wrong, most", max(whole[e].wrong for e in TOLD), 0.03),
-        Claim("a bad sensor: localized and wrong, most", max(whole[e].wrong for e in BAD), 0.03),
-        Claim("twice the noise: coverage", whole[OTHER_NOISE].covered, 0.9, at_most=False),
-        Claim("twice the noise: localized and wrong", whole[OTHER_NOISE].wrong, 0.05),
+        Claim("errors told: least coverage", min(whole[e]["covered"] for e in TOLD), 0.93, False),
+        Claim("errors told: localized and wrong, most", max(whole[e]["wrong"] for e in TOLD), 0.03),
+        Claim("a bad sensor: localized and wrong, most", max(whole[e]["wrong"] for e in BAD), 0.03),
+        Claim("twice the noise: coverage", whole[OTHER_NOISE]["covered"], 0.9, at_most=False),
+        Claim("twice the noise: localized and wrong", whole[OTHER_NOISE]["wrong"], 0.05),
         Claim(
             "mean error, over that of the last frame",
-            whole["none"].mean_error_cm / scores["none", "last frame"].mean_error_cm, 1.0,
+            whole["none"]["mean_error_cm"] / scores["none", "last frame"]["mean_error_cm"], 1.0,
         ),
     ]  # fmt: skip
-    rows = records(scores.values())
+    rows = list(scores.values())
     return Outcome({"rows": rows}, claims=claims, summary=rows)

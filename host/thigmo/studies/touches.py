@@ -126,7 +126,8 @@ def uneven(rng: np.random.Generator, count: int) -> Scenes:
     return bent(rng, count, stiffness=stiffness)
 
 
-def _pegs(rng: np.random.Generator, count: int, part: Part) -> Scenes:
+def pegs(part: Part, rng: np.random.Generator, count: int) -> Scenes:
+    """A bent body against a peg in the room, on that part of it."""
     room = rooms(rng, count, length=LENGTH, most=MOST_FREE, part=part)
     side, free = signs(rng, count), room.free[-1]
     # The bound is that of a contact on the side with the same normal force.
@@ -135,16 +136,6 @@ def _pegs(rng: np.random.Generator, count: int, part: Part) -> Scenes:
     bound = one_contact(room.arc[-1], normal, free, COLUMN).bound
     clean = side[:, None] * room.bodies(-1).readings(COLUMN, SPAN)
     return Scenes(clean, COLUMN, side * free, room.arc[-1][:, None], bound)
-
-
-def pegs(rng: np.random.Generator, count: int) -> Scenes:
-    """A bent body against a peg in the room, on its side."""
-    return _pegs(rng, count, "side")
-
-
-def corners(rng: np.random.Generator, count: int) -> Scenes:
-    """A bent body against a peg in the room, at the corner of its end."""
-    return _pegs(rng, count, "corner")
 
 
 def straight(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
@@ -161,8 +152,8 @@ def untouched_bent(rng: np.random.Generator, count: int) -> Scenes:
 GROUPS: dict[str, Draw] = {
     "pressed": pressed,
     "bent": bent,
-    "peg": pegs,
-    "corner": corners,
+    "peg": partial(pegs, "side"),
+    "corner": partial(pegs, "corner"),
     "free": partial(straight, BOTH),
     "free, bent": untouched_bent,
     "friction": rubbed,

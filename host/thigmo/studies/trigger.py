@@ -15,10 +15,10 @@ nor a debounce of 9 ms bears that alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from thigmo.config import SIDES
 from thigmo.emulator.board import Floats
@@ -37,10 +37,6 @@ from thigmo.studies.trigger_sessions import (
     record,
     replay,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 WHITE = ("white_counts", "pressure_counts")
 PARTS: dict[str, tuple[str, ...]] = {
@@ -69,30 +65,12 @@ _SWEEPS = 10  # both sides each, a session
 DEAD_TIME_MS = 63.0  # of valve and muscle: a faster trigger stops the muscle no sooner
 
 
-@dataclass(frozen=True)
-class Empty:
-    """A session of empty sweeps: which noise, how much of it, which seed."""
-
-    part: str
-    level: float
-    seed: int
-
-
-@dataclass(frozen=True)
-class Touch:
-    """A session of steps of so many thresholds, or (`PEGS`) of one sweep into a random peg."""
-
-    step: float
-    seed: int
-
-
 def default_setting() -> Setting:
     """The schema's."""
-    values = (PARAMETERS[f"trigger_{name}"].defaults[0] for name in _NAMES)
-    return Setting(*values)
+    names = ("filter_log2", "debounce_ms", "e5")
+    return Setting(*(PARAMETERS[f"trigger_{name}"].defaults[0] for name in names))
 
 
-_NAMES = ("filter_log2", "debounce_ms", "e5")
 THRESHOLD = default_setting().threshold_e5 * 1e-5
 
 
@@ -116,20 +94,21 @@ def room(part: str, level: float) -> Scene:
     return scene
 
 
-def sweep_empty(task: Empty) -> Floats:
-    """False alarms of each setting in a session of sweeps: (settings,)."""
-    session = record(
-        room(task.part, task.level), task.seed, halves_of([0, 1] * _SWEEPS), threshold=THRESHOLD
-    )
+def sweep_empty(task: tuple[str, float, int]) -> Floats:
+    """False alarms (settings,) in empty sweeps under so much of a part of the noise."""
+    part, level, seed = task
+    halves = halves_of([0, 1] * _SWEEPS)
+    session = record(room(part, level), seed, halves, threshold=THRESHOLD)
     counts = [false_alarms(session, replay(session, setting)) for setting in settings()]
     return np.array(counts, dtype=np.float64)
 
 
-def touch(task: Touch) -> Floats:
-    """Latencies (ms) of each setting: (settings, touches)."""
-    rng = np.random.default_rng([task.seed, 0x7016])
+def touch(task: tuple[float, int]) -> Floats:
+    """Latencies (ms), (settings, touches), of steps of so many thresholds or a sweep into a peg."""
+    step, seed = task
+    rng = np.random.default_rng([seed, 0x7016])
     scene = room("all three", 1.0)
-    if task.step != PEGS:
+    if step != PEGS:
         at = rng.integers(100, 350, 2 * _SWEEPS) * 10
         halves = halves_of([0, 1] * _SWEEPS, at.tolist())
     else:
@@ -137,62 +116,48 @@ def touch(task: Touch) -> Floats:
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
         scene.start_length_cm = felt.length_cm
         halves = halves_of([SIDES.index(felt.side)])
-    session = record(scene, task.seed, halves, step=task.step * THRESHOLD, threshold=THRESHOLD)
+    session = record(scene, seed, halves, step=step * THRESHOLD, threshold=THRESHOLD)
     return np.array([latencies(session, replay(session, setting)) for setting in settings()])
 
 
 def run(context: Context) -> Outcome:
     """False alarms, latencies, the chart of one against the other, and what the rule chooses."""
     few, many = context.count(1, 2), context.count(2, 15)
-    quiet = [
-        Empty(part, level, seed)
-        for part in PARTS
-        for level in LEVELS
-        for seed in range(1, 1 + (many if (part, level) == DECIDING else few))
-    ]
-    touched = [Touch(s, seed) for s in STEPS for seed in range(1, 1 + context.count(1, 4))]
-    touched += [Touch(PEGS, seed) for seed in range(1, 1 + context.count(3, 30))]
-    of_quiet = context.map(sweep_empty, quiet, "empty sweeps")
-    of_touched = context.map(touch, touched, "touches")
-    alarms: dict[tuple[str, float], Floats] = {}
-    for part in PARTS:
-        for level in LEVELS:
-            sessions = [
-                rates
-                for task, rates in zip(quiet, of_quiet, strict=True)
-                if (task.part, task.level) == (part, level)
-            ]
-            alarms[part, level] = 100 * np.mean(sessions, axis=0) / _SWEEPS
-    late = {}
-    for step in (*STEPS, PEGS):
-        own = [ms for task, ms in zip(touched, of_touched, strict=True) if task.step == step]
-        late[step] = np.concatenate(own, axis=1)
+    sessions = {(p, k): many if (p, k) == DECIDING else few for p in PARTS for k in LEVELS}
+    tasks = [(*noise, seed) for noise, count in sessions.items() for seed in range(1, 1 + count)]
+    counted = iter(context.map(sweep_empty, tasks, "empty sweeps"))
+    alarms = {
+        noise: 100 * np.mean([next(counted) for _ in range(count)], axis=0) / _SWEEPS
+        for noise, count in sessions.items()
+    }
+    touches = {**dict.fromkeys(STEPS, context.count(1, 4)), PEGS: context.count(3, 30)}
+    touched = [(step, seed) for step, count in touches.items() for seed in range(1, 1 + count)]
+    timed = iter(context.map(touch, touched, "touches"))
+    late = {
+        step: np.concatenate([next(timed) for _ in range(count)], axis=1)
+        for step, count in touches.items()
+    }
     return Outcome(
-        tables={"alarms": _alarm_table(alarms, few, many), "latency": _latency_table(late)},
+        tables={"alarms": _alarm_table(alarms, sessions), "latency": _latency_table(late)},
         figures={"chart": _figure(alarms, late)},
         claims=_claims(alarms, late),
     )
 
 
 def quantile(values: Floats, share: float, *, early: bool) -> float:
-    """A quantile of latencies; missed contacts are infinite.
+    """A quantile of latencies (ms); missed contacts are infinite.
 
-    Args:
-        values: ms, shape (n,).
-        share: 0..1.
-        early: whether what fired before the touch counts (a peg bends the base before it passes the
-            threshold) or is a false alarm and left out (before a step there is nothing).
-
-    Returns:
-        ms; NaN when false alarms came before every touch.
+    What fired before the touch counts if `early` (a peg bends the base before it passes the
+    threshold); else it is a false alarm and left out (before a step there is nothing). NaN when
+    false alarms came before every touch.
     """
     good = np.sort(values if early else values[values >= 0])
     return float(good[min(int(np.ceil(share * len(good))), len(good)) - 1]) if len(good) else np.nan
 
 
-def step_ms(late: dict[float, Floats], step: float = STEPS[0]) -> list[float]:
-    """Latency of 95 % of the steps, for each setting."""
-    return [quantile(row, 0.95, early=False) for row in late[step]]
+def step_ms(late: dict[float, Floats]) -> list[float]:
+    """Latency of 95 % of the steps of 1.5 thresholds, for each setting."""
+    return [quantile(row, 0.95, early=False) for row in late[STEPS[0]]]
 
 
 def peg_ms(late: dict[float, Floats]) -> list[float]:
@@ -227,7 +192,9 @@ def chosen(candidates: Sequence[int], steps: Sequence[float], pegs: Sequence[flo
     return min((n for n in candidates if pegs[n] < shortest + EQUAL_MS), key=lambda n: steps[n])
 
 
-def _alarm_table(alarms: dict[tuple[str, float], Floats], few: int, many: int) -> list[Record]:
+def _alarm_table(
+    alarms: dict[tuple[str, float], Floats], sessions: dict[tuple[str, float], int]
+) -> list[Record]:
     hours = 2 * RISE_MS / 3.6e6  # of sweeping, a sweep
     return [
         {
@@ -235,7 +202,7 @@ def _alarm_table(alarms: dict[tuple[str, float], Floats], few: int, many: int) -
             "times_default": level,
             "samples_averaged": 2**setting.filter_log2,
             "debounce_ms": setting.debounce_ms,
-            "empty_sweeps": _SWEEPS * (many if (part, level) == DECIDING else few),
+            "empty_sweeps": _SWEEPS * sessions[part, level],
             "false_alarms_per_100_sweeps": round(float(rate), 2),
             "false_alarms_per_hour_of_sweeping": round(float(rate) / 100 / hours, 1),
         }

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +39,7 @@ OTHERS = np.full((CHANNELS, 2), 600.0)
 """Ideal counts for the channels that are not replayed: healthy sensors."""
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(NamedTuple):
     """The board's parameters `trigger_filter_log2`, `trigger_debounce_ms` and `trigger_e5`."""
 
     filter_log2: int
@@ -47,8 +47,7 @@ class Setting:
     threshold_e5: int
 
 
-@dataclass(frozen=True, slots=True)
-class Half:
+class Half(NamedTuple):
     """One side's part of a sweep: the side (0 left), when it starts and when it is vented, in ms.
 
     Attributes:
@@ -218,22 +217,18 @@ def _passed(half: Half, excess: Floats, threshold: float) -> Half:
     first, last = half.start_ms // STEP_MS, half.vent_ms // STEP_MS
     over = np.flatnonzero(excess[first : last + 1] >= threshold)
     if not len(over) or over[0] == 0:
-        return Half(half.side, half.start_ms, half.vent_ms)
+        return half._replace(touch_ms=np.nan)
     after = first + int(over[0])
     part = (threshold - excess[after - 1]) / (excess[after] - excess[after - 1])
-    return Half(half.side, half.start_ms, half.vent_ms, (after - 1 + part) * STEP_MS)
+    return half._replace(touch_ms=(after - 1 + part) * STEP_MS)
 
 
 def with_setting(script: Script, setting: Setting) -> Script:
     """The script of a session with the trigger's parameters set first."""
-    values = {
-        "trigger_filter_log2": setting.filter_log2,
-        "trigger_debounce_ms": setting.debounce_ms,
-        "trigger_e5": setting.threshold_e5,
-    }
+    names = ("trigger_filter_log2", "trigger_debounce_ms", "trigger_e5")
     first = [
         (150 + 50 * n, wire.SetParameter(wire.PARAMETERS[name].index, value))
-        for n, (name, value) in enumerate(values.items())
+        for n, (name, value) in enumerate(zip(names, setting, strict=True))
     ]
     return sorted([*script, *first], key=lambda said: said[0])
 
@@ -278,9 +273,7 @@ def latencies(session: Session, times: Floats) -> Floats:
     a half, fired before.
     """
     found = []
-    for half in session.halves:
-        if np.isnan(half.touch_ms):
-            continue
+    for half in (half for half in session.halves if not np.isnan(half.touch_ms)):
         inside = times[(times >= half.start_ms) & (times < half.vent_ms)]
         found.append(inside[0] - half.touch_ms if len(inside) else np.inf)
     return np.array(found)

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
@@ -42,13 +42,22 @@ with connect(sys.argv[1]) as robot:
 """
 
 
+@contextmanager
+def _own_sockets() -> Iterator[None]:
+    """Let no other run of this user be watched meanwhile."""
+    before = os.environ.copy()
+    with tempfile.TemporaryDirectory(prefix="tg") as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        try:
+            yield
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+
+
+@_own_sockets()
 def run(context: Context) -> Outcome:
     """Age of readings on the screen; explorations watched and not."""
-    with _own_sockets():
-        return _run(context)
-
-
-def _run(context: Context) -> Outcome:
     seconds = 15.0 if context.scale == "quick" else 60.0
     context.progress("readings to the screen", 0, 3)
     ages_s, rate_hz = _ages(seconds)
@@ -84,21 +93,6 @@ def _run(context: Context) -> Outcome:
     )  # fmt: skip
 
 
-@contextmanager
-def _own_sockets() -> Iterator[None]:
-    """Let no other run of this user be watched meanwhile."""
-    before = os.environ.get("XDG_RUNTIME_DIR")
-    with tempfile.TemporaryDirectory(prefix="tg") as folder:
-        os.environ["XDG_RUNTIME_DIR"] = folder
-        try:
-            yield
-        finally:
-            if before is None:
-                del os.environ["XDG_RUNTIME_DIR"]
-            else:
-                os.environ["XDG_RUNTIME_DIR"] = before
-
-
 def _ages(seconds: float) -> tuple[list[float], float]:
     """How old the newest reading was each time that the page was drawn; readings a second."""
     with ExitStack() as stack:
@@ -109,8 +103,9 @@ def _ages(seconds: float) -> tuple[list[float], float]:
         browser, address = stack.enter_context(_page())
         page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
         page.goto(address)
-        streaming = subprocess.Popen([sys.executable, "-c", _STREAM, port, str(seconds)])
-        stack.callback(_end, streaming)
+        command = [sys.executable, "-c", _STREAM, port, str(seconds)]
+        streaming = stack.enter_context(subprocess.Popen(command))
+        stack.callback(streaming.terminate)
         page.wait_for_function("() => thigmo.store.columns[0].length > 200", timeout=_EVER_MS)
         page.evaluate("thigmo.keep = true")
         page.wait_for_function("() => thigmo.store.page.ended", timeout=_EVER_MS)
@@ -161,24 +156,15 @@ def _page() -> Iterator[tuple[Any, str]]:
 @contextmanager
 def _process(*arguments: str, says: str) -> Iterator[str]:
     """A `thigmo` command beside this one: the first line that holds `says`."""
-    started = subprocess.Popen(
-        [sys.executable, "-m", "thigmo", *arguments],
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
-    assert started.stdout is not None
-    try:
-        for line in started.stdout:
-            if says in line:
-                yield line.strip()
-                return
-        raise DataError(f"thigmo {arguments[0]} has ended", "run it by hand to see why")
-    finally:
-        _end(started)
-
-
-def _end(process: subprocess.Popen[Any]) -> None:
-    with suppress(ProcessLookupError):
-        process.terminate()
-    process.wait()
+    command = [sys.executable, "-m", "thigmo", *arguments]
+    with subprocess.Popen(
+        command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as started:
+        assert started.stdout is not None
+        try:
+            said = next((line for line in started.stdout if says in line), None)
+            if said is None:
+                raise DataError(f"thigmo {arguments[0]} has ended", "run it by hand to see why")
+            yield said.strip()
+        finally:
+            started.terminate()

@@ -22,6 +22,12 @@ def felt(arcs, forces, position, **scene):
     )
 
 
+def folded(arc, force, angle):
+    """Both columns' readings of a body whose first 3.5 cm are folded by an angle."""
+    free = np.array([angle / 3.5, 0.0, 0.0])
+    return felt((3.5, arc), (0.0, force), BOTH, free_curvature=free)
+
+
 def test_levers_of_the_bent_shape_remove_the_bias_of_actuated_contacts():
     rng = np.random.default_rng(21)
     worst = 0.0
@@ -83,9 +89,8 @@ def test_a_base_fold_at_the_critical_moment_gives_place_and_angle(fold, sign):
     rng = np.random.default_rng(23)
     errors, angles = [], []
     for arc in (26.5, 39.75, 53.0) * 4:
-        curvature = felt(
-            arc, sign * CRITICAL / arc, BOTH, fold_angle=sign * fold, fold_length=3.5
-        ) + SIGMA * rng.standard_normal(10)
+        curvature = folded(arc, sign * CRITICAL / arc, sign * fold)
+        curvature += SIGMA * rng.standard_normal(10)
         result = thigmo.localize(
             curvature, BOTH, length=LENGTH, span=SPAN, noise=SIGMA, critical_curvature=CRITICAL
         )
@@ -102,9 +107,7 @@ def test_a_suspected_fold_is_not_answered_with_a_confident_wrong_place():
     rng = np.random.default_rng(24)
     wrong = 0
     for arc in (26.5, 39.75, 53.0) * 8:
-        curvature = felt(
-            arc, CRITICAL / arc, BOTH, fold_angle=0.3, fold_length=3.5
-        ) + SIGMA * rng.standard_normal(10)
+        curvature = folded(arc, CRITICAL / arc, 0.3) + SIGMA * rng.standard_normal(10)
         result = thigmo.localize(curvature, BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
         wrong += result.status == "localized" and not any(
             c.interval[0] - 1e-6 <= arc <= c.interval[1] + 1e-6 for c in result.contacts

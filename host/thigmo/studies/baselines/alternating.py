@@ -51,10 +51,8 @@ def alternating(
 ) -> tuple[Array, Array]:
     """The thesis's solver: a log-barrier interior point over a, alternated with exact f.
 
-    Args:
-        problem: what is read.
-        norm: of the objective; 1 is the thesis's.
-        barriers: followed one after the other; without any: exact coordinate descent.
+    Its norm is the 1-norm. Barriers are followed one after the other; without any it is exact
+    coordinate descent.
     """
     problem = at_centres(problem)
     nodes = problem.length * np.arange(1, _NODES) / _NODES

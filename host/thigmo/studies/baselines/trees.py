@@ -69,11 +69,7 @@ def _ensemble(
 
 
 def trees(problem: Problem, mechanics: bool = False) -> tuple[Array, Array]:
-    """Extremely randomised trees on the readings, alone or with the exact fit beside them.
-
-    Raises:
-        DataError: scikit-learn is missing.
-    """
+    """Extremely randomised trees on the readings, alone or with the exact fit beside them."""
     forest = _ensemble(
         tuple(problem.position.tolist()),
         tuple(problem.span.tolist()),

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.experiments import conditions, explored, muscle, predictions, sensitivity
+from thigmo.studies.experiments import conditions, explored, figures, predictions, sensitivity
 from thigmo.studies.experiments.evaluate import evaluate
 from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.plan import STATIC
@@ -40,7 +40,7 @@ def _static(name: str) -> Experiment:
         found = [trial for some in context.map(_of_robot, items, "robots") for trial in some]
         outcome = evaluate(name, found, context)
         if name == "actuated":
-            outcome.figures["muscle-map"] = muscle.figure(context.seed)
+            outcome.figures["muscle-map"] = figures.muscle_map(context.seed)
         return outcome
 
     return experiment

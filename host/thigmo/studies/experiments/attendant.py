@@ -139,7 +139,7 @@ class Attendant:
             return x, y
 
     def truth(self) -> dict[str, list[float]]:
-        """What an emulated room knows of the contacts, base first, as trials.csv has it."""
+        """What an emulated room knows of the contacts, base first, as trials are kept with it."""
         touching = self._robot.scenery().contacts if self._robot else []
         return {
             "true_arcs_cm": [float(contact.arc) for contact in touching],

@@ -9,12 +9,12 @@ answer implies.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
@@ -22,8 +22,7 @@ from thigmo.localization import ContactFilter, LocalizeResult, arc_bounds, local
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Trial
-
-Floats = NDArray[np.float64]
+from thigmo.studies.rod import Floats
 
 THEIRS = "alternating"
 OURS = "ours"
@@ -77,16 +76,12 @@ def ours(trial: Trial) -> Answer:
         return alone(trial)
     felt = ContactFilter(
         trial.position,
-        length=trial.length_cm,
         most_curvature=trial.free,
-        span=trial.span,
         noise=max(trial.noise, 1e-9),
         gain_error=trial.passed.gain_sigma,
         place_error=trial.passed.place_cm,
-        offset_error=trial.offset_sigma,
-        critical_curvature=trial.critical,
-        tube_radius=trial.radius_cm,
         peg_radius=trial.dowel_cm,
+        **_told(trial),
     )
     felt.update(trial.passed.curvature / trial.gain, trial.passed.free)
     felt.update(trial.curvature / trial.gain, trial.free)
@@ -99,16 +94,19 @@ def alone(trial: Trial) -> Answer:
         localize(
             trial.curvature / trial.gain,
             trial.position,
-            length=trial.length_cm,
-            span=trial.span,
             free_curvature=trial.free,
             noise=trial.sigma,
-            offset_error=trial.offset_sigma,
             contacts=len(trial.arcs_cm),
-            critical_curvature=trial.critical,
-            tube_radius=trial.radius_cm,
+            **_told(trial),
         )
     )
+
+
+def _told(trial: Trial) -> dict[str, Any]:
+    return {
+        "length": trial.length_cm, "span": trial.span, "offset_error": trial.offset_sigma,
+        "critical_curvature": trial.critical, "tube_radius": trial.radius_cm,
+    }  # fmt: skip
 
 
 def _answer(result: LocalizeResult) -> Answer:
@@ -142,46 +140,55 @@ def solve(item: tuple[Trial, Sequence[str]]) -> Solved:
     return Solved(trial, answers, bound_cm(trial))
 
 
+Measure = Callable[[Trial, Answer], Floats]
+"""Errors of an answer, one a contact, base first (cm; infinite without an answer)."""
+
+
+def _of_answered(measure: Measure) -> Measure:
+    def errors(trial: Trial, answer: Answer) -> Floats:
+        if len(answer.arcs_cm) != len(trial.arcs_cm):
+            return np.full(len(trial.arcs_cm), np.inf)
+        return measure(trial, answer)
+
+    return errors
+
+
+@_of_answered
 def camera_errors(trial: Trial, answer: Answer) -> Floats:
-    """|a - x of the obstacle|, contacts ordered along the arc (cm; infinite without an answer)."""
-    if len(answer.arcs_cm) != len(trial.arcs_cm):
-        return np.full(len(trial.arcs_cm), np.inf)
+    """|a - x of the obstacle|, contacts ordered along the arc."""
     return np.abs(np.subtract(sorted(answer.arcs_cm), trial.obstacle_x_cm))
 
 
+@_of_answered
 def assigned_errors(trial: Trial, answer: Answer) -> Floats:
     """As `camera_errors`, with the closest pair of contact and obstacle matched first.
 
     Along a line no assignment has a smaller sum than the ordered one; this one tells how well the
     best-found contact was found, whatever its label. So the first entry is that contact's error,
-    and the last what is left for the others (cm; infinite without an answer).
+    and the last what is left for the others.
     """
-    if len(answer.arcs_cm) != len(trial.arcs_cm):
-        return np.full(len(trial.arcs_cm), np.inf)
-    found, true = list(answer.arcs_cm), list(trial.obstacle_x_cm)
+    gaps = np.abs(np.subtract.outer(answer.arcs_cm, trial.obstacle_x_cm))
     errors = []
-    while found:
-        gap, i, j = min((abs(a - x), i, j) for i, a in enumerate(found) for j, x in enumerate(true))
-        errors.append(gap)
-        del found[i], true[j]
+    while gaps.size:
+        i, j = np.unravel_index(gaps.argmin(), gaps.shape)
+        errors.append(gaps[i, j])
+        gaps = np.delete(np.delete(gaps, i, axis=0), j, axis=1)
     return np.array(errors)
 
 
+@_of_answered
 def workspace_errors(trial: Trial, answer: Answer) -> Floats:
-    """|x of the contact point| error through the answer's own shape (cm).
+    """|x of the contact point| error through the answer's own shape.
 
     On a real robot the contact point is not known; there it is the error of the dowel's x.
     """
-    if len(answer.arcs_cm) != len(trial.arcs_cm):
-        return np.full(len(trial.arcs_cm), np.inf)
-    ramps = answer.bend or ramp_knots(zip(answer.arcs_cm, answer.forces, strict=True))
-    curve = centreline(Bend(trial.length_cm, trial.free, ramps, answer.fold_rad))
+    contacts = sorted(zip(answer.arcs_cm, answer.forces, strict=True))
+    curve = centreline(
+        Bend(trial.length_cm, trial.free, answer.bend or ramp_knots(contacts), answer.fold_rad)
+    )
     point_known = bool(np.isfinite(trial.contact_x_cm).all())
     radius = trial.radius_cm + (0.0 if point_known else trial.dowel_cm)
-    found = [
-        skin_point(curve, arc, force, radius, answer.end_offset_cm)[0]
-        for arc, force in sorted(zip(answer.arcs_cm, answer.forces, strict=True))
-    ]
+    found = [skin_point(curve, arc, f, radius, answer.end_offset_cm)[0] for arc, f in contacts]
     truth = trial.contact_x_cm if point_known else trial.obstacle_x_cm
     return np.abs(np.subtract(found, truth))
 
@@ -193,7 +200,7 @@ def bound_cm(trial: Trial) -> Floats:
 
     A Gaussian estimator at the bound has the mean absolute error sqrt(2 / pi) of its deviation;
     infinite where the information matrix is singular, NaN where forces are not known. Of a dowel
-    that the robot bent into, that of all frames (`bound.obstacle_bound`).
+    that the robot bent into, that of all frames (`conditions.obstacle_bound`).
     """
     if trial.passed is not None:
         return np.array([trial.passed.bound_cm])
@@ -222,7 +229,7 @@ Row = dict[str, Any]
 
 def row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -> Row:
     """The line of one condition: the baseline `here` and ours over its trials."""
-    told = thesis.published(experiment, condition)
+    told = thesis.RESULTS[experiment, condition]
     bounds = np.concatenate([one.bound_cm for one in solved])
     finite = np.isfinite(bounds)
     ahead = np.concatenate(
@@ -303,12 +310,12 @@ def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
         if method in one.answers
     ]).reshape(-1, 3, len(solved[0].trial.arcs_cm))  # fmt: skip
     camera, assigned, room = found[np.isfinite(found[:, 0]).all(axis=1)].transpose(1, 0, 2)
-    values = (camera, assigned[:, 0], assigned[:, -1], room)
-    mean = [float(value.mean()) if value.size else float("nan") for value in values]
+    if not camera.size:
+        return dict.fromkeys(("mean", "std", "nearest_mean", "other_mean", "workspace_mean"), nan)
     return {
-        "mean": mean[0],
-        "std": float(camera.std()) if camera.size else float("nan"),
-        "nearest_mean": mean[1],
-        "other_mean": mean[2],
-        "workspace_mean": mean[3],
+        "mean": float(camera.mean()),
+        "std": float(camera.std()),
+        "nearest_mean": float(assigned[:, 0].mean()),
+        "other_mean": float(assigned[:, -1].mean()),
+        "workspace_mean": float(room.mean()),
     }

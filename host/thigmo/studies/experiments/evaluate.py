@@ -19,10 +19,7 @@ _REMEDIES = {"base clamped": "clamped", "coupled": "coupled"}
 def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None) -> Outcome:
     """Solve every trial by every method that its experiment compares, once; rows and figures.
 
-    Args:
-        name: single-contact, two-contacts or actuated.
-        trials: of that experiment; conditions without any are left out.
-        context: whose processes share the trials; None takes one.
+    Conditions without trials are left out.
 
     Raises:
         DataError: no trial.

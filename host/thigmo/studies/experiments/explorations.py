@@ -1,8 +1,8 @@
 """Section 3.5 with a robot: explorations one by one, labelled, resumed, evaluated again.
 
     OUT/exploration/
-      robot.toml, trials.csv    as `folder.py` says
-      DATE-...                  run folders, as those of `thigmo explore`
+      robot.toml, trials.jsonl    as `folder.py` says
+      DATE-...                    run folders, as those of `thigmo explore`
 
 Each trial is two explorations of the same room, by our protocol and by the thesis's. Before each
 the robot is wound in; a dowel that the robot leans on when it is vented must be taken away for
@@ -36,19 +36,14 @@ _BASE_CM = 0.2
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One exploration to make.
-
-    Attributes:
-        protocol: "measure", ours, or "thesis".
-        number: of the trial, from 1.
-    """
+    """One exploration by our protocol ("measure") or the thesis's; trials count from 1."""
 
     protocol: Way
     number: int
 
     @property
     def key(self) -> str:
-        """What names it in trials.csv."""
+        """What names it in a folder."""
         return f"{WAYS[self.protocol]} | {self.number}"
 
 
@@ -71,17 +66,10 @@ class _Remembers:
         return self.length_cm
 
 
-class ExplorationFolder(Folder):
-    """Explorations on disk."""
-
-    columns = ("key", "protocol", "number", "state", "run", "dowel_x_cm", "dowel_y_cm")
-    things = "explorations"
-
-
 def run_explorations(
     url: str,
     attendant: Attendant,
-    folder: ExplorationFolder,
+    folder: Folder,
     trials: int,
     *,
     seed: int,
@@ -89,23 +77,12 @@ def run_explorations(
     progress: Progress | None = None,
     say: Say = lambda text: None,
 ) -> bool:
-    """Make the planned explorations that the folder does not hold yet.
+    """Make the planned explorations, of both protocols, that the folder does not hold yet.
 
-    Args:
-        url: where the robot is.
-        attendant: sets the dowel, measures it, judges.
-        folder: with the robot's constants.
-        trials: of both protocols each.
-        seed: of the emulator's noise, which differs from trial to trial.
-        operator: answers what the board cannot know.
-        progress: told what the robot is doing.
-        say: told what happens.
+    The emulator's seed differs from trial to trial. What was kept stays in every case.
 
     Returns:
         Whether all are done; False if the attendant stopped.
-
-    Raises:
-        ThigmoError: as the robot raises. What was kept stays in every case.
     """
     person = _Remembers(operator) if operator else None
 
@@ -128,8 +105,7 @@ def run_explorations(
             f"{document.outcome}; {errors if document.contacts else 'no contact'}. "
             "Take the dowel away if the robot leans on it: it is wound in next"
         )
-        x, y = map(str, dowel)
-        return {"run": found.folder.name, "dowel_x_cm": x, "dowel_y_cm": y}, summary
+        return {"run": found.folder.name, "dowel_cm": dowel}, summary
 
     planned = [PlannedRun(way, number) for number in range(1, trials + 1) for way in WAYS]
     todo = folder.missing(planned, say, "exploration")
@@ -152,7 +128,7 @@ def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say)
                 person.length_cm = reached
 
 
-def evaluate(folder: ExplorationFolder) -> Outcome:
+def evaluate(folder: Folder) -> Outcome:
     """Errors of the kept explorations from their run folders, as those of simulated robots.
 
     Raises:
@@ -161,9 +137,10 @@ def evaluate(folder: ExplorationFolder) -> Outcome:
     trials: dict[int, dict[str, explored.Made]] = defaultdict(dict)
     for line in folder.kept():
         run, way = RunFolder(folder.path / line["run"]), line["protocol"]
-        dowel = float(line["dowel_x_cm"]), float(line["dowel_y_cm"])
-        made = explored.made(run.read_document(), dowel, run if way == "thesis" else None)
-        trials[int(line["number"])][way] = made
+        made = explored.made(
+            run.read_document(), line["dowel_cm"], run if way == "thesis" else None
+        )
+        trials[line["number"]][way] = made
     if not trials:
         raise DataError("there are no explorations to evaluate", "make some first")
     runs = [

@@ -9,9 +9,10 @@ first stage with a contact; ours is the exploration's answer. Robot time is devi
 from __future__ import annotations
 
 import tempfile
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from thigmo.exploration.map import best_contact
 from thigmo.exploration.replay import recorded_sweeps
@@ -25,9 +26,6 @@ from thigmo.studies.experiments import schematics, thesis
 from thigmo.studies.experiments.attendant import Place
 from thigmo.studies.rooms import explored
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _URL = "emulator://default"
 
 
@@ -37,15 +35,10 @@ thesis's solver where its protocol was followed. Errors are infinite where no co
 
 
 def made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None) -> Made:
-    """What an exploration came to.
+    """What an exploration came to; its folder is needed if it followed the thesis's protocol.
 
     On a real robot nobody knows the point of contact: there the dowel that touches it at the
     mapped point is compared with the one that was measured.
-
-    Args:
-        document: of the run.
-        dowel: its centre, cm.
-        thesis_run: its folder, if it followed the thesis's protocol.
     """
     best = best_contact(document.contacts)
     x = plane = float("inf")
@@ -149,7 +142,7 @@ def _figure(runs: list[Record]) -> Figure:
         mapped = points[np.isfinite(points[:, 1])]
         count = f"{len(mapped)} of {len(runs)} mapped"
         axis.plot(*mapped.T, "o", color=color, alpha=0.7, label=f"{label} ({count})")
-    told = thesis.published("exploration", "obstacle at the farthest place").mean_cm
+    told = thesis.RESULTS["exploration", "obstacle at the farthest place"].mean_cm
     axis.axhline(told, color="gray", linestyle="--", label=f"thesis, one run: {told} cm")
     axis.set(
         xlabel="robot time (s)", ylabel="|x error| of the mapped contact (cm)", xlim=(0, None),
@@ -161,8 +154,6 @@ def _figure(runs: list[Record]) -> Figure:
 
 def stages(seed: int) -> Figure:
     """The robot growing and bending until it meets the peg, stage by stage (figure 3.9)."""
-    from matplotlib.patches import Circle
-
     with tempfile.TemporaryDirectory() as folder:
         found = explored(_URL, folder, seed, protocol="thesis").document
     shown = [stage for stage in found.stages if stage.shapes]

@@ -1,17 +1,19 @@
 """Figures of the experiments' results, in the places of the thesis's own.
 
-Errors by condition (3.2c, 3.5c, 3.7c), readings and fits (3.3, 3.6) and the residual surface (2.7).
+The muscle's map (2.4c), errors by condition (3.2c, 3.5c, 3.7c), readings and fits (3.3, 3.6) and
+the residual surface (2.7).
 What is pressed where (3.2a, 3.4, 3.5a, 3.7a) is drawn by `schematics.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from thigmo.calibrate.actuator import BendReadings, fit_actuator
 from thigmo.mechanics import phi
 from thigmo.report.axes import BLUE, GREEN, ORANGE
 from thigmo.studies import charts
@@ -23,13 +25,13 @@ from thigmo.studies.experiments.compare import (
     Solved,
     workspace_errors,
 )
+from thigmo.studies.experiments.specimen import emulated_robot
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 Group = tuple[str, list[Solved]]
+_PRESSURES_PSI = np.arange(0.0, 20.1, 2.0)
+_TRIALS = 3
+_CAMERA_SE = 2e-4  # 1/cm, of one picture
+_BETWEEN_TRIALS = 2e-4  # 1/cm: the robot never lies quite straight
 _METHODS = ((THEIRS, ORANGE, "thesis's method, here"), (OURS, BLUE, "ours"))
 
 
@@ -190,6 +192,42 @@ def actuated(solved: Sequence[Solved], rows: Sequence[Row]) -> dict[str, Figure]
     """Errors by place and pressure (3.7c)."""
     errors = _levels(solved, rows, "Single contact with active bending (thesis, figure 3.7c)")
     return {"schematic": schematics.actuated(), "errors": errors}
+
+
+def muscle_map(seed: int) -> Figure:
+    """The muscle's map from pressure to curvature, measured and fitted (2.4c).
+
+    Eleven pressures from 0 to 20 psi, three trials, each read by a camera of calibration's
+    accuracy; `thigmo.calibrate` fits them as it fits a lab's.
+    """
+    zone = emulated_robot().actuators.left.maps[-1]
+    rng = np.random.default_rng([seed, 24])
+    psi = np.tile(_PRESSURES_PSI, _TRIALS)
+    trial = np.repeat(np.arange(_TRIALS), _PRESSURES_PSI.size)
+    seen = np.array([zone.inflate.curvature(p) for p in psi])
+    seen += (_BETWEEN_TRIALS * rng.standard_normal(_TRIALS))[trial]
+    seen += _CAMERA_SE * rng.standard_normal(psi.size)
+    result = fit_actuator(
+        BendReadings(
+            "left", zone.body_pressure_psi, psi, seen, np.full(psi.size, _CAMERA_SE),
+            ("inflate",) * psi.size, trial,
+        )
+    )  # fmt: skip
+    made, (axis,) = charts.panels(
+        title=f"Left muscle at {zone.body_pressure_psi:g} psi body pressure (thesis, figure 2.4c)"
+    )
+    for number, marker in enumerate("os^"):
+        mine = trial == number
+        axis.plot(psi[mine], seen[mine], marker, markersize=5, label=f"trial {number + 1}")
+    fine = np.linspace(0.0, 20.0, 200)
+    for curve, style, label in (
+        (result.zone.inflate, "k", "hyperbolic tangent, fitted"),
+        (zone.inflate, "r--", "the emulator's own"),
+    ):
+        axis.plot(fine, [curve.curvature(p) for p in fine], style, label=label)
+    axis.set(xlabel="actuator pressure (psi)", ylabel="free curvature (1/cm)")
+    axis.legend(fontsize=8)
+    return made
 
 
 FIGURES: dict[str, Callable[[Sequence[Solved], Sequence[Row]], dict[str, Figure]]] = {

@@ -1,8 +1,8 @@
 """A folder of what is taken with a robot, one by one: resumed, kept through every kind of end.
 
     FOLDER/
-      robot.toml    the robot's constants as used; with the first line they are fixed
-      trials.csv    a line a trial, on disk as soon as it is judged
+      robot.toml      the robot's constants as used; with the first line they are fixed
+      trials.jsonl    a line a trial, on disk as soon as it is judged
 
 Trials (`recorded.py`) and whole explorations (`explorations.py`) are taken so. The same command
 goes on after the last line.
@@ -10,104 +10,74 @@ goes on after the last line.
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
+from thigmo.calibrate.session import Session
+from thigmo.calibrate.verdict import plain
 from thigmo.config import RobotConfig
-from thigmo.errors import DataError, RunFolderError
-from thigmo.record import write_whole
-from thigmo.record.table import Table
+from thigmo.errors import DataError
 from thigmo.studies.experiments.attendant import Verdict
 
 Say = Callable[[str], None]
-Row = Mapping[str, Any]
-Line = dict[str, str]
+Row = dict[str, Any]
 
 
 class Planned(Protocol):
-    """What is to be taken; attributes with a column's name are kept in it."""
+    """What is to be taken: a record."""
 
     @property
     def key(self) -> str:
-        """What names it in trials.csv."""
+        """What names it in the folder."""
 
 
 Plan = TypeVar("Plan", bound=Planned)
 
 
 class Folder:
-    """The table of one folder; a kind of it says which columns, the key first.
+    """What was taken of one experiment.
 
     Args:
         path: the folder; made if `config` is given.
         config: of the robot; None where it is only read.
+        things: what is taken, for messages.
 
     Raises:
-        RunFolderError: the folder cannot be made.
-        DataError: its lines are of another robot.toml.
+        DataError: the folder cannot be made or read, or its lines are of another robot.toml.
     """
 
-    columns: ClassVar[tuple[str, ...]]
-    things: ClassVar[str] = "trials"
-
-    def __init__(self, path: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        config: RobotConfig | None = None,
+        things: str = "trials",
+    ) -> None:
         self.path = Path(path)
-        self.table = self.path / "trials.csv"
+        self.things = things
         file = self.path / "robot.toml"
-        self.config = RobotConfig.load(file) if config is None else config
-        if config is None:
-            return
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot make {self.path}: {error.strerror}", "choose another --out"
-            ) from error
-        if not self.table.exists():
-            config.save(file)
-        elif RobotConfig.load(file) != config:
-            raise DataError(
-                f"the {self.things} in {self.path} were made with another robot.toml",
-                f"use {file} again, or choose another --out",
-            )
+        self._session = Session(self.path, config or RobotConfig.load(file))
+        self.config = config or self._session.config
+        if self.config != self._session.config:
+            if self.rows():
+                raise DataError(
+                    f"the {things} in {self.path} were made with another robot.toml",
+                    f"use {file} again, or choose another --out",
+                )
+            self.config.save(file)
 
-    def rows(self) -> dict[str, Line]:
+    def rows(self) -> dict[str, Row]:
         """Lines so far, by key.
 
         Raises:
-            DataError: a damaged line, or another table.
+            DataError: a damaged line.
         """
-        if not self.table.exists():
-            return {}
-        columns = Table.read(self.table).columns
-        if tuple(columns) != self.columns:
-            raise DataError(
-                f"{self.table} is no table of {self.things}",
-                "move it away, or choose another --out",
-            )
-        lines = zip(*columns.values(), strict=True)
-        return {cells[0]: dict(zip(columns, cells, strict=True)) for cells in lines}
+        return self._session.rows("trials")
 
-    def kept(self) -> list[Line]:
+    def kept(self) -> list[Row]:
         """Lines that were kept, not skipped."""
         return [row for row in self.rows().values() if row["state"] == "kept"]
-
-    def add(self, planned: Planned, row: Row | None) -> None:
-        """Append what was kept, or (without a row) skipped; on disk on return.
-
-        Raises:
-            RunFolderError: the folder cannot be written.
-        """
-        cells = {name: getattr(planned, name, "") for name in self.columns} | dict(row or {})
-        cells["state"] = "skipped" if row is None else "kept"
-        held = [list(line.values()) for line in self.rows().values()]
-        text = io.StringIO(newline="")
-        csv.writer(text).writerows([self.columns, *held, [_cell(cells[n]) for n in self.columns]])
-        write_whole(self.table, text.getvalue().encode())
 
     def missing(self, planned: Sequence[Plan], say: Say, what: str) -> list[tuple[str, Plan]]:
         """What is planned and not there, each with its place among all."""
@@ -129,13 +99,9 @@ class Folder:
         judge: Callable[[str], Verdict],
         say: Say,
     ) -> bool:
-        """Take one after the other, each again until it is kept or skipped.
+        """Take one after the other of `missing`, each again until it is kept or skipped.
 
-        Args:
-            todo: of `missing`.
-            take: takes one; what the table holds of it, and a summary for the judge.
-            judge: whether to keep it.
-            say: told which one.
+        `take` returns what is kept of one beside its plan, and a summary for the judge.
 
         Returns:
             Whether all are done; False if the judge stopped.
@@ -155,13 +121,7 @@ class Folder:
                     raise
             if verdict == "quit":
                 return False
-            self.add(planned, row if verdict == "keep" else None)
+            label = {"key": planned.key, **plain(planned)}
+            taken = {"state": "kept", **row} if verdict == "keep" else {"state": "skipped"}
+            self._session.add("trials", label | taken)
         return True
-
-
-def _cell(value: Any) -> str:
-    """Lists separated by semicolons, lists of them by slashes."""
-    if isinstance(value, list | tuple):
-        lists = any(isinstance(item, list) for item in value)
-        return (" / " if lists else ";").join(_cell(item) for item in value)
-    return f"{value:.9g}" if isinstance(value, float) else str(value)

@@ -37,7 +37,7 @@ class Planned:
 
     @property
     def key(self) -> str:
-        """What names it in trials.csv."""
+        """What names it in a folder."""
         return f"{self.condition} | {self.place} | {self.number}"
 
     @property
@@ -57,10 +57,7 @@ class Planned:
 
 
 def opposed_forces(
-    gap_cm: float,
-    sign: float,
-    length_cm: float = thesis.LENGTH_CM,
-    critical: float = thesis.CRITICAL,
+    gap_cm: float, length_cm: float = thesis.LENGTH_CM, critical: float = thesis.CRITICAL
 ) -> tuple[float, float]:
     """Forces (1/cm^2) of a proximal contact and of an opposed distal one at the tip.
 
@@ -68,9 +65,8 @@ def opposed_forces(
     critical moment at the proximal contact, and the proximal one pushes the base back to as much
     of the other sign: both are then well visible, and nothing folds.
     """
-    distal = sign * 0.75 * critical / gap_cm
-    wanted = -sign * 0.75 * critical
-    return (wanted - distal * length_cm) / (length_cm - gap_cm), distal
+    distal = 0.75 * critical / gap_cm
+    return (-0.75 * critical - distal * length_cm) / (length_cm - gap_cm), distal
 
 
 def plan(
@@ -79,13 +75,10 @@ def plan(
     length_cm: float = thesis.LENGTH_CM,
     critical: float = thesis.CRITICAL,
 ) -> list[Planned]:
-    """All trials of an experiment, in the thesis's order; sides in turn.
+    """All trials of an experiment of STATIC, in the thesis's order; sides in turn.
 
-    Args:
-        experiment: one of STATIC.
-        trials: for each place and condition.
-        length_cm: of the robot; places scale with it.
-        critical: contact curvature at which its base folds, 1/cm.
+    Places scale with the robot's length; `critical` is the contact curvature at which its base
+    folds, 1/cm.
 
     Raises:
         DataError: no such experiment; a robot too short for it.
@@ -110,7 +103,7 @@ def plan(
         rows = [
             (
                 thesis.separation(gap), f"{gap:g} cm apart", (length_cm - gap, length_cm),
-                opposed_forces(gap, 1.0, length_cm, critical), 0.0,
+                opposed_forces(gap, length_cm, critical), 0.0,
             )
             for gap in thesis.GAPS_CM
         ]  # fmt: skip

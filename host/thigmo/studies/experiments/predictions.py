@@ -8,18 +8,19 @@ Nothing is fitted here.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from thigmo.config import TanhMap
 from thigmo.studies.engine import Context, Outcome, records
 from thigmo.studies.experiments import conditions, thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
 from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.plan import STATIC
-from thigmo.studies.experiments.specimen import Constants, Specimen
+from thigmo.studies.experiments.specimen import Constants, Specimen, emulated_robot
 from thigmo.studies.experiments.trial import Trial
 
 _MAP_ERROR = 0.03
@@ -33,10 +34,8 @@ class Cell:
 
     Attributes:
         changed: what differs from the frozen constants.
-        experiment, condition: the row of the thesis's results.
-        thesis_cm: the thesis's mean error.
-        camera_cm: mean |a - x of the obstacle| here.
-        workspace_cm: mean |x error| in the workspace here.
+        experiment, condition: the row of the thesis's results, whose mean error is `thesis_cm`.
+        camera_cm, workspace_cm: mean |a - x of the obstacle| and |x error| in the workspace here.
     """
 
     changed: str
@@ -52,43 +51,35 @@ class Cell:
         return self.experiment, self.condition
 
 
-@dataclass(frozen=True)
-class _Setting:
-    changed: str
-    constants: Constants
-    muscle: TanhMap | None = None
-    map_error: float = 0.0
+Setting = tuple[str, Constants, dict[str, Any]]
+"""What is changed, the constants, and options of a `Specimen`."""
 
 
-def _settings() -> Iterator[_Setting]:
+def _settings() -> Iterator[Setting]:
     fitted = frozen()
-    yield _Setting(_FROZEN, fitted)
+    yield _FROZEN, fitted, {}
     for name, value in vars(fitted).items():
         label = name.removesuffix("_cm").removesuffix("_rad").replace("_", " ")
         for word, factor in (("- 50 %", 0.5), ("+ 50 %", 1.5)):
-            yield _Setting(f"{label} {word}", replace(fitted, **{name: factor * value}))
-    muscle = conditions.emulated_robot().actuators.left.maps[-1].inflate
+            yield f"{label} {word}", replace(fitted, **{name: factor * value}), {}
+    muscle = emulated_robot().actuators.left.maps[-1].inflate
     for word, factor in (("- 25 %", 0.75), ("+ 25 %", 1.25)):
         curve = muscle.model_copy(update={"amplitude": factor * muscle.amplitude})
-        yield _Setting(f"muscle's map {word}", fitted, curve)
+        yield f"muscle's map {word}", fitted, {"muscle": curve}
     for error in (-_MAP_ERROR, _MAP_ERROR):
-        yield _Setting(f"map believed {error:+.0%}", fitted, map_error=error)
+        yield f"map believed {error:+.0%}", fitted, {"map_error": error}
 
 
-def _rows(item: tuple[_Setting, int, int, int]) -> list[Cell]:
+def _rows(item: tuple[Setting, int, int, int]) -> list[Cell]:
     """One setting on every row of sections 3.2 to 3.4 that the plain solver made."""
-    setting, robots, trials, seed = item
-    trials_of: dict[tuple[str, str], list[Trial]] = {}
+    (changed, constants, options), robots, trials, seed = item
+    trials_of: dict[tuple[str, str], list[Trial]] = defaultdict(list)
     for robot in range(robots):
         rng = np.random.default_rng([seed, robot])
-        specimen = Specimen(setting.constants, rng)
+        specimen = Specimen(constants, rng, **options)
         for name in STATIC:
-            if name == "actuated":
-                found = conditions.actuated(specimen, trials, setting.muscle, setting.map_error)
-            else:
-                found = conditions.simulated(name, specimen, trials, rng)
-            for trial in found:
-                trials_of.setdefault((name, trial.condition), []).append(trial)
+            for trial in conditions.simulated(name, specimen, trials, rng):
+                trials_of[name, trial.condition].append(trial)
     cells = []
     for row, mine in trials_of.items():
         pairs = [(trial, thesis_method(trial)) for trial in mine]
@@ -96,7 +87,7 @@ def _rows(item: tuple[_Setting, int, int, int]) -> list[Cell]:
             float(np.mean([measure(t, a) for t, a in pairs]))
             for measure in (camera_errors, workspace_errors)
         )
-        cells.append(Cell(setting.changed, *row, thesis.published(*row).mean_cm, camera, room))
+        cells.append(Cell(changed, *row, thesis.RESULTS[row].mean_cm, camera, room))
     return cells
 
 

@@ -33,11 +33,7 @@ _SAME_CM = 0.2
 
 
 def prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
-    """Configure, arm, grow to the full length stage by stage, and let every sensor settle.
-
-    Raises:
-        ThigmoError: as the robot raises; it is vented then.
-    """
+    """Configure, arm, grow to the full length stage by stage, and let every sensor settle."""
     robot.configure(config)
     length = robot.status().length_cm
     if length is None:
@@ -80,14 +76,7 @@ def pushes_cm(trial: Planned, config: RobotConfig) -> list[float]:
 
 
 def take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
-    """Take one trial; the robot is vented afterwards.
-
-    Returns:
-        What trials.csv holds of it beside its label.
-
-    Raises:
-        ThigmoError: as the robot or the attendant raises.
-    """
+    """Take one trial, vent the robot, and return what is kept of it beside its plan."""
     attendant.clear()
     _zero(robot)
     passed: list[Reading] = []

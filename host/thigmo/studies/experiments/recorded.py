@@ -18,11 +18,11 @@ from thigmo.errors import DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.folder import Folder, Line, Row, Say
+from thigmo.studies.experiments.folder import Folder, Row, Say
 from thigmo.studies.experiments.plan import Planned, plan
 from thigmo.studies.experiments.procedure import prepare, take
-from thigmo.studies.experiments.trial import Floats, Passed, Trial
+from thigmo.studies.experiments.trial import Passed, Trial
+from thigmo.studies.rod import Floats
 
 if TYPE_CHECKING:
     from thigmo.robot import Robot
@@ -32,57 +32,38 @@ _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not stat
 _LEAST_GAIN_SE = 1e-3
 
 
-class TrialFolder(Folder):
-    """One experiment's trials on disk."""
+def trials(folder: Folder) -> list[Trial]:
+    """The kept trials, for `evaluate`.
 
-    columns = (
-        "key", "experiment", "condition", "place", "number", "side", "state", "arcs_cm",
-        "pressure_psi", "t_s", "length_cm", "left_psi", "right_psi", "zeroed", "curvature",
-        "dowel_x_cm", "dowel_y_cm", "true_arcs_cm", "true_forces", "true_contact_x_cm",
-        "passed_psi", "passed_curvature",
-    )  # fmt: skip
-
-    def trials(self) -> list[Trial]:
-        """The kept trials, for `evaluate`.
-
-        Raises:
-            DataError: a damaged line.
-        """
-        kept = self.kept()
-        try:
-            return [_trial(row, self.config, kept) for row in kept]
-        except (ValueError, IndexError) as error:
-            raise DataError(
-                f"{self.table} is damaged: {error}", "mend or delete that line"
-            ) from error
+    Raises:
+        DataError: a damaged line.
+    """
+    kept = folder.kept()
+    try:
+        return [_trial(row, folder.config, kept) for row in kept]
+    except (LookupError, TypeError, ValueError) as error:
+        raise DataError(
+            f"the table in {folder.path} is damaged: {error!r}", "mend or delete that line"
+        ) from error
 
 
 def run_trials(
     robot: Robot,
     attendant: Attendant,
-    folder: TrialFolder,
+    folder: Folder,
     experiment: str,
-    trials: int,
+    count: int,
     say: Say = lambda text: None,
 ) -> bool:
-    """Take the planned trials that the folder does not hold yet.
+    """Take so many trials of each place and condition, but for those that the folder holds.
 
-    Args:
-        robot: connected.
-        attendant: places dowels, measures them, judges.
-        folder: with the robot's constants.
-        experiment: one of `plan.STATIC`.
-        trials: for each place and condition.
-        say: told what happens.
+    What was taken is kept in every case.
 
     Returns:
         Whether all are done; False if the attendant stopped.
-
-    Raises:
-        ThigmoError: as the robot raises. What was taken is kept in every case.
     """
     config, body = folder.config, folder.config.body
-    planned = plan(experiment, trials, body.length_cm, body.critical_curvature)
+    planned = plan(experiment, count, body.length_cm, body.critical_curvature)
     todo = folder.missing(planned, say, experiment)
     if not todo:
         return True
@@ -105,16 +86,7 @@ def run_trials(
     return done
 
 
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in text.split(";")) if text else ()
-
-
-def _frames(row: Line) -> Floats:
-    """(T, N) readings at the pressures on the way."""
-    return np.array([_numbers(part) for part in row["passed_curvature"].split("/")])
-
-
-def _shown_gains(rows: Sequence[Line], config: RobotConfig, side: Side) -> tuple[Floats, Floats]:
+def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> tuple[Floats, Floats]:
     """What the untouched robot showed of its sensors' gains at 6 psi, and their errors, (N,) each.
 
     As `Specimen.learn_gains`; but what a reading errs by on a real robot (its zero, its hysteresis)
@@ -124,30 +96,30 @@ def _shown_gains(rows: Sequence[Line], config: RobotConfig, side: Side) -> tuple
     mine = [row for row in rows if row["side"] == side and row["passed_psi"]]
     zone, sign = muscle.maps[-1], 1 if side == "left" else -1
     spread = np.maximum(np.hypot(scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
-    believed = np.mean([
-        sign * zone.inflate.curvature(_numbers(row["passed_psi"])[0]) for row in mine
-    ])  # fmt: skip
-    departure = np.mean([_frames(row)[0] for row in mine], axis=0) - believed
+    believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in mine])
+    departure = np.mean([row["passed_curvature"][0] for row in mine], axis=0) - believed
     variance = table.noise**2 + muscle.offset_se**2
     precision = 1 / spread**2 + believed**2 / variance
     return 1 + np.nan_to_num(believed * departure / variance / precision), precision**-0.5
 
 
-def _trial(row: Line, config: RobotConfig, rows: Sequence[Line]) -> Trial:
+def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     """A line of the table as a trial: usable sensors only, free curvature by the map."""
     table = SensorTable.of(config)
-    curvature = np.array(_numbers(row["curvature"]))
-    side: Side = "left" if row["side"] == "left" else "right"
+    curvature = np.array(row["curvature"])
+    side: Side = row["side"]
     muscle, sign = config.actuators.side(side), 1 if side == "left" else -1
     zone = muscle.maps[-1]
     scale_se = scale_errors(config)
     if row["passed_psi"]:
-        free = sign * zone.inflate.curvature(float(row[f"{side}_psi"]))
+        free = sign * zone.inflate.curvature(row[f"{side}_psi"])
         gain, gain_se = _shown_gains(rows, config, side)
-        use = table.usable(side, int(row["zeroed"])) & np.isfinite(curvature)
-        on_the_way = [sign * zone.inflate.curvature(psi) for psi in _numbers(row["passed_psi"])]
+        use = table.usable(side, row["zeroed"]) & np.isfinite(curvature)
         passed = Passed(
-            _frames(row)[:, use], np.array(on_the_way), float(np.median(gain_se[use])), _PLACE_SE_CM
+            np.array(row["passed_curvature"])[:, use],
+            np.array([sign * zone.inflate.curvature(psi) for psi in row["passed_psi"]]),
+            float(np.median(gain_se[use])),
+            _PLACE_SE_CM,
         )
         # The zero, and what scale and map may be off by.
         more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
@@ -155,7 +127,7 @@ def _trial(row: Line, config: RobotConfig, rows: Sequence[Line]) -> Trial:
         free, gain, passed, more = 0.0, np.ones(curvature.size), None, np.zeros(curvature.size)
         use = table.healthy & (table.direction * curvature >= 0)
     sigma = np.sqrt(table.noise**2 + (scale_se * (curvature - free)) ** 2 + more)
-    arcs = _numbers(row["true_arcs_cm"]) or _numbers(row["arcs_cm"])
+    arcs = tuple(row["true_arcs_cm"] or row["arcs_cm"])
     unknown = (float("nan"),) * len(arcs)
     return Trial(
         row["condition"],
@@ -169,13 +141,12 @@ def _trial(row: Line, config: RobotConfig, rows: Sequence[Line]) -> Trial:
         sigma[use],
         sigma[use],
         arcs,
-        _numbers(row["true_forces"]) or unknown,
-        _numbers(row["dowel_x_cm"]),
-        _numbers(row["true_contact_x_cm"]) or unknown,
+        tuple(row["true_forces"]) or unknown,
+        tuple(row["dowel_x_cm"]),
+        tuple(row["true_contact_x_cm"]) or unknown,
         offset_sigma=muscle.offset_se,
-        length_cm=float(row["length_cm"]),
+        length_cm=row["length_cm"],
         critical=config.body.critical_curvature,
         radius_cm=config.body.radius_cm,
-        dowel_cm=thesis.DOWEL_CM,
         passed=passed,
     )

@@ -8,9 +8,11 @@ exploration, is drawn from the table of states that the exploration walks.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from thigmo.exploration.states import TRANSITIONS, State
 from thigmo.mechanics import Solution, peg_for
@@ -20,11 +22,7 @@ from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.conditions import actuated_body
 from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.plan import opposed_forces
-from thigmo.studies.experiments.specimen import pushed
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from thigmo.studies.experiments.specimen import emulated_robot, pushed
 
 Bodies = list[tuple[str, Solution]]
 
@@ -62,7 +60,7 @@ def two_contacts() -> Figure:
     bodies = [
         (
             f"{gap:g} cm apart",
-            pushed((thesis.LENGTH_CM - gap, thesis.LENGTH_CM), opposed_forces(gap, 1.0)),
+            pushed((thesis.LENGTH_CM - gap, thesis.LENGTH_CM), opposed_forces(gap)),
         )
         for gap in thesis.GAPS_CM
     ]
@@ -72,8 +70,11 @@ def two_contacts() -> Figure:
 def actuated() -> Figure:
     """The robot bends itself into a dowel: at 6 psi it just touches (figure 3.7a)."""
     pressures = (thesis.TOUCH_PSI, *sorted(thesis.ACTUATED_PSI.values()))
+    muscle = emulated_robot().actuators.left.maps[-1].inflate
     drawn = {
-        f"touches at {place}": [(f"{psi:g} psi", actuated_body(arc, psi)[0]) for psi in pressures]
+        f"touches at {place}": [
+            (f"{psi:g} psi", actuated_body(arc, psi, muscle)[0]) for psi in pressures
+        ]
         for place, arc in zip(thesis.PLACES, thesis.SINGLE_ARCS_CM, strict=True)
     }
     return _figure(drawn, "Single contact with active bending (thesis, figure 3.7a)", 4.2)
@@ -94,8 +95,6 @@ def _figure(drawn: dict[str, Bodies], title: str, height: float) -> Figure:
 
 def _body(axis: Axes, body: Solution, color: str, label: str) -> None:
     """Axis, walls and sensors of the body, and the dowels that press on it."""
-    from matplotlib.patches import Circle
-
     points = np.array([body.pose(float(s)) for s in np.linspace(0.0, body.length, 200)])
     x, y, heading = points.T
     axis.plot(x, y, color=color, label=label)

@@ -8,18 +8,15 @@ few sensors have stop it. The exact minimum of the 1-norm has no such limit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 
 from thigmo.studies import charts
 from thigmo.studies.attempt import mean_and_failures
 from thigmo.studies.engine import Claim, Context, Outcome
+from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import CRITICAL, LENGTH, Case, read
-from thigmo.studies.stability import DEFAULT, Floats, Stress, errors_of, sign_of, tabulate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from thigmo.studies.stability import DEFAULT, Stress, errors_of, sign_of, tabulate
 
 _OURS = "posterior (default)"
 METHODS = {

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from thigmo.config import RobotConfig, TanhMap
+from thigmo.emulator.scene import Scene
 from thigmo.mechanics import Solution, Tube, peg_for, push
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Passed, Trial
-
-Floats = NDArray[np.float64]
+from thigmo.studies.rod import Floats
 
 _STEP_CM = 1e-3
 
@@ -38,6 +39,12 @@ class Constants:
     gain_spread: float
     position_cm: float
     fold_rad: float
+
+
+@cache
+def emulated_robot() -> RobotConfig:
+    """The robot of the emulator's default scene: the thesis publishes no map of its muscles."""
+    return Scene.load("default").robot
 
 
 def pushed(
@@ -66,44 +73,44 @@ class Specimen:
     Args:
         constants: how imperfect it is.
         rng: draws the robot, then the noise of its trials.
-        centers_cm: believed sensor centres of a column.
+        muscle: the left one's map; None takes the emulated robot's.
+        map_error: relative error of the free curvature that the lab believes.
+
+    Attributes:
+        gain_sigma: relative standard deviation of what is still unknown of a gain.
     """
 
     def __init__(
         self,
         constants: Constants,
         rng: np.random.Generator,
-        centers_cm: Sequence[float] = thesis.CENTERS_CM,
+        muscle: TanhMap | None = None,
+        map_error: float = 0.0,
     ) -> None:
         self.constants = constants
-        self.believed: Floats = np.tile(np.asarray(centers_cm, dtype=np.float64), 2)
+        self.muscle = muscle or emulated_robot().actuators.left.maps[-1].inflate
+        self.map_error = map_error
+        self.believed: Floats = np.tile(thesis.CENTERS_CM, 2)
         count = self.believed.size
         half = thesis.SPAN_CM / 2
         true = self.believed + constants.position_cm * rng.standard_normal(count)
         self._true = np.clip(true, min(half, self.believed.min()), thesis.LENGTH_CM - half)
         self._gain = 1.0 + constants.gain_spread * rng.standard_normal(count)
         self._shown = np.ones(count)
-        self._gain_se = constants.gain_spread
+        self.gain_sigma = constants.gain_spread
         self._rng = rng
-
-    @property
-    def gain_sigma(self) -> float:
-        """Relative standard deviation of what is still unknown of a gain."""
-        return self._gain_se
 
     def learn_gains(self, readings: Floats, believed: float) -> None:
         """Take readings of the untouched robot, bent by its muscle: all sensors bend alike there.
 
-        Args:
-            readings: (R, N) of the first N sensors, 1/cm.
-            believed: what the map says that they are, 1/cm.
+        Readings are (R, N) of the first N sensors; the map says that they are `believed`.
         """
         noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
         # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
         precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
         departure = believed / noise**2 * (readings - believed).sum(axis=0)
         self._shown[: readings.shape[1]] = 1 + departure / precision
-        self._gain_se = float(precision**-0.5)
+        self.gain_sigma = float(precision**-0.5)
 
     def press(
         self,
@@ -115,14 +122,7 @@ class Specimen:
         free: float = 0.0,
         fold_rad: float = 0.0,
     ) -> Trial:
-        """Readings while contacts press with given normal forces at given arcs.
-
-        Args:
-            condition, place: labels.
-            arcs_cm, forces: the contacts (1/cm^2), base first.
-            free: free curvature, 1/cm.
-            fold_rad: fold of the base.
-        """
+        """Readings while normal forces (1/cm^2) press at arcs, base first."""
         body = pushed(arcs_cm, forces, free=free, fold_rad=fold_rad)
         return self.observe(condition, place, body, self.read(body), free=free)
 
@@ -145,15 +145,7 @@ class Specimen:
         free: float = 0.0,
         passed: Passed | None = None,
     ) -> Trial:
-        """A trial from readings of a body.
-
-        Args:
-            condition, place: labels.
-            body: in a known equilibrium.
-            noisy: what `read` gave.
-            free: believed free curvature, 1/cm.
-            passed: what was read on the way.
-        """
+        """A trial from noisy readings (`read`) of a body, and what was read on the way."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
         count = len(noisy)
         at = self._true[:count]
@@ -184,7 +176,7 @@ class Specimen:
         Of a gain what is still unknown counts.
         """
         c = self.constants
-        variance = c.noise**2 + (self._gain_se * curvature) ** 2 + (c.position_cm * slope) ** 2
+        variance = c.noise**2 + (self.gain_sigma * curvature) ** 2 + (c.position_cm * slope) ** 2
         return np.asarray(np.sqrt(variance))
 
 

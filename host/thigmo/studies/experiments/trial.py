@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from thigmo.studies.experiments import thesis
-
-Floats = NDArray[np.float64]
+from thigmo.studies.rod import Floats
 
 
 @dataclass(frozen=True)
