@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from thigmo.robot.state import Recording
 from thigmo.room import Operator
 
 Row = dict[str, Any]
+T = TypeVar("T")
 
 _TRIES = 3
 _QUIET_S = 5.0  # after venting, before zeros are taken
@@ -192,17 +193,16 @@ class Bench:
     def rows(
         self,
         procedure: str,
-        keys: Iterable[str],
-        take: Callable[[str], Row],
-        *,
-        prepare: Callable[[], None] | None = None,
+        planned: Mapping[str, T],
+        take: Callable[[str, T], Row],
+        prepare: Callable[[], None],
     ) -> list[Row]:
         """Take the planned rows that the folder does not hold yet, or that the camera missed.
 
         Args:
             procedure: name of the table.
-            keys: of the planned rows.
-            take: takes one row.
+            planned: what each row asks for, by its key.
+            take: takes a row, from its key and what it asks for.
             prepare: called once before the first row that is taken; not if there is none to take.
 
         Returns:
@@ -211,16 +211,15 @@ class Bench:
         Raises:
             CameraMovedError: pictures taken from now on would be wrong.
         """
-        planned = list(keys)
         held = self.session.rows(procedure)
         missing = [key for key in planned if held.get(key, _UNSEEN).get("unseen")]
         if len(missing) < len(planned) and missing:
             self.say(f"{procedure}: going on after {len(planned) - len(missing)} rows")
-        if missing and prepare is not None:
+        if missing:
             prepare()
         for number, key in enumerate(missing, start=len(planned) - len(missing) + 1):
             self.say(f"{procedure} {number} of {len(planned)}: {key}")
-            row = {"key": key, **take(key)}
+            row = {"key": key, **take(key, planned[key])}
             self.session.add(procedure, row)
             held.pop(key, None)
             held[key] = row

@@ -77,7 +77,7 @@ def _flex(result: FlexResult, path: Path) -> None:
     columns = 1 + max(fit.index for fit in result.sensors)
     figure = Figure(figsize=(3.0 * columns, 6.4), layout="constrained")
     grid = figure.subplots(2, columns, squeeze=False)
-    for axes in grid.flat[:]:
+    for axes in grid.flat:
         axes.set_visible(False)  # where a side has fewer sensors than the other
     readings, good = result.rows.readings, result.rows.good
     kinds, active = np.array(readings.kind), np.array(readings.active)
@@ -90,12 +90,9 @@ def _flex(result: FlexResult, path: Path) -> None:
             axes.plot(k[pick], ohm[pick], mark, color=color, ms=4, label=kind)
         axes.plot(k[~good], ohm[~good], "x", color=RED, ms=5, label="left out")
         if fit.healthy:
-            low, high = float(np.nanmin(k)), float(np.nanmax(k))
-            if fit.valid_direction > 0:
-                low = 0.0
-            elif fit.valid_direction < 0:
-                high = 0.0
-            line = np.array([low, high])
+            line = np.array([np.nanmin(k), np.nanmax(k)])
+            if fit.valid_direction:
+                line[int(fit.valid_direction < 0)] = 0.0
             axes.plot(line, (fit.zero_ohm + line / fit.scale_per_ohm) / 1000, "k-", lw=1)
         seen = ohm[np.isfinite(ohm) & good]
         if len(seen):

@@ -81,20 +81,21 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
     rows: list[Row] = []
     for zone in zones:
         body = bench.config.body.zones[zone].pressure_psi
-        keys = [
-            f"zone {zone} trial {trial} {side} {branch} {psi:g}"
+        planned = {
+            f"zone {zone} trial {trial} {side} {branch} {psi:g}": (trial, side, branch, psi)
             for trial in range(bench.plan.trials)
             for side in SIDES
             for branch, psi in bend_set_points(bench, side)
-        ]
+        }
 
-        def take(key: str, zone: int = zone, body: float = body) -> Row:
-            _, _, _, trial, side, branch, psi = key.split()
-            target = float(psi)
-            if target == 0.0:
+        def take(
+            key: str, asked: tuple[int, Side, str, float], zone: int = zone, body: float = body
+        ) -> Row:
+            trial, side, branch, psi = asked
+            if psi == 0.0:
                 bench.robot.vent()
             else:
-                _press(bench, side, target, _RAMP_PSI_S)
+                _press(bench, side, psi, _RAMP_PSI_S)
             bench.robot.wait(_STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
             reading = bench.robot.read(_READ_S)
 
@@ -104,14 +105,13 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
 
             seen = bench.seen(shot, {"k": None, "k_se": None})
             return {
-                "zone": zone, "body_psi": body, "trial": int(trial), "side": side,
-                "branch": branch,
+                "zone": zone, "body_psi": body, "trial": trial, "side": side, "branch": branch,
                 "psi": getattr(reading, f"{side}_psi"),
                 "ohm": bench.ohm(reading).tolist(), "rest": bench.rest, "t_s": reading.t_s,
                 **seen,
             }  # fmt: skip
 
-        rows.extend(bench.rows("bends", keys, take, prepare=partial(bench.ready_to_bend, zone)))
+        rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, zone)))
         bench.robot.vent()
     return rows
 
@@ -123,12 +123,10 @@ def tip_rows(bench: Bench) -> list[Row]:
     far = [reach * (n + 1) / half for n in range(half)]
     # Out and back, sides in turn: neither a loop nor a shift looks like a side.
     asked = [sign * y for y in (*far[::2], *reversed(far[1::2])) for sign in (1, -1)]
-    keys = [f"straight {n}" for n in range(plan.straight)]
-    keys += [f"tip {n}" for n in range(len(asked))]
+    planned: dict[str, float | None] = {f"straight {n}": None for n in range(plan.straight)}
+    planned |= {f"tip {n}": y for n, y in enumerate(asked)}
 
-    def take(key: str) -> Row:
-        kind, number = key.split()
-        wanted = asked[int(number)] if kind == "tip" else None
+    def take(key: str, wanted: float | None) -> Row:
         for _ in range(_PUSHES):
             bench.hand.push_tip(wanted)
             bench.robot.wait(_STEADY_S)
@@ -142,11 +140,11 @@ def tip_rows(bench: Bench) -> list[Row]:
                       f"{side} (if it is there, the camera's +y is not the robot's left: mend the "
                       "cards' places in the sheet file)")  # fmt: skip
         return {
-            "kind": kind, "asked": wanted, "ohm": bench.ohm(reading).tolist(),
+            "kind": key.split()[0], "asked": wanted, "ohm": bench.ohm(reading).tolist(),
             "rest": bench.rest, "t_s": reading.t_s, **seen,
         }  # fmt: skip
 
-    rows = bench.rows("tips", keys, take, prepare=bench.ready_to_bend)
+    rows = bench.rows("tips", planned, take, bench.ready_to_bend)
     bench.hand.push_tip(None)
     return rows
 
@@ -156,13 +154,13 @@ def bow_rows(bench: Bench) -> list[Row]:
     reach, half = _tip_reach_cm(bench), bench.plan.pictures // 2
     asked = [sign * y for y in np.linspace(0.6 * reach, reach, half) for sign in (1, -1)]
 
-    def take(key: str) -> Row:
-        bench.hand.push_tip(asked[int(key.split()[1])])
+    def take(key: str, y_cm: float) -> Row:
+        bench.hand.push_tip(y_cm)
         bench.robot.wait(_STEADY_S)
         return _tip_seen(bench)
 
-    keys = [f"bow {n}" for n in range(len(asked))]
-    rows = bench.rows("bows", keys, take, prepare=bench.ready_to_bend)
+    planned = {f"bow {n}": y for n, y in enumerate(asked)}
+    rows = bench.rows("bows", planned, take, bench.ready_to_bend)
     bench.hand.push_tip(None)
     return rows
 
@@ -188,32 +186,31 @@ def push_rows(bench: Bench) -> list[Row]:
     config = bench.config
     reach = 1.7 * config.body.critical_curvature * config.body.length_cm**2 / 3
 
-    def take(key: str) -> Row:
-        sign = 1 if int(key.split()[1]) % 2 == 0 else -1
+    def take(key: str, y_cm: float) -> Row:
         bench.hand.push_tip(None)
         bench.robot.wait(_STEADY_S)
         straight = bench.robot.read(_READ_S)
-        bench.hand.push_tip(sign * reach)
+        bench.hand.push_tip(y_cm)
         bench.robot.wait(_STEADY_S)
         pushed = bench.robot.read(2 * _READ_S)
         bench.hand.push_tip(None)
         return {"rest": bench.ohm(straight).tolist(), "ohm": bench.ohm(pushed).tolist()}
 
-    keys = [f"push {n}" for n in range(bench.plan.pushes)]
-    return bench.rows("pushes", keys, take, prepare=bench.ready_to_bend)
+    planned = {f"push {n}": (-1) ** n * reach for n in range(bench.plan.pushes)}
+    return bench.rows("pushes", planned, take, bench.ready_to_bend)
 
 
 def rest_rows(bench: Bench) -> list[Row]:
     """Readings of the resting robot."""
 
-    def take(key: str) -> Row:
+    def take(key: str, _: None) -> Row:
         # As long as a sweep's peak is averaged.
         reading = bench.robot.read(_PEAK_S)
         bench.robot.wait(0.5)
         return {"t_s": reading.t_s, "ohm": bench.ohm(reading).tolist()}
 
-    keys = [f"rest {n}" for n in range(bench.plan.rest_readings)]
-    return bench.rows("rest", keys, take, prepare=bench.ready_to_bend)
+    planned = {f"rest {n}": None for n in range(bench.plan.rest_readings)}
+    return bench.rows("rest", planned, take, bench.ready_to_bend)
 
 
 def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | None:
@@ -226,7 +223,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
     other: Side = "right" if side == "left" else "left"
     sensors = bench.config.sensors.column(other)
 
-    def take(key: str) -> Row:
+    def take(key: str, _: None) -> Row:
         parts = []
         for seconds in _RAMPS_S:
             for target in (top, _RAMP_END_PSI):
@@ -242,7 +239,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
                 "ohm": ohm[::step].tolist()}  # fmt: skip
 
     ready = partial(bench.ready_to_bend, zone)
-    row = bench.rows("lag", [f"ramp {side} zone {zone}"], take, prepare=ready)[0]
+    row = bench.rows("lag", {f"ramp {side} zone {zone}": None}, take, ready)[0]
     t, ohm = np.array(row["t_s"], float), np.array(row["ohm"], float)
     later = later_s(1 << bench.robot.parameter("oversample_log2")[0])
     bends = [

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from thigmo.camera.errors import BodyNotSeenError
-from thigmo.camera.model import CameraModel, Picture, colored
+from thigmo.camera.model import CameraModel, Picture
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def flatten(
         camera.lens.matrix, camera.lens.distortion, np.eye(3), np.linalg.inv(to_ray @ to_plane),
         (columns, rows), cv2.CV_32FC1,
     )  # fmt: skip
-    image = cv2.remap(colored(picture), *lookup, cv2.INTER_LINEAR)
+    image = cv2.remap(picture, *lookup, cv2.INTER_LINEAR)
     return Flat(np.asarray(image, np.uint8), px_per_cm)
 
 

@@ -73,7 +73,7 @@ def _clicked(picture: NDArray[np.uint8], what: str) -> tuple[Pixel, ...]:
             "no window can be opened here", "give the points with `--tip X,Y` or `--points FILE`"
         )
     figure, axes = plt.subplots(figsize=(14, 8))
-    axes.imshow(picture[..., ::-1] if picture.ndim == 3 else picture, cmap="gray")
+    axes.imshow(picture[..., ::-1])
     axes.set_title(f"{what}  (left: add, right: undo, Enter: done)")
     figure.canvas.mpl_connect("close_event", lambda _: figure.canvas.stop_event_loop())
     points = figure.ginput(n=-1, timeout=0)

@@ -237,20 +237,6 @@ def write_json(path: str | os.PathLike[str], *records: Any) -> None:
         ) from error
 
 
-def gray(picture: Picture) -> Picture:
-    """Brightness of a colour (BGR) or gray picture."""
-    if picture.ndim == 2:
-        return picture
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
-
-
-def colored(picture: Picture) -> Picture:
-    """BGR of a colour or gray picture."""
-    if picture.ndim == 3:
-        return picture
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), np.uint8)
-
-
 def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
     """Corners (4, 2) px of every marker of a dictionary, by id; sub-pixel. A doubled id is dropped.
 
@@ -266,7 +252,7 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
     settings.errorCorrectionRate = 0.34
     settings.minMarkerPerimeterRate = 0.02
     finder = cv2.aruco.ArucoDetector(dictionary(name), settings)
-    corners, ids, _ = finder.detectMarkers(gray(picture))
+    corners, ids, _ = finder.detectMarkers(picture)
     if ids is None:
         return {}
     named = [int(marker) for marker in np.ravel(ids)]
@@ -311,7 +297,7 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
     size = (0, 0)
     for picture in pictures:
         size = (picture.shape[1], picture.shape[0])
-        corners, ids, _, _ = finder.detectBoard(gray(picture))
+        corners, ids, _, _ = finder.detectBoard(picture)
         if ids is None or len(ids) < 12:
             continue
         shape, seen = charuco.matchImagePoints(corners, ids)

@@ -41,11 +41,13 @@ class Obstacle:
     radius_cm: float
     rim: float
 
+    def apart_cm(self, other: Obstacle) -> float:
+        """Distance of the centres."""
+        return float(np.hypot(self.x_cm - other.x_cm, self.y_cm - other.y_cm))
+
 
 def find_obstacles(
-    flat: Flat,
-    radius_cm: tuple[float, float] = (0.65, 2.5),
-    ignore: Sequence[Array] = (),
+    flat: Flat, radius_cm: tuple[float, float], ignore: Sequence[Array]
 ) -> list[Obstacle]:
     """Circles of a picture laid flat at the obstacles' height, best rim first.
 
@@ -53,22 +55,15 @@ def find_obstacles(
         flat: from `flatten` at the height of the obstacles' tops.
         radius_cm: least and largest radius looked for.
         ignore: polygons (n, 2) in cm where nothing is looked for (cards, the tip marker).
-
     """
     channels = _channels(flat)
     low, high = (r * flat.px_per_cm for r in radius_cm)
     candidates: list[Array] = []
     for channel in channels:
         circles = cv2.HoughCircles(
-            channel,
-            cv2.HOUGH_GRADIENT_ALT,
-            dp=1.5,
-            minDist=max(4.0, low),
-            param1=90,
-            param2=0.55,
-            minRadius=max(2, int(0.85 * low)),
-            maxRadius=int(1.15 * high),
-        )
+            channel, cv2.HOUGH_GRADIENT_ALT, dp=1.5, minDist=max(4.0, low), param1=90, param2=0.55,
+            minRadius=max(2, int(0.85 * low)), maxRadius=int(1.15 * high),
+        )  # fmt: skip
         if circles is not None:
             candidates.extend(np.asarray(circles, float).reshape(-1, circles.shape[-1])[:60, :3])
     # GRADIENT_ALT gives the most voted first, channel by channel.
@@ -80,12 +75,8 @@ def find_obstacles(
         obstacle = _refine(channels, flat, np.array([column, row]), radius)
         if obstacle is None or not radius_cm[0] <= obstacle.radius_cm <= radius_cm[1]:
             continue
-        twins = [
-            other
-            for other in found
-            if np.hypot(other.x_cm - obstacle.x_cm, other.y_cm - obstacle.y_cm)
-            < 0.9 * (other.radius_cm + obstacle.radius_cm)
-        ]
+        reach = 0.9 * obstacle.radius_cm
+        twins = [o for o in found if o.apart_cm(obstacle) < reach + 0.9 * o.radius_cm]
         if all(twin.rim < obstacle.rim for twin in twins):
             found = [other for other in found if other not in twins] + [obstacle]
     return sorted(found, key=lambda o: -o.rim)
@@ -175,14 +166,8 @@ def _circle(points: Array, center: Array, radius: float) -> Array:
     def residuals(p: Array) -> Array:
         return np.asarray(np.hypot(points[:, 0] - p[0], points[:, 1] - p[1]) - p[2])
 
-    def slopes(p: Array) -> Array:
-        away = p[:2] - points
-        return np.column_stack([away / np.hypot(*away.T)[:, None], np.full(len(points), -1.0)])
-
-    start = np.array([center[0], center[1], radius])
-    return np.asarray(
-        least_squares(residuals, start, jac=slopes, loss="cauchy", f_scale=0.7).x, float
-    )
+    start = np.array([*center, radius])
+    return np.asarray(least_squares(residuals, start, loss="cauchy", f_scale=0.7).x, float)
 
 
 def circle_through(points_cm: Array) -> Obstacle:

@@ -214,29 +214,24 @@ def _table(
     _clutter(flat, look, rng)
     shade = np.zeros(shape, np.uint8)
 
-    def pixels(points: Array) -> Any:
-        return np.round((points - low) * px * 16).astype(np.int32).reshape(-1, 1, 2)
+    def shadow(points: Array, radius_cm: float) -> None:
+        pixels = np.round((points - low) * px * 16).astype(np.int32).reshape(-1, 1, 2)
+        thick = max(1, round(2 * radius_cm * px))
+        cv2.polylines(shade, [pixels], False, 255, thick, cv2.LINE_AA, 4)
 
     light = np.array(look.light)
     if view.body is not None:
         axis = np.column_stack([view.body.x_cm, view.body.y_cm])
-        moved = axis + light * view.body.radius_cm
-        thick = max(1, round(2 * view.body.radius_cm * px))
-        cv2.polylines(shade, [pixels(moved)], False, 255, thick, cv2.LINE_AA, 4)
+        shadow(axis + light * view.body.radius_cm, view.body.radius_cm)
     for peg in view.pegs:
         foot = np.array([peg.x_cm, peg.y_cm])
-        ends = np.stack([foot, foot + light * peg.height_cm])
-        thick = max(1, round(2 * peg.radius_cm * px))
-        cv2.polylines(shade, [pixels(ends)], False, 255, thick, cv2.LINE_AA, 4)
+        shadow(np.stack([foot, foot + light * peg.height_cm]), peg.radius_cm)
     soft = cv2.GaussianBlur(shade, (0, 0), 0.35 * px)
     flat *= 1 - look.shadow * soft.astype(np.float32)[..., None] / 255
-    warped = cv2.remap(
-        flat,
-        (x - np.float32(low[0])) * px - 0.5,
-        (y - np.float32(low[1])) * px - 0.5,
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
+    column, row = (
+        (place - np.float32(start)) * px - 0.5 for place, start in ((x, low[0]), (y, low[1]))
     )
+    warped = cv2.remap(flat, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped, np.float32)
 
 
@@ -262,17 +257,9 @@ def _clutter(flat: NDArray[np.float32], look: Look, rng: np.random.Generator) ->
             cv2.circle(flat, _pair(at), radius, color, -1, cv2.LINE_AA)
         else:
             steps = np.cumsum(rng.normal(0, 0.35, 40)) + turn
-            walk = at + np.cumsum(
-                np.column_stack([np.cos(steps), np.sin(steps)]) * 0.5 * px, axis=0
-            )
-            cv2.polylines(
-                flat,
-                [walk.astype(np.int32).reshape(-1, 1, 2)],
-                False,
-                color,
-                max(1, int(0.3 * px)),
-                cv2.LINE_AA,
-            )
+            ways = np.column_stack([np.cos(steps), np.sin(steps)])
+            walk = (at + np.cumsum(ways * 0.5 * px, axis=0)).astype(np.int32).reshape(-1, 1, 2)
+            cv2.polylines(flat, [walk], False, color, max(1, int(0.3 * px)), cv2.LINE_AA)
 
 
 def _pair(point: Array) -> tuple[int, int]:
@@ -316,15 +303,10 @@ def _tube(
                 points = np.column_stack([axis + across[:, None] * normal, height])
                 edges.append(camera.project(points))
             middle = (outer + inner) / 2
-            facing = np.column_stack(
-                [side * np.sin(middle) * normal, np.full(len(fine), np.cos(middle))]
-            )
-            lit = 0.35 + 0.65 * np.clip(facing @ sun, 0, 1)
-            _fill(
-                canvas,
-                np.concatenate([edges[0], edges[1][::-1]]),
-                _scaled(body.color, float(lit.mean())),
-            )
+            facing = side * np.sin(middle) * normal @ sun[:2] + np.cos(middle) * sun[2]
+            lit = 0.35 + 0.65 * np.clip(facing, 0, 1)
+            strip = np.concatenate([edges[0], edges[1][::-1]])
+            _fill(canvas, strip, _scaled(body.color, float(lit.mean())))
             for start in range(0, len(fine) - 1, 3):
                 stop = min(start + 4, len(fine))
                 quad = np.concatenate([edges[0][start:stop], edges[1][start:stop][::-1]])
@@ -355,15 +337,10 @@ def _peg(
 ) -> None:
     """A dowel's wall between two heights, and its top face."""
     around = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    ring = np.column_stack(
-        [
-            peg.x_cm + peg.radius_cm * np.cos(around),
-            peg.y_cm + peg.radius_cm * np.sin(around),
-            np.zeros(72),
-        ]
+    x, y = peg.x_cm + peg.radius_cm * np.cos(around), peg.y_cm + peg.radius_cm * np.sin(around)
+    upper, lower = (
+        camera.project(np.column_stack([x, y, np.full(72, height)])) for height in (high_cm, low_cm)
     )
-    upper = camera.project(ring + np.array([0, 0, high_cm]))
-    lower = camera.project(ring + np.array([0, 0, low_cm]))
     hull = cv2.convexHull(np.concatenate([upper, lower]).astype(np.float32)).reshape(-1, 2)
     _fill(canvas, hull.astype(float), _scaled(peg.color, 0.55))
     if top:
@@ -391,16 +368,12 @@ def _paste(canvas: NDArray[np.float32], camera: CameraModel, patch: Decal) -> No
     v = at @ down / (down @ down)
     n_rows, n_columns = patch.image.shape
     # Texels per pixel, for the smoothing that sampling needs.
-    ratio = n_columns / max(1.0, float(np.linalg.norm(outline[1] - outline[0])))
+    wide = max(1.0, float(np.linalg.norm(outline[1] - outline[0])))
+    ratio = n_columns / wide
     smooth = cv2.GaussianBlur(patch.image, (0, 0), max(0.3, 0.4 * ratio)).astype(np.float32)
-    ink = cv2.remap(
-        smooth,
-        (u * n_columns - 0.5).astype(np.float32),
-        (v * n_rows - 0.5).astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    pixel_u = 1.0 / max(1.0, float(np.linalg.norm(outline[1] - outline[0])))
+    texels = ((u * n_columns - 0.5).astype(np.float32), (v * n_rows - 0.5).astype(np.float32))
+    ink = cv2.remap(smooth, *texels, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    pixel_u = 1.0 / wide
     inside = np.clip(np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v)) / pixel_u + 0.5, 0, 1)
     # Paper white is not 255, ink is not 0.
     tone = 22 + ink * (228 - 22) / 255

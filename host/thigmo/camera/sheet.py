@@ -218,16 +218,14 @@ def tip_image(sheet: Sheet) -> Gray:
     return np.pad(marker, round(size / sheet.modules), constant_values=255)
 
 
+def _decal(image: Gray, flat: Points, height_cm: float) -> Decal:
+    return Decal(image, np.column_stack([flat, np.full(4, height_cm)]))
+
+
 def card_decals(sheet: Sheet) -> list[Decal]:
     """The workspace cards as they lie on the table."""
     outline = _square(sheet.card_cm)
-    return [
-        _decal(card_image(sheet, card), place(outline, card), card.z_cm) for card in sheet.cards
-    ]
-
-
-def _decal(image: Gray, flat: Points, height_cm: float) -> Decal:
-    return Decal(image, np.column_stack([flat, np.full(4, height_cm)]))
+    return [_decal(card_image(sheet, c), place(outline, c), c.z_cm) for c in sheet.cards]
 
 
 def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Decal:

@@ -25,7 +25,7 @@ from thigmo.camera.errors import (
     MarkerMissingError,
     TooCoarseError,
 )
-from thigmo.camera.model import CameraModel, Picture, colored, detect_markers, judge_still
+from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
 from thigmo.camera.obstacles import OBSTACLE_PX_CM, Obstacle, circle_through, find_obstacles
 from thigmo.camera.sheet import Sheet
 from thigmo.errors import DataError
@@ -160,11 +160,9 @@ def look(
         try:
             axis, doubts = _axis(picture, camera, sheet, wanted, markers, tip, background, clicks)
             problems += [AxisDoubtfulError(doubt, _CURE) for doubt in doubts]
-        except BodyNotSeenError as error:
+        except (BodyNotSeenError, MarkerAstrayError) as error:
             problems.append(error)
-        except MarkerAstrayError as error:
-            problems.append(error)
-            tip = None
+            tip = None if isinstance(error, MarkerAstrayError) else tip
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
     found = _obstacles(picture, camera, wanted, markers, clicks) if wanted.obstacles else []
@@ -282,39 +280,28 @@ def _fine_enough(camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks
 
 
 def _obstacles(
-    picture: Picture,
-    camera: CameraModel,
-    wanted: Seen,
-    markers: dict[int, Array],
-    clicks: Clicks,
+    picture: Picture, camera: CameraModel, wanted: Seen, markers: dict[int, Array], clicks: Clicks
 ) -> list[Obstacle]:
     height = wanted.obstacle_height_cm
     given = [circle_through(camera.to_plane(np.array(rim), height)) for rim in clicks.obstacles]
     flat = flatten(picture, camera, height, OBSTACLE_PX_CM)
     ignore = [camera.to_plane(four, height) for four in markers.values()]
     found = find_obstacles(flat, wanted.obstacle_radius_cm, ignore)
-    apart = [
-        o
-        for o in found
-        if all(np.hypot(o.x_cm - g.x_cm, o.y_cm - g.y_cm) > g.radius_cm for g in given)
-    ]
-    return given + apart
+    return given + [one for one in found if all(one.apart_cm(g) > g.radius_cm for g in given)]
 
 
 def draw(
     picture: Picture, camera: CameraModel, sheet: Sheet, sighting: Sighting, wanted: Seen
 ) -> Picture:
     """What was seen, drawn over the picture."""
-    canvas = colored(picture).copy()
+    canvas = picture.copy()
     card_of = sheet.marker_ids()
     for marker, four in sighting.markers.items():
         known = marker in card_of or marker == sheet.tip_marker_id
         color = (0, 200, 0) if known else (0, 0, 255)
         _lines(canvas, four, color, closed=True)
     across, along = np.linspace(-40, 40, 60), np.linspace(0, 50, 40)
-    grid = [(np.full(60, x), across) for x in range(0, 51, 10)]
-    grid += [(along, np.full(40, y)) for y in range(-40, 41, 10)]
-    for x, y in grid:
+    for x, y in [(x, across) for x in range(0, 51, 10)] + [(along, y) for y in range(-40, 41, 10)]:
         _lines(canvas, camera.project(_raised(x, y, 0.0)), (200, 160, 60))
     origin = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
     for end, name in ((1, "x"), (2, "y")):
@@ -328,12 +315,12 @@ def draw(
             y = axis.y_cm + side * radius * np.cos(axis.heading)
             _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
-        at = camera.project(np.array([[axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius]]))[0]
+        (at,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
         told = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
         _text(canvas, told, at)
     if sighting.tip is not None:
         tip = sighting.tip
-        at = camera.project(np.array([[tip.x_cm, tip.y_cm, wanted.diameter_cm / 2]]))[0]
+        (at,) = camera.project(_raised(tip.x_cm, tip.y_cm, wanted.diameter_cm / 2))
         cv2.drawMarker(canvas, _at(at), (0, 0, 255), cv2.MARKER_CROSS, 24, 2)
         _text(canvas, f"tip {tip.x_cm:.2f}, {tip.y_cm:.2f} cm", at + np.array([14, -14]))
     around = np.linspace(0, 2 * np.pi, 60)
@@ -348,9 +335,9 @@ def draw(
     return canvas
 
 
-def _raised(x: Array, y: Array, height_cm: float) -> Array:
+def _raised(x: Array | float, y: Array | float, height_cm: float) -> Array:
     """Points (n, 3) at one height."""
-    return np.column_stack([x, y, np.full(len(x), height_cm)])
+    return np.column_stack(np.broadcast_arrays(x, y, height_cm))
 
 
 def write_picture(path: str | Path, picture: Picture) -> None:

@@ -37,12 +37,12 @@ def test_rows_are_prepared_for_once_and_not_where_all_are_held(tmp_path):
     bench = Bench(None, None, Session(tmp_path))
     done: list[str] = []
 
-    def take(key: str) -> dict[str, int]:
+    def take(key: str, _: None) -> dict[str, int]:
         done.append(key)
         return {"n": len(done)}
 
     for keys in (["a", "b"], ["a", "b"], ["a", "b", "c"]):
-        bench.rows("tips", keys, take, prepare=lambda: done.append("ready"))
+        bench.rows("tips", dict.fromkeys(keys), take, lambda: done.append("ready"))
     assert done == ["ready", "a", "b", "ready", "c"]
 
 
