@@ -172,17 +172,15 @@ class ActuatorResults(StepResult):
 
 def together(found: Sequence[ActuatorResult]) -> ActuatorResults:
     """Maps with one verdict over all of them."""
-    names = [f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi" for r in found]
-    bad = [f"{name}: {r.verdict.reason}" for name, r in zip(names, found, strict=True)
-           if not r.verdict.good]  # fmt: skip
-    notes = tuple(
-        f"{name}: {text}"
-        for name, r in zip(names, found, strict=True)
-        for text in ((r.verdict.reason,) if r.verdict.good else ()) + r.verdict.notes
-    )
+    bad: list[str] = []
+    notes: list[str] = []
+    for r in found:
+        name = f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi"
+        (notes if r.verdict.good else bad).append(f"{name}: {r.verdict.reason}")
+        notes += [f"{name}: {text}" for text in r.verdict.notes]
     worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
     good = f"{len(found)} maps, g to {100 * worst:.2f} % or better"
-    return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], notes))
+    return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], tuple(notes)))
 
 
 def _map_values(p: Array, parameters: Array) -> Array:
@@ -273,13 +271,12 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     fit_se, top_se, shape_se, built = 0.0, 0.0, 0.0, {}
     highest = float(p[finite].max())
     for j, b in enumerate(present):
-        x = best[3 * j : 3 * j + 3]
-        step = 1e-5
-        slopes = np.array(
-            [(_map_values(grid, x + step * e) - _map_values(grid, x - step * e)) / (2 * step)
-             for e in np.eye(3)]
-        )  # fmt: skip
-        block = covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]
+        own = slice(3 * j, 3 * j + 3)
+        x, block = best[own], covariance[own, own]
+        slopes = np.array([
+            (_map_values(grid, x + step) - _map_values(grid, x - step)) / 2e-5
+            for step in 1e-5 * np.eye(3)
+        ])  # fmt: skip
         variance = np.einsum("pg,pq,qg->g", slopes, block, slopes)
         values = _map_values(grid, x)
         share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
@@ -348,9 +345,11 @@ def _trial_gain(
     squares, own = 0.0, 0.0
     for trial in range(trials):
         pick = used & (slot == trial)
-        lever = bend[pick] - bend[pick].mean() if pick.any() else np.zeros(0)
+        if pick.sum() < 4:
+            continue
+        lever = bend[pick] - bend[pick].mean()
         power = float(lever @ lever)
-        if pick.sum() < 4 or power < 1e-12:
+        if power < 1e-12:
             continue
         gain = float(lever @ rest[pick]) / power
         left = rest[pick] - rest[pick].mean() - gain * lever

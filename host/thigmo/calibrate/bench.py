@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.calibrate.columns import places_of
 from thigmo.calibrate.eyes import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
@@ -123,20 +124,13 @@ class Bench:
         """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
         every = np.asarray(read.resistance)
         a_side = every.shape[-1] // len(SIDES)
-        used = [
-            row * a_side + index
-            for row, side in enumerate(SIDES)
-            for index in range(len(self.config.sensors.column(side)))
-        ]
-        return every[..., used]
+        used = places_of(self.config)
+        return every[..., [SIDES.index(side) * a_side + index for side, index in used]]
 
     def mean_ohm(self, record: Recording) -> NDArray[np.float64]:
         """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""
-        every = self.ohm(record)
-        seen = np.isfinite(every)
-        number = seen.sum(axis=0)
-        total = np.where(seen, every, 0.0).sum(axis=0)
-        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+        mean = np.ma.masked_invalid(self.ohm(record)).mean(axis=0)
+        return np.asarray(mean.filled(np.nan))
 
     def set_zone(self, zone: int) -> None:
         """Body pressure of a zone, and the board told."""

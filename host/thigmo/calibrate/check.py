@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.columns import places_of
+from thigmo.calibrate.columns import medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
@@ -65,12 +65,11 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     rest = np.atleast_2d(readings.rest_ohm)
     if rest.shape[1] != len(sensors):
         raise DataError(f"{rest.shape[1]} columns for {len(sensors)} sensors", "use its robot.toml")
-    findings: list[Finding] = []
-    zero = np.array(
-        [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in rest.T]
-    )
-    for column, (side, k) in enumerate(sensors):
-        findings.append(_at_rest(side, k, zero[column], rest[:, column], config))
+    zero = medians(rest)
+    findings = [
+        _at_rest(side, k, zero[column], rest[:, column], config)
+        for column, (side, k) in enumerate(sensors)
+    ]
     for side in SIDES:
         if side in readings.bend_ohm:
             findings.extend(_bent(side, readings, zero, sensors, config))

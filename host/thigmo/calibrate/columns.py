@@ -31,6 +31,12 @@ def constants_of(config: RobotConfig, *names: str) -> Array:
     return np.array([[getattr(one, name) for one in sensors_of(config)] for name in names], float)
 
 
+def medians(rows: Array) -> Array:
+    """(m,) of columns (n, m), without what is nan; nan where a column holds nothing else."""
+    known = [column[np.isfinite(column)] for column in rows.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in known])
+
+
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
     """(n, m) the columns `WHAT_left_0` .. `WHAT_right_N` of a CSV.
 

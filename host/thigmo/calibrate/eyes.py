@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from thigmo.camera import render as painter
 from thigmo.camera.centerline import Centerline
 from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.errors import DataError
+from thigmo.robot import Robot
 
 
 @dataclass
@@ -72,20 +72,13 @@ class Eyes:
         return look(self.source.read(), self.camera, self.sheet, wanted)
 
 
-class Scenery(Protocol):
-    """The part of a robot that knows the emulator's room."""
-
-    def scenery(self) -> Any:
-        """The emulator's truth; None on hardware."""
-
-
 def emulated_source(
-    robot: Scenery,
+    robot: Robot,
     sheet: Sheet,
     *,
     seed: int = 0,
     diameter_cm: float = 3.5,
-    spoil: Callable[[Any], Any] | None = None,
+    spoil: Callable[[CameraModel], CameraModel] | None = None,
 ) -> tuple[PictureSource, float]:
     """A camera above an emulated robot, drawn by `seed`, and its height as a tape would tell.
 

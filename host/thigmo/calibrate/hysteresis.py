@@ -140,26 +140,17 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
     """
     if not records:
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
-    groups: dict[tuple[Side, int], list[CreepRecord]] = {}
-    for record in records:
-        if not 0 <= record.index < len(config.sensors.column(record.side)):
-            raise DataError(
-                f"no sensor {record.side} {record.index} in robot.toml", "use this robot's file"
-            )
-        groups.setdefault((record.side, record.index), []).append(record)
     fits, notes = [], []
-    for (side, index), many in sorted(groups.items()):
-        sensor = config.sensors.column(side)[index]
-        found, errors = [], []
-        for record in many:
+    for (side, index), rows in grouped((record.side, record.index) for record in records):
+        if not 0 <= index < len(config.sensors.column(side)):
+            raise DataError(f"no sensor {side} {index} in robot.toml", "use this robot's file")
+        found = []
+        for record in (records[row] for row in rows):
             try:
-                x, covariance = fit_decay(record.t_s, record.curvature)
+                found.append(fit_decay(record.t_s, record.curvature))
             except DataError as error:
                 notes.append(f"{side} {index}: {error.what}")
-                continue
-            found.append(x)
-            errors.append(covariance)
-        fits.append(_law(side, index, found, errors, sensor.noise))
+        fits.append(_law(side, index, found, config.sensors.column(side)[index].noise))
     bad = [fit for fit in fits if not fit.good]
     notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in bad)
     good = len(bad) < len(fits)
@@ -171,12 +162,11 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
     return HysteresisResult(tuple(fits), verdict, tuple(records))
 
 
-def _law(side: Side, index: int, found: list[Array], errors: list[Array], noise: float) -> CreepFit:
+def _law(side: Side, index: int, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
     if not found:
         return CreepFit(side, index, Settling(8.0), 60.0, False, "no usable record")
-    each = np.array(found)
-    amplitude_se = np.array([np.sqrt(c[1, 1]) for c in errors])
-    tau_se = np.array([np.sqrt(c[0, 0]) for c in errors])
+    each = np.array([x for x, _ in found])
+    tau_se, amplitude_se, _ = np.sqrt([np.diag(covariance) for _, covariance in found]).T
     clear = np.abs(each[:, 1]) > 4 * amplitude_se
     if not clear.any():
         law = Settling(8.0, 4.0, 0.0, float(amplitude_se.mean()))

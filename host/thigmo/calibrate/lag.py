@@ -115,14 +115,13 @@ def fit_lag(
     Raises:
         DataError: fewer than 50 samples, or no bend.
     """
-    good = np.isfinite(t_s) & np.isfinite(pressure_psi) & np.isfinite(curvature)
-    t, p, k = t_s[good], pressure_psi[good], curvature[good]
+    rows = np.array([t_s, pressure_psi, curvature])
+    rows = rows[:, np.isfinite(rows).all(axis=0)]
+    t, p, k = rows[:, np.argsort(rows[0])]
     if len(t) < 50 or np.ptp(k) < 1e-3:
         raise DataError(
             "the ramp shows no bend to time", "ramp to 16 psi within 3 s, hold, and back"
         )
-    order = np.argsort(t)
-    t, p, k = t[order], p[order], k[order]
     sign = 1.0 if side == "left" else -1.0
     fine = np.arange(t[0], t[-1] + _STEP_S, _STEP_S)
     pressed = np.interp(fine, t, p)

@@ -28,7 +28,14 @@ from thigmo.calibrate.actuator import (
 from thigmo.calibrate.bench import SAME_CM, Bench, Row
 from thigmo.calibrate.buckling import BucklingResult, fit_buckling
 from thigmo.calibrate.check import CheckResult, run_check
-from thigmo.calibrate.columns import constants_of, grouped, of_sensors, places_of, sensors_of
+from thigmo.calibrate.columns import (
+    constants_of,
+    grouped,
+    medians,
+    of_sensors,
+    places_of,
+    sensors_of,
+)
 from thigmo.calibrate.encoder import EncoderResult, PressureResult, fit_encoder, fit_pressure_zero
 from thigmo.calibrate.flex import FlexResult, fit_flex
 from thigmo.calibrate.flex_data import FlexReadings
@@ -158,7 +165,7 @@ def flex_readings(rows: list[Row], length_cm: float) -> FlexReadings:
     block = np.cumsum([n > 0 and r["rest"] != rows[n - 1]["rest"] for n, r in enumerate(rows)])
     rest = _column(rows, "rest")
     # A dead sensor has no rest.
-    level = [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in rest.T]
+    level = medians(rest)
     return FlexReadings(
         tuple(r.get("kind", "bend") for r in rows),
         _column(rows, "tip", (None, None)),

@@ -57,10 +57,9 @@ class InterruptFigures(ctypes.Structure):
 
 @dataclass(frozen=True, slots=True)
 class Pwm:
-    """A 16-bit timer's outputs: compare values, top, and which outputs reach their pins."""
+    """A 16-bit timer's outputs: which of them reach their pins, compare values, top."""
 
     connected: tuple[bool, ...]
-    inverted: tuple[bool, ...]
     compare: tuple[int, ...]
     top: int
     period_cycles: int
@@ -70,7 +69,6 @@ class Pwm:
 class Port:
     """A digital port's registers."""
 
-    pin: int
     ddr: int
     port: int
 
@@ -131,7 +129,6 @@ def _library(path: Path) -> ctypes.CDLL:
         "tick_origin": (u64, [handle]),
         "lost_triggers": (u32, [handle]),
         "pin": (None, [handle, c_char, c_int, c_int]),
-        "pin_at": (c_int, [handle, u64, c_char, c_int, c_int]),
         "port": (c_int, [handle, c_char]),
         "encoder": (None, [handle, c_char, c_int, c_int, c_double, c_double, u64, u64]),
         "pwm_read": (None, [handle, c_int, POINTER(_Pwm)]),
@@ -310,17 +307,14 @@ class Chip:
         return self._drain(self._lib.bridge_trace_read, CONVERSION)
 
     # --- pins -------------------------------------------------------------------------------------
-    def drive_pin(self, port: str, bit: int, level: bool, *, cycle: int | None = None) -> None:
-        """Set an input's level now, or at a cycle (calls in order of cycle)."""
-        if cycle is None:
-            self._lib.bridge_pin(self._chip, port.encode(), bit, int(level))
-        elif self._lib.bridge_pin_at(self._chip, cycle, port.encode(), bit, int(level)):
-            raise ValueError("too many edges are scheduled")
+    def drive_pin(self, port: str, bit: int, level: bool) -> None:
+        """Set an input's level."""
+        self._lib.bridge_pin(self._chip, port.encode(), bit, int(level))
 
     def port(self, letter: str) -> Port:
         """A port's registers."""
         state = self._lib.bridge_port(self._chip, letter.encode())
-        return Port(pin=state >> 16 & 255, ddr=state >> 8 & 255, port=state & 255)
+        return Port(ddr=state >> 8 & 255, port=state & 255)
 
     def encoder(
         self, pins: tuple[str, int, int], start: float, end: float, first: int, last: int
@@ -341,8 +335,7 @@ class Chip:
         """Outputs of timer 1, 3, 4 or 5."""
         raw = _Pwm()
         self._lib.bridge_pwm_read(self._chip, timer, byref(raw))
-        flags = tuple(raw.connected), tuple(raw.inverted)
-        return Pwm(*flags, tuple(raw.compare), raw.top, raw.period)
+        return Pwm(tuple(raw.connected), tuple(raw.compare), raw.top, raw.period)
 
     # --- wire of USART0 ---------------------------------------------------------------------------
     def line_baud(self, baud: int) -> None:

@@ -29,7 +29,6 @@ class Felt:
         pressure_psi: at which the threshold is passed.
         peak: largest |base contact curvature| of that sweep (1/cm).
         contacts: touching pegs at the sweep's peak.
-        fold_angle: of the base at the peak (rad).
     """
 
     length_cm: float
@@ -37,7 +36,6 @@ class Felt:
     pressure_psi: float
     peak: float
     contacts: tuple[PegContact, ...]
-    fold_angle: float
 
 
 def stages(robot: RobotConfig) -> list[float]:
@@ -102,7 +100,7 @@ def sweep_once(
         peak = max(peak, excess)
     if not touched:
         return None
-    return Felt(length_cm, side, passed, peak, model.contacts(), model.fold_angle)
+    return Felt(length_cm, side, passed, peak, model.contacts())
 
 
 def random_peg(

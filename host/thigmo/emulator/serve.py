@@ -16,7 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from thigmo.config import RobotConfig
-from thigmo.emulator.board import Board
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
@@ -161,7 +160,6 @@ def serve(
     config: Path | None = None,
     announce: Callable[[str], None] = print,
     keep_on: Callable[[], bool] = lambda: True,
-    board: Board | None = None,
 ) -> None:
     """Serve a scene until `keep_on()` ends it or the program is interrupted.
 
@@ -173,18 +171,15 @@ def serve(
             others is kept as a backup.
         announce: told where the port is, once it can be opened.
         keep_on: asked every 10 ms.
-        board: another board than the virtual one.
 
     Raises:
         ConfigError: no such scene, a malformed one, or `config` cannot be written.
         PortError: no pseudo-terminals here, or the link cannot be made.
     """
-    room = Scene.load(scene)
-    if board is None:
-        from thigmo.emulator._board import VirtualBoard
+    from thigmo.emulator._board import VirtualBoard
 
-        board = VirtualBoard(room.seed if seed is None else seed)
-    lockstep = Lockstep(room, board, seed=seed)
+    room = Scene.load(scene)
+    lockstep = Lockstep(room, VirtualBoard(room.seed if seed is None else seed), seed=seed)
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link
     try:
