@@ -121,12 +121,10 @@ class Relay:
             if run is not None and run.virtual:
                 self._watched.send("stop")
                 return f"told {run.name} to stop"
-            told = stop_port(run)
+            stopped = stop_port(run)
         except ThigmoError as error:
             return f"not stopped: {error}"
-        if told.failed:
-            return f"not stopped: {told.failed}"
-        return f"stopped {', '.join(told.stopped)}" if told.stopped else _CLOSED["none"]
+        return f"stopped {', '.join(stopped)}" if stopped else _CLOSED["none"]
 
     def close(self) -> None:
         """Pass nothing on any more; from any thread."""

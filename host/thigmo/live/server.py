@@ -25,7 +25,7 @@ from thigmo.live.guard import add_headers, guard
 from thigmo.live.past import PastRun, body, pegs
 from thigmo.live.rows import board, row_text, thinned
 from thigmo.live.starting import StartedRun, in_the_run
-from thigmo.live.stopping import Stopped, Way, stop_port, way_to
+from thigmo.live.stopping import Way, stop_port, way_to
 from thigmo.live.viewer import Viewer
 from thigmo.live.watched import Watched
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
@@ -325,24 +325,24 @@ class PageServer:
         self._started = await asyncio.to_thread(StartedRun, url, explore, realtime=realtime)
 
     async def _stop(self, request: web.Request) -> web.Response:
-        run = self._moving
-        if run is not None and run.virtual:
-            told = await self._stop_virtual(run)
+        run, over = self._moving, self._run.over
+        stopped: list[str] = []
+        failed = ""
+        if run is not None and run.virtual and self._watched is not None:
+            try:
+                self._watched.send("stop")
+                await asyncio.wait_for(over.wait(), _STOP_S)
+                stopped = [run.url]
+            except ThigmoError:
+                pass  # it has just ended
+            except TimeoutError:
+                failed = f"the run {run.name} does not answer"
         else:
-            told = await asyncio.to_thread(stop_port, run)
-        return web.json_response({"stopped": told.stopped, "failed": told.failed})
-
-    async def _stop_virtual(self, run: Hello) -> Stopped:
-        assert self._watched is not None
-        over = self._run.over
-        try:
-            self._watched.send("stop")
-            await asyncio.wait_for(over.wait(), _STOP_S)
-        except ThigmoError:
-            return Stopped()  # it has just ended
-        except TimeoutError:
-            return Stopped(failed=f"the run {run.name} does not answer")
-        return Stopped([run.url])
+            try:
+                stopped = await asyncio.to_thread(stop_port, run)
+            except ThigmoError as error:
+                failed = str(error)
+        return web.json_response({"stopped": stopped, "failed": failed})
 
     async def _looked_back(self) -> PastRun:
         """The record of the run that is to be looked at, or has just ended."""

@@ -45,13 +45,12 @@ class StartedRun:
             [*explore, *options, *pace],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
         )
-        threading.Thread(target=self._listen, daemon=True).start()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     @property
     def runs(self) -> bool:
@@ -72,7 +71,7 @@ class StartedRun:
         """Why it ended early, in its own last words; empty if it did not, or is under way."""
         if not self._process.poll():
             return ""
-        self._reader.join()
+        self._listener.join()
         last = next((line for line in reversed(self._said) if line.startswith("thigmo: ")), "")
         return last.removeprefix("thigmo: ") or f"it ended with status {self._process.returncode}"
 
@@ -86,14 +85,11 @@ class StartedRun:
             self._process.wait()
 
     def _listen(self) -> None:
-        """Thread: questions. What it prints as its result is no question."""
+        """Thread: questions, and what it says besides."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith('{"question": '):
                 self.question = json.loads(line)["question"]
+            else:
+                self._said.append(line.strip())
         self.question = ""
-
-    def _read(self) -> None:
-        assert self._process.stderr is not None
-        for line in self._process.stderr:
-            self._said.append(line.strip())

@@ -6,7 +6,6 @@ is stopped itself. One that is emulated inside its run has nobody else to ask th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Literal
 
 from thigmo.errors import LinkError, PortError
@@ -15,19 +14,6 @@ from thigmo.robot.stopping import stop_all
 from thigmo.stream import Hello
 
 Way = Literal["port", "run", "lost", "none"]
-
-
-@dataclass(frozen=True, slots=True)
-class Stopped:
-    """What a stop reached.
-
-    Attributes:
-        stopped: addresses of the robots whose boards have confirmed it.
-        failed: why one did not, in the operator's words.
-    """
-
-    stopped: list[str] = field(default_factory=list)
-    failed: str = ""
 
 
 def way_to(run: Hello | None) -> Way:
@@ -47,17 +33,26 @@ def way_to(run: Hello | None) -> Way:
     return "port" if _socket(run.url) in owned else "lost"
 
 
-def stop_port(run: Hello | None) -> Stopped:
+def stop_port(run: Hello | None) -> list[str]:
     """Stop the robot of a run on a port, or, where none is known, all that are in use. Blocks until
-    the board has confirmed it, for seconds at most."""
-    try:
-        if run is None:
-            return Stopped(stop_all())
+    the board has confirmed it, for seconds at most.
+
+    Returns:
+        Addresses of the robots whose boards have confirmed it; none where no robot is in use.
+
+    Raises:
+        LinkError: one has not.
+    """
+    if run is not None:
         if stop_socket.call(_socket(run.url)) is None:
-            return Stopped(failed="nobody owns the robot's port")
-        return Stopped([run.url])
-    except LinkError as error:
-        return Stopped(failed=str(error) if run is not None or stop_socket.running() else "")
+            raise LinkError("nobody owns the robot's port")
+        return [run.url]
+    try:
+        return stop_all()
+    except LinkError:
+        if stop_socket.running():
+            raise
+        return []
 
 
 def _socket(url: str) -> str:

@@ -11,7 +11,6 @@ from test_ros_messages import RUN, STATE
 from thigmo.live import relay
 from thigmo.live.foxglove import FoxgloveServer
 from thigmo.live.relay import Facts, Relay
-from thigmo.live.stopping import Stopped
 from thigmo.stream import Grid, Hello, Message
 
 GRID = Grid(1.0, 5.0, 0.5, (0.0, 0.0, 0.0), 1, 1, (0,))
@@ -68,7 +67,7 @@ def test_view_is_told_of_a_new_run_before_its_messages_and_of_no_stop_of_the_las
     watched: FakeWatched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(relay, "way_to", lambda run: "port")
-    monkeypatch.setattr(relay, "stop_port", lambda run: Stopped([RUN.url]))
+    monkeypatch.setattr(relay, "stop_port", lambda run: [RUN.url])
     passing = Relay(watched)  # type: ignore[arg-type]
     assert _passed(watched, passing, RUN, STATE)[:2] == [("n", ""), ("state", "")]
     assert passing.stop() == f"stopped {RUN.url}"
@@ -83,10 +82,10 @@ def test_stop_that_comes_before_a_run_under_way_is_known_stops_it(
 ) -> None:
     passing = Relay(watched)  # type: ignore[arg-type]
 
-    def no_port(run: Hello | None) -> Stopped:
+    def no_port(run: Hello | None) -> list[str]:
         watched.looked.set()  # the run is found while ports are asked
         _passed(watched, passing, replace(RUN, virtual=True), STATE)
-        return Stopped([])
+        return []
 
     monkeypatch.setattr(relay, "stop_port", no_port)
     assert passing.stop() == "told n to stop"
