@@ -91,9 +91,10 @@ class OccupancyGrid:
 
 
 class _Description(BaseModel):
-    """map.yaml; keys that other tools add (`mode`, `cost_translation_table`) are left alone."""
+    """map.yaml; keys that other tools add (`cost_translation_table`) are left alone."""
 
     image: str
+    mode: str = "trinary"
     resolution: Positive
     origin: tuple[Finite, Finite, Finite]
     negate: Literal[0, 1] = 0
@@ -112,18 +113,15 @@ def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
     for value in (FREE, OCCUPIED):
         grey[grid.cells == value] = _GREY[value]
     x, y, yaw = grid.origin
-    described = {
-        "image": picture.name,
-        "mode": "trinary",
-        "resolution": round(grid.resolution_cm / _CM_PER_M, 6),
-        "origin": [round(x / _CM_PER_M, 6), round(y / _CM_PER_M, 6), float(yaw)],
-        "negate": 0,
-        "occupied_thresh": _OCCUPIED_ABOVE,
-        "free_thresh": _FREE_BELOW,
-    }
+    described = _Description(
+        image=picture.name,
+        resolution=round(grid.resolution_cm / _CM_PER_M, 6),
+        origin=(round(x / _CM_PER_M, 6), round(y / _CM_PER_M, 6), yaw),
+    )
     rows, columns = grey.shape
     write_whole(picture, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
-    write_whole(path, yaml.safe_dump(described, sort_keys=False).encode())
+    text = yaml.safe_dump(described.model_dump(mode="json"), sort_keys=False)
+    write_whole(path, text.encode())
 
 
 def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
