@@ -39,7 +39,6 @@ def draw_map(
     *,
     radius_cm: float,
     prior: Sequence[Obstacle] = (),
-    dpi: int = 160,
 ) -> None:
     """Draw a run's map into a file.
 
@@ -48,7 +47,6 @@ def draw_map(
         path: the PNG to write.
         radius_cm: of the tube, for its outline.
         prior: obstacles of the map that the run was given.
-        dpi: resolution.
 
     Raises:
         RunFolderError: the picture cannot be written.
@@ -58,7 +56,7 @@ def draw_map(
     figure = Figure(figsize=_SIZE_IN, layout="constrained", facecolor="white")
     plot_map(document, figure.add_subplot(), radius_cm=radius_cm, prior=prior)
     try:
-        figure.savefig(path, dpi=dpi)
+        figure.savefig(path, dpi=160)
     except OSError as error:
         raise RunFolderError(
             f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
@@ -170,8 +168,7 @@ def _robot(
                 poses = max(shapes, key=lambda shape: shape.pressure_psi).poses
                 axes.plot(*np.asarray(poses).T[:2], color=shade, lw=1.4, zorder=3)
                 axes.plot(*poses[-1][:2], "o", color=shade, ms=3.5, zorder=3)
-        straight = [(0.0, 0.0, 0.0), (stage.everted_length_cm, 0.0, 0.0)]
-        axes.plot(*np.asarray(straight).T[:2], color=shade, lw=1.2, zorder=2)
+        axes.plot([0.0, stage.everted_length_cm], [0.0, 0.0], color=shade, lw=1.2, zorder=2)
         axes.plot(stage.everted_length_cm, 0, "|", color=shade, ms=9, mew=1.6, zorder=2)
     if stages:
         last = stages[-1]
