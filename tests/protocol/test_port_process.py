@@ -33,9 +33,8 @@ from thigmo.link import port_process
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
-from thigmo.link.lease import waits_for_operator
 from thigmo.link.pipe import Kind, read_packet
-from thigmo.link.serial_port import SerialTransport, port_error
+from thigmo.link.serial_port import SerialTransport, port_error, waits_for_operator
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 

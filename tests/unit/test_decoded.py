@@ -16,8 +16,7 @@ from thigmo.robot import SensorTable
 from thigmo.robot.decoded import Decoder
 from thigmo.robot.publishing import bent
 
-TABLE = SensorTable.of(RobotConfig())
-ZERO = np.full(10, 16 * 660.0)
+TABLE = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 660.0))
 
 
 def _frame(
@@ -32,13 +31,13 @@ def _frame(
 
 @given(st.lists(st.integers(0, 16 * 1023), min_size=10, max_size=10))
 def test_curvature_is_that_of_the_sensor_table(flex: list[int]) -> None:
-    told = Decoder(TABLE, ZERO, 16, 0.0).telemetry(_frame(flex))
-    by_table = TABLE.curvature(np.array(flex, dtype=np.float64), ZERO, 16)
+    told = Decoder(TABLE, 0.0).telemetry(_frame(flex))
+    by_table = TABLE.curvature(np.array(flex, dtype=np.float64))
     assert told.curvature_per_cm == pytest.approx(by_table.tolist(), rel=1e-12, nan_ok=True)
 
 
 def test_units_and_names() -> None:
-    told = Decoder(TABLE, ZERO, 16, 1.7e9).telemetry(_frame([10_000] * 10, 950, 3), 11.9)
+    told = Decoder(TABLE, 1.7e9).telemetry(_frame([10_000] * 10, 950, 3), 11.9)
     assert (told.t_s, told.epoch_s, told.device_s) == (6.0, 1.7e9 + 6.0, 5.0)
     assert (told.pressure_psi, told.demand_psi) == ((9.5, 0.03), (10.0, 0.0))
     assert told.drive_ma == (20.0, 0.0)
@@ -48,9 +47,7 @@ def test_units_and_names() -> None:
 
 
 def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
-    zero = ZERO.copy()
-    zero[0] = nan
-    told = Decoder(TABLE, zero, 16, 0.0).telemetry(_frame([10_000] * 10, length_um=200_000))
+    told = Decoder(TABLE.zeroed({0: nan}), 0.0).telemetry(_frame([10_000] * 10, length_um=200_000))
     known = [not isnan(value) for value in told.curvature_per_cm]
     assert known == [False, True, False, False, False, True, True, False, False, False]
 
@@ -59,7 +56,7 @@ def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
 def test_the_inflated_side_wrinkles_and_is_not_compared(
     pressures: tuple[int, int], free: str
 ) -> None:
-    told = Decoder(TABLE, ZERO, 16, 0.0).telemetry(_frame([10_000] * 10, *pressures))
+    told = Decoder(TABLE, 0.0).telemetry(_frame([10_000] * 10, *pressures))
     expected = {"left": told.expected_per_cm[:5], "right": told.expected_per_cm[5:]}
     assert expected.pop(free) == (0.012,) * 5
     assert all(isnan(value) for value in expected.popitem()[1])
@@ -68,7 +65,7 @@ def test_the_inflated_side_wrinkles_and_is_not_compared(
 @pytest.mark.parametrize("fault", list(wire.Fault))
 def test_a_fault_says_what_happened_and_what_to_do(fault: wire.Fault) -> None:
     received = ReceivedEvent(wire.Event(1, wire.EventCode.FAULT, 0, fault, 0), 2.0, 0)
-    told = Decoder(TABLE, ZERO, 16, 10.0).event(received)
+    told = Decoder(TABLE, 10.0).event(received)
     assert (told.name, told.severity, told.epoch_s) == (fault.key, "fault", 12.0)
     assert told.message
     assert told.next
@@ -77,7 +74,7 @@ def test_a_fault_says_what_happened_and_what_to_do(fault: wire.Fault) -> None:
 @pytest.mark.parametrize("code", [c for c in wire.EventCode if c is not wire.EventCode.FAULT])
 def test_every_event_has_words(code: wire.EventCode) -> None:
     received = ReceivedEvent(wire.Event(1, code, 0, 1, 7), 2.0, 0)
-    told = Decoder(TABLE, ZERO, 16, 0.0).event(received)
+    told = Decoder(TABLE, 0.0).event(received)
     assert told.name == code.key
     assert told.message
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -107,7 +108,7 @@ def test_free_sweeps_teach_scale_and_constant_and_sharpen_them() -> None:
 def test_frames_before_the_touch_teach_a_map_that_is_a_tenth_off() -> None:
     use = np.arange(10) >= 5
     untaught = FreeResponse(CONFIG)
-    taught = untaught.copy()
+    taught = deepcopy(untaught)
     taught.learn(_free_sweep(0.9, 0.0, np.random.default_rng(3)), "left", 2, below=0.012)
     before, after = (
         np.hypot.reduce(

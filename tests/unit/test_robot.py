@@ -344,10 +344,10 @@ def test_resistance_is_the_dividers_inverse(ohm: float) -> None:
 
 
 def test_an_open_circuit_gives_no_number() -> None:
-    table = SensorTable.of(RobotConfig())
+    table = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 640.0))
     sums = np.full(10, 16 * 600.0)
     sums[3] = 0
-    curvature = table.curvature(sums, np.full(10, 16 * 640.0), 16)
+    curvature = table.curvature(sums)
     assert np.isnan(curvature[3])
     assert np.isfinite(np.delete(curvature, 3)).all()
     # More resistance than at the zero, and a positive scale: bent to the left.
@@ -365,16 +365,15 @@ def test_only_the_inactive_sides_sensors_that_answer_are_usable() -> None:
 
 
 def test_a_peak_is_the_mean_of_its_readings() -> None:
-    table = SensorTable.of(RobotConfig())
-    zero = np.full(10, 16 * 640.0)
+    table = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 640.0))
     shots = [
         SweepFrame("left", float(n), 17.0 + n, 0.03 + n * 1e-5, -0.01, (16 * 600 + n,) * 10)
         for n in range(10)
     ]
-    peak = SweepWatcher(table, zero, 16, sensors=0x3FF, length_cm=53.0).average(shots)
+    peak = SweepWatcher(table, sensors=0x3FF, length_cm=53.0).average(shots)
     assert (peak.count, peak.t_s, peak.pressure_psi) == (10, 4.5, 21.5)
     assert peak.free_curvature == pytest.approx(0.030045)
-    assert peak.curvature == pytest.approx(table.curvature(np.full(10, 16 * 600 + 4.5), zero, 16))
+    assert peak.curvature == pytest.approx(table.curvature(np.full(10, 16 * 600 + 4.5)))
 
 
 def test_the_sweeps_period_keeps_the_lags_error_within_its_share_of_the_threshold() -> None:

@@ -107,7 +107,7 @@ class Console:
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
             )
-        from thigmo.link.lease import waits_for_operator
+        from thigmo.link.serial_port import waits_for_operator
 
         waits_for_operator()
         if self._bar:

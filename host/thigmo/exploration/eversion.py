@@ -35,6 +35,7 @@ class Stall:
     arc_cm: float  # where the tip is, by the best guess
     interval_cm: tuple[float, float]  # it is within these
     sensors: int  # how many should have everted and did not
+    force_per_cm2: float = 0.0  # it bends nothing
 
 
 def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Stall | None:

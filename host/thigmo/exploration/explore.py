@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -20,7 +20,7 @@ from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import keep_prior, read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.run import Exploration, Progress, Protocol
-from thigmo.record import Obstacle, RunDocument, RunFolder
+from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import Operator, Robot, connect
 from thigmo.stream import Event, Hello, Server, recording
@@ -71,13 +71,8 @@ def explore(
     given = [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
-    document = RunDocument(
-        thigmo=__version__,
-        name=label,
-        url=url,
-        started=started.isoformat(timespec="seconds"),
-        seed=seed,
-    )
+    begun = started.isoformat(timespec="seconds")
+    document = RunDocument(thigmo=__version__, name=label, url=url, started=begun, seed=seed)
     with (
         ExitStack() as afterwards,
         _sigterm_raises(),
@@ -103,57 +98,53 @@ def explore(
 
         folder.write_document(document)
         afterwards.push(draw)  # of what is known, also when the run is cut short
-        run = _recorded_run(robot, used, folder, document, tell, protocol, given)
+        told = {
+            "thigmo": __version__,
+            "url": url,
+            "seed": "" if seed is None else str(seed),
+            "started": begun,
+            **robot.identity,
+        }
+        control = RunControl()
+        robot.while_waiting(control.obey_stop)
+        with (
+            Server(robot.hub, _hello(robot, folder, document), control.command),
+            folder.open_log(told, robot.epoch_s) as log,
+            recording(robot.hub, log),
+        ):
+            robot.record_frames(log.frame)
+            run = Exploration(robot, used, folder, log, document, tell, protocol, given, control)
+            _walk(run)
     return ExplorationResult(run.document, folder.path)
 
 
-def _recorded_run(
-    robot: Robot,
-    config: RobotConfig,
-    folder: RunFolder,
-    document: RunDocument,
-    tell: Progress,
-    protocol: Protocol,
-    prior: Sequence[Obstacle],
-) -> Exploration:
+def _walk(run: Exploration) -> None:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
-    control = RunControl()
-    robot.while_waiting(control.obey_stop)
-    with (
-        Server(robot.hub, _hello(robot, folder, document), control.command),
-        folder.open_log(_metadata(robot, document), robot.epoch_s) as log,
-        recording(robot.hub, log),
-    ):
-        robot.record_frames(log.frame)
-        run = Exploration(robot, config, folder, log, document, tell, protocol, prior, control)
-        interrupted = False
-        try:
-            run.run()
-        except BaseException as error:
-            interrupted = isinstance(
-                error, KeyboardInterrupt | _TerminatedError | StoppedByViewerError
-            )
-            why = _why(error)
-            run.document = replace(run.document, outcome=f"aborted: {why}")
-            told = (error.what, error.next_step) if isinstance(error, ThigmoError) else (why, "")
-            run.live.tell(Event, "aborted", "fault", *told)
-            error.add_note(f"run folder: {folder.path}")
-            raise
-        finally:
-            # Safe outputs first, while the record still listens.
-            if robot.make_safe(interrupted=interrupted):
-                with suppress(ThigmoError):
-                    run.restore()
-            run.document = replace(
-                run.document,
-                length_cm=run.length_cm,
-                robot_time_s=round(robot.elapsed_s, 3),
-                wall_time_s=round(time.monotonic() - start, 3),
-            )
-            run.keep()
-            run.tell()
-    return run
+    interrupted = False
+    try:
+        run.run()
+    except BaseException as error:
+        interrupted = isinstance(error, KeyboardInterrupt | _TerminatedError | StoppedByViewerError)
+        why = _why(error)
+        run.document = replace(run.document, outcome=f"aborted: {why}")
+        told = (error.what, error.next_step) if isinstance(error, ThigmoError) else (why, "")
+        run.live.tell(Event, "aborted", "fault", *told)
+        error.add_note(f"run folder: {run.folder.path}")
+        raise
+    finally:
+        # Safe outputs first, while the record still listens.
+        if run.robot.make_safe(interrupted=interrupted):
+            with suppress(ThigmoError):
+                run.restore()
+        run.document = replace(
+            run.document,
+            length_cm=run.length_cm,
+            robot_time_s=round(run.robot.elapsed_s, 3),
+            wall_time_s=round(time.monotonic() - start, 3),
+        )
+        run.keep()
+        run.tell()
 
 
 def _hello(robot: Robot, folder: RunFolder, document: RunDocument) -> Hello:
@@ -179,16 +170,6 @@ def _unknown_robot(url: str) -> ConfigError:
         if made.with_name("actuator.json").exists()
         else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` makes one",
     )
-
-
-def _metadata(robot: Robot, document: RunDocument) -> dict[str, str]:
-    return {
-        "thigmo": __version__,
-        "url": document.url,
-        "seed": "" if document.seed is None else str(document.seed),
-        "started": document.started,
-        **robot.identity,
-    }
 
 
 def _why(error: BaseException) -> str:

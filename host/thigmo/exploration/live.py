@@ -20,11 +20,7 @@ _SWEEPING_S = 0.095
 
 
 class Live:
-    """Publishes an exploration.
-
-    Args:
-        robot: whose hub and clock are used.
-    """
+    """Publishes an exploration on its robot's hub."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -86,11 +82,7 @@ class RunControl:
             self._changed.wait_for(lambda: self._stopped or not self._paused, seconds)
 
     def obey_stop(self) -> None:
-        """Called while the robot is waited for.
-
-        Raises:
-            StoppedByViewerError: a viewer wants the robot stopped.
-        """
+        """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""
         if self._stopped:
             raise StoppedByViewerError(
                 "stopped from a viewer", "look at the robot, then let it go with `thigmo clear`"

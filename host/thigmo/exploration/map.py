@@ -22,6 +22,7 @@ from thigmo.record import MapContact, Obstacle, TrueContact
 _SAME_SIGMA = 3.0
 # ...where no place is taken as known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
+_SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
 @dataclass
@@ -70,7 +71,7 @@ class ContactMap:
         track = [(low, 0.0), (high, 0.0)]
         placed = PlacedContact(stall.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
         model = "stalled growth: sensors that were due did not evert"
-        self._add_met(stall, stall.arc_cm, 0.0, model, placed)
+        self._add_met(stall, stall.arc_cm, model, placed)
 
     def add_leaning(self, leaning: Deflection) -> None:
         """Take what growth bent the body on, which may have been felt before."""
@@ -84,17 +85,16 @@ class ContactMap:
             curvature_se=leaning.curvature_se,
         )
         model = "growth bent the body: its zeros moved"
-        self._add_met(leaning, leaning.length_cm, force, model, placed)
+        self._add_met(leaning, leaning.length_cm, model, placed)
 
     def _add_met(
-        self, told: Stall | Deflection, length_cm: float, force: float, model: str,
-        placed: PlacedContact,
-    ) -> None:  # fmt: skip
+        self, told: Stall | Deflection, length_cm: float, model: str, placed: PlacedContact
+    ) -> None:
         """A contact without a posterior along the body: growth met it. Of two, the surer stays."""
         met = self._contact(
             placed,
             arc_cm=told.arc_cm,
-            force_per_cm2=force,
+            force_per_cm2=told.force_per_cm2,
             interval_cm=told.interval_cm,
             status=_status(told.interval_cm),
             everted_length_cm=length_cm,
@@ -200,6 +200,12 @@ def best_contact(contacts: list[MapContact]) -> MapContact | None:
     return min(contacts, key=_rank, default=None)
 
 
+def of_stage(true: TrueContact, length_cm: float, side: str) -> bool:
+    """Whether a true contact belongs to a stage's side."""
+    near = abs(true.everted_length_cm - length_cm) < _SAME_LENGTH_CM
+    return near and true.side in ("", side)
+
+
 def errors(
     contacts: list[MapContact], truth: list[TrueContact]
 ) -> tuple[float | None, float | None]:
@@ -211,11 +217,7 @@ def errors(
     best = best_contact(contacts)
     if best is None:
         return None, None
-    same = [
-        t
-        for t in truth
-        if abs(t.everted_length_cm - best.everted_length_cm) < 0.5 and t.side in ("", best.side)
-    ]
+    same = [t for t in truth if of_stage(t, best.everted_length_cm, best.side)]
     if not same:
         return None, None
     apart = [(t.x_cm - best.x_cm, t.y_cm - best.y_cm) for t in same]

@@ -53,15 +53,13 @@ def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
 
 
 def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
-    """By how much the base was held back in each frame of a side, 1/cm, against the bend's way."""
+    """By how much the base was held back in each frame of a side, 1/cm, against the bend's way.
+
+    A running median keeps edges and drops single frames.
+    """
     against = -1.0 if side == "left" else 1.0
-    return against * _smooth([f.excess for f in frames if f.side == side])
-
-
-def _smooth(values: Sequence[float]) -> Floats:
-    """Running median, which keeps edges and drops single frames."""
-    median: Floats = median_filter(np.asarray(values, dtype=np.float64), _SMOOTH, mode="nearest")
-    return median
+    excess = np.array([f.excess for f in frames if f.side == side], dtype=np.float64)
+    return np.asarray(against * median_filter(excess, _SMOOTH, mode="nearest"))
 
 
 def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
@@ -90,7 +88,7 @@ def measuring_pressure(
         return highest
     pressure = np.array([frame.pressure_psi for frame in mine])
     rising = slice(0, int(pressure.argmax()) + 1)
-    smooth = np.abs(_smooth([frame.excess for frame in mine]))
+    smooth = np.abs(held_back(frames, side))
     reached = np.flatnonzero(smooth[rising] >= _SHARE * fold_moment(config, zone))
     at = reached[0] if reached.size else int(smooth[rising].argmax())
     return float(min(max(pressure[at], _LOWEST_PSI), highest))

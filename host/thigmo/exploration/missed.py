@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.exploration.map import errors
+from thigmo.exploration.map import errors, of_stage
 from thigmo.exploration.obstacles import GONE, occupancy
 from thigmo.record import (
     FalseContact,
@@ -31,7 +31,6 @@ from thigmo.robot.readings import other_side
 # this).
 _SAME_SIGMA = 3.0
 _FLOOR_CM = 1.0
-_SAME_LENGTH_CM = 0.5
 
 
 def judged(
@@ -86,13 +85,7 @@ def _same(contact: MapContact, true: TrueContact) -> bool:
         return True
     low, high = contact.interval_cm
     held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM
-    return held and _at(contact.everted_length_cm, contact.side, true)
-
-
-def _at(length_cm: float, side: str, true: TrueContact) -> bool:
-    """Whether a true contact belongs to a stage's side."""
-    near = abs(true.everted_length_cm - length_cm) < _SAME_LENGTH_CM
-    return near and true.side in ("", side)
+    return held and of_stage(true, contact.everted_length_cm, contact.side)
 
 
 def _missed(
@@ -112,7 +105,7 @@ def _why_missed(
     first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
     if missed.arc_cm <= first:
         return "below detection: nearer to the base than the first sensor, which it does not bend"
-    near = [s for s in document.stages if _at(s.everted_length_cm, missed.side, missed)]
+    near = [s for s in document.stages if of_stage(missed, s.everted_length_cm, missed.side)]
     if not near:
         return "the run ended before its stage was localized"
     stage = near[-1]
@@ -122,8 +115,8 @@ def _why_missed(
             f"moment below threshold: it held the base back by {max(held, 0.0):.4f} 1/cm at most, "
             f"and the trigger takes {TRIGGER_PER_CM} 1/cm"
         )
-    found = [c for c in document.contacts if _at(c.everted_length_cm, c.side, missed)]
-    there = [t for t in truth if _at(stage.everted_length_cm, missed.side, t)]
+    found = [c for c in document.contacts if of_stage(missed, c.everted_length_cm, c.side)]
+    there = [t for t in truth if of_stage(t, stage.everted_length_cm, missed.side)]
     if found and len(found) < len(there):
         return "not told apart from another contact of the same sweep"
     if found:
@@ -133,7 +126,7 @@ def _why_missed(
 
 
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:
-    there = [t for t in truth if _at(contact.everted_length_cm, contact.side, t)]
+    there = [t for t in truth if of_stage(t, contact.everted_length_cm, contact.side)]
     if not there:
         return "nothing touched there at the sweep's peak: an error of the map or of the sensors"
     away = min(float(np.hypot(t.x_cm - contact.x_cm, t.y_cm - contact.y_cm)) for t in there)

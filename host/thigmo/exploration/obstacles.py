@@ -76,10 +76,7 @@ def export_obstacles(
 
 
 def occupancy(
-    document: RunDocument,
-    radius_cm: float,
-    prior: Sequence[Obstacle] = (),
-    sigmas: float = SIGMAS,
+    document: RunDocument, radius_cm: float, prior: Sequence[Obstacle] = (), sigmas: float = SIGMAS
 ) -> tuple[OccupancyGrid, list[Obstacle]]:
     """The grid of what a run knows, and its obstacles.
 
@@ -87,35 +84,27 @@ def occupancy(
         document, radius_cm, prior: as for `export_obstacles`.
         sigmas: standard errors that free cells keep from what is not.
     """
-    grid = _empty_grid(document, radius_cm, prior)
+    felt = [_obstacle(contact) for contact in document.contacts]
+    met = {contact.known for contact in document.contacts}
+    grid = _empty_grid(document, radius_cm, [*felt, *prior])
     free = _free(grid, document, radius_cm, sigmas)
-    obstacles = _obstacles(document.contacts, prior, grid, free)
-    grid.cells[free] = FREE
-    there = [each for each in obstacles if each.source != GONE]
-    for value, reach in ((UNKNOWN, max(sigmas, _SIGMA_95)), (OCCUPIED, _SIGMA_95)):
-        for obstacle in there:
-            grid.cells[_near_track(grid, obstacle, reach)] = value
-    return grid, obstacles
-
-
-def _obstacles(
-    contacts: Sequence[MapContact], prior: Sequence[Obstacle], grid: OccupancyGrid, free: Mask
-) -> list[Obstacle]:
-    """Contacts felt, and what the prior map shows besides."""
-    felt = [_obstacle(contact) for contact in contacts]
-    met = {contact.known for contact in contacts}
     rest = [
-        replace(
-            obstacle,
-            source=GONE if _swept_through(obstacle, grid, free) else "prior",
-        )
+        replace(obstacle, source=GONE if _swept_through(obstacle, grid, free) else "prior")
         for index, obstacle in enumerate(prior)
         if index not in met
     ]
-    return felt + rest
+    grid.cells[free] = FREE
+    there = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
+    for value, reach in ((UNKNOWN, max(sigmas, _SIGMA_95)), (OCCUPIED, _SIGMA_95)):
+        for obstacle in there:
+            grid.cells[_near_track(grid, obstacle, reach)] = value
+    return grid, felt + rest
 
 
 def _obstacle(contact: MapContact) -> Obstacle:
+    side = "right" if contact.force_per_cm2 > 0 else "left"
+    if contact.force_per_cm2 == 0:
+        side = "tip"  # it stopped the growth, and bent nothing
     return Obstacle(
         x_cm=contact.x_cm,
         y_cm=contact.y_cm,
@@ -125,7 +114,7 @@ def _obstacle(contact: MapContact) -> Obstacle:
         source="felt" if contact.known is None else "felt, prior",
         status=contact.status,
         normal_rad=contact.normal_rad,
-        body_side=_body_side(contact),
+        body_side=side,
         arc_cm=contact.arc_cm,
         interval_cm=contact.interval_cm,
         felt_at_cm=[*contact.merged, contact.everted_length_cm],
@@ -133,21 +122,15 @@ def _obstacle(contact: MapContact) -> Obstacle:
     )
 
 
-def _body_side(contact: MapContact) -> str:
-    if contact.force_per_cm2 == 0:
-        return "tip"  # it stopped the growth, and bent nothing
-    return "right" if contact.force_per_cm2 > 0 else "left"
-
-
 def _empty_grid(
-    document: RunDocument, radius_cm: float, prior: Sequence[Obstacle]
+    document: RunDocument, radius_cm: float, obstacles: Sequence[Obstacle]
 ) -> OccupancyGrid:
     """A grid of unknown cells around all that is known."""
     points = [np.array([[0.0, radius_cm], [0.0, -radius_cm]])]
     for stage in document.stages:
         points.append(np.array([[stage.everted_length_cm, 0.0]]))
         points += [np.asarray(shape.poses)[:, :2] for shape in stage.shapes]
-    for obstacle in [*map(_obstacle, document.contacts), *prior]:
+    for obstacle in obstacles:
         reach = obstacle.ellipse_95.semi_major_cm
         point = np.array([[obstacle.x_cm, obstacle.y_cm]])
         points += [np.asarray(obstacle.track), point - reach, point + reach]
@@ -166,9 +149,7 @@ def _pixels(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int3
     return scaled
 
 
-def _free(
-    grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: float = SIGMAS
-) -> Mask:
+def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: float) -> Mask:
     """Cells that lie whole within the tube at some time of a sweep."""
     canvas = np.zeros(grid.cells.shape, dtype=np.uint8)
     inner = radius_cm - grid.resolution_cm * np.sqrt(0.5)
@@ -186,35 +167,27 @@ def _near_track(grid: OccupancyGrid, obstacle: Obstacle, sigmas: float) -> Mask:
     line = _pixels(grid, np.asarray(obstacle.track))
     cv2.polylines(away, [line], False, 0, lineType=cv2.LINE_8, shift=_BITS)
     distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    reach = sigmas * _across(obstacle) + grid.resolution_cm / 2
-    mask: Mask = distance * grid.resolution_cm <= reach
-    return mask
-
-
-def _across(obstacle: Obstacle) -> float:
-    """Standard error (cm) of an obstacle's place across its track."""
-    if obstacle.normal_rad is None:
-        return 0.0
-    normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
-    return float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
+    across_cm = 0.0  # standard error
+    if obstacle.normal_rad is not None:
+        normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
+        across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
+    near = distance * grid.resolution_cm <= sigmas * across_cm + grid.resolution_cm / 2
+    return np.asarray(near)
 
 
 def _swept_through(obstacle: Obstacle, grid: OccupancyGrid, free: Mask) -> bool:
     """Whether an obstacle's place, and all within its standard deviation, was swept freely."""
     distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.asarray(obstacle.covariance_cm2))[-1]))
-    column, row = (
-        int((value - low) // grid.resolution_cm)
-        for value, low in zip((obstacle.x_cm, obstacle.y_cm), grid.origin[:2], strict=True)
-    )
+    column = int((obstacle.x_cm - grid.origin[0]) // grid.resolution_cm)
+    row = int((obstacle.y_cm - grid.origin[1]) // grid.resolution_cm)
     return bool(distance[row, column] * grid.resolution_cm > max(sigma, grid.resolution_cm))
 
 
 def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
     """Outlines of the free cells, through their centres."""
-    contours, tree = cv2.findContours(
-        free.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE
-    )
+    cells = free.astype(np.uint8)
+    contours, tree = cv2.findContours(cells, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if tree is None:
         return []
     low = np.array(grid.origin[:2])
@@ -228,8 +201,7 @@ def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
     outer = [index for index in range(len(drawn)) if tree[0, index, 3] < 0]
     return [
         FreeArea(
-            drawn[index],
-            [drawn[hole] for hole in range(len(drawn)) if tree[0, hole, 3] == index],
+            drawn[index], [drawn[hole] for hole in range(len(drawn)) if tree[0, hole, 3] == index]
         )
         for index in outer
         if len(drawn[index]) > 2

@@ -26,9 +26,7 @@ def stage_lengths(config: RobotConfig) -> list[float]:
     """Everted lengths (cm) at which to sweep: whole pitches, the last step shorter.
 
     Pitches at which a sensor would lie in the fold are left out: a bend there would crease it.
-
-    Raises:
-        ConfigError: a sensor lies in the fold at the full length.
+    Raises ConfigError if one does at the full length.
     """
     full = config.body.length_cm
     if sensor := half_everted(config, full):

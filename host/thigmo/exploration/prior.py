@@ -75,10 +75,8 @@ def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
 def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
     """Obstacles of a map: a run folder, its obstacles.json, or a ROS map's YAML file.
 
-    Those that the map had itself found gone are left out.
-
-    Raises:
-        RunFolderError: it is neither, or cannot be read.
+    Those that the map had itself found gone are left out. Raises RunFolderError: it is neither, or
+    cannot be read.
     """
     file = Path(path)
     if file.is_dir():
@@ -95,18 +93,13 @@ def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
 def keep_prior(prior: list[Obstacle], folder: RunFolder, radius_cm: float) -> None:
     """Keep the map that a run was given in its folder, for the replay.
 
-    Raises:
-        RunFolderError: the folder cannot be written.
+    Raises RunFolderError if the folder cannot be written.
     """
     write_obstacles(ObstacleMap("prior", "", "given", radius_cm, prior), folder.path / PRIOR_FILE)
 
 
 def kept_prior(folder: RunFolder) -> list[Obstacle]:
-    """Obstacles of the map that a run was given; none without one.
-
-    Raises:
-        RunFolderError: it cannot be read.
-    """
+    """Obstacles of the map that a run was given, none without; raises RunFolderError."""
     file = folder.path / PRIOR_FILE
     return read_obstacles(file).obstacles if file.exists() else []
 
@@ -121,20 +114,17 @@ def _grid_obstacles(grid: OccupancyGrid) -> list[Obstacle]:
         patch = (labels == label).astype(np.uint8)
         inside = cv2.erode(patch, np.ones((3, 3), np.uint8), borderValue=0)
         rim = (patch > 0) & (inside == 0)
-        points = np.column_stack((x[rim], y[rim]))
         spread = np.cov(np.column_stack((x[patch > 0], y[patch > 0])).T, ddof=0)
         spread = spread + grid.resolution_cm**2 / 12 * np.eye(2)
-        covariance = (
-            (float(spread[0, 0]), float(spread[0, 1])),
-            (float(spread[1, 0]), float(spread[1, 1])),
-        )
+        (xx, xy), (yx, yy) = spread.tolist()
+        covariance = ((xx, xy), (yx, yy))
         obstacles.append(
             Obstacle(
                 x_cm=float(x[patch > 0].mean()),
                 y_cm=float(y[patch > 0].mean()),
                 covariance_cm2=covariance,
                 ellipse_95=Ellipse.of(covariance),
-                track=[(float(px), float(py)) for px, py in points],
+                track=list(zip(x[rim].tolist(), y[rim].tolist(), strict=True)),
                 source="prior",
                 status="localized",
             )

@@ -16,14 +16,17 @@ them goes to the localizer as errors that readings share. The thesis compared wi
 
 from __future__ import annotations
 
-from copy import deepcopy
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
-from thigmo.robot.readings import Floats
+from thigmo.robot.readings import Floats, in_board_order
+
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 _LEAST_PSI = 2.5  # below, the regulator is near its live zero
 # At a half sweep's start the body swings, and reads up to 2e-3 1/cm less than the map. Where a
@@ -51,11 +54,7 @@ class FreeReading(NamedTuple):
 
 def scale_errors(config: RobotConfig) -> Floats:
     """Relative standard error of each sensor's scale, (10,); 0 where there is no sensor."""
-    made = np.zeros(SensorTable.of(config).healthy.size)
-    for first, name in zip((0, made.size // 2), SIDES, strict=True):
-        for index, sensor in enumerate(config.sensors.column(name), start=first):
-            made[index] = sensor.scale_se
-    return made
+    return np.array([sensor.scale_se if sensor else 0.0 for sensor in in_board_order(config)])
 
 
 def gain_errors(config: RobotConfig) -> Floats:
@@ -64,11 +63,7 @@ def gain_errors(config: RobotConfig) -> Floats:
 
 
 class FreeResponse:
-    """Posterior of the constants, the gains and the map's scales, for each inflated side.
-
-    Args:
-        config: scales, maps, and what calibration says of their errors.
-    """
+    """Posterior of the constants, the gains and the map's scales, for each inflated side."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._table = SensorTable.of(config)
@@ -89,10 +84,6 @@ class FreeResponse:
             covariance = np.diag(deviation**2)
             covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2
             self._matrix[row] = np.linalg.inv(covariance)
-
-    def copy(self) -> Self:
-        """One that can learn without this one."""
-        return deepcopy(self)
 
     def learn(self, sweep: SweepResult, side: Side, zone: int, below: float = np.inf) -> None:
         """Take the rising half of a sweep's side, as far as nothing was touched.
@@ -121,9 +112,7 @@ class FreeResponse:
             self._matrix[row] += effect.T @ (weight[:, None] * effect)
             self._vector[row] += effect.T @ (weight * departure[use])
 
-    def _effect(
-        self, sensors: np.typing.NDArray[np.intp], zone: int, free: float, reading: Floats
-    ) -> Floats:
+    def _effect(self, sensors: Indices, zone: int, free: float, reading: Floats) -> Floats:
         """(n, size) what each unknown adds to the readings of some sensors."""
         effect = np.zeros((sensors.size, self._matrix.shape[1]))
         rows = np.arange(sensors.size)
@@ -134,9 +123,8 @@ class FreeResponse:
         return effect
 
     def expected(
-        self, side: Side, zone: int, free_curvature: float, curvature: Floats,
-        use: np.typing.NDArray[np.bool_],
-    ) -> FreeReading:  # fmt: skip
+        self, side: Side, zone: int, free_curvature: float, curvature: Floats, use: Mask
+    ) -> FreeReading:
         """What sensors would read of an untouched robot, and what is unknown of that.
 
         Args:

@@ -13,8 +13,6 @@ from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from typing import Any
 
-import numpy as np
-
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
@@ -87,13 +85,11 @@ class _Reader:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._table = SensorTable.of(config)
-        self._enabled = self._table.healthy.copy()
+        self.table = SensorTable.of(config)
+        self._enabled = self.table.healthy.copy()
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
-        self._zero_sum = np.full(SENSORS, np.nan)
-        self._zero_before = self._zero_sum
-        self.oversample = 16
+        self._before = self.table  # the last zeroing
         self._zone = 0
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
@@ -138,15 +134,15 @@ class _Reader:
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
-                self._standing = StandingWatch(self._config, self.oversample)
+                self._standing = StandingWatch(self._config, self.table.oversample)
             case wire.ParameterValue() if 0 <= message.index - _ENABLED < SENSORS:
                 self._enabled[message.index - _ENABLED] = message.value
             case wire.ParameterValue() if message.index == _OVERSAMPLE:
-                self.oversample = 1 << message.value
+                self.table = replace(self.table, oversample=1 << message.value)
             case wire.ZeroSensors():
-                self._zero_before = self._zero_sum.copy()
+                self._before = self.table
             case wire.SensorReport() if message.flags & _ZEROED:
-                self._zero_sum[message.sensor] = message.zero_sum_q8 / 256
+                self.table = self.table.zeroed({message.sensor: message.zero_sum_q8 / 256})
             case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
                 # A repeat of the same command, whose reply was lost, is no other sweep.
                 self._last_sweep = (frame.session, frame.seq)
@@ -171,8 +167,7 @@ class _Reader:
 
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
-        before = self._table.unzeroed(self._zero_before, self.oversample)
-        return before, self._table.unzeroed(self._zero_sum, self.oversample)
+        return self._before.zeros, self.table.zeros
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6
@@ -183,13 +178,10 @@ class _Reader:
         status = self._status
         mask, young, length = 0, 0, 0.0
         if status:
-            young = status.everted_mask & mask_of(self._table.healthy & ~self._enabled)
+            young = status.everted_mask & mask_of(self.table.healthy & ~self._enabled)
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
-        zeros = self._zero_sum.copy()
-        watcher = SweepWatcher(
-            self._table, zeros, self.oversample, mask, length, young, self._standing
-        )
+        watcher = SweepWatcher(self.table, mask, length, young, self._standing)
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
         self.sweeps.append(_Sweep(self._zone, sides, t_s, watcher))
@@ -230,7 +222,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
         length_cm = sweep.watcher.length_cm
         stages.append(found.entry(sweep.t_s, length_cm, result, feelings, sweep.zone))
     if reader.backed_off:
-        grown = reader.growth.profile(table, reader.oversample)
+        grown = reader.growth.profile(reader.table)
         if (stalled := stall(*grown, table)) is not None:
             found.map.add_ahead(stalled)
         elif (held := deflection(*grown, *reader.zeros_ahead, table)) and held.released(

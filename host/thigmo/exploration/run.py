@@ -20,17 +20,12 @@ from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
-from thigmo.exploration.measuring import (
-    held_now,
-    held_sides,
-    measuring_pressure,
-    pressed_enough,
-)
+from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
 from thigmo.exploration.stage import Interpreter, placed
-from thigmo.exploration.states import State, next_state
+from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
     SENSORS,
@@ -103,15 +98,14 @@ class Exploration:
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
 
-        Raises:
-            ThigmoError: the robot, the link or the operator stopped it; the document says where.
+        Raises ThigmoError if robot, link or operator stopped it; the document says where.
         """
         while self.state is not State.DONE:
             if self.state is State.PLAN:
                 self._pause()
             self.tell()
             outcome: str = getattr(self, f"_{self.state.name.lower()}")()
-            after = next_state(self.state, outcome)
+            after = NEXT[self.state, outcome]
             self.log.note(
                 "state", self.robot.now(), state=self.state.name, outcome=outcome, next=after.name
             )
@@ -197,7 +191,7 @@ class Exploration:
 
     def _grown(self) -> tuple[Floats, Floats]:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(self._table, self.robot.oversample)
+        return self._growth.profile(SensorTable.of(self.config, self.robot.oversample))
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
@@ -303,10 +297,10 @@ class Exploration:
         feeling = self._found.so_far(so_far, self._zone)
         if feeling is not None and self.live.due:
             self.live.feels(self.length_cm, feeling, sweeping=True)
-        if feeling is not None and placed(feeling):
-            self._known.add(side)
-            return True
-        return pressed_enough(held, self.config, self._zone)
+        if feeling is None or not placed(feeling):
+            return pressed_enough(held, self.config, self._zone)
+        self._known.add(side)
+        return True
 
     def _tell_feeling(self, so_far: SweepResult) -> bool:
         """Tell viewers what a measurement feels so far; it goes on to its end."""

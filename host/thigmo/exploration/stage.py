@@ -6,6 +6,7 @@ Shared by the live run and the replay of a record, so that both say the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -41,11 +42,7 @@ _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no
 
 
 class Interpreter:
-    """Reads a run's sweeps in their order, and learns the free response from those without contact.
-
-    Attributes:
-        map: contacts so far, with the obstacles of the map that was given.
-    """
+    """Reads a run's sweeps in their order, and learns from those without contact."""
 
     def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
         self._config = config
@@ -53,7 +50,7 @@ class Interpreter:
         self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
         self._swept = SweptSpace()
-        self.map = ContactMap(config, prior)
+        self.map = ContactMap(config, prior)  # contacts so far
 
     def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
         """Contacts of a stage: where the board's trigger fired, or the readings leave no doubt.
@@ -85,7 +82,7 @@ class Interpreter:
         peak = so_far.peaks[-1]
         if not self._table.usable(peak.side, peak.sensors).any():
             return None
-        response = self._response.copy()
+        response = deepcopy(self._response)
         self._learn(response, so_far, so_far.frames, peak.side, zone)
         return self._felt(peak, zone, response, self._nearest(so_far, peak))
 

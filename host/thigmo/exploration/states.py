@@ -78,13 +78,5 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.FINISH, "safe", State.DONE),
 )
 
-_NEXT = {(t.source, t.outcome): t.target for t in TRANSITIONS}
-
-
-def next_state(state: State, outcome: str) -> State:
-    """The state that follows.
-
-    Raises:
-        KeyError: the table has no such transition: a mistake in the program, not of the operator.
-    """
-    return _NEXT[state, outcome]
+# By state and outcome; one that it lacks is a mistake in the program, not of the operator.
+NEXT = {(t.source, t.outcome): t.target for t in TRANSITIONS}

@@ -146,11 +146,7 @@ def skin_point(
     x, y, heading = curve.pose(arc_cm)
     across = -np.copysign(radius_cm, force) if end_offset_cm is None else end_offset_cm
     normal = heading + np.copysign(np.pi / 2, across)
-    return (
-        x - across * float(np.sin(heading)),
-        y + across * float(np.cos(heading)),
-        float(normal),
-    )
+    return (x - across * float(np.sin(heading)), y + across * float(np.cos(heading)), float(normal))
 
 
 class PlacedContact(NamedTuple):
@@ -191,10 +187,8 @@ def place_contact(
     side = force if end_offset_cm is None else -bend.free_curvature
     track = [skin_point(curve, float(s), side, radius_cm)[:2] for s in np.linspace(low, high, 25)]
     if end_offset_cm is not None:
-        across_face = np.copysign(radius_cm, -side) * np.linspace(1.0, -1.0, 9)
-        track += [
-            skin_point(curve, bend.length_cm, side, radius_cm, float(at))[:2] for at in across_face
-        ]
+        end, across_face = bend.length_cm, np.copysign(radius_cm, -side) * np.linspace(1.0, -1.0, 9)
+        track += [skin_point(curve, end, side, radius_cm, float(at))[:2] for at in across_face]
     # Along the body: 95 % of a normal error spans 3.92 standard deviations.
     heading = curve.pose(arc)[2]
     along = (high - low) / 3.92 * np.array([np.cos(heading), np.sin(heading)])
@@ -205,13 +199,6 @@ def place_contact(
     face = 0.0 if end_offset_cm is None else radius_cm / np.sqrt(3.0)
     out = np.hypot(_SHAPE_CM, face) * np.array([np.cos(normal), np.sin(normal)])
     covariance = np.outer(along, along) + np.outer(across, across) + np.outer(out, out)
-    return PlacedContact(
-        x,
-        y,
-        normal,
-        (
-            (float(covariance[0, 0]), float(covariance[0, 1])),
-            (float(covariance[1, 0]), float(covariance[1, 1])),
-        ),
-        [(round(px, 4), round(py, 4)) for px, py in track],
-    )
+    (xx, xy), (yx, yy) = covariance.tolist()
+    drawn = [(round(px, 4), round(py, 4)) for px, py in track]
+    return PlacedContact(x, y, normal, ((xx, xy), (yx, yy)), drawn)

@@ -50,8 +50,7 @@ _NONCES = 32
 class _Outstanding:
     """The command that waits for its answer."""
 
-    message: wire.Message
-    reply: type[wire.Message]
+    message: wire.Command[Any]
     frame: bytes
     seq: int
     session: int
@@ -65,16 +64,7 @@ class _Outstanding:
 
 
 class Client(Inbox, Closing):
-    """A conversation over a transport. A context manager: leaving it closes the transport.
-
-    Attributes:
-        transport: what carries it.
-        hello: who the board is, as of the last hello.
-        taps: called with every good frame in and every frame out: direction, the bytes on the
-            wire without the closing zero, host time.
-
-    The others are the `Inbox`'s.
-    """
+    """A conversation over a transport. A context manager: leaving it closes the transport."""
 
     def __init__(
         self,
@@ -82,16 +72,14 @@ class Client(Inbox, Closing):
         *,
         connect: bool = True,
         heartbeat_s: float = PERIOD_S,
-        schema_hash: int = wire.SCHEMA_HASH,
         tap: Tap | None = None,
     ) -> None:
-        """Take a transport and say hello.
+        """Take an open transport, which the client owns from now on, and say hello.
 
         Args:
-            transport: open; the client owns it from now on.
+            transport: what carries it.
             connect: False leaves the hello to a later `connect()`.
             heartbeat_s: period of the heartbeat.
-            schema_hash: what to offer in the hello.
             tap: first of `taps`, from the first byte on.
 
         Raises:
@@ -99,10 +87,11 @@ class Client(Inbox, Closing):
         """
         super().__init__()
         self.transport = transport
+        # Called with every good frame in and every frame out: direction, the bytes on the wire
+        # without the closing zero, host time.
         self.taps: list[Tap] = [tap] if tap else []
         self._hello: wire.HelloReply | None = None
         self._heartbeat_s = heartbeat_s
-        self._schema_hash = schema_hash
         self._decoder = Decoder()
         self._round_trip = RoundTrip()
         self._seq = 0
@@ -134,16 +123,6 @@ class Client(Inbox, Closing):
             raise LinkError("no conversation with a board yet", "connect first")
         return self._hello
 
-    @property
-    def session(self) -> int:
-        """Number of the conversation; 0 before the first."""
-        return self._session
-
-    @property
-    def round_trip_s(self) -> float:
-        """Smoothed round trip of commands; 0 before the first."""
-        return self._round_trip.smoothed_s
-
     def now(self) -> float:
         """Host seconds, by the transport's clock."""
         return self.transport.now()
@@ -173,7 +152,7 @@ class Client(Inbox, Closing):
             self._listen(BOOT_LOADER_S)
             if self._announce is None or self._say_hello(wire.Hello.DEADLINE_S) is None:
                 if self._other_hash is not None:
-                    raise failures.other_schema(self._schema_hash, self._other_hash, self.transport)
+                    raise failures.other_schema(self._other_hash, self.transport)
                 raise failures.nobody(
                     self.transport,
                     announced=self._announce is not None,
@@ -186,11 +165,7 @@ class Client(Inbox, Closing):
     # Commands.
 
     def request(self, command: wire.Command[R], deadline_s: float | None = None) -> R:
-        """Send a command and wait for its answer.
-
-        Args:
-            command: any of the schema's.
-            deadline_s: from now; the schema's for this command if None.
+        """Send a command and wait for its answer, for the schema's deadline if none is given.
 
         Raises:
             CommandRefusedError: the board said no; `reason` holds the schema's name for why.
@@ -253,9 +228,7 @@ class Client(Inbox, Closing):
     def poll(self, timeout_s: float = 0.0) -> None:
         """Handle what has arrived; wait up to `timeout_s` for the first bytes.
 
-        Raises:
-            BoardResetError: the board restarted.
-            LinkError: the connection is gone.
+        Raises BoardResetError if the board restarted, LinkError if the connection is gone.
         """
         self._check_reentry()
         self._raise_if_broken()
@@ -263,11 +236,7 @@ class Client(Inbox, Closing):
         self._raise_if_broken()
 
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """Handle what arrives until the predicate holds. Returns whether it does in time.
-
-        Raises:
-            LinkError: as `poll`.
-        """
+        """Handle what arrives until the predicate holds; whether it does in time."""
         until_s = self.now() + timeout_s
         while not predicate():
             left_s = until_s - self.now()
@@ -285,12 +254,12 @@ class Client(Inbox, Closing):
             tap("tx", frame.strip(b"\0"), now)
 
     def _begin(self, command: wire.Command[Any], until_s: float) -> _Outstanding:
-        """Make a command of the running session the outstanding one and send it."""
-        self._seq = (self._seq + 1) & 0xFFFF
-        frame = encode(command, self._seq, self._session)
-        self._outstanding = _Outstanding(
-            command, command.REPLY, frame, self._seq, self._session, until_s
-        )
+        """Make a command, of the running session or a hello, the outstanding one and send it."""
+        hello = isinstance(command, wire.Hello)
+        session = 0 if hello else self.session
+        self._seq = 0 if hello else (self._seq + 1) & 0xFFFF
+        frame = encode(command, self._seq, session)
+        self._outstanding = _Outstanding(command, frame, self._seq, session, until_s)
         self._transmit(self._outstanding)
         return self._outstanding
 
@@ -304,17 +273,13 @@ class Client(Inbox, Closing):
 
     def _say_hello(self, limit_s: float) -> wire.HelloReply | None:
         """Open a session; None if nobody answers in time. Raises SchemaMismatchError."""
-        hello = wire.Hello(wire.PROTOCOL, self._schema_hash, secrets.randbits(32))
+        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, secrets.randbits(32))
         until_s = self.now() + limit_s
-        self._seq = 0
-        frame = encode(hello, 0, 0)
-        outstanding = _Outstanding(hello, wire.HelloReply, frame, 0, 0, until_s)
-        self._outstanding = outstanding
-        self._transmit(outstanding)
+        outstanding = self._begin(hello, until_s)
         while outstanding.answer is None and self._outstanding is outstanding:
             self._pump(until_s)
         if outstanding.refused_by is not None:
-            raise failures.other_schema(self._schema_hash, outstanding.refused_by, self.transport)
+            raise failures.other_schema(outstanding.refused_by, self.transport)
         reply = outstanding.answer
         if not isinstance(reply, wire.HelloReply):
             return None
@@ -385,7 +350,7 @@ class Client(Inbox, Closing):
         for beat in self.transport.beats():
             self._beat_sent(beat.counter, beat.t_s)
             if self.taps:
-                frame = encode(wire.Heartbeat(beat.counter), 0, self._session)[:-1]
+                frame = encode(wire.Heartbeat(beat.counter), 0, self.session)[:-1]
                 for tap in self.taps:
                     tap("tx", frame, beat.t_s)
 
@@ -449,7 +414,7 @@ class Client(Inbox, Closing):
         theirs = int.from_bytes(payload[3:7], "little")
         if int.from_bytes(payload[-4:], "little") != hello.host_nonce:
             return False
-        if theirs == self._schema_hash and not refused:
+        if theirs == wire.SCHEMA_HASH and not refused:
             return False
         assert self._outstanding is not None
         self._outstanding.refused_by = theirs
@@ -458,7 +423,7 @@ class Client(Inbox, Closing):
 
     def _take_announce(self, message: wire.Announce) -> None:
         self._announce = message
-        if message.schema_hash != self._schema_hash:
+        if message.schema_hash != wire.SCHEMA_HASH:
             self._other_hash = message.schema_hash
         if message.boot_nonce in self._nonces:
             return  # heard before: it waits for a hello, or is a replay
@@ -481,7 +446,7 @@ class Client(Inbox, Closing):
             )
         else:
             ours = frame.seq == outstanding.seq and frame.session == outstanding.session
-            ours = ours and isinstance(message, (outstanding.reply, wire.Ack))
+            ours = ours and isinstance(message, (outstanding.message.REPLY, wire.Ack))
         if not ours:
             self.stats.foreign += 1
             return

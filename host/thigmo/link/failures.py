@@ -17,10 +17,8 @@ from thigmo.link.transport import Transport
 def refused(command: wire.Message, reason: wire.Reason, detail: int) -> CommandRefusedError:
     """The board said no, with a reason whose sentence the schema has."""
     what, step = reason.told
-    return CommandRefusedError(
-        f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}", step, reason=reason.key,
-        detail=detail,
-    )  # fmt: skip
+    said = f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}"
+    return CommandRefusedError(said, step, reason=reason.key, detail=detail)
 
 
 def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:
@@ -48,20 +46,17 @@ def restarted(cause: wire.ResetCause) -> BoardResetError:
     )
 
 
-def other_schema(ours: int, theirs: int, transport: Transport) -> SchemaMismatchError:
+def other_schema(theirs: int, transport: Transport) -> SchemaMismatchError:
     """Board and host do not speak the same protocol."""
     return SchemaMismatchError(
-        f"the board's firmware has schema {theirs:08x}, this host has {ours:08x}",
+        f"the board's firmware has schema {theirs:08x}, this host has {wire.SCHEMA_HASH:08x}",
         _new_firmware(transport),
     )
 
 
 def _new_firmware(transport: Transport) -> str:
-    return (
-        "run `make install`"
-        if transport.virtual
-        else f"run `thigmo flash --robot {transport.name}`"
-    )
+    flash = f"run `thigmo flash --robot {transport.name}`"
+    return "run `make install`" if transport.virtual else flash
 
 
 def nobody(

@@ -13,13 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from thigmo.errors import (
-    ConfigError,
-    LinkError,
-    NotARobotError,
-    PortError,
-    SchemaMismatchError,
-)
+from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError, SchemaMismatchError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.image import Image, build_image, read_image
@@ -31,57 +25,37 @@ _DEADLINE_S = 180.0
 _MEGA_2560 = "1e9801"
 
 # What avrdude says, what it means, and what to do. First match counts.
-_FAILURES: tuple[tuple[str, type[LinkError], str, str], ...] = (
-    (
-        r"permission denied",
-        PortError,
-        "you may not open {port}",
-        "join the port's group (often dialout) and log in again",
+_FAILURES: dict[str, LinkError] = {
+    r"permission denied": PortError(
+        "you may not open {port}", "join the port's group (often dialout) and log in again"
     ),
-    (
-        r"(no such file|cannot find the file)",
-        PortError,
-        "there is no port {port}",
-        "plug the board in and look which port appears",
+    r"(no such file|cannot find the file)": PortError(
+        "there is no port {port}", "plug the board in and look which port appears"
     ),
-    (
-        r"(busy|resource temporarily unavailable|access is denied)",
-        PortError,
-        "{port} is in use",
-        "close the other program (a serial monitor?) and try again",
+    r"(busy|resource temporarily unavailable|access is denied)": PortError(
+        "{port} is in use", "close the other program (a serial monitor?) and try again"
     ),
-    (
-        r"(device signature = 0x(?!1e9801)|expected signature)",
-        NotARobotError,
+    r"(device signature = 0x(?!1e9801)|expected signature)": NotARobotError(
         "the board on {port} is no Mega 2560 (signature {signature})",
         "connect an Arduino Mega 2560, or give its port",
     ),
-    (
-        r"(verification (error|mismatch)|content mismatch)",
-        LinkError,
+    r"(verification (error|mismatch)|content mismatch)": LinkError(
         "what was read back from the board differs from the image",
         "flash again; if it happens twice, change the USB cable and its supply",
     ),
-    (
-        r"(timeout|getsync|not in sync|not responding|can't communicate|programmer is not)",
-        NotARobotError,
+    r"timeout|getsync|not (in sync|responding)|can't communicate|programmer is not": NotARobotError(
         "no boot loader answers on {port}",
         "check that it is the Mega's port and press its reset button as you start again;"
         " a Mega without its boot loader needs an ISP programmer once",
     ),
-    (
-        r"(can't open device|unable to open|cannot open port)",
-        PortError,
-        "{port} cannot be opened",
-        "check the port's name, and that no other program uses it",
+    r"(can't open device|unable to open|cannot open port)": PortError(
+        "{port} cannot be opened", "check the port's name, and that no other program uses it"
     ),
-    (
-        r"(input/output error|write error|read error|disconnected)",
-        LinkError,
+    r"(input/output error|write error|read error|disconnected)": LinkError(
         "the board went away while it was being written",
         "plug it in again and flash again: the boot loader survives that",
     ),
-)
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +68,7 @@ class Flashed:
 
 
 def check(image: Image) -> None:
-    """Refuse an image that this host could not talk to.
-
-    Raises:
-        SchemaMismatchError: built from another protocol schema.
-    """
+    """Refuse an image of another protocol schema with a SchemaMismatchError."""
     if image.schema_hash != wire.SCHEMA_HASH or image.protocol != wire.PROTOCOL:
         raise SchemaMismatchError(
             f"{image.path.name} speaks schema {image.schema_hash:08x} and this host"
@@ -174,12 +144,12 @@ def explain(output: str, port: str) -> LinkError:
     """The error for what a failed avrdude printed."""
     lowered = output.lower()
     found = re.search(r"device signature = 0x([0-9a-f]{6})", lowered)
-    for pattern, kind, what, cure in _FAILURES:
+    for pattern, error in _FAILURES.items():
         if re.search(pattern, lowered):
             signature = found[1] if found else "unknown"
             if "signature" in pattern and signature == _MEGA_2560:
                 continue
-            return kind(what.format(port=port, signature=signature), cure)
+            return type(error)(error.what.format(port=port, signature=signature), error.next_step)
     lines = [line for line in output.splitlines() if "error" in line.lower()] or ["no message"]
     return LinkError(f"avrdude failed: {lines[0].strip()}", "flash again; report it if it stays")
 

@@ -36,11 +36,7 @@ class Frame(NamedTuple):
     wire: bytes  # the stuffed bytes as they came, without the closing zero
 
     def message(self) -> Message:
-        """The typed message.
-
-        Raises:
-            FrameError: unknown id, wrong size or a value that its enumeration does not have.
-        """
+        """The typed message; FrameError for an unknown id, a wrong size or an unknown value."""
         kind = MESSAGES.get(self.id)
         if kind is None:
             raise FrameError(f"unknown message id 0x{self.id:02X}")
@@ -60,8 +56,7 @@ def encode(message: Message, seq: int, session: int) -> bytes:
 def decode(wire: bytes) -> Frame:
     """One frame from its stuffed bytes, without the closing zero.
 
-    Raises:
-        FrameError: bad stuffing, size or check sequence.
+    Raises FrameError for bad stuffing, size or check sequence.
     """
     try:
         raw = cobs.decode(wire)
@@ -109,11 +104,6 @@ class Decoder:
             self._overlong = True
         self.frames += len(found)
         return found
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept for the frame that is coming in; less than a frame's most."""
-        return len(self._rest)
 
     @property
     def garbage(self) -> int:

@@ -38,8 +38,7 @@ class Image:
 def read_hex(path: Path) -> list[tuple[int, bytes]]:
     """Blocks of an Intel HEX file: (address, bytes), in the file's order, merged where they meet.
 
-    Raises:
-        ConfigError: unreadable file, malformed record or wrong checksum.
+    Raises ConfigError for an unreadable file, a malformed record or a wrong checksum.
     """
     try:
         lines = path.read_text(encoding="ascii").split()
@@ -73,8 +72,7 @@ def read_hex(path: Path) -> list[tuple[int, bytes]]:
 def read_image(path: Path) -> Image:
     """Read an image's signature.
 
-    Raises:
-        ConfigError: no Intel HEX file, no thigmo image, or too large for the board.
+    Raises ConfigError: no Intel HEX file, no thigmo image, or too large for the board.
     """
     blocks = read_hex(path)
     end = max((start + len(data) for start, data in blocks), default=0)
@@ -93,11 +91,9 @@ def read_image(path: Path) -> Image:
 
 
 def build_image(baud: int = 250_000) -> Path:
-    """The image of this source tree, built if need be (nothing is built that is up to date), or
-    the one that came with an installation.
+    """The image of this source tree, built if need be, or the one that came with an installation.
 
-    Raises:
-        PortError: neither sources nor image, no compiler, or the build failed.
+    Raises PortError: neither sources nor image, no compiler, or the build failed.
     """
     folder = ROOT / "firmware" / "mega"
     if not (folder / "Makefile").exists():
@@ -131,11 +127,7 @@ def _alone() -> Iterator[None]:
 
 
 def make(folder: Path, target: Path, *settings: str) -> Path:
-    """Run a Makefile of the firmware.
-
-    Raises:
-        PortError: it failed; the message holds its first line.
-    """
+    """Run a Makefile of the firmware; raises PortError with the first line of its failure."""
     with _alone():
         result = subprocess.run(
             ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],

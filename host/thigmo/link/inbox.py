@@ -7,9 +7,7 @@ acknowledgement; pulses pair the board's clock with the host's. `client.Client` 
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TypeVar, cast
+from collections.abc import Callable
 
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
@@ -17,7 +15,6 @@ from thigmo.link.events import EventLedger
 from thigmo.link.framing import Frame
 from thigmo.link.received import LinkCounters, ReceivedEvent, TelemetryFrame
 
-M = TypeVar("M", bound=wire.Message)
 _EVENTS = 1024
 _BEATS = 64
 
@@ -34,23 +31,11 @@ class Inbox:
         # Called for each, in order. They must not send commands.
         self.on_telemetry: list[Callable[[TelemetryFrame], None]] = []
         self.on_event: list[Callable[[ReceivedEvent], None]] = []
-        self._session = 0
+        self.session = 0  # number of the conversation; 0 before the first
         self._telemetry_seq: int | None = None
         self._ledger = EventLedger()
         self._ack_due: int | None = None
         self._beats: OrderedDict[int, float] = OrderedDict()
-        self._collectors: list[tuple[type[wire.Message], list[wire.Message]]] = []
-
-    @contextmanager
-    def collect(self, kind: type[M]) -> Iterator[list[M]]:
-        """A list that fills with messages of a kind (telemetry, events) while the block runs."""
-        found: list[M] = []
-        entry = (cast("type[wire.Message]", kind), cast("list[wire.Message]", found))
-        self._collectors.append(entry)
-        try:
-            yield found
-        finally:
-            self._collectors.remove(entry)
 
     def device_s(self, t_us: int) -> float:
         """Unwrapped seconds of a 32-bit device stamp."""
@@ -61,7 +46,7 @@ class Inbox:
         if new_boot:
             self.clock.reset()
             self._ledger.reset()
-        self._session = session
+        self.session = session
         self._telemetry_seq = None
         self._ack_due = None
         self._beats.clear()
@@ -73,7 +58,7 @@ class Inbox:
 
     def _take_telemetry(self, frame: Frame, t_s: float) -> None:
         payload = frame.payload
-        if frame.session != self._session or len(payload) != wire.Telemetry.SIZE:
+        if frame.session != self.session or len(payload) != wire.Telemetry.SIZE:
             self.stats.foreign += 1
             return
         if self._telemetry_seq is not None:
@@ -89,11 +74,9 @@ class Inbox:
         self.telemetry = received
         for callback in self.on_telemetry:
             callback(received)
-        if self._collectors:
-            self._collect(wire.Telemetry, received.message)
 
     def _take_pulse(self, message: wire.Pulse, session: int, t_s: float) -> None:
-        if session != self._session:
+        if session != self.session:
             self.stats.foreign += 1
             return
         sent_s = self._beats.pop(message.counter, None)
@@ -102,7 +85,7 @@ class Inbox:
             self.clock.pair(sent_s, t_s, device_us)
 
     def _take_event(self, message: wire.Event, session: int, t_s: float) -> None:
-        if session != self._session:
+        if session != self.session:
             self.stats.foreign += 1
             return
         if len(self.events) >= _EVENTS:
@@ -117,9 +100,3 @@ class Inbox:
         self.events.append(received)
         for callback in self.on_event:
             callback(received)
-        self._collect(wire.Event, message)
-
-    def _collect(self, kind: type[wire.Message], message: wire.Message) -> None:
-        for wanted, found in self._collectors:
-            if wanted is kind:
-                found.append(message)

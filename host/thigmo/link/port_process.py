@@ -111,12 +111,7 @@ class PortProcess:
     """The relay between one port and one host."""
 
     def __init__(
-        self,
-        port: serial.Serial,
-        url: str,
-        stops: Listener,
-        host_in: IO[bytes],
-        outbox: Outbox,
+        self, port: serial.Serial, url: str, stops: Listener, host_in: IO[bytes], outbox: Outbox
     ) -> None:
         self._port = port
         self._url = url

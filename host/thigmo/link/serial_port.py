@@ -14,10 +14,11 @@ import sys
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
+from weakref import WeakSet
 
 from thigmo.errors import LinkError, PortError
-from thigmo.link import lease
 from thigmo.link.heart import Beat
 from thigmo.link.pipe import BEAT, START, Kind, Packet, read_packet, write_packet
 
@@ -28,17 +29,25 @@ _QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
 _PACKAGES = str(Path(__file__).resolve().parents[2])
 
 
+# A main thread that has not touched its port for a while counts as hung, and the port's process
+# then stops the robot. One that waits for the person beside the robot is not hung, which is a fact
+# about the process: hence one list for it.
+_open: WeakSet[SerialTransport] = WeakSet()
+
+
+def waits_for_operator() -> None:
+    """The main thread is about to wait for its operator: told to every port of this process."""
+    for connection in list(_open):
+        connection.attend()
+
+
 class SerialTransport:
     """See `transport.Transport`; time is `time.monotonic`."""
 
     virtual = False
 
     def __init__(self, url: str, baud: int) -> None:
-        """Open.
-
-        Raises:
-            PortError: the port is missing, busy, not allowed, or no serial port.
-        """
+        """Open; raises PortError: missing, busy, not allowed, or no serial port."""
         self.name = url
         self.read_s = self.now()
         self.dropped_bytes = 0
@@ -57,7 +66,7 @@ class SerialTransport:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._to = self._process.stdin
-        lease.attend_at_prompts(self)
+        _open.add(self)
         self._from = self._process.stdout
         threading.Thread(target=self._collect, daemon=True).start()
         try:
@@ -84,11 +93,8 @@ class SerialTransport:
         self._touch()
         until_s = self.now() + timeout_s
         while True:
-            left_s = until_s - self.now()
             try:
-                packet = self._packets.get(timeout=left_s) if left_s > 0 else self._packets.get(
-                    block=False
-                )  # fmt: skip
+                packet = self._packets.get(timeout=max(until_s - self.now(), 0.0))
             except queue.Empty:
                 return b""
             self._touch()
@@ -113,8 +119,7 @@ class SerialTransport:
     def attend(self) -> None:
         """The main thread waits for its operator now: no lease runs until it comes back.
 
-        Raises:
-            LinkError: the connection is gone.
+        Raises LinkError if the connection is gone.
         """
         if not self._closing.is_set() and self._failure is None:
             self._tell(Kind.ATTENDED)
@@ -130,11 +135,9 @@ class SerialTransport:
         if self._closing.is_set():
             return
         self._closing.set()
-        try:
+        with suppress(OSError):  # it is gone already
             write_packet(self._to, Kind.CLOSE)
             self._to.close()
-        except OSError:
-            pass  # it is gone already
         try:
             self._process.wait(2.0)
         except subprocess.TimeoutExpired:
@@ -202,28 +205,25 @@ def port_error(name: str, number: int, text: str) -> PortError:
         what, _, step = text.rpartition("; ")
         return PortError(what, step)
     lowered = text.lower()
-    if number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered:
+    denied = number in (errno.EACCES, errno.EPERM)
+    busy = number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered
+    if busy or (denied and os.name == "nt"):  # Windows says "access denied" for a port in use
         return PortError(f"{name} is in use", "close the other program that has it open")
-    if number in (errno.EACCES, errno.EPERM):
-        if os.name == "nt":  # Windows says "access denied" for a port in use
-            return PortError(f"{name} is in use", "close the other program that has it open")
-        return PortError(
-            f"no permission to open {name}",
-            "add yourself to the group that owns it (often dialout or uucp) and sign in again",
-        )
+    if denied:
+        step = "add yourself to the group that owns it (often dialout or uucp) and sign in again"
+        return PortError(f"no permission to open {name}", step)
     if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
-        return PortError(f"there is no port {name}", _ports_step())
-    if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
-        return PortError(f"{name} is no serial port", _ports_step())
-    if "not known" in lowered or "invalid url" in lowered:
-        return PortError(f"{name} is no address that can be opened", _ports_step())
-    if "://" in name:
+        what = f"there is no port {name}"
+    elif number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
+        what = f"{name} is no serial port"
+    elif "not known" in lowered or "invalid url" in lowered:
+        what = f"{name} is no address that can be opened"
+    elif "://" in name:
         return PortError(f"cannot open {name}: {text}", "check that its server is running")
-    return PortError(f"cannot open {name}: {text}", _ports_step())
-
-
-def _ports_step() -> str:
+    else:
+        what = f"cannot open {name}: {text}"
     from serial.tools.list_ports import comports
 
     found = ", ".join(sorted(port.device for port in comports()))
-    return f"give one of: {found}" if found else "plug the board in: no serial port is there now"
+    none = "plug the board in: no serial port is there now"
+    return PortError(what, f"give one of: {found}" if found else none)

@@ -30,8 +30,7 @@ _NAME = 40  # of the address in the socket's name; the system allows 107 bytes i
 def folder() -> Path:
     """The folder of the sockets, made if need be.
 
-    Raises:
-        PortError: others could enter it, so that they could stop or fake a robot.
+    Raises PortError if others could enter it, so that they could stop or fake a robot.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(runtime or tempfile.gettempdir()) / ("thigmo" if runtime else f"thigmo-{_user()}")
@@ -60,11 +59,7 @@ def address(url: str) -> str:
 
 
 def serve(url: str) -> Listener:
-    """Listen for stops of a port, which the caller owns.
-
-    Raises:
-        PortError: the socket cannot be made.
-    """
+    """Listen for stops of a port, which the caller owns; raises PortError if it cannot."""
     where = address(url)
     try:
         if sys.platform != "win32":
@@ -80,9 +75,7 @@ def answer(listener: Listener, url: str, stop: Callable[[], bool]) -> None:
     """Take one call and obey it; returns when it is answered.
 
     `stop` stops the robot, and says whether the board confirmed it. The port's address goes back.
-
-    Raises:
-        OSError: the listener is closed.
+    Raises OSError when the listener is closed.
     """
     with listener.accept() as caller:
         try:
@@ -103,10 +96,7 @@ def running() -> list[str]:
 def call(where: str) -> str | None:
     """Stop the robot of the process behind a socket; returns its port's address.
 
-    None if nobody listens there.
-
-    Raises:
-        LinkError: the process is there, but the board did not confirm the stop.
+    None if nobody listens there. Raises LinkError if the board did not confirm the stop.
     """
     try:
         with Client(where) as owner:

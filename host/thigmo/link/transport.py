@@ -14,36 +14,25 @@ from thigmo.link.heart import Beat
 
 
 class Transport(Protocol):
-    """A two-way stream of bytes with a clock and a heart.
+    """A two-way stream of bytes with a clock and a heart."""
 
-    Attributes:
-        name: what was opened, for messages.
-        virtual: time is virtual and advances while `read` waits.
-        read_s: host time at which the bytes last returned by `read` had arrived. A main thread
-            that was busy finds old bytes with their true stamps.
-    """
-
-    name: str
-    virtual: bool
+    name: str  # what was opened, for messages
+    virtual: bool  # time is virtual and advances while `read` waits
+    # Host time at which the bytes last returned by `read` had arrived. A main thread that was busy
+    # finds old bytes with their true stamps.
     read_s: float
 
     def now(self) -> float:
         """Host seconds; monotonic."""
 
     def write(self, data: bytes) -> None:
-        """Send bytes; does not wait for them to leave.
-
-        Raises:
-            LinkError: the connection is gone.
-        """
+        """Send bytes, not waiting for them to leave; raises LinkError if the connection is gone."""
 
     def read(self, timeout_s: float) -> bytes:
         """Bytes as soon as there are any; b"" when `timeout_s` passed without.
 
-        Any positive time-out must let time pass, virtual time as well.
-
-        Raises:
-            LinkError: the connection is gone.
+        Any positive time-out must let time pass, virtual time as well. Raises LinkError if the
+        connection is gone.
         """
 
     def start_heartbeat(self, session: int, period_s: float) -> None:

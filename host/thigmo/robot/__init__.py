@@ -8,14 +8,7 @@ from thigmo.robot.operator import Operator
 from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of, other_side
 from thigmo.robot.robot import Robot, connect
 from thigmo.robot.standing import StandingWatch
-from thigmo.robot.state import (
-    ContactTrigger,
-    Peak,
-    Reading,
-    Status,
-    SweepFrame,
-    SweepResult,
-)
+from thigmo.robot.state import ContactTrigger, Peak, Reading, Status, SweepFrame, SweepResult
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.sweeping import SweepWatcher, peak_frame
 

@@ -45,8 +45,7 @@ def send_config(client: Client, config: RobotConfig) -> bool:
 def get_parameter(client: Client, name: str) -> list[int]:
     """A parameter as the board holds it, in its wire unit, one value for each element.
 
-    Raises:
-        ConfigError: the schema has no such parameter.
+    Raises ConfigError if the schema has no such parameter.
     """
     entry = _named(name)
     return [client.request(wire.GetParameter(entry.index + i)).value for i in range(entry.count)]

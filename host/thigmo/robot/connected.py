@@ -18,13 +18,11 @@ from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.record import TrueContact, TruePeg, Truth
-from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.publishing import Publisher
-from thigmo.robot.readings import SENSORS, Floats, SensorTable
+from thigmo.robot.readings import SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
-from thigmo.robot.sweeping import SweepWatcher
 from thigmo.robot.watch import Watch
 from thigmo.room import Simulated
 from thigmo.stream import Hub, Message, Telemetry
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
     from thigmo.link.received import TelemetryFrame
 
 R = TypeVar("R", bound=wire.Message)
+# Given each telemetry frame's device time, and what decodes it.
+Follower = Callable[[float, Callable[[], wire.Telemetry]], None]
 
 _STREAM_S = 0.1
 _UNKNOWN_ZONE = 255
@@ -60,14 +60,12 @@ class Connected(Closing):
         self.operator: Operator = self._room.operator if self._room else operator or NobodyThere()
         self.config = RobotConfig()
         self._table = SensorTable.of(self.config)
-        self._zero_sum: Floats = np.full(SENSORS, np.nan)
-        self._zero_before = self._zero_sum
-        self._oversample = 16
+        self._before = self._table  # the last zeroing
         self._started = client.now()
         self._aside = 0
         self._standing: StandingWatch | None = None
         self._closed = False
-        self._publisher = Publisher(client, self.config, self._zero_sum, self._oversample)
+        self._publisher = Publisher(client, self.config, self._table)
 
     # Life.
 
@@ -84,10 +82,7 @@ class Connected(Closing):
         does the same.
         """
         try:
-            if interrupted:
-                self.stop()
-            else:
-                self.disarm()
+            (self.stop if interrupted else self.disarm)()
         except LinkError:
             return False
         return True
@@ -140,10 +135,7 @@ class Connected(Closing):
 
     @property
     def hub(self) -> Hub:
-        """Where the robot publishes its telemetry, events and shape.
-
-        Others may publish there as well: an exploration does.
-        """
+        """Where the robot publishes telemetry, events and shape; an exploration does as well."""
         return self._publisher.hub
 
     @property
@@ -195,20 +187,18 @@ class Connected(Closing):
         self._watch.interruptions.append(callback)
 
     def _decode(self) -> None:
-        self._publisher.use(self.config, self._zero_sum, self._oversample)
+        self._publisher.use(self.config, self._table)
 
-    def _follow(
-        self, watcher: SweepWatcher | GrowthWatcher | StandingWatch
-    ) -> Callable[[TelemetryFrame], None]:
+    def _follow(self, follow: Follower) -> Callable[[TelemetryFrame], None]:
         def take(frame: TelemetryFrame) -> None:
-            watcher.telemetry(frame.device_us * 1e-6, lambda: frame.message)
+            follow(frame.device_us * 1e-6, lambda: frame.message)
 
         self._client.on_telemetry.append(take)
         return take
 
     @contextmanager
-    def _telemetry_to(self, watcher: SweepWatcher | GrowthWatcher) -> Iterator[None]:
-        take = self._follow(watcher)
+    def _telemetry_to(self, follow: Follower) -> Iterator[None]:
+        take = self._follow(follow)
         try:
             yield
         finally:
@@ -217,11 +207,7 @@ class Connected(Closing):
     # Asking and waiting.
 
     def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
-        """Let time pass, with the link alive.
-
-        Args:
-            seconds: so long.
-            despite_faults: a fault is what is looked for; do not raise it.
+        """Let time pass, with the link alive; `despite_faults` if a fault is what is looked for.
 
         Raises:
             RobotFaultError: a fault was latched meanwhile.
@@ -307,22 +293,16 @@ class Connected(Closing):
 
     def link_stats(self) -> dict[str, int]:
         """Counters of the link as the board sees it, by the schema's names."""
-        return {
-            name: value
-            for name, value in asdict(self._client.request(wire.GetLinkStats())).items()
-            if name != "status"
-        }
+        stats = asdict(self._client.request(wire.GetLinkStats()))
+        del stats["status"]
+        return stats
 
     def scenery(self) -> Any:
         """The emulator's own truth (shapes included), for painting pictures; None on hardware."""
         return self._room.truth() if self._room else None
 
-    def truth(self) -> Truth | None:
-        """What the emulated room knows now; None on hardware."""
-        return self._truth("")
-
-    def _truth(self, side: Side | Literal[""]) -> Truth | None:
-        """The same, as the contacts of a side that is inflated."""
+    def truth(self, side: Side | Literal[""] = "") -> Truth | None:
+        """What the emulated room knows now, of the side that is inflated; None on hardware."""
         known = self.scenery()
         if known is None:
             return None

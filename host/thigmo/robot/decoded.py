@@ -13,7 +13,7 @@ import numpy as np
 from thigmo.config import SIDES
 from thigmo.link import protocol as wire
 from thigmo.link.received import ReceivedEvent, TelemetryFrame
-from thigmo.robot.readings import SENSORS, SENSORS_A_SIDE, Floats, SensorTable, sensor_name
+from thigmo.robot.readings import SENSORS, SENSORS_A_SIDE, SensorTable, sensor_name
 from thigmo.stream import Event, Telemetry
 from thigmo.stream.messages import Severity
 
@@ -24,24 +24,19 @@ _SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(SENSORS)]
 
 
 class Decoder:
-    """Decodes with one set of constants and zeros; made anew when these change.
+    """Decodes with one set of constants and zeros; made anew when these change."""
 
-    Zeros are (10,) sums of `oversample` counts; NaN where there is none.
-    """
-
-    def __init__(
-        self, table: SensorTable, zero_sum: Floats, oversample: int, epoch_s: float
-    ) -> None:
+    def __init__(self, table: SensorTable, epoch_s: float) -> None:
         self._epoch_s = epoch_s
-        self._share = 1.0 / oversample
+        self._share = 1.0 / table.oversample
         self._divider_ohm = table.divider_ohm
         # Everted where it ends, and never if it is not to be used.
-        used = table.healthy & np.isfinite(zero_sum)
+        used = table.healthy & np.isfinite(table.zero_sum)
         self._sensors = list(
             zip(
                 np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist(),
                 table.scale_per_ohm.tolist(),
-                table.resistance(zero_sum, oversample).tolist(),
+                table.resistance(table.zero_sum).tolist(),
                 _SIDE_OF,
                 strict=True,
             )

@@ -18,9 +18,7 @@ class Everting(Supervised):
     def confirm_length(self, length_cm: float, *, settled: bool = False) -> None:
         """Vouch for the everted length, as measured on the robot.
 
-        Args:
-            length_cm: measured.
-            settled: the everted sensors have rested long enough already.
+        `settled`: the everted sensors have rested long enough already.
 
         Raises:
             CommandTimeoutError: a muscle stays under pressure.
@@ -35,15 +33,13 @@ class Everting(Supervised):
     def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
 
-        Args:
-            length_cm: target.
-            watcher: given the telemetry meanwhile.
+        A watcher is given the telemetry meanwhile.
 
         Raises:
             CommandRefusedError: the length is unknown, or a muscle is under pressure.
             RobotFaultError: the spool stalled.
         """
-        with self._telemetry_to(watcher) if watcher else nullcontext():
+        with self._telemetry_to(watcher.telemetry) if watcher else nullcontext():
             self._start(wire.GrowTo(round(length_cm * 1e4), 0))
             return self._watch.finish(wire.Activity.GROWING, self._travel_s()) / 1e4
 

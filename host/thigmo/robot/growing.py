@@ -35,8 +35,8 @@ class GrowthWatcher:
         self.length_cm.append(frame.length_um / 1e4)
         self.flex_sum.append(tuple(frame.flex_sum))
 
-    def profile(self, table: SensorTable, oversample: int) -> tuple[Floats, Floats]:
+    def profile(self, table: SensorTable) -> tuple[Floats, Floats]:
         """Lengths (n,) in cm, and what each sensor read there, (n, 10) in 1/cm, without a zero."""
         sums: Floats = np.asarray(self.flex_sum, dtype=np.float64)
         sums = sums.reshape(-1, len(table.center_cm))
-        return np.asarray(self.length_cm), table.unzeroed(sums, oversample)
+        return np.asarray(self.length_cm), table.unzeroed(sums)

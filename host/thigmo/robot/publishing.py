@@ -15,7 +15,7 @@ import numpy as np
 from thigmo.config import RobotConfig
 from thigmo.link.received import ReceivedEvent, TelemetryFrame
 from thigmo.robot.decoded import Decoder
-from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.readings import SensorTable
 from thigmo.stream import BodyShape, Hub, Telemetry
 
 if TYPE_CHECKING:
@@ -28,21 +28,18 @@ _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 class Publisher:
     """Publishes a client's telemetry and events on its hub."""
 
-    def __init__(
-        self, client: Client, config: RobotConfig, zero_sum: Floats, oversample: int
-    ) -> None:
+    def __init__(self, client: Client, config: RobotConfig, table: SensorTable) -> None:
         self.hub = Hub()
         self.epoch_s = time.time() - client.now()  # UTC seconds at which the link's clock was 0
         self.supply_v = nan  # as last asked for
         self._shape_s = 0.0
-        self.use(config, zero_sum, oversample)
+        self.use(config, table)
         client.on_telemetry.append(self._telemetry)
         client.on_event.append(self._event)
 
-    def use(self, config: RobotConfig, zero_sum: Floats, oversample: int) -> None:
-        """Decode with these constants and zeros ((10,) sums of counts) from now on."""
-        table = SensorTable.of(config)
-        self._decoder = Decoder(table, zero_sum, oversample, self.epoch_s)
+    def use(self, config: RobotConfig, table: SensorTable) -> None:
+        """Decode with these constants and zeros from now on."""
+        self._decoder = Decoder(table, self.epoch_s)
         self._centers = table.center_cm.tolist()
         self._radius_cm = config.body.radius_cm
 

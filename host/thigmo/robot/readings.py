@@ -7,7 +7,7 @@ its last zeroing (thesis, equation 2.4).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
@@ -25,8 +25,7 @@ SENSORS = len(SIDES) * SENSORS_A_SIDE
 def in_board_order(config: RobotConfig) -> list[FlexSensor | None]:
     """robot.toml's flex sensors by the board's numbers, left base first; None where one is absent.
 
-    Raises:
-        ConfigError: more sensors than the board has channels for.
+    Raises ConfigError if there are more than the board has channels for.
     """
     found: list[FlexSensor | None] = []
     for side in SIDES:
@@ -79,10 +78,12 @@ class SensorTable:
     direction: NDArray[np.int64]  # of bends that it answers to; 0: both
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
     divider_ohm: float  # the divider's fixed resistor
+    oversample: int  # conversions that a raw reading sums
+    zero_sum: Floats  # (10,) raw readings at the last zeroing; NaN where there is none
 
     @classmethod
-    def of(cls, config: RobotConfig) -> SensorTable:
-        """Lay out the configuration's sensors in the board's order."""
+    def of(cls, config: RobotConfig, oversample: int = 16) -> SensorTable:
+        """Lay out the configuration's sensors in the board's order, without zeros."""
         sensors = in_board_order(config)
         return cls(
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
@@ -92,32 +93,37 @@ class SensorTable:
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.healthy for s in sensors]),
             divider_ohm=config.sensors.divider_ohm,
+            oversample=oversample,
+            zero_sum=np.full(len(sensors), np.nan),
         )
 
-    def resistance(self, flex_sum: Floats, oversample: int) -> Floats:
-        """Resistance (ohm) of each sensor from sums of `oversample` conversions (..., 10)."""
+    def zeroed(self, sums: dict[int, float]) -> SensorTable:
+        """The same with new zeros of some sensors."""
+        zeros = self.zero_sum.copy()
+        zeros[list(sums)] = list(sums.values())
+        return replace(self, zero_sum=zeros)
+
+    @property
+    def zeros(self) -> Floats:
+        """The zeros (10,) as `unzeroed` has them."""
+        return self.unzeroed(self.zero_sum)
+
+    def resistance(self, flex_sum: Floats) -> Floats:
+        """Resistance (ohm) of each sensor from raw readings (..., 10)."""
         # A conversion floors, so a count stands for the half above it.
-        return resistance_ohm(flex_sum / oversample + 0.5, self.divider_ohm)
+        return resistance_ohm(flex_sum / self.oversample + 0.5, self.divider_ohm)
 
-    def curvature(self, flex_sum: Floats, zero_sum: Floats, oversample: int) -> Floats:
-        """Curvature (1/cm) since the zeroing, positive to the left.
+    def curvature(self, flex_sum: Floats) -> Floats:
+        """Curvature (1/cm) since the zeroing from raw readings (..., 10), positive to the left."""
+        change = self.resistance(flex_sum) - self.resistance(self.zero_sum)
+        return np.asarray(self.scale_per_ohm * change)
 
-        Args:
-            flex_sum: sums of `oversample` conversions, shape (..., 10).
-            zero_sum: the zeros, same unit, shape (10,); NaN where a sensor has none.
-            oversample: conversions a sum holds.
+    def unzeroed(self, flex_sum: Floats) -> Floats:
+        """Raw readings (..., 10) in 1/cm from no resistance on.
+
+        Only differences mean something. So zeros are compared from one zeroing to the next.
         """
-        now = self.resistance(flex_sum, oversample)
-        zero = self.resistance(zero_sum, oversample)
-        result: Floats = self.scale_per_ohm * (now - zero)
-        return result
-
-    def unzeroed(self, flex_sum: Floats, oversample: int) -> Floats:
-        """Sums (..., 10) in 1/cm from no resistance on, of which only differences mean something.
-
-        So zeros are compared from one zeroing to the next; NaN where there is none.
-        """
-        return np.asarray(self.scale_per_ohm * self.resistance(flex_sum, oversample))
+        return np.asarray(self.scale_per_ohm * self.resistance(flex_sum))
 
     def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
         """Sensors to localize with while a muscle is inflated.

@@ -10,6 +10,7 @@ here.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.link import protocol as wire
@@ -48,18 +49,14 @@ def connect(
     """
     from thigmo.link.client import Client
 
-    transport = open_transport(url, seed=seed, realtime=realtime)
-    try:
+    with ExitStack() as undo:
+        transport = open_transport(url, seed=seed, realtime=realtime)
+        undo.callback(transport.close)
         robot = Robot(Client(transport), url=url, operator=operator)
-    except BaseException:
-        transport.close()
-        raise
-    if config is not None:
-        try:
+        if config is not None:
+            undo.callback(robot.close)
             robot.configure(config)
-        except BaseException:
-            robot.close()
-            raise
+        undo.pop_all()
     return robot
 
 
@@ -119,8 +116,6 @@ class Robot(Sensing):
         usable = before.everted & before.settled & before.zeroed
         watcher = SweepWatcher(
             self._table,
-            self._zero_sum,
-            self._oversample,
             usable,
             before.length_cm or 0.0,
             self._aside,
@@ -142,19 +137,19 @@ class Robot(Sensing):
             return watcher.stopped
 
         within_s = period_s * cycles + _SWEEP_EXTRA_S
-        with self._telemetry_to(watcher):
+        with self._telemetry_to(watcher.telemetry):
             self._start(command)
             for event in self._watch.activity(wire.Activity.SWEEPING, within_s, until):
                 if event.code == wire.EventCode.CONTACT:
                     watcher.triggered(event, self._client.device_s(event.t_us))
                 elif event.code == wire.EventCode.PEAK:
-                    truths.append(self._truth(SIDES[event.arg]))
+                    truths.append(self.truth(SIDES[event.arg]))
                     # Before the next half overwrites them.
                     watcher.peaks.append(self.snapshots())
                     if rising:
                         self._request(wire.Vent())
                         break
             if watcher.stopped:
-                truths.append(self._truth(watcher.frames[-1].side))
+                truths.append(self.truth(watcher.frames[-1].side))
                 self._request(wire.Vent())
         return watcher.result(together(truths))

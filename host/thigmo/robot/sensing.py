@@ -24,13 +24,13 @@ class Sensing(Everting):
     @property
     def oversample(self) -> int:
         """Conversions that a raw reading sums."""
-        return self._oversample
+        return self._table.oversample
 
     def follow_settling(self) -> None:
         """Watch young sensors from now on, so that sweeps can use those that are set aside."""
         if self._standing is None:
-            self._standing = StandingWatch(self.config, self._oversample)
-            self._follow(self._standing)
+            self._standing = StandingWatch(self.config, self.oversample)
+            self._follow(self._standing.telemetry)
 
     def young_noise(self) -> Floats:
         """Standard error of what sensors set aside rest at, (10,), 1/cm; infinite if unknown."""
@@ -41,13 +41,10 @@ class Sensing(Everting):
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
-        """Have the board leave everted sensors out, as if they were dead; 0 takes all in again.
+        """Have the board leave out everted sensors of a mask, as if they were dead; 0 takes all in.
 
         Outputs must be off. Sensors that have not everted stay in use: the board refuses to bend
         the body while one lies in the tip's fold.
-
-        Args:
-            mask: of sensors, bit 0 = left base; those not everted are ignored.
         """
         mask &= self.status().everted
         if mask == self._aside:
@@ -67,11 +64,11 @@ class Sensing(Everting):
         progress: Callable[[float], None] = lambda left_s: None,
         sensors: int = (1 << SENSORS) - 1,
     ) -> None:
-        """Wait until everted sensors are past their settling time.
+        """Wait until everted sensors of a mask are past their settling time.
 
         Args:
             progress: told the seconds that are left, about once a second.
-            sensors: mask of those to wait for, bit 0 = left base.
+            sensors: bit 0 = left base.
 
         Raises:
             CommandTimeoutError: they do not settle in their time.
@@ -99,13 +96,12 @@ class Sensing(Everting):
             CommandRefusedError: not vented, not settled, or drifting (`reason`).
         """
         mask = self.status().everted & mask_of(self._table.healthy) & ~self._aside
-        self._zero_before = self._zero_sum.copy()
+        self._before = self._table
         if mask:
             self._start(wire.ZeroSensors(mask))
             self._watch.finish(wire.Activity.ZEROING, 20.0)
-        for sensor in in_mask(mask):
-            report = self._client.request(wire.GetSensor(sensor))
-            self._zero_sum[sensor] = report.zero_sum_q8 / 256
+        q8 = {n: self._client.request(wire.GetSensor(n)).zero_sum_q8 for n in in_mask(mask)}
+        self._table = self._table.zeroed({sensor: zero / 256 for sensor, zero in q8.items()})
         self._decode()
         return mask
 
@@ -114,8 +110,7 @@ class Sensing(Everting):
 
         In 1/cm, from where `GrowthWatcher.profile` counts.
         """
-        before = self._table.unzeroed(self._zero_before, self._oversample)
-        return before, self._table.unzeroed(self._zero_sum, self._oversample)
+        return self._before.zeros, self._table.zeros
 
     def flex_circuit(self, sensor: int) -> tuple[bool, bool]:
         """Whether a flex sensor's circuit is open, and whether it is shorted, now."""
@@ -123,11 +118,7 @@ class Sensing(Everting):
         return bool(flags & _OPEN), bool(flags & _SHORT)
 
     def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
-        """Average telemetry over a while.
-
-        Args:
-            seconds: so long.
-            despite_faults: as for `wait`.
+        """Average telemetry over a while; `despite_faults` as for `wait`.
 
         Raises:
             LinkError: no telemetry came.
@@ -137,13 +128,13 @@ class Sensing(Everting):
         left, right = np.mean(pressures, axis=0)
         return Reading(
             t_s=float(np.mean([self._client.device_s(f.t_us) for f in frames])),
-            curvature=self._table.curvature(flex.mean(axis=0), self._zero_sum, self._oversample),
-            spread=self._table.curvature(flex, self._zero_sum, self._oversample).std(axis=0),
+            curvature=self._table.curvature(flex.mean(axis=0)),
+            spread=self._table.curvature(flex).std(axis=0),
             left_psi=float(left),
             right_psi=float(right),
             length_cm=frames[-1].length_um / 1e4,
             frames=len(frames),
-            resistance=self._table.resistance(flex.mean(axis=0), self._oversample),
+            resistance=self._table.resistance(flex.mean(axis=0)),
         )
 
     def record(self, seconds: float) -> Recording:
@@ -155,7 +146,7 @@ class Sensing(Everting):
         frames, flex = self._frames(seconds)
         return Recording(
             t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
-            resistance=self._table.resistance(flex, self._oversample),
+            resistance=self._table.resistance(flex),
             left_psi=np.array([frame.left_cpsi / 100 for frame in frames]),
             right_psi=np.array([frame.right_cpsi / 100 for frame in frames]),
         )
@@ -164,7 +155,8 @@ class Sensing(Everting):
         self, seconds: float, despite_faults: bool = False
     ) -> tuple[list[wire.Telemetry], Floats]:
         """Telemetry of a while, and its raw flex readings (n, 10)."""
-        with self._client.collect(wire.Telemetry) as frames:
+        frames: list[wire.Telemetry] = []
+        with self._telemetry_to(lambda at_s, decode: frames.append(decode())):
             self.wait(seconds, despite_faults=despite_faults)
         if not frames:
             raise LinkError("no telemetry came", "check the parameter telemetry_ms")
@@ -175,11 +167,8 @@ class Sensing(Everting):
     ) -> None:
         """Hold a muscle pressure (at most one side above zero); returns at once.
 
-        A set point below the transducer's live zero (about 2.2 psi) vents that muscle.
-
-        Args:
-            left_psi, right_psi: set points.
-            ramp_psi_s: slew rate; 0 = as configured.
+        A set point below the transducer's live zero (about 2.2 psi) vents that muscle; a slew rate
+        of 0 is as configured.
 
         Raises:
             CommandRefusedError: a sensor is half everted, or a set point is above the limit.

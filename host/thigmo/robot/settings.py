@@ -18,8 +18,7 @@ _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never 
 def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     """The schema's parameters that robot.toml decides, by name, in wire units.
 
-    Raises:
-        ConfigError: more sensors than the board has channels for.
+    Raises ConfigError if there are more sensors than the board has channels for.
     """
     sensors, spool, body = config.sensors, config.spool, config.body
     flex = in_board_order(config)

@@ -33,8 +33,7 @@ class StandingWatch:
     """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
     def __init__(self, config: RobotConfig, oversample: int) -> None:
-        self._table = SensorTable.of(config)
-        self._oversample = oversample
+        self._table = SensorTable.of(config, oversample)
         self._laws = {
             number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD
@@ -83,8 +82,8 @@ class StandingWatch:
             bins = np.unique((since[use] / _BIN_S).astype(int), return_inverse=True)[1]
             if not use.size or bins[-1] + 1 < _FEWEST:
                 continue
-            sums: Floats = np.array([self._sums[k][i] for k in use], dtype=np.float64)
-            raw = self._read(i, sums)
+            sums: Floats = np.array([self._sums[k] for k in use], dtype=np.float64)
+            raw = self._table.unzeroed(sums)[:, i]
             count = np.bincount(bins)
             level = float(raw[-1])
             told = np.bincount(bins, raw - level) / count
@@ -100,13 +99,8 @@ class StandingWatch:
             sigma[i] = np.hypot(settled.sigma, float(left_sd))
         return value, sigma
 
-    def _read(self, sensor: int, sums: Floats) -> Floats:
-        every = np.zeros((len(sums), len(self._ends)))
-        every[:, sensor] = sums
-        return np.asarray(self._table.unzeroed(every, self._oversample)[:, sensor])
-
     def curvature(self, flex_sum: Floats, at_s: float, sensors: int) -> tuple[Floats, Floats]:
         """Young sensors' curvature (10,) at a measurement, and its added noise; NaN if unknown."""
         value, sigma = self.rest(at_s, sensors)
-        now = self._table.unzeroed(flex_sum, self._oversample)
+        now = self._table.unzeroed(flex_sum)
         return now - value, sigma

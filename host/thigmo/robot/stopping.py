@@ -21,9 +21,7 @@ _BOOT_S = 12.0
 def stop_robot(url: str) -> None:
     """Stop the robot on a port. It stays stopped until an operator clears it (`thigmo clear`).
 
-    Raises:
-        PortError: the port cannot be opened.
-        LinkError: the board did not confirm the stop.
+    Raises PortError if the port cannot be opened, LinkError if the board did not confirm.
     """
     if stop_socket.call(stop_socket.address(url.partition("?baud=")[0])) is not None:
         return
@@ -34,8 +32,7 @@ def stop_robot(url: str) -> None:
 def stop_all() -> list[str]:
     """Stop every robot whose port a program of this user owns, all at once; returns the ports.
 
-    Raises:
-        LinkError: nobody owns one, or a board did not confirm the stop (the others are stopped).
+    Raises LinkError: nobody owns one, or a board did not confirm (the others are stopped).
     """
     sockets = stop_socket.running()
     failure: LinkError | None = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, CommandTimeoutError
 from thigmo.link import protocol as wire
@@ -11,7 +9,7 @@ from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SENSORS, SensorTable
+from thigmo.robot.readings import SensorTable
 
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 
@@ -76,9 +74,7 @@ class Supervised(Connected):
 
     def _configured(self, oversample: int) -> None:
         """The board has another configuration; its raw readings sum so many conversions."""
-        self._oversample = oversample
-        self._table = SensorTable.of(self.config)
-        self._zero_sum = np.full(SENSORS, np.nan)
+        self._table = SensorTable.of(self.config, oversample)
         self._aside = 0
         self._decode()
 
@@ -107,8 +103,7 @@ class Supervised(Connected):
     def arm(self, *, body_air: bool = True) -> None:
         """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
 
-        Args:
-            body_air: False leaves the body empty, if it has an enable.
+        Without `body_air` the body stays empty, if it has an enable.
 
         Raises:
             RobotFaultError: a fault is latched.
@@ -139,10 +134,9 @@ class Supervised(Connected):
         self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
 
     def vent(self, *, wait: bool = True) -> None:
-        """Empty both muscles.
+        """Empty both muscles, and wait until they are, by their sensors.
 
-        Args:
-            wait: until they are empty, by their sensors; not for sensors whose zeros are unknown.
+        Do not wait for sensors whose zeros are unknown.
 
         Raises:
             CommandTimeoutError: they stay under pressure.

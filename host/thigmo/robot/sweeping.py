@@ -35,9 +35,7 @@ def peak_frame(reply: wire.Snapshot, t_s: float) -> SweepFrame:
 class SweepWatcher:
     """Collects what a sweep tells."""
 
-    table: SensorTable  # constants of the sensors
-    zero_sum: Floats  # their zeros, sums of counts, shape (10,); NaN where there is none
-    oversample: int  # conversions that a sum holds
+    table: SensorTable  # constants and zeros of the sensors
     sensors: int  # mask of those everted, settled and zeroed when it began
     length_cm: float  # everted length
     # mask of those everted and not settled, to be used as far as `standing` knows them
@@ -82,17 +80,14 @@ class SweepWatcher:
         last = [self.frames[-_PEAK_READINGS:]] if so_far or self.stopped else []
         peaks = [self.average(readings) for readings in self.peaks or last if readings]
         sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
-        curvature = self._curvature(sums.reshape(-1, SENSORS))
+        curvature = self.table.curvature(sums.reshape(-1, SENSORS))
         return SweepResult(triggers, peaks, frames, curvature, self.sensors, truth)
-
-    def _curvature(self, flex_sum: Floats) -> Floats:
-        return self.table.curvature(flex_sum, self.zero_sum, self.oversample)
 
     def average(self, readings: Sequence[SweepFrame]) -> Peak:
         """The average of a peak's readings (thesis: ten of them)."""
         sums: Floats = np.asarray([s.flex_sum for s in readings], dtype=np.float64).mean(axis=0)
         at_s = float(np.mean([s.t_s for s in readings]))
-        curvature = self._curvature(sums)
+        curvature = self.table.curvature(sums)
         added = np.zeros(len(curvature))
         sensors = self.sensors
         if self.standing is not None and self.young:

@@ -37,24 +37,17 @@ class Watch:
         # Called after each look at the link; what they raise ends the waiting.
         self.interruptions: list[Callable[[], None]] = []
 
-    def events(
-        self, seconds: float, until: Callable[[], bool] | None = None
-    ) -> Iterator[wire.Event]:
-        """Events of the next seconds, as they come, or until `until` is true.
+    def _looks(self, seconds: float, each_s: float) -> Iterator[Iterator[wire.Event]]:
+        """The events of each look at the link, whenever messages come and `each_s` at the latest.
 
-        That is asked whenever messages came, and ten times a second at least.
-
-        Raises:
-            RobotFaultError: the board latched a fault.
+        Raises RobotFaultError for a fault that the board latched.
         """
         end = self._client.now() + seconds
         while (left := end - self._client.now()) > 0:
-            self._client.poll(min(left, _PROMPT_S if until else _SLICE_S))
+            self._client.poll(min(left, each_s))
             for interrupt in self.interruptions:
                 interrupt()
-            yield from self._taken()
-            if until is not None and until():
-                return
+            yield self._taken()
 
     def _taken(self) -> Iterator[wire.Event]:
         while self._client.events:
@@ -116,13 +109,10 @@ class Watch:
         self._client.events.clear()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass.
-
-        Raises:
-            RobotFaultError: the board latched a fault.
-        """
-        for _ in self.events(seconds):
-            pass
+        """Let time pass; raises RobotFaultError if the board latched a fault."""
+        for look in self._looks(seconds, _SLICE_S):
+            for _ in look:
+                pass
 
     def activity(
         self, activity: wire.Activity, within_s: float, until: Callable[[], bool] | None = None
@@ -136,38 +126,27 @@ class Watch:
             RobotFaultError: the board latched a fault.
             CommandTimeoutError: it has not ended in time.
         """
-        ended = False
-
-        def enough() -> bool:
-            nonlocal ended
-            ended = until is not None and until()
-            return ended
-
-        for event in self.events(within_s, enough if until else None):
-            if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
-                reason = wire.Reason(event.value)
-                what, cure = reason.told
-                raise CommandRefusedError(
-                    f"{activity.key} ended early: {what}", cure, reason=reason.key
-                )
-            yield event
-            if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
+        for look in self._looks(within_s, _PROMPT_S if until else _SLICE_S):
+            for event in look:
+                if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
+                    reason = wire.Reason(event.value)
+                    what, cure = reason.told
+                    what = f"{activity.key} ended early: {what}"
+                    raise CommandRefusedError(what, cure, reason=reason.key)
+                yield event
+                if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
+                    return
+                if event.code == wire.EventCode.ZEROED and activity == wire.Activity.ZEROING:
+                    return
+            if until is not None and until():
                 return
-            if event.code == wire.EventCode.ZEROED and activity == wire.Activity.ZEROING:
-                return
-        if ended:
-            return
         raise CommandTimeoutError(
             f"{activity.key} has not ended within {within_s:.0f} s",
             "check the robot, then stop it and start again",
         )
 
     def finish(self, activity: wire.Activity, within_s: float) -> int:
-        """Wait for an activity's end; returns the last event's value.
-
-        Raises:
-            CommandRefusedError, RobotFaultError, CommandTimeoutError: as `activity`.
-        """
+        """Wait for an activity's end; returns the last event's value. Raises as `activity`."""
         value = 0
         for event in self.activity(activity, within_s):
             value = event.value
