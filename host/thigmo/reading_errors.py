@@ -25,27 +25,16 @@ _FOLD_LAW_SE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ReadingErrors:
-    """Standard errors of a stage's N readings; 1/cm, or relative where it says so.
+    """Standard errors of a stage's N readings; 1/cm, or relative where it says so."""
 
-    Attributes:
-        noise: (N,) white noise of an averaged reading: new in every frame.
-        zero_error: (N,) of each sensor's zero: the same in all frames between two zeroings.
-        gain_error: (N,) relative, of each sensor's scale: the same in all frames.
-        offset_error: of an offset that the readings share.
-        map_error: relative, of the map's free curvature; 0 where no muscle bends the body.
-        critical_curvature: contact moment over EI at which the base folds, at this zone.
-        critical_curvature_error: relative.
-        tube_radius: cm.
-    """
-
-    noise: Floats
-    zero_error: Floats
-    gain_error: Floats
-    offset_error: float
-    map_error: float
-    critical_curvature: float
-    critical_curvature_error: float
-    tube_radius: float
+    noise: Floats  # (N,) white noise of an averaged reading: new in every frame
+    zero_error: Floats  # (N,) of each sensor's zero: the same in all frames between two zeroings
+    gain_error: Floats  # (N,) relative, of each sensor's scale: the same in all frames
+    offset_error: float  # of an offset that the readings share
+    map_error: float  # relative, of the map's free curvature; 0 where no muscle bends the body
+    critical_curvature: float  # contact moment over EI at which the base folds, at this zone
+    critical_curvature_error: float  # relative
+    tube_radius: float  # cm
 
     def arguments(self, added_noise: npt.ArrayLike = 0.0) -> dict[str, Any]:
         """Keywords of `thigmo.localize` for one frame, in which a zero's error is noise.

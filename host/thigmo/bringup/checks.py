@@ -54,21 +54,13 @@ class Attendant(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found.
+    """What a check found."""
 
-    Attributes:
-        stage: one of `STAGES`.
-        subject: what was looked at.
-        good: nothing is wrong with it.
-        what: was measured, or is wrong.
-        cure: what to do about it; empty if good.
-    """
-
-    stage: str
-    subject: str
-    good: bool
-    what: str
-    cure: str = ""
+    stage: str  # one of `STAGES`
+    subject: str  # what was looked at
+    good: bool  # nothing is wrong with it
+    what: str  # was measured, or is wrong
+    cure: str = ""  # what to do about it; empty if good
 
 
 class BringUp:

@@ -41,25 +41,15 @@ _CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
 
 @dataclass(frozen=True)
 class BendReadings:
-    """Free bends of one muscle at one body pressure.
+    """Free bends of one muscle at one body pressure."""
 
-    Attributes:
-        side: which muscle.
-        body_pressure_psi: set by hand.
-        pressure_psi: (n,) measured muscle pressure.
-        curvature: (n,) by camera, 1/cm, signed; nan where the body was not seen.
-        curvature_se: (n,) one sigma.
-        branch: (n,) "inflate" or "deflate".
-        trial: (n,) trial numbers.
-    """
-
-    side: Side
-    body_pressure_psi: float
-    pressure_psi: Array
-    curvature: Array
-    curvature_se: Array
-    branch: tuple[str, ...]
-    trial: NDArray[np.int64]
+    side: Side  # which muscle
+    body_pressure_psi: float  # set by hand
+    pressure_psi: Array  # (n,) measured muscle pressure
+    curvature: Array  # (n,) by camera, 1/cm, signed; nan where the body was not seen
+    curvature_se: Array  # (n,) one sigma
+    branch: tuple[str, ...]  # (n,) "inflate" or "deflate"
+    trial: NDArray[np.int64]  # (n,) trial numbers
 
     def __post_init__(self) -> None:
         unknown = set(self.branch) - set(BRANCHES)
@@ -93,27 +83,16 @@ class BendReadings:
 
 @dataclass(frozen=True)
 class ActuatorResult(StepResult):
-    """One muscle at one body pressure.
+    """One muscle at one body pressure."""
 
-    Attributes:
-        readings: what was fitted.
-        zone: the maps, ready for the configuration.
-        g_se: largest standard error of g over 0..18 psi (both branches), 1/cm.
-        full_scale: g at the highest pressure, 1/cm.
-        offset_se: one sigma of a trial's common offset and of the map's shape, 1/cm.
-        used: (n,) rows that were kept.
-        lag: pressure to bend, if a ramp was recorded at this body pressure.
-        verdict: in words.
-    """
-
-    readings: BendReadings
-    zone: ZoneMap
-    g_se: float
-    full_scale: float
-    offset_se: float
-    used: NDArray[np.bool_]
-    verdict: Verdict
-    lag: Lag | None = None
+    readings: BendReadings  # what was fitted
+    zone: ZoneMap  # the maps, ready for the configuration
+    g_se: float  # largest standard error of g over 0..18 psi (both branches), 1/cm
+    full_scale: float  # g at the highest pressure, 1/cm
+    offset_se: float  # one sigma of a trial's common offset and of the map's shape, 1/cm
+    used: NDArray[np.bool_]  # (n,) rows that were kept
+    verdict: Verdict  # in words
+    lag: Lag | None = None  # pressure to bend, if a ramp was recorded at this body pressure
     EVIDENCE: ClassVar = ("readings", "used")
 
     def as_data(self) -> dict[str, Any]:

@@ -31,33 +31,21 @@ _UNSEEN: Row = {"unseen": True}
 
 @dataclass
 class Plan:
-    """How much of everything.
+    """How much of everything."""
 
-    Attributes:
-        places: tip places of the flex step.
-        pictures: more of the pushed tip for the stiffness step, all far aside. One at full reach
-            tells the ratio to 0.15..0.35, by the camera. The flex step's ten places count for four
-            of those, twelve more for eight: 0.05..0.1, where 0.15 is the worst that is good.
-        straight: straight rows of the flex step.
-        trials: of the bends.
-        step_psi: of the muscle pressure.
-        pushes: hard pushes of the buckling step.
-        rest_readings: of the noise step.
-        creep_s: watched after each eversion.
-        zones: body pressures whose maps are measured; None = all.
-        tip_reach_cm: farthest tip place; None = just short of the fold.
-    """
-
-    places: int = 10
+    places: int = 10  # tip places of the flex step
+    # more of the pushed tip for the stiffness step, all far aside. One at full reach tells the
+    # ratio to 0.15..0.35, by the camera. The flex step's ten places count for four of those, twelve
+    # more for eight: 0.05..0.1, where 0.15 is the worst that is good.
     pictures: int = 12
-    straight: int = 3
-    trials: int = 3
-    step_psi: float = 2.0
-    pushes: int = 5
-    rest_readings: int = 40
-    creep_s: float = 30.0
-    zones: tuple[int, ...] | None = None
-    tip_reach_cm: float | None = None
+    straight: int = 3  # straight rows of the flex step
+    trials: int = 3  # of the bends
+    step_psi: float = 2.0  # of the muscle pressure
+    pushes: int = 5  # hard pushes of the buckling step
+    rest_readings: int = 40  # of the noise step
+    creep_s: float = 30.0  # watched after each eversion
+    zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
+    tip_reach_cm: float | None = None  # farthest tip place; None = just short of the fold
 
 
 class Hand(Operator, Protocol):
@@ -69,23 +57,15 @@ class Hand(Operator, Protocol):
 
 @dataclass
 class Bench:
-    """A robot on the calibration bench.
+    """A robot on the calibration bench."""
 
-    Attributes:
-        robot: connected.
-        eyes: the camera.
-        session: the folder.
-        plan: how much of everything.
-        say: told what happens.
-        rest: resistances of the straight robot, taken last (an eversion shifts them, so rows keep
-            the one of their own session).
-    """
-
-    robot: Robot
-    eyes: Eyes
-    session: Session
-    plan: Plan = field(default_factory=Plan)
-    say: Callable[[str], None] = lambda text: None
+    robot: Robot  # connected
+    eyes: Eyes  # the camera
+    session: Session  # the folder
+    plan: Plan = field(default_factory=Plan)  # how much of everything
+    say: Callable[[str], None] = lambda text: None  # told what happens
+    # resistances of the straight robot, taken last (an eversion shifts them, so rows keep the one
+    # of their own session)
     rest: list[float] = field(default_factory=list)
     _configured: bool = False
 

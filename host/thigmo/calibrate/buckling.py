@@ -24,23 +24,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BucklingResult(StepResult):
-    """Critical curvature at one body pressure.
+    """Critical curvature at one body pressure."""
 
-    Attributes:
-        critical_curvature: mean over the trials, 1/cm.
-        critical_se: its standard error, gains included.
-        each: (t,) per trial; nan = did not fold or could not be read.
-        excess: (t,) how much more the base sensors show than the beam says, 1/cm.
-        body_pressure_psi: at which it holds.
-        verdict: in words.
-    """
-
-    critical_curvature: float
-    critical_se: float
-    each: Array
-    excess: Array
-    body_pressure_psi: float
-    verdict: Verdict
+    critical_curvature: float  # mean over the trials, 1/cm
+    critical_se: float  # its standard error, gains included
+    each: Array  # (t,) per trial; nan = did not fold or could not be read
+    excess: Array  # (t,) how much more the base sensors show than the beam says, 1/cm
+    body_pressure_psi: float  # at which it holds
+    verdict: Verdict  # in words
 
     def write(self, config: RobotConfig) -> None:
         """Critical curvature, its error and its body pressure."""

@@ -28,23 +28,15 @@ class Finding:
 
 @dataclass(frozen=True)
 class CheckReadings:
-    """What a short check records.
+    """What a short check records."""
 
-    Attributes:
-        rest_ohm: (n, m) straight and vented.
-        bend_ohm: readings (m,) with one muscle at `bend_psi`, by side.
-        bend_psi: muscle pressure of those readings.
-        bend_seen: curvature by camera, by side; empty without a camera.
-        held_psi: (t, 2) time (s) and pressure while a muscle is held, by side, for the leak.
-        zone: pressure zone in use.
-    """
-
-    rest_ohm: Array
-    bend_ohm: dict[Side, Array]
-    bend_psi: float
-    bend_seen: dict[Side, float]
+    rest_ohm: Array  # (n, m) straight and vented
+    bend_ohm: dict[Side, Array]  # readings (m,) with one muscle at `bend_psi`, by side
+    bend_psi: float  # muscle pressure of those readings
+    bend_seen: dict[Side, float]  # curvature by camera, by side; empty without a camera
+    # (t, 2) time (s) and pressure while a muscle is held, by side, for the leak
     held_psi: dict[Side, Array]
-    zone: int = 0
+    zone: int = 0  # pressure zone in use
 
 
 @dataclass(frozen=True)

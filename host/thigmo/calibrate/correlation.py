@@ -35,32 +35,20 @@ _PRIOR_COUNT = 1.0
 
 @dataclass(frozen=True)
 class Candidates:
-    """One sensor's line at every point of the grid.
+    """One sensor's line at every point of the grid."""
 
-    Attributes:
-        line: its coefficients and residuals.
-        log_evidence: (g,) restricted, without the prior.
-        covariances: (g, p, p) of the coefficients.
-    """
-
-    line: LinearFit
-    log_evidence: Array
-    covariances: Array
+    line: LinearFit  # its coefficients and residuals
+    log_evidence: Array  # (g,) restricted, without the prior
+    covariances: Array  # (g, p, p) of the coefficients
 
 
 @dataclass(frozen=True)
 class OrderedFit:
-    """A line with errors that hold for rows taken in order.
+    """A line with errors that hold for rows taken in order."""
 
-    Attributes:
-        line: the fit; its covariance is that of the mean over sweeps.
-        lasting: share of the residuals' variance that lasts over rows.
-        sweep_gain: one sigma of the gain from sweep to sweep, relative.
-    """
-
-    line: LinearFit
-    lasting: float
-    sweep_gain: float
+    line: LinearFit  # the fit; its covariance is that of the mean over sweeps
+    lasting: float  # share of the residuals' variance that lasts over rows
+    sweep_gain: float  # one sigma of the gain from sweep to sweep, relative
 
 
 def candidates(

@@ -20,23 +20,14 @@ TIP_SE_CM = 0.08  # one sigma of a camera place along or across the robot
 
 @dataclass(frozen=True)
 class EncoderResult(StepResult):
-    """Counts per cm of line.
+    """Counts per cm of line."""
 
-    Attributes:
-        counts_per_cm: of line.
-        counts_se: its standard error.
-        length_cm: (n,) by camera.
-        counts: (n,) of the encoder.
-        used: (n,) rows that were kept.
-        verdict: in words.
-    """
-
-    counts_per_cm: float
-    counts_se: float
-    length_cm: Array
-    counts: Array
-    used: NDArray[np.bool_]
-    verdict: Verdict
+    counts_per_cm: float  # of line
+    counts_se: float  # its standard error
+    length_cm: Array  # (n,) by camera
+    counts: Array  # (n,) of the encoder
+    used: NDArray[np.bool_]  # (n,) rows that were kept
+    verdict: Verdict  # in words
     EVIDENCE: ClassVar = ("length_cm", "counts", "used")
 
     def as_data(self) -> dict[str, Any]:
@@ -126,21 +117,13 @@ def _slip(counts: Array, length: Array) -> tuple[int, float] | None:
 
 @dataclass(frozen=True)
 class PressureZero:
-    """One muscle's pressure sensor at vent.
+    """One muscle's pressure sensor at vent."""
 
-    Attributes:
-        side: which muscle.
-        zero_count: ADC count at 0 psi.
-        zero_se: its standard error.
-        good: it may be used.
-        reason: why.
-    """
-
-    side: Side
-    zero_count: float
-    zero_se: float
-    good: bool
-    reason: str
+    side: Side  # which muscle
+    zero_count: float  # ADC count at 0 psi
+    zero_se: float  # its standard error
+    good: bool  # it may be used
+    reason: str  # why
 
 
 @dataclass(frozen=True)

@@ -27,21 +27,13 @@ from thigmo.robot import Robot
 
 @dataclass
 class Eyes:
-    """What the guided steps ask of the camera.
+    """What the guided steps ask of the camera."""
 
-    Attributes:
-        source: of pictures; live ones show the robot as it is now.
-        camera: located.
-        sheet: in use.
-        diameter_cm: of the tube.
-        dowel_radius_cm: of the obstacles, if known: fewer mistakes.
-    """
-
-    source: PictureSource
-    camera: CameraModel
-    sheet: Sheet
-    diameter_cm: float = 3.5
-    dowel_radius_cm: float | None = None
+    source: PictureSource  # of pictures; live ones show the robot as it is now
+    camera: CameraModel  # located
+    sheet: Sheet  # in use
+    diameter_cm: float = 3.5  # of the tube
+    dowel_radius_cm: float | None = None  # of the obstacles, if known: fewer mistakes
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis; a pushed tip's place needs its marker, a free bend does not.

@@ -44,47 +44,31 @@ _LEAST_NOISE = 5e-5  # 1/cm
 
 @dataclass(frozen=True)
 class FlexFit:
-    """One sensor's calibration.
+    """One sensor's calibration."""
 
-    Attributes:
-        side, index: which sensor.
-        healthy: usable.
-        reason: why good or bad.
-        used: rows that went into the line.
-        rejected: rows left out as outliers of this sensor.
-        scale_per_ohm: 1/cm per ohm, sign included.
-        scale_se: its standard error over sweeps, relative.
-        sweep_se: one sigma of the scale from one sweep to the next, relative.
-        zero_ohm: resistance of the straight sensor.
-        zero_se_ohm: its standard error.
-        valid_direction: bending direction that it answers to; 0 = both.
-        noise: one sigma of a reading about the fit, 1/cm.
-        lasting: share of that variance that lasts over rows.
-        nonlinearity: share of the answer at the largest bend that goes beyond a straight line.
-        misfit: departure of the readings' curve from the line, rms, relative; 0 if there is none.
-        hysteresis: half width of its loop, 1/cm, signed: what it reads too much after long bending
-            to the left, and too little after bending to the right.
-        hysteresis_se: its standard error.
-    """
-
+    # side, index: which sensor
     side: Side
     index: int
-    healthy: bool
-    reason: str
-    used: int = 0
-    rejected: int = 0
-    scale_per_ohm: float = 0.0
-    scale_se: float = np.inf
-    sweep_se: float = np.nan
-    zero_ohm: float = np.nan
-    zero_se_ohm: float = np.nan
-    valid_direction: Direction = 0
-    noise: float = np.nan
-    lasting: float = np.nan
+    healthy: bool  # usable
+    reason: str  # why good or bad
+    used: int = 0  # rows that went into the line
+    rejected: int = 0  # rows left out as outliers of this sensor
+    scale_per_ohm: float = 0.0  # 1/cm per ohm, sign included
+    scale_se: float = np.inf  # its standard error over sweeps, relative
+    sweep_se: float = np.nan  # one sigma of the scale from one sweep to the next, relative
+    zero_ohm: float = np.nan  # resistance of the straight sensor
+    zero_se_ohm: float = np.nan  # its standard error
+    valid_direction: Direction = 0  # bending direction that it answers to; 0 = both
+    noise: float = np.nan  # one sigma of a reading about the fit, 1/cm
+    lasting: float = np.nan  # share of that variance that lasts over rows
+    # share of the answer at the largest bend that goes beyond a straight line
     nonlinearity: float = np.nan
+    # departure of the readings' curve from the line, rms, relative; 0 if there is none
     misfit: float = np.nan
+    # half width of its loop, 1/cm, signed: what it reads too much after long bending to the left,
+    # and too little after bending to the right
     hysteresis: float = np.nan
-    hysteresis_se: float = np.nan
+    hysteresis_se: float = np.nan  # its standard error
 
     @property
     def name(self) -> str:

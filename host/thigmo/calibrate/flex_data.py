@@ -21,30 +21,19 @@ _LEAST_OHM = 200.0  # flex sensors have thousands
 
 @dataclass(frozen=True)
 class FlexReadings:
-    """What was done and what was read.
+    """What was done and what was read."""
 
-    Attributes:
-        kind: (n,) of "straight", "tip", "bend", in order of time.
-        tip_cm: (n, 2) tip by camera; nan where the marker was not seen or there is none.
-        curvature: (n,) of free bends, by camera, 1/cm; nan elsewhere.
-        curvature_se: (n,) its one sigma.
-        active: (n,) muscle in use: "left", "right" or "".
-        ohm: (n, m) resistances, left base first.
-        length_cm: everted length.
-        intended_y_cm: (n,) where the operator was asked to put the tip (sign used); nan = free.
-        block: (n,) session of each row: after an eversion the sensors' zeros are others.
-        name: (n,) what an operator calls each row; "row 1" and so on where none is given.
-    """
-
-    kind: tuple[str, ...]
-    tip_cm: Array
-    curvature: Array
-    curvature_se: Array
-    active: tuple[str, ...]
-    ohm: Array
-    length_cm: float
-    intended_y_cm: Array
+    kind: tuple[str, ...]  # (n,) of "straight", "tip", "bend", in order of time
+    tip_cm: Array  # (n, 2) tip by camera; nan where the marker was not seen or there is none
+    curvature: Array  # (n,) of free bends, by camera, 1/cm; nan elsewhere
+    curvature_se: Array  # (n,) its one sigma
+    active: tuple[str, ...]  # (n,) muscle in use: "left", "right" or ""
+    ohm: Array  # (n, m) resistances, left base first
+    length_cm: float  # everted length
+    intended_y_cm: Array  # (n,) where the operator was asked to put the tip (sign used); nan = free
+    # (n,) session of each row: after an eversion the sensors' zeros are others
     block: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    # (n,) what an operator calls each row; "row 1" and so on where none is given
     name: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -35,29 +35,17 @@ _WRONG_SIDE = -0.3
 
 @dataclass
 class Rows:
-    """Readings beside the curvature that they should show, (n, m), and which of them count.
+    """Readings beside the curvature that they should show, (n, m), and which of them count."""
 
-    Attributes:
-        readings: as they were taken.
-        ohm: of working wires; nan elsewhere.
-        model: curvature that each sensor should show, 1/cm.
-        error: its standard error.
-        on_body: (m,) sensors that are everted.
-        usable: (n, m) what a sensor can answer.
-        good: (n,) rows that can be trusted.
-        sweep: (n,) number of each row's sweep.
-        loop_width: curvature over which the sensors' loops turn.
-    """
-
-    readings: FlexReadings
-    ohm: Array
-    model: Array
-    error: Array
-    on_body: NDArray[np.bool_]
-    usable: NDArray[np.bool_]
-    good: NDArray[np.bool_]
-    sweep: NDArray[np.int64]
-    loop_width: float = LOOP_WIDTHS[1]
+    readings: FlexReadings  # as they were taken
+    ohm: Array  # of working wires; nan elsewhere
+    model: Array  # curvature that each sensor should show, 1/cm
+    error: Array  # its standard error
+    on_body: NDArray[np.bool_]  # (m,) sensors that are everted
+    usable: NDArray[np.bool_]  # (n, m) what a sensor can answer
+    good: NDArray[np.bool_]  # (n,) rows that can be trusted
+    sweep: NDArray[np.int64]  # (n,) number of each row's sweep
+    loop_width: float = LOOP_WIDTHS[1]  # curvature over which the sensors' loops turn
 
     def columns(self) -> list[Column]:
         """Of each sensor, with the readings that count."""

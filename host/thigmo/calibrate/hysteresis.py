@@ -28,18 +28,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CreepRecord:
-    """One sensor after one eversion.
+    """One sensor after one eversion."""
 
-    Attributes:
-        side, index: which sensor.
-        t_s: (n,) since eversion.
-        curvature: (n,) readings, 1/cm.
-    """
-
+    # side, index: which sensor
     side: Side
     index: int
-    t_s: Array
-    curvature: Array
+    t_s: Array  # (n,) since eversion
+    curvature: Array  # (n,) readings, 1/cm
 
     @classmethod
     def read_all(cls, path: str | os.PathLike[str]) -> list[CreepRecord]:
@@ -55,22 +50,15 @@ class CreepRecord:
 
 @dataclass(frozen=True)
 class CreepFit:
-    """One sensor's law over its eversions.
+    """One sensor's law over its eversions."""
 
-    Attributes:
-        side, index: which sensor.
-        law: decay, with the spread from eversion to eversion.
-        usable_s: when readings add less than their own noise, compensated.
-        good: the law may be used.
-        reason: why.
-    """
-
+    # side, index: which sensor
     side: Side
     index: int
-    law: Settling
-    usable_s: float
-    good: bool
-    reason: str
+    law: Settling  # decay, with the spread from eversion to eversion
+    usable_s: float  # when readings add less than their own noise, compensated
+    good: bool  # the law may be used
+    reason: str  # why
 
 
 @dataclass(frozen=True)

@@ -19,26 +19,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """One sensor at rest.
+    """One sensor at rest."""
 
-    Attributes:
-        side, index: which sensor.
-        white: one sigma of a reading, 1/cm.
-        white_se: its standard error.
-        drift_per_min: slope at rest, 1/cm a minute.
-        slow: scatter beyond white noise of ten-reading means, 1/cm.
-        hysteresis: half the gap between rising and falling pressure, 1/cm (nan = unknown).
-        dropouts: share of wild readings.
-    """
-
+    # side, index: which sensor
     side: Side
     index: int
-    white: float
-    white_se: float
-    drift_per_min: float
-    slow: float
-    hysteresis: float
-    dropouts: float
+    white: float  # one sigma of a reading, 1/cm
+    white_se: float  # its standard error
+    drift_per_min: float  # slope at rest, 1/cm a minute
+    slow: float  # scatter beyond white noise of ten-reading means, 1/cm
+    hysteresis: float  # half the gap between rising and falling pressure, 1/cm (nan = unknown)
+    dropouts: float  # share of wild readings
 
 
 @dataclass(frozen=True)

@@ -26,21 +26,13 @@ _KEEP = 0.75  # share of rows that the first fit must explain
 
 @dataclass(frozen=True)
 class LinearFit:
-    """Coefficients of `y = design @ coefficients`.
+    """Coefficients of `y = design @ coefficients`."""
 
-    Attributes:
-        coefficients: (p,).
-        covariance: (p, p).
-        sigma: residual standard deviation beyond the known errors, in units of y.
-        used: (n,) rows that were not rejected.
-        residuals: (n,) of all rows (nan where the data were not finite).
-    """
-
-    coefficients: Array
-    covariance: Array
-    sigma: float
-    used: NDArray[np.bool_]
-    residuals: Array
+    coefficients: Array  # (p,)
+    covariance: Array  # (p, p)
+    sigma: float  # residual standard deviation beyond the known errors, in units of y
+    used: NDArray[np.bool_]  # (n,) rows that were not rejected
+    residuals: Array  # (n,) of all rows (nan where the data were not finite)
 
     def se(self, index: int) -> float:
         """Standard error of a coefficient."""

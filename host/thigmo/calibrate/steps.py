@@ -298,21 +298,14 @@ def _stiffness_csv(path: Path, config: RobotConfig) -> StepResult:
 
 @dataclass(frozen=True)
 class Step:
-    """A step of the calibration.
+    """A step of the calibration."""
 
-    Attributes:
-        guided: takes the readings that are missing, and fits them.
-        rows: names of the tables of readings that are its own.
-        needed: without it later steps would measure nonsense; a bad other one spoils nothing else.
-        columns: of its CSV; those in brackets may be left out.
-        of_csv: fits a CSV.
-    """
-
-    guided: Callable[[Bench], StepResult]
-    rows: tuple[str, ...] = ()
+    guided: Callable[[Bench], StepResult]  # takes the readings that are missing, and fits them
+    rows: tuple[str, ...] = ()  # names of the tables of readings that are its own
+    # without it later steps would measure nonsense; a bad other one spoils nothing else
     needed: bool = False
-    columns: str = ""
-    of_csv: Callable[[Path, RobotConfig], StepResult] | None = None
+    columns: str = ""  # of its CSV; those in brackets may be left out
+    of_csv: Callable[[Path, RobotConfig], StepResult] | None = None  # fits a CSV
 
 
 _CURVATURES = "curvature_left_0 .. curvature_right_4"

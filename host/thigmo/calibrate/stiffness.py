@@ -28,32 +28,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AxisPoints:
-    """The body's axis in one picture, tip pushed aside.
+    """The body's axis in one picture, tip pushed aside."""
 
-    Attributes:
-        points_cm: (n, 2) along the axis, base to tip.
-        force_arc_cm: where the force acts.
-    """
-
-    points_cm: Array
-    force_arc_cm: float
+    points_cm: Array  # (n, 2) along the axis, base to tip
+    force_arc_cm: float  # where the force acts
 
 
 @dataclass(frozen=True)
 class StiffnessResult(StepResult):
-    """Stiffness under sensors over stiffness in gaps.
+    """Stiffness under sensors over stiffness in gaps."""
 
-    Attributes:
-        ratio: EI_sensor / EI_gap.
-        ratio_se: its standard error.
-        each: (p,) ratio of every picture alone.
-        verdict: in words.
-    """
-
-    ratio: float
-    ratio_se: float
-    each: Array
-    verdict: Verdict
+    ratio: float  # EI_sensor / EI_gap
+    ratio_se: float  # its standard error
+    each: Array  # (p,) ratio of every picture alone
+    verdict: Verdict  # in words
 
 
 def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:

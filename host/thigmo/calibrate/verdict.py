@@ -13,29 +13,18 @@ from thigmo.config import RobotConfig
 
 @dataclass(frozen=True)
 class Verdict:
-    """The outcome of a step in words.
+    """The outcome of a step in words."""
 
-    Attributes:
-        good: whether the result may be used.
-        reason: one sentence: why good, or what is wrong and what to do.
-        notes: what was detected and left out, each a sentence.
-    """
-
-    good: bool
-    reason: str
-    notes: tuple[str, ...] = ()
+    good: bool  # whether the result may be used
+    reason: str  # one sentence: why good, or what is wrong and what to do
+    notes: tuple[str, ...] = ()  # what was detected and left out, each a sentence
 
 
 class StepResult:
-    """What every step's fit returns: a dataclass with a verdict.
+    """What every step's fit returns: a dataclass with a verdict."""
 
-    Attributes:
-        verdict: good or bad, and why.
-        EVIDENCE: names of the fields that only the figure needs.
-    """
-
-    verdict: Verdict
-    EVIDENCE: ClassVar[tuple[str, ...]] = ()
+    verdict: Verdict  # good or bad, and why
+    EVIDENCE: ClassVar[tuple[str, ...]] = ()  # names of the fields that only the figure needs
 
     def as_data(self) -> dict[str, Any]:
         """Plain data for the calibration folder: every field but the evidence."""

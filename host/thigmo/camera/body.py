@@ -32,15 +32,10 @@ _EDGE_GRAY = 15.0  # an edge of less contrast tells nothing
 
 @dataclass(frozen=True)
 class Flat:
-    """A picture laid flat on a plane above the table, x to the right, y up (rows run down).
+    """A picture laid flat on a plane above the table, x to the right, y up (rows run down)."""
 
-    Attributes:
-        image: (h, w, 3) BGR, of `_LOW_CM` to `_HIGH_CM`.
-        px_per_cm: resolution.
-    """
-
-    image: Picture
-    px_per_cm: int
+    image: Picture  # (h, w, 3) BGR, of `_LOW_CM` to `_HIGH_CM`
+    px_per_cm: int  # resolution
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
         """Workspace x, y (..., 2) to column, row (..., 2)."""
@@ -144,19 +139,12 @@ def _patch(
 
 @dataclass(frozen=True)
 class Track:
-    """The body as followed from its base.
+    """The body as followed from its base."""
 
-    Attributes:
-        middle: (n, 2) cm, mid-points of the flanks, base to tip, about 0.5 cm apart.
-        good: (n,) whether both flanks were seen there.
-        tip: (2,) cm, where the body ends.
-        lost: whether it was given up for want of flanks, before the body ended.
-    """
-
-    middle: Array
-    good: NDArray[np.bool_]
-    tip: Array
-    lost: bool
+    middle: Array  # (n, 2) cm, mid-points of the flanks, base to tip, about 0.5 cm apart
+    good: NDArray[np.bool_]  # (n,) whether both flanks were seen there
+    tip: Array  # (2,) cm, where the body ends
+    lost: bool  # whether it was given up for want of flanks, before the body ended
 
 
 def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:

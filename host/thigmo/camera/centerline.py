@@ -20,29 +20,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Centerline:
-    """The fitted axis, with the uncertainty of its curvature.
+    """The fitted axis, with the uncertainty of its curvature."""
 
-    Attributes:
-        arc_cm: (n,) from the base's plane to the tip.
-        x_cm: (n,).
-        y_cm: (n,).
-        heading: (n,) rad.
-        residual_cm: rms distance of the flanks' middles from the curve.
-        coefficients: (m,) lateral start, heading start, curvature coefficients.
-        covariance: (m, m) of them.
-        average: (n, m-2) cumulative integrals of the basis, for `mean_curvature`.
-        points_cm: (p, 2) what was fitted.
-    """
-
-    arc_cm: Array
-    x_cm: Array
-    y_cm: Array
-    heading: Array
-    residual_cm: float
-    coefficients: Array
-    covariance: Array
-    average: Array
-    points_cm: Array
+    arc_cm: Array  # (n,) from the base's plane to the tip
+    x_cm: Array  # (n,)
+    y_cm: Array  # (n,)
+    heading: Array  # (n,) rad
+    residual_cm: float  # rms distance of the flanks' middles from the curve
+    coefficients: Array  # (m,) lateral start, heading start, curvature coefficients
+    covariance: Array  # (m, m) of them
+    average: Array  # (n, m-2) cumulative integrals of the basis, for `mean_curvature`
+    points_cm: Array  # (p, 2) what was fitted
 
     @property
     def length_cm(self) -> float:

@@ -16,16 +16,11 @@ Pixel = tuple[float, float]
 
 @dataclass(frozen=True)
 class Clicks:
-    """Pixels given by hand.
+    """Pixels given by hand."""
 
-    Attributes:
-        tip: the tip of the body's outline.
-        axis: points along the body's middle, base to tip (six or more).
-        obstacles: for each dowel, three or more points on the rim of its top.
-    """
-
-    tip: Pixel | None = None
-    axis: tuple[Pixel, ...] = ()
+    tip: Pixel | None = None  # the tip of the body's outline
+    axis: tuple[Pixel, ...] = ()  # points along the body's middle, base to tip (six or more)
+    # for each dowel, three or more points on the rim of its top
     obstacles: tuple[tuple[Pixel, ...], ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:

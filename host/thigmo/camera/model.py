@@ -38,21 +38,13 @@ _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
 
 @dataclass(frozen=True)
 class Lens:
-    """Pinhole and distortion (OpenCV's five-parameter model), px.
+    """Pinhole and distortion (OpenCV's five-parameter model), px."""
 
-    Attributes:
-        matrix: (3, 3) camera matrix.
-        distortion: (5,) k1, k2, p1, p2, k3.
-        size: picture width and height.
-        rms_px: residual of its calibration.
-        version: of its file.
-    """
-
-    matrix: Points
-    distortion: Points
-    size: tuple[int, int]
-    rms_px: Annotated[float, Field(alias="lens_rms_px")] = 0.0
-    version: Literal[1] = 1
+    matrix: Points  # (3, 3) camera matrix
+    distortion: Points  # (5,) k1, k2, p1, p2, k3
+    size: tuple[int, int]  # picture width and height
+    rms_px: Annotated[float, Field(alias="lens_rms_px")] = 0.0  # residual of its calibration
+    version: Literal[1] = 1  # of its file
 
     def require(self, picture: Picture) -> None:
         """Refuse a picture of another size.
@@ -88,25 +80,16 @@ class Lens:
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A lens in its place above the workspace.
+    """A lens in its place above the workspace."""
 
-    Attributes:
-        lens: pinhole and distortion.
-        rotation: (3,) Rodrigues vector, workspace to camera.
-        translation: (3,) cm, workspace to camera.
-        corners: (4, 2) px of each card marker when located: the reference for `judge_still`.
-        rms_px: residual of the cards' corners.
-        accuracy_cm: one sigma of a place on the table (the worst over the workspace).
-        hidden: cards that were not seen.
-    """
-
-    lens: Lens
-    rotation: Points
-    translation: Points
+    lens: Lens  # pinhole and distortion
+    rotation: Points  # (3,) Rodrigues vector, workspace to camera
+    translation: Points  # (3,) cm, workspace to camera
+    # (4, 2) px of each card marker when located: the reference for `judge_still`
     corners: dict[int, Points] = field(default_factory=dict)
-    rms_px: float = 0.0
-    accuracy_cm: float = 0.0
-    hidden: tuple[str, ...] = ()
+    rms_px: float = 0.0  # residual of the cards' corners
+    accuracy_cm: float = 0.0  # one sigma of a place on the table (the worst over the workspace)
+    hidden: tuple[str, ...] = ()  # cards that were not seen
 
     def project(self, points_cm: NDArray[np.float64]) -> Points:
         """Workspace points (n, 3) in cm to pixels (n, 2)."""

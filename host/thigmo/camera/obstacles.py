@@ -27,19 +27,12 @@ OBSTACLE_PX_CM = 16  # rims need finer pixels than flanks
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A round obstacle.
+    """A round obstacle."""
 
-    Attributes:
-        x_cm: centre.
-        y_cm: centre.
-        radius_cm: of its top face.
-        rim: share of its rim that was seen, 0..1 (1 for clicked ones).
-    """
-
-    x_cm: float
-    y_cm: float
-    radius_cm: float
-    rim: float
+    x_cm: float  # centre
+    y_cm: float  # centre
+    radius_cm: float  # of its top face
+    rim: float  # share of its rim that was seen, 0..1 (1 for clicked ones)
 
     def apart_cm(self, other: Obstacle) -> float:
         """Distance of the centres."""

@@ -33,19 +33,12 @@ _LIVE_CM = 90.0  # the table is painted within this distance of the picture's mi
 
 @dataclass(frozen=True)
 class BodyShape:
-    """The robot as a tube on the table.
+    """The robot as a tube on the table."""
 
-    Attributes:
-        x_cm: (n,) axis, base to tip.
-        y_cm: (n,) axis.
-        radius_cm: tube radius.
-        color: of the fabric.
-    """
-
-    x_cm: Array
-    y_cm: Array
-    radius_cm: float = 1.75
-    color: Color = (40.0, 90.0, 215.0)
+    x_cm: Array  # (n,) axis, base to tip
+    y_cm: Array  # (n,) axis
+    radius_cm: float = 1.75  # tube radius
+    color: Color = (40.0, 90.0, 215.0)  # of the fabric
 
 
 @dataclass(frozen=True)
@@ -61,46 +54,27 @@ class PegShape:
 
 @dataclass(frozen=True)
 class Look:
-    """How kind the room and the sensor are.
+    """How kind the room and the sensor are."""
 
-    Attributes:
-        blur_px: sigma of lens blur.
-        noise: sigma of the sensor, gray levels.
-        shadow: how dark a shadow is, 0..1.
-        light: (2,) shadow displacement per height.
-        falloff: darkening towards one side and the corners, 0..1.
-        clutter: number of things that lie about.
-        jpeg: quality of the camera's compression; 0 = none.
-        table: colour of the table.
-        wrinkle: unevenness of the fabric, 0..1.
-    """
-
-    blur_px: float = 0.8
-    noise: float = 3.0
-    shadow: float = 0.35
-    light: tuple[float, float] = (0.35, -0.25)
-    falloff: float = 0.25
-    clutter: int = 25
-    jpeg: int = 90
-    table: Color = (190.0, 200.0, 205.0)
-    wrinkle: float = 0.12
+    blur_px: float = 0.8  # sigma of lens blur
+    noise: float = 3.0  # sigma of the sensor, gray levels
+    shadow: float = 0.35  # how dark a shadow is, 0..1
+    light: tuple[float, float] = (0.35, -0.25)  # (2,) shadow displacement per height
+    falloff: float = 0.25  # darkening towards one side and the corners, 0..1
+    clutter: int = 25  # number of things that lie about
+    jpeg: int = 90  # quality of the camera's compression; 0 = none
+    table: Color = (190.0, 200.0, 205.0)  # colour of the table
+    wrinkle: float = 0.12  # unevenness of the fabric, 0..1
 
 
 @dataclass(frozen=True)
 class View:
-    """What stands in the room at the moment of the picture.
+    """What stands in the room at the moment of the picture."""
 
-    Attributes:
-        body: the robot; None = not there.
-        pegs: dowels.
-        patches: printed things; those above the table lie on the robot.
-        housing: whether the base's box stands behind x = 0.
-    """
-
-    body: BodyShape | None = None
-    pegs: Sequence[PegShape] = ()
-    patches: Sequence[Decal] = ()
-    housing: bool = True
+    body: BodyShape | None = None  # the robot; None = not there
+    pegs: Sequence[PegShape] = ()  # dowels
+    patches: Sequence[Decal] = ()  # printed things; those above the table lie on the robot
+    housing: bool = True  # whether the base's box stands behind x = 0
 
 
 def overhead_camera(rng: np.random.Generator | None = None) -> CameraModel:

@@ -169,17 +169,11 @@ def board(sheet: Sheet) -> Any:
 
 @dataclass(frozen=True)
 class Decal:
-    """A printed patch as it lies in the workspace: picture and its corners.
+    """A printed patch as it lies in the workspace: picture and its corners."""
 
-    Attributes:
-        image: gray picture, rows from the top.
-        corners_cm: (4, 3) upper left, upper right, lower right, lower left; cm, z up.
-        name: what it is.
-    """
-
-    image: Gray
-    corners_cm: Points
-    name: str = ""
+    image: Gray  # gray picture, rows from the top
+    corners_cm: Points  # (4, 3) upper left, upper right, lower right, lower left; cm, z up
+    name: str = ""  # what it is
 
 
 def _marker_image(sheet: Sheet, marker: int, size: int) -> Gray:

@@ -43,67 +43,39 @@ _CURE = (
 
 @dataclass(frozen=True)
 class TipSighting:
-    """The tip marker, or a clicked tip.
+    """The tip marker, or a clicked tip."""
 
-    Attributes:
-        x_cm: of the robot's very tip.
-        y_cm: of the robot's very tip.
-        heading: rad, of the marker (nan if clicked).
-        clicked: given by hand.
-        center_cm: (2,) of the marker (or the clicked point).
-    """
-
-    x_cm: float
-    y_cm: float
-    heading: float
-    clicked: bool
-    center_cm: Array
+    x_cm: float  # of the robot's very tip
+    y_cm: float  # of the robot's very tip
+    heading: float  # rad, of the marker (nan if clicked)
+    clicked: bool  # given by hand
+    center_cm: Array  # (2,) of the marker (or the clicked point)
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What a picture shows.
+    """What a picture shows."""
 
-    Attributes:
-        tip: tip, if seen.
-        axis: fitted axis, if the body was seen.
-        obstacles: dowels.
-        hidden: names of cards that were not seen.
-        problems: what failed, each with its next step.
-        markers: corners px of all markers, for drawing.
-    """
-
-    tip: TipSighting | None
-    axis: Centerline | None
-    obstacles: list[Obstacle]
-    hidden: tuple[str, ...]
-    problems: tuple[CameraError, ...]
-    markers: dict[int, Array]
+    tip: TipSighting | None  # tip, if seen
+    axis: Centerline | None  # fitted axis, if the body was seen
+    obstacles: list[Obstacle]  # dowels
+    hidden: tuple[str, ...]  # names of cards that were not seen
+    problems: tuple[CameraError, ...]  # what failed, each with its next step
+    markers: dict[int, Array]  # corners px of all markers, for drawing
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What to look for, and the sizes that the eye needs.
+    """What to look for, and the sizes that the eye needs."""
 
-    Attributes:
-        diameter_cm: of the tube.
-        obstacle_height_cm: of the dowels' tops above the table.
-        obstacle_radius_cm: least and largest.
-        tip: look for the tip marker.
-        body: look for the body.
-        obstacles: look for dowels.
-        constant: the body is a free bend (one curvature).
-        length_cm: of the body, if it is known.
-    """
-
-    diameter_cm: float = 3.5
-    obstacle_height_cm: float = 6.0
-    obstacle_radius_cm: tuple[float, float] = (0.65, 2.5)
-    tip: bool = True
-    body: bool = True
-    obstacles: bool = True
-    constant: bool = False
-    length_cm: float | None = None
+    diameter_cm: float = 3.5  # of the tube
+    obstacle_height_cm: float = 6.0  # of the dowels' tops above the table
+    obstacle_radius_cm: tuple[float, float] = (0.65, 2.5)  # least and largest
+    tip: bool = True  # look for the tip marker
+    body: bool = True  # look for the body
+    obstacles: bool = True  # look for dowels
+    constant: bool = False  # the body is a free bend (one curvature)
+    length_cm: float | None = None  # of the body, if it is known
 
     def __post_init__(self) -> None:
         low, high = self.obstacle_radius_cm

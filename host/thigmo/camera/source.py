@@ -22,18 +22,13 @@ _WARM_UP = 5  # pictures that a webcam needs to settle its exposure
 
 @dataclass(frozen=True)
 class PictureSource:
-    """Anything that yields pictures.
+    """Anything that yields pictures."""
 
-    Attributes:
-        read: the newest (live) or next (recorded) picture, (h, w, 3) BGR; raises PictureError
-            where there is none.
-        close: lets go of the device or file.
-        live: shows what is there now.
-    """
-
+    # the newest (live) or next (recorded) picture, (h, w, 3) BGR; raises PictureError where there
+    # is none
     read: Callable[[], Picture]
-    close: Callable[[], None] = lambda: None
-    live: bool = False
+    close: Callable[[], None] = lambda: None  # lets go of the device or file
+    live: bool = False  # shows what is there now
 
 
 def _stills(paths: Sequence[Path]) -> PictureSource:

@@ -45,19 +45,12 @@ _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 @dataclass(frozen=True)
 class Truth:
-    """What the emulator knows.
+    """What the emulator knows."""
 
-    Attributes:
-        pegs: the room; while dowels hold the body, those.
-        length_cm: everted length.
-        contacts: touching pegs, base first.
-        centreline: columns s, heading, curvature without fold, x, y; shape (n, 5).
-    """
-
-    pegs: tuple[Peg, ...]
-    length_cm: float
-    contacts: tuple[PegContact, ...]
-    centreline: Floats
+    pegs: tuple[Peg, ...]  # the room; while dowels hold the body, those
+    length_cm: float  # everted length
+    contacts: tuple[PegContact, ...]  # touching pegs, base first
+    centreline: Floats  # columns s, heading, curvature without fold, x, y; shape (n, 5)
 
 
 class Plant:

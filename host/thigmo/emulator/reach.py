@@ -21,21 +21,13 @@ _STEP_PSI = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Felt:
-    """A contact that passes the threshold.
+    """A contact that passes the threshold."""
 
-    Attributes:
-        length_cm: growth stage.
-        side: of the active muscle.
-        pressure_psi: at which the threshold is passed.
-        peak: largest |base contact curvature| of that sweep (1/cm).
-        contacts: touching pegs at the sweep's peak.
-    """
-
-    length_cm: float
-    side: Side
-    pressure_psi: float
-    peak: float
-    contacts: tuple[PegContact, ...]
+    length_cm: float  # growth stage
+    side: Side  # of the active muscle
+    pressure_psi: float  # at which the threshold is passed
+    peak: float  # largest |base contact curvature| of that sweep (1/cm)
+    contacts: tuple[PegContact, ...]  # touching pegs at the sweep's peak
 
 
 def stages(robot: RobotConfig) -> list[float]:

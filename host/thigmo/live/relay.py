@@ -24,22 +24,15 @@ _CLOSED = {"lost": "stop not connected: use the e-stop", "none": "no robot is in
 
 @dataclass(slots=True)
 class Facts:
-    """How things are.
+    """How things are."""
 
-    Attributes:
-        run: whose messages came last; None before the first.
-        under_way: it has not ended.
-        state, board: last heard of it.
-        stop: why a stop would not reach the robot; empty if it would.
-        stopped: what the last stop of this run came to; empty before the first.
-    """
-
-    run: Hello | None = None
-    under_way: bool = False
+    run: Hello | None = None  # whose messages came last; None before the first
+    under_way: bool = False  # it has not ended
+    # state, board: last heard of it
     state: RunState | None = None
     board: Telemetry | None = None
-    stop: str = ""
-    stopped: str = ""
+    stop: str = ""  # why a stop would not reach the robot; empty if it would
+    stopped: str = ""  # what the last stop of this run came to; empty before the first
 
 
 class View(Protocol):

@@ -45,23 +45,15 @@ _STOP_S = 5.0  # for an emulated run to end
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """What to watch, and for whom.
+    """What to watch, and for whom."""
 
-    Attributes:
-        past: folder of a finished run to look back at; no other is watched.
-        url: of a robot, if its runs only are to be watched; Start runs an exploration there.
-        explore: further arguments of the exploration that Start runs.
-        host: address to listen at; anything but loopback needs the token.
-        port: None takes the usual one, or any that is free.
-        leaves: end when nothing runs and nobody looks any more.
-    """
-
-    past: Path | None = None
+    past: Path | None = None  # folder of a finished run to look back at; no other is watched
+    # of a robot, if its runs only are to be watched; Start runs an exploration there
     url: str | None = None
-    explore: tuple[str, ...] = ()
-    host: str = "127.0.0.1"
-    port: int | None = None
-    leaves: bool = False
+    explore: tuple[str, ...] = ()  # further arguments of the exploration that Start runs
+    host: str = "127.0.0.1"  # address to listen at; anything but loopback needs the token
+    port: int | None = None  # None takes the usual one, or any that is free
+    leaves: bool = False  # end when nothing runs and nobody looks any more
 
 
 class _Run:

@@ -31,23 +31,17 @@ _MESH = 2.0  # of the rod: 1e-8 1/cm on its curvature
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body that bends to the left, and the peg's size.
+    """A body that bends to the left, and the peg's size."""
 
-    Attributes:
-        most: free curvature that it reaches.
-        radius, peg: of the tube and the peg.
-        critical: moment at which the base folds, or None.
-        low, high: (N,) ends of the sensors.
-        shift: by which the sensors are displaced to learn what an error of their places does.
-    """
-
-    most: float
+    most: float  # free curvature that it reaches
+    # radius, peg: of the tube and the peg
     radius: float
     peg: float
-    critical: float | None
+    critical: float | None  # moment at which the base folds, or None
+    # low, high: (N,) ends of the sensors
     low: tuple[float, ...]
     high: tuple[float, ...]
-    shift: float
+    shift: float  # by which the sensors are displaced to learn what an error of their places does
 
     def at_touch(self, centre: Array, touch: float) -> Rod:
         """The body where a peg at `centre` is about to touch it, at the free curvature `touch`."""
@@ -66,22 +60,15 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """A places along the outline, G free curvatures of touch, U bends from there to the most.
+    """A places along the outline, G free curvatures of touch, U bends from there to the most."""
 
-    Attributes:
-        touch: (G,).
-        peg: (A, G, 2) centres.
-        weight: (A, G) area of the room over a step of both.
-        held: (A, G, U, 3, N) what the sensors read above the free body, where they are and
-            displaced back and forth.
-        arc: (A, G, U) of the contact; NaN where there is none.
-    """
-
-    touch: Array
-    peg: Array
-    weight: Array
+    touch: Array  # (G,)
+    peg: Array  # (A, G, 2) centres
+    weight: Array  # (A, G) area of the room over a step of both
+    # (A, G, U, 3, N) what the sensors read above the free body, where they are and displaced back
+    # and forth
     held: Array
-    arc: Array
+    arc: Array  # (A, G, U) of the contact; NaN where there is none
 
 
 def _outline(radius: float, peg: float) -> Array:

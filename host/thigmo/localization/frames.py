@@ -387,19 +387,12 @@ def _slopes(values: Array) -> Array:
 
 
 class _Weighed(NamedTuple):
-    """Of H hypotheses of the sensors' health and K places, the last of which is none.
+    """Of H hypotheses of the sensors' health and K places, the last of which is none."""
 
-    Attributes:
-        log: (H, K) log evidence with the odds of health.
-        square: (H, K) squared deviates that are left.
-        mean: (H, K, 5) shared errors.
-        covariance: (H, K, 5, 5) of them.
-    """
-
-    log: Array
-    square: Array
-    mean: Array
-    covariance: Array
+    log: Array  # (H, K) log evidence with the odds of health
+    square: Array  # (H, K) squared deviates that are left
+    mean: Array  # (H, K, 5) shared errors
+    covariance: Array  # (H, K, 5, 5) of them
 
 
 class _Where:

@@ -25,29 +25,23 @@ class Peg:
 
 @dataclass(frozen=True, slots=True)
 class PegContact:
-    """One touching peg.
+    """One touching peg."""
 
-    Attributes:
-        peg: index into the pegs given.
-        arc: arc length of the closest centreline point (cm); the everted length at the end.
-        kind: where on the tube.
-        normal: force along the body's left normal at `arc` (1/cm^2, EI = 1): positive adds positive
-            curvature (the peg is on the right).
-        tangential: force along the body's tangent at `arc` (1/cm^2), negative pushes towards the
-            base; 0 on the side.
-        couple: moment (1/cm, counter-clockwise positive) of the force about the centreline at
-            `arc`: its lever is the tube radius at a corner.
-        x, y: contact point on the skin (cm).
-        force_x, force_y: force on the body in the workspace (1/cm^2).
-    """
-
-    peg: int
-    arc: float
-    kind: Kind
+    peg: int  # index into the pegs given
+    arc: float  # arc length of the closest centreline point (cm); the everted length at the end
+    kind: Kind  # where on the tube
+    # force along the body's left normal at `arc` (1/cm^2, EI = 1): positive adds positive curvature
+    # (the peg is on the right)
     normal: float
+    # force along the body's tangent at `arc` (1/cm^2), negative pushes towards the base; 0 on the
+    # side
     tangential: float
+    # moment (1/cm, counter-clockwise positive) of the force about the centreline at `arc`: its
+    # lever is the tube radius at a corner
     couple: float
+    # x, y: contact point on the skin (cm)
     x: float
     y: float
+    # force_x, force_y: force on the body in the workspace (1/cm^2)
     force_x: float
     force_y: float

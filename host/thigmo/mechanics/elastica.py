@@ -32,14 +32,10 @@ Status = Literal["converged", "relaxed", "approximate"]
 
 @dataclass(frozen=True, slots=True)
 class Tube:
-    """Section and base of the body.
+    """Section and base of the body."""
 
-    Attributes:
-        diameter_cm: inflated diameter; also the length over which the fold is spread.
-        critical_moment: contact moment (1/cm) at which the base folds; None = never.
-    """
-
-    diameter_cm: float = 3.5
+    diameter_cm: float = 3.5  # inflated diameter; also the length over which the fold is spread
+    # contact moment (1/cm) at which the base folds; None = never
     critical_moment: float | None = None
 
     @property
@@ -50,32 +46,23 @@ class Tube:
 
 @dataclass(frozen=True)
 class Solution:
-    """One equilibrium.
+    """One equilibrium."""
 
-    Attributes:
-        s, heading, curvature, x, y: the centreline at the mesh's nodes and the contacts, each of
-            shape (n,). `curvature` leaves out the fold, which is `fold_angle` spread over
-            [0, diameter].
-        length: everted length (cm).
-        free_curvature: natural curvature (1/cm).
-        contacts: touching pegs, base first.
-        fold_angle: rad, with sign; 0 unless the base folds.
-        base_moment: contact moment at the base (1/cm).
-        status: "converged"; "relaxed" = found by going downhill after a snap, then converged;
-            "approximate" = penalty accuracy only.
-    """
-
+    # s, heading, curvature, x, y: the centreline at the mesh's nodes and the contacts, each of
+    # shape (n,). `curvature` leaves out the fold, which is `fold_angle` spread over [0, diameter].
     s: Floats
     heading: Floats
     curvature: Floats
     x: Floats
     y: Floats
-    length: float
-    free_curvature: float
+    length: float  # everted length (cm)
+    free_curvature: float  # natural curvature (1/cm)
     tube: Tube
-    contacts: tuple[PegContact, ...]
-    fold_angle: float
-    base_moment: float
+    contacts: tuple[PegContact, ...]  # touching pegs, base first
+    fold_angle: float  # rad, with sign; 0 unless the base folds
+    base_moment: float  # contact moment at the base (1/cm)
+    # "converged"; "relaxed" = found by going downhill after a snap, then converged; "approximate" =
+    # penalty accuracy only
     status: Status
     _body: _rod.Rod = field(repr=False)
 

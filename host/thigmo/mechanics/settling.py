@@ -20,19 +20,12 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """One sensor's decay law.
+    """One sensor's decay law."""
 
-    Attributes:
-        tau_s: decay time.
-        tau_se_s: its standard error.
-        amplitude: mean at eversion, 1/cm.
-        amplitude_sd: spread from one eversion to the next, 1/cm.
-    """
-
-    tau_s: float
-    tau_se_s: float = 0.0
-    amplitude: float = 0.0
-    amplitude_sd: float = 0.0
+    tau_s: float  # decay time
+    tau_se_s: float = 0.0  # its standard error
+    amplitude: float = 0.0  # mean at eversion, 1/cm
+    amplitude_sd: float = 0.0  # spread from one eversion to the next, 1/cm
 
     def left(self, t_s: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Expected rest of the creep at a time since eversion, and its one sigma (1/cm)."""

@@ -14,39 +14,25 @@ Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis,
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A measured centreline of the robot.
+    """A measured centreline of the robot."""
 
-    Attributes:
-        side: the muscle that was inflated, "left" or "right".
-        pressure_psi: its pressure, filtered by the calibrated lag.
-        poses: base to tip, evenly spaced in arc length.
-        curvature_se: standard error of its curvature, common to all of it, 1/cm: at arc s the body
-            may be s^2/2 of that aside. None: not known, and no space counts as swept by it.
-    """
-
-    side: str
-    pressure_psi: float
-    poses: list[Pose]
+    side: str  # the muscle that was inflated, "left" or "right"
+    pressure_psi: float  # its pressure, filtered by the calibrated lag
+    poses: list[Pose]  # base to tip, evenly spaced in arc length
+    # standard error of its curvature, common to all of it, 1/cm: at arc s the body may be s^2/2 of
+    # that aside. None: not known, and no space counts as swept by it.
     curvature_se: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
-    """The board's contact trigger in a sweep.
+    """The board's contact trigger in a sweep."""
 
-    Attributes:
-        side: active muscle.
-        t_s: device time.
-        excess_per_cm: base curvature minus free curvature when it fired.
-        status: what the localizer made of the peak's readings.
-        message: the localizer's reason.
-    """
-
-    side: str
-    t_s: float
-    excess_per_cm: float
-    status: str
-    message: str = ""
+    side: str  # active muscle
+    t_s: float  # device time
+    excess_per_cm: float  # base curvature minus free curvature when it fired
+    status: str  # what the localizer made of the peak's readings
+    message: str = ""  # the localizer's reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,18 +83,15 @@ class MapContact:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stop of the growth: swept both ways.
-
-    Attributes:
-        held_back_per_cm: by how much the base was held back at most, of each side swept: what the
-            trigger compares with its threshold.
-    """
+    """One stop of the growth: swept both ways."""
 
     everted_length_cm: float
     body_pressure_psi: float
     t_s: float
     shapes: list[Shape] = field(default_factory=list)
     triggers: list[Trigger] = field(default_factory=list)
+    # by how much the base was held back at most, of each side swept: what the trigger compares with
+    # its threshold
     held_back_per_cm: dict[str, float] = field(default_factory=dict)
 
 
@@ -143,21 +126,17 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class MissedContact:
-    """A contact that should be on the map and is not.
+    """A contact that should be on the map and is not."""
 
-    Attributes:
-        source: who knows of it: "truth" (the emulated room: a peg that a sweep's peak touched) or
-            "prior" (the map given: an obstacle whose place was swept without its being felt).
-        x_cm, y_cm: where it is.
-        reason: why it was missed, as far as the record tells.
-        arc_cm, everted_length_cm, side: along the body, at the last stage that touched it; null and
-            empty for the prior's.
-    """
-
+    # who knows of it: "truth" (the emulated room: a peg that a sweep's peak touched) or "prior"
+    # (the map given: an obstacle whose place was swept without its being felt)
     source: str
+    # x_cm, y_cm: where it is
     x_cm: float
     y_cm: float
-    reason: str
+    reason: str  # why it was missed, as far as the record tells
+    # arc_cm, everted_length_cm, side: along the body, at the last stage that touched it; null and
+    # empty for the prior's
     arc_cm: float | None = None
     everted_length_cm: float | None = None
     side: str = ""

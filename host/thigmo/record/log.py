@@ -40,35 +40,23 @@ _NOTE_SCHEMA = {
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One frame of the link.
+    """One frame of the link."""
 
-    Attributes:
-        t_s: host clock of the robot's time base, s (virtual in the emulator).
-        direction: "tx" host to board, "rx" board to host.
-        frame: the bytes on the wire, without the closing zero.
-    """
-
-    t_s: float
-    direction: Direction
-    frame: bytes
+    t_s: float  # host clock of the robot's time base, s (virtual in the emulator)
+    direction: Direction  # "tx" host to board, "rx" board to host
+    frame: bytes  # the bytes on the wire, without the closing zero
 
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A record that was read.
+    """A record that was read."""
 
-    Attributes:
-        entries, notes: in time order.
-        metadata: facts of the run, as they were given to the writer.
-        truncated: the end is missing: the writer was killed.
-        gaps: places before the end at which something is missing: the file is damaged.
-    """
-
+    # entries, notes: in time order
     entries: list[Entry]
     notes: list[tuple[float, dict[str, Any]]]
-    metadata: dict[str, str]
-    truncated: bool = False
-    gaps: int = 0
+    metadata: dict[str, str]  # facts of the run, as they were given to the writer
+    truncated: bool = False  # the end is missing: the writer was killed
+    gaps: int = 0  # places before the end at which something is missing: the file is damaged
 
     @property
     def missing(self) -> str:

@@ -35,21 +35,14 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class McapContents:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes:
-        topics: of all its channels.
-        metadata: of all metadata records.
-        messages: topic, log time in ns, and data of each that is wanted, in the file's order.
-        gaps: places at which something is missing.
-        truncated: the end is missing: the writer was killed.
-    """
-
-    topics: frozenset[str]
-    metadata: dict[str, str]
+    topics: frozenset[str]  # of all its channels
+    metadata: dict[str, str]  # of all metadata records
+    # topic, log time in ns, and data of each that is wanted, in the file's order
     messages: list[tuple[str, int, bytes]]
-    gaps: int
-    truncated: bool
+    gaps: int  # places at which something is missing
+    truncated: bool  # the end is missing: the writer was killed
 
 
 def read_mcap(path: Path, wanted: Container[str]) -> McapContents:

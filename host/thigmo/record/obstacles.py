@@ -43,36 +43,29 @@ class Ellipse:
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """Something that the robot touched, or that an earlier map shows.
+    """Something that the robot touched, or that an earlier map shows."""
 
-    Attributes:
-        x_cm, y_cm: the point of its surface that the robot touched.
-        covariance_cm2: of that point.
-        ellipse_95: the same, drawn out.
-        track: the 95 % interval along the skin, in the room; of a grid's obstacle, its outline.
-        source: "felt" in this run; "prior", shown by the map given and not reached; "felt, prior";
-            "prior, not felt", where the robot swept through its place.
-        status: "localized" or "ambiguous", as in contacts.json.
-        normal_rad: direction from the body into the obstacle; None for a grid's obstacle.
-        body_side: part of the robot that it touched: "left", "right" or "tip"; empty for a grid's.
-        arc_cm, interval_cm: along the body when it was last measured.
-        felt_at_cm: everted lengths at which it was felt, the last measured one last.
-        force_per_cm2: F/EI at the last measurement.
-    """
-
+    # x_cm, y_cm: the point of its surface that the robot touched
     x_cm: float
     y_cm: float
-    covariance_cm2: Covariance
-    ellipse_95: Ellipse
+    covariance_cm2: Covariance  # of that point
+    ellipse_95: Ellipse  # the same, drawn out
+    # the 95 % interval along the skin, in the room; of a grid's obstacle, its outline
     track: list[Point]
+    # "felt" in this run; "prior", shown by the map given and not reached; "felt, prior"; "prior,
+    # not felt", where the robot swept through its place
     source: str
-    status: str
+    status: str  # "localized" or "ambiguous", as in contacts.json
+    # direction from the body into the obstacle; None for a grid's obstacle
     normal_rad: float | None = None
+    # part of the robot that it touched: "left", "right" or "tip"; empty for a grid's
     body_side: str = ""
+    # arc_cm, interval_cm: along the body when it was last measured
     arc_cm: float | None = None
     interval_cm: tuple[float, float] | None = None
+    # everted lengths at which it was felt, the last measured one last
     felt_at_cm: list[float] = field(default_factory=list)
-    force_per_cm2: float | None = None
+    force_per_cm2: float | None = None  # F/EI at the last measurement
 
 
 @dataclass(frozen=True, slots=True)
