@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from functools import cache, partial
+from typing import Any
 
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.board import Board
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError
@@ -21,9 +23,6 @@ from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.robot import Robot
 from thigmo.studies.engine import Claim, Context, Outcome, Record
-
-if TYPE_CHECKING:
-    from thigmo.emulator.board import Board
 
 MAX_PSI = 18.5  # max_pressure_cpsi of robot.toml's 18 psi, with its margin
 START_CM = 20.0
@@ -138,14 +137,8 @@ class Visit:
     recovers: bool
 
 
-BoardFor = Callable[[bytes], "Board"]
-
-
-def virtual_board(eeprom: bytes) -> Board:
-    """The portable core."""
-    from thigmo.emulator._board import VirtualBoard
-
-    return VirtualBoard(_SEED, eeprom)
+BoardFor = Callable[[bytes], Board]
+_virtual_board: BoardFor = partial(VirtualBoard, _SEED)
 
 
 def _scene(fitted: bool = False) -> Scene:
@@ -158,13 +151,13 @@ def _scene(fitted: bool = False) -> Scene:
 @cache
 def stored() -> bytes:
     """The store of a configured board."""
-    transport = EmulatorTransport(_scene(), virtual_board(b""), seed=_SEED)
+    transport = EmulatorTransport(_scene(), _virtual_board(b""), seed=_SEED)
     Robot(Client(transport)).configure(transport.config)
     return transport.lockstep.board.eeprom
 
 
-def visit(case: Case, board_for: BoardFor = virtual_board, exchange_ms: int = 10) -> Visit:
-    """Break one thing in one state, and watch."""
+def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 10) -> Visit:
+    """Break one thing in one state, on a board of that store, and watch."""
     transport = EmulatorTransport(
         _scene(case.fitted), board_for(stored()), seed=_SEED, exchange_ms=exchange_ms
     )

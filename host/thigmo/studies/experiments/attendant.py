@@ -6,17 +6,15 @@ A rehearsal is both: the person answers every prompt, the room does the work.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg
+from thigmo.robot import Robot
 from thigmo.studies.experiments import thesis
-
-if TYPE_CHECKING:
-    from thigmo.robot import Robot
-    from thigmo.studies.experiments.plan import Planned
+from thigmo.studies.experiments.plan import Planned
 
 Place = tuple[float, float]
 Verdict = Literal["keep", "redo", "skip", "quit"]

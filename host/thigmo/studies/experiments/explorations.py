@@ -13,22 +13,18 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration import explore
+from thigmo.exploration.run import Progress
+from thigmo.exploration.run import Protocol as Way
 from thigmo.record import RunFolder
-from thigmo.robot import connect
+from thigmo.robot import Operator, connect
 from thigmo.studies.engine import Outcome
 from thigmo.studies.experiments import explored
+from thigmo.studies.experiments.attendant import Attendant
 from thigmo.studies.experiments.folder import Folder, Row, Say
-
-if TYPE_CHECKING:
-    from thigmo.exploration.run import Progress
-    from thigmo.exploration.run import Protocol as Way
-    from thigmo.robot import Operator
-    from thigmo.studies.experiments.attendant import Attendant
 
 WAYS: dict[Way, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
 _BASE_CM = 0.2

@@ -8,21 +8,17 @@ an actuated robot passes on its way (`thesis.PASSED_PSI`). `recorded.py` keeps t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError
+from thigmo.robot import Reading, Robot
 from thigmo.studies.experiments import thesis
+from thigmo.studies.experiments.attendant import Attendant
 from thigmo.studies.experiments.fit import frozen
 from thigmo.studies.experiments.folder import Row, Say
 from thigmo.studies.experiments.plan import Planned
 from thigmo.studies.experiments.specimen import pushed
-
-if TYPE_CHECKING:
-    from thigmo.robot import Reading, Robot
-    from thigmo.studies.experiments.attendant import Attendant
 
 _STEADY_S = 2.5  # from a new load to a body at rest
 _READ_S = 1.0

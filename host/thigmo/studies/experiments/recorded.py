@@ -8,7 +8,6 @@ OUT/EXPERIMENT/
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,16 +16,13 @@ from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
-from thigmo.robot import SensorTable
+from thigmo.robot import Robot, SensorTable
+from thigmo.studies.experiments.attendant import Attendant
 from thigmo.studies.experiments.folder import Folder, Row, Say
 from thigmo.studies.experiments.plan import Planned, plan
 from thigmo.studies.experiments.procedure import prepare, take
 from thigmo.studies.experiments.trial import Passed, Trial
 from thigmo.studies.rod import Floats
-
-if TYPE_CHECKING:
-    from thigmo.robot import Robot
-    from thigmo.studies.experiments.attendant import Attendant
 
 _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not state it
 _LEAST_GAIN_SE = 1e-3
