@@ -43,29 +43,18 @@ _DOWELS = (TAPE, LENS)  # where dowels are looked for, and counted
 
 @dataclass
 class Glimpse:
-    """One rendering: its truth against what the camera made of it (nan = not seen).
+    """One rendering: its truth against what the camera made of it (nan = not seen)."""
 
-    Attributes:
-        place_cm: largest error of a place at the robot's height, over the workspace.
-        tip_cm: of the tip by its marker.
-        free: whether it was a free bend.
-        accuracy_cm: what the camera model said of its own places.
-        end_cm: of the fitted axis's end.
-        length_cm: of the length along the axis, signed.
-        pegs: error of each dowel's place and of its radius, cm; nan = missed.
-        false_pegs: circles that are no dowels.
-        bend: error of curvature and its stated error, 1/cm: of the one of a free bend, or of each
-            span.
-    """
-
-    place_cm: float
-    tip_cm: float
-    free: bool
-    accuracy_cm: float
-    end_cm: float = nan
-    length_cm: float = nan
+    place_cm: float  # largest error of a place at the robot's height, over the workspace
+    tip_cm: float  # of the tip by its marker
+    free: bool  # whether it was a free bend
+    accuracy_cm: float  # what the camera model said of its own places
+    end_cm: float = nan  # of the fitted axis's end
+    length_cm: float = nan  # of the length along the axis, signed
+    # error of each dowel's place and of its radius, cm; nan = missed
     pegs: list[tuple[float, float]] = field(default_factory=list)
-    false_pegs: int = 0
+    false_pegs: int = 0  # circles that are no dowels
+    # error of curvature and its stated error, 1/cm: of the one of a free bend, or of each span
     bend: list[tuple[float, float]] = field(default_factory=list)
 
 

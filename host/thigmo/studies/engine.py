@@ -87,20 +87,14 @@ class Claim:
 
 @dataclass
 class Outcome:
-    """What a study found.
+    """What a study found."""
 
-    Attributes:
-        tables, figures: written into the folder, by name; no table is empty.
-        claims: written, and printed with their verdicts.
-        notes: sentences that are printed.
-        summary: a table that is printed.
-    """
-
+    # tables, figures: written into the folder, by name; no table is empty
     tables: dict[str, Sequence[Record]] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
-    claims: list[Claim] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    summary: Sequence[Record] | None = None
+    claims: list[Claim] = field(default_factory=list)  # written, and printed with their verdicts
+    notes: list[str] = field(default_factory=list)  # sentences that are printed
+    summary: Sequence[Record] | None = None  # a table that is printed
 
     def record(self) -> dict[str, Any]:
         """What programs are told: the rows of the comparison, if there is one, claims and notes."""
@@ -113,23 +107,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Context:
-    """How to run: the seed, the size, and where the work goes.
+    """How to run: the seed, the size, and where the work goes."""
 
-    Attributes:
-        seed: every random number of a study comes from it.
-        scale: "quick" for a look (a minute a study), "full" for the published figures.
-        jobs: processes on this machine (ignored by the dask backend).
-        backend: joblib's: "loky" (processes here) or "dask" (a cluster).
-        progress: called with (part, done, total) as items finish.
-        save: called with what a study has found so far, when a part of it is done: what it has of
-            tables and claims is then written, and stopping the rest loses nothing.
-    """
-
-    seed: int = 0
-    scale: Scale = "full"
-    jobs: int = 1
-    backend: str = "loky"
+    seed: int = 0  # every random number of a study comes from it
+    scale: Scale = "full"  # "quick" for a look (a minute a study), "full" for the published figures
+    jobs: int = 1  # processes on this machine (ignored by the dask backend)
+    backend: str = "loky"  # joblib's: "loky" (processes here) or "dask" (a cluster)
+    # called with (part, done, total) as items finish
     progress: Callable[[str, int, int], None] = lambda part, done, total: None
+    # called with what a study has found so far, when a part of it is done: what it has of tables
+    # and claims is then written, and stopping the rest loses nothing
     save: Callable[[Outcome], None] = lambda outcome: None
 
     def count(self, quick: int, full: int) -> int:

@@ -34,23 +34,15 @@ _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no bett
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of robot and room.
+    """A kind of robot and room."""
 
-    Attributes:
-        scene: built-in scene of the robot.
-        bend: how much the body bends, over what the host's maps say.
-        gains: relative standard deviation of the sensors' gains, of which robot.toml knows nothing.
-        noise: multiple of the scene's noise and calibration errors.
-        peg: whether a peg stands in the room.
-        more: whether up to two more do, for the map.
-    """
-
-    scene: str = "default"
-    bend: float = 1.0
+    scene: str = "default"  # built-in scene of the robot
+    bend: float = 1.0  # how much the body bends, over what the host's maps say
+    # relative standard deviation of the sensors' gains, of which robot.toml knows nothing
     gains: float = 0.0
-    noise: float = 1.0
-    peg: bool = True
-    more: bool = False
+    noise: float = 1.0  # multiple of the scene's noise and calibration errors
+    peg: bool = True  # whether a peg stands in the room
+    more: bool = False  # whether up to two more do, for the map
 
 
 TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
@@ -72,32 +64,25 @@ KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True)
 class Explored:
-    """What an exploration of a room came to.
+    """What an exploration of a room came to."""
 
-    Attributes:
-        kind, seed: of the room.
-        x_cm, y_cm, radius_cm: of its peg; NaN without one.
-        status: of the best contact, "silent", or why the run was aborted.
-        missed: nothing on the map is at a peg.
-        false: contacts on the map that are not in the room.
-        wrong: the best contact is localized, and its interval does not hold the true arc.
-        error_x_cm, error_cm, width_cm: of the best contact; NaN without one.
-        robot_time_s: of the run.
-    """
-
+    # kind, seed: of the room
     kind: str
     seed: int
+    # x_cm, y_cm, radius_cm: of its peg; NaN without one
     x_cm: float = nan
     y_cm: float = nan
     radius_cm: float = nan
-    status: str = "silent"
-    missed: bool = True
-    false: int = 0
+    status: str = "silent"  # of the best contact, "silent", or why the run was aborted
+    missed: bool = True  # nothing on the map is at a peg
+    false: int = 0  # contacts on the map that are not in the room
+    # the best contact is localized, and its interval does not hold the true arc
     wrong: bool = False
+    # error_x_cm, error_cm, width_cm: of the best contact; NaN without one
     error_x_cm: float = nan
     error_cm: float = nan
     width_cm: float = nan
-    robot_time_s: float = 0.0
+    robot_time_s: float = 0.0  # of the run
 
 
 def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:

@@ -42,22 +42,15 @@ NO_HARM = "none needed: outputs are sound; the localizer weighs such readings"
 
 @dataclass(frozen=True)
 class Failure:
-    """One thing that breaks.
+    """One thing that breaks."""
 
-    Attributes:
-        name: for the table.
-        kind, options: as a scene's `[[faults]]` has them.
-        valve: the air itself fails: no output of the board changes the pressure.
-        spool: the spool itself fails: no output of the board changes its motion.
-        covered: what covers it where no signal shows it, or where the firmware cannot act.
-    """
-
-    name: str
+    name: str  # for the table
+    # kind, options: as a scene's `[[faults]]` has them
     kind: str
     options: dict[str, Any] = field(default_factory=dict, hash=False)
-    valve: bool = False
-    spool: bool = False
-    covered: str = ""
+    valve: bool = False  # the air itself fails: no output of the board changes the pressure
+    spool: bool = False  # the spool itself fails: no output of the board changes its motion
+    covered: str = ""  # what covers it where no signal shows it, or where the firmware cannot act
 
 
 FAILURES = (
@@ -119,22 +112,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Visit:
-    """What came of it.
+    """What came of it."""
 
-    Attributes:
-        noticed: faults by which the board stopped, "reset", or "" if it did not notice.
-        safe_s: from the failure until the outputs are off for good; None if they stay on.
-        peak_psi, steady_psi: highest true muscle pressure, and that of the last two seconds.
-        moved_cm: farthest that the tip grew from where the failure found it.
-        recovers: once the failure is over, faults clear and the robot arms, without a reset.
-    """
-
-    noticed: str
+    noticed: str  # faults by which the board stopped, "reset", or "" if it did not notice
+    # from the failure until the outputs are off for good; None if they stay on
     safe_s: float | None
+    # peak_psi, steady_psi: highest true muscle pressure, and that of the last two seconds
     peak_psi: float
     steady_psi: float
-    moved_cm: float
-    recovers: bool
+    moved_cm: float  # farthest that the tip grew from where the failure found it
+    recovers: bool  # once the failure is over, faults clear and the robot arms, without a reset
 
 
 BoardFor = Callable[[bytes], Board]

@@ -39,53 +39,34 @@ MOST_TURN = np.deg2rad(100.0)
 
 @dataclass(frozen=True)
 class Group:
-    """Scenes that are counted together.
+    """Scenes that are counted together."""
 
-    Attributes:
-        draw: so many scenes.
-        count: of scenes, at full scale.
-        options: of `localize`, beside those of all groups.
-        against_free: whether frames stand out by their misfit without a contact over that with one.
-        noise: standard deviation of a reading.
-    """
-
-    draw: Draw
-    count: int = 1500
+    draw: Draw  # so many scenes
+    count: int = 1500  # of scenes, at full scale
+    # of `localize`, beside those of all groups
     options: dict[str, Any] = field(default_factory=dict)
+    # whether frames stand out by their misfit without a contact over that with one
     against_free: bool = False
-    noise: float = SIGMA
+    noise: float = SIGMA  # standard deviation of a reading
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A frame's answer against its truth.
+    """A frame's answer against its truth."""
 
-    Attributes:
-        found: contacts listed.
-        likely: of these, with a probability over one half.
-        localized, ambiguous: the status.
-        none: probability that nothing touches.
-        held: intervals that hold a true place, of the contacts listed.
-        wrong: localized, with an interval that holds no true place.
-        off_cm: the farthest that a localized contact is from the true place nearest to it.
-        hinge: the explanation has a kink.
-        open: the message says that more contacts are not excluded.
-        stands_out: misfit of what the group's promise speaks of.
-        fits: one contact leaves no more misfit than noise does in 99 of 100 frames.
-    """
-
-    found: int
-    likely: int
+    found: int  # contacts listed
+    likely: int  # of these, with a probability over one half
+    # localized, ambiguous: the status
     localized: bool
     ambiguous: bool
-    none: float
-    held: int
-    wrong: bool
-    off_cm: float
-    hinge: bool
-    open: bool
-    stands_out: float
-    fits: bool
+    none: float  # probability that nothing touches
+    held: int  # intervals that hold a true place, of the contacts listed
+    wrong: bool  # localized, with an interval that holds no true place
+    off_cm: float  # the farthest that a localized contact is from the true place nearest to it
+    hinge: bool  # the explanation has a kink
+    open: bool  # the message says that more contacts are not excluded
+    stands_out: float  # misfit of what the group's promise speaks of
+    fits: bool  # one contact leaves no more misfit than noise does in 99 of 100 frames
 
 
 def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:

@@ -33,23 +33,17 @@ _BETWEEN_CM = 0.5  # pegs stand at least so far apart
 
 @dataclass(frozen=True)
 class Mapped:
-    """A room's map at one level.
+    """A room's map at one level."""
 
-    Attributes:
-        seed: of the room.
-        sigmas: standard errors that free cells keep from what is not.
-        felt_cells, felt_free: cells inside pegs that were felt, and those of them that are free.
-        missed_cells, missed_free: the same of pegs that a sweep touched unnoticed, or did not.
-        free_cm2: of the whole map.
-    """
-
-    seed: int
-    sigmas: float
+    seed: int  # of the room
+    sigmas: float  # standard errors that free cells keep from what is not
+    # felt_cells, felt_free: cells inside pegs that were felt, and those of them that are free
     felt_cells: int
     felt_free: int
+    # missed_cells, missed_free: the same of pegs that a sweep touched unnoticed, or did not
     missed_cells: int
     missed_free: int
-    free_cm2: float
+    free_cm2: float  # of the whole map
 
 
 def room(seed: int) -> Scene:

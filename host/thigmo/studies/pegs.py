@@ -75,21 +75,16 @@ def press(
 
 @dataclass(frozen=True)
 class Rooms:
-    """S rooms with a peg each, through an inflation of T frames; NaN before the touch.
+    """S rooms with a peg each, through an inflation of T frames; NaN before the touch."""
 
-    Attributes:
-        free: (T, S) free curvature of the frames, rising.
-        u, push: (T, S) place on the outline and size of the force.
-        peg, peg_radius: (2, S) and (S,).
-        length: everted length.
-    """
-
-    free: Floats
+    free: Floats  # (T, S) free curvature of the frames, rising
+    # u, push: (T, S) place on the outline and size of the force
     u: Floats
     push: Floats
+    # peg, peg_radius: (2, S) and (S,)
     peg: Floats
     peg_radius: Floats
-    length: float
+    length: float  # everted length
 
     @property
     def arc(self) -> Floats:

@@ -36,21 +36,16 @@ def _noise(rng: np.random.Generator, size: int) -> Floats:
 
 @dataclass(frozen=True)
 class Error:
-    """One kind of error: how it changes a frame, and how `localize` is told.
+    """One kind of error: how it changes a frame, and how `localize` is told."""
 
-    Attributes:
-        tell: keyword arguments of `localize`, from the frame; None if it cannot be told.
-        clean: what it does to a frame without noise.
-        noise: on so many readings.
-        read: what it does to readings with noise.
-        groups: of scenes that it is tried on.
-    """
-
+    # keyword arguments of `localize`, from the frame; None if it cannot be told
     tell: Callable[[Frame], dict[str, Any]] | None = None
+    # what it does to a frame without noise
     clean: Callable[[np.random.Generator, Frame], Frame] = lambda rng, frame: frame
-    noise: Callable[[np.random.Generator, int], Floats] = _noise
+    noise: Callable[[np.random.Generator, int], Floats] = _noise  # on so many readings
+    # what it does to readings with noise
     read: Callable[[np.random.Generator, Floats], Floats] = lambda rng, readings: readings
-    groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")
+    groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")  # of scenes that it is tried on
 
     def spoil(self, rng: np.random.Generator, frame: Frame) -> Frame:
         """A frame without noise as it is read."""

@@ -27,24 +27,16 @@ STEPS = 24  # of Runge and Kutta, between two loads: errors below 1e-8 at a vine
 
 @dataclass(frozen=True)
 class Bodies:
-    """S bodies in equilibrium under E loads each.
+    """S bodies in equilibrium under E loads each."""
 
-    Attributes:
-        breaks: (S, E + 2) base, loads, tip.
-        heading: (S, E + 1, STEPS + 1) of the pieces between them, in the last load's frame and
-            without the kinks.
-        curvature: likewise.
-        kink: (S, E) rad.
-        base_moment: (S,) of the loads, over EI.
-        base: (3, S) heading, x and y of the base in the last load's frame.
-    """
-
-    breaks: Floats
+    breaks: Floats  # (S, E + 2) base, loads, tip
+    # (S, E + 1, STEPS + 1) of the pieces between them, in the last load's frame and without the
+    # kinks
     heading: Floats
-    curvature: Floats
-    kink: Floats
-    base_moment: Floats
-    base: Floats
+    curvature: Floats  # likewise
+    kink: Floats  # (S, E) rad
+    base_moment: Floats  # (S,) of the loads, over EI
+    base: Floats  # (3, S) heading, x and y of the base in the last load's frame
 
     def turn(self, arcs: Floats) -> Floats:
         """(S, Q) heading at arcs (S, Q), without the kinks: cubic between the nodes."""

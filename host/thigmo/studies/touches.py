@@ -24,22 +24,15 @@ WAVES = np.arange(1.0, 5.0)[:, None] * np.pi / LENGTH  # of the stiffness along 
 
 @dataclass(frozen=True)
 class Scenes:
-    """S bodies and what sensors read on them, without noise.
+    """S bodies and what sensors read on them, without noise."""
 
-    Attributes:
-        curvature: (S, N).
-        position: (N,).
-        free: (S,) free curvature.
-        arcs: (S, C) contacts; C is 0 for free bodies.
-        bound: (S,) Cramer-Rao standard deviation (cm) of a contact's place; infinite without one.
-        stands_out: (S,) misfit of what a promise speaks of, where that depends on no noise.
-    """
-
-    curvature: Floats
-    position: Floats
-    free: Floats
-    arcs: Floats
+    curvature: Floats  # (S, N)
+    position: Floats  # (N,)
+    free: Floats  # (S,) free curvature
+    arcs: Floats  # (S, C) contacts; C is 0 for free bodies
+    # (S,) Cramer-Rao standard deviation (cm) of a contact's place; infinite without one
     bound: Floats | float = np.inf
+    # (S,) misfit of what a promise speaks of, where that depends on no noise
     stands_out: Floats | None = None
 
 

@@ -48,37 +48,28 @@ class Setting(NamedTuple):
 
 
 class Half(NamedTuple):
-    """One side's part of a sweep: the side (0 left), when it starts and when it is vented, in ms.
-
-    Attributes:
-        touch_ms: when a contact begins (steps), or the base contact curvature passes the default
-            threshold (pegs); NaN without one.
-    """
+    """One side's part of a sweep: the side (0 left), when it starts and is vented, in ms."""
 
     side: int
     start_ms: int
     vent_ms: int
+    # when a contact begins (steps), or the base contact curvature passes the default threshold
+    # (pegs); NaN without one
     touch_ms: float = np.nan
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A recorded session.
+    """A recorded session."""
 
-    Attributes:
-        seed, eeprom: of the board.
-        script: of the host, with the setting left out.
-        halves: of the sweeps, in order of time; times by the firmware's clock.
-        conversions: rows of (tick, channel, count) of the channels that the trigger looks at.
-        end_ms: how long it takes.
-    """
-
+    # seed, eeprom: of the board
     seed: int
     eeprom: bytes
-    script: Script
-    halves: tuple[Half, ...]
+    script: Script  # of the host, with the setting left out
+    halves: tuple[Half, ...]  # of the sweeps, in order of time; times by the firmware's clock
+    # rows of (tick, channel, count) of the channels that the trigger looks at
     conversions: npt.NDArray[np.int64]
-    end_ms: int
+    end_ms: int  # how long it takes
 
 
 class TouchedBoard(VirtualBoard):

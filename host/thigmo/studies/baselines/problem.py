@@ -19,27 +19,18 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Readings of one frame.
+    """Readings of one frame."""
 
-    Attributes:
-        curvature: (N,) readings above free curvature, finite, 1/cm.
-        position: (N,) sensor centres, cm.
-        span: (N,) active lengths, cm.
-        length: everted length, cm.
-        contacts: how many to find, 1 to 3.
-        noise: standard deviation of a reading, 1/cm; what the trained baselines are trained at.
-        critical_curvature: contact curvature at which the base folds, 1/cm.
-        start: (contacts,) arcs from which the methods that need it start, cm; the thesis's (even
-            fractions of the length, the last one at the tip) if not given.
-    """
-
-    curvature: Array
-    position: Array
-    span: Array
-    length: float
-    contacts: int = 1
+    curvature: Array  # (N,) readings above free curvature, finite, 1/cm
+    position: Array  # (N,) sensor centres, cm
+    span: Array  # (N,) active lengths, cm
+    length: float  # everted length, cm
+    contacts: int = 1  # how many to find, 1 to 3
+    # standard deviation of a reading, 1/cm; what the trained baselines are trained at
     noise: float = 6e-4
-    critical_curvature: float = 0.01108
+    critical_curvature: float = 0.01108  # contact curvature at which the base folds, 1/cm
+    # (contacts,) arcs from which the methods that need it start, cm; the thesis's (even fractions
+    # of the length, the last one at the tip) if not given
     start: Array | None = None
 
 

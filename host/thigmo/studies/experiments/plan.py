@@ -16,24 +16,17 @@ STATIC = ("single-contact", "two-contacts", "actuated")
 
 @dataclass(frozen=True)
 class Planned:
-    """One trial to take.
+    """One trial to take."""
 
-    Attributes:
-        experiment, condition, place, number: its label; trials of a condition count from 1.
-        side: of the robot on which the (distal) dowel stands; an actuated robot bends to it.
-        arcs_cm: where the dowels touch, base first.
-        forces: with which they push, 1/cm^2; empty for an actuated robot.
-        pressure_psi: of the muscle on the dowel's side; 0 unactuated.
-    """
-
+    # experiment, condition, place, number: its label; trials of a condition count from 1
     experiment: str
     condition: str
     place: str
     number: int
-    side: Side
-    arcs_cm: tuple[float, ...]
-    forces: tuple[float, ...] = ()
-    pressure_psi: float = 0.0
+    side: Side  # of the robot on which the (distal) dowel stands; an actuated robot bends to it
+    arcs_cm: tuple[float, ...]  # where the dowels touch, base first
+    forces: tuple[float, ...] = ()  # with which they push, 1/cm^2; empty for an actuated robot
+    pressure_psi: float = 0.0  # of the muscle on the dowel's side; 0 unactuated
 
     @property
     def key(self) -> str:

@@ -30,18 +30,14 @@ _FROZEN = "as fitted"
 
 @dataclass(frozen=True)
 class Cell:
-    """The thesis's solver on one condition with one constant changed; means in cm.
+    """The thesis's solver on one condition with one constant changed; means in cm."""
 
-    Attributes:
-        changed: what differs from the frozen constants.
-        experiment, condition: the row of the thesis's results, whose mean error is `thesis_cm`.
-        camera_cm, workspace_cm: mean |a - x of the obstacle| and |x error| in the workspace here.
-    """
-
-    changed: str
+    changed: str  # what differs from the frozen constants
+    # experiment, condition: the row of the thesis's results, whose mean error is `thesis_cm`
     experiment: str
     condition: str
     thesis_cm: float
+    # camera_cm, workspace_cm: mean |a - x of the obstacle| and |x error| in the workspace here
     camera_cm: float
     workspace_cm: float
 

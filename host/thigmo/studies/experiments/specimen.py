@@ -26,19 +26,12 @@ _STEP_CM = 1e-3
 
 @dataclass(frozen=True)
 class Constants:
-    """What the thesis does not state, and its results imply.
+    """What the thesis does not state, and its results imply."""
 
-    Attributes:
-        noise: standard deviation of an averaged reading, 1/cm.
-        gain_spread: relative standard deviation of the sensors' gains.
-        position_cm: standard deviation of the sensors' places.
-        fold_rad: angle of the base's fold under the high force.
-    """
-
-    noise: float
-    gain_spread: float
-    position_cm: float
-    fold_rad: float
+    noise: float  # standard deviation of an averaged reading, 1/cm
+    gain_spread: float  # relative standard deviation of the sensors' gains
+    position_cm: float  # standard deviation of the sensors' places
+    fold_rad: float  # angle of the base's fold under the high force
 
 
 @cache
