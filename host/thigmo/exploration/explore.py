@@ -22,7 +22,7 @@ from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
-from thigmo.robot import Operator, Robot, connect
+from thigmo.robot import Operator, connect
 from thigmo.stream import Event, Hello, Server, recording
 
 
@@ -45,6 +45,8 @@ def explore(
 ) -> ExplorationResult:
     """Explore with a robot: grow, sweep, feel, localize and map, to the full length.
 
+    Gives the contacts in the room, and where the record is.
+
     Args:
         url: where the robot is (`thigmo.connect`).
         config: robot.toml; an emulated robot's may be left out: it is what its lab would know.
@@ -59,9 +61,6 @@ def explore(
             file. It is believed as far as the readings allow.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: told what the robot is doing.
-
-    Returns:
-        Contacts in the room, and where the record is.
 
     Raises:
         ThigmoError: with the next step for the operator. The robot is vented and braked, and the
@@ -105,10 +104,13 @@ def explore(
             "started": begun,
             **robot.identity,
         }
-        control = RunControl()
+        control, now_s, place = RunControl(), robot.now(), str(folder.path.resolve())
         robot.while_waiting(control.obey_stop)
+        hello = Hello(
+            now_s, robot.epoch_s + now_s, url, label, place, os.getpid(), __version__, robot.virtual
+        )
         with (
-            Server(robot.hub, _hello(robot, folder, document), control.command),
+            Server(robot.hub, hello, control.command),
             folder.open_log(told, robot.epoch_s) as log,
             recording(robot.hub, log),
         ):
@@ -145,20 +147,6 @@ def _walk(run: Exploration) -> None:
         )
         run.keep()
         run.tell()
-
-
-def _hello(robot: Robot, folder: RunFolder, document: RunDocument) -> Hello:
-    now_s = robot.now()
-    return Hello(
-        now_s,
-        robot.epoch_s + now_s,
-        robot.url,
-        document.name,
-        str(folder.path.resolve()),
-        os.getpid(),
-        __version__,
-        robot.virtual,
-    )
 
 
 def _unknown_robot(url: str) -> ConfigError:

@@ -61,18 +61,10 @@ def feel(
     nearest_arc: float = 0.0,
     prior: Sequence[Obstacle] = (),
 ) -> Feeling:
-    """Localize the contacts behind a peak's readings.
+    """Localize the contacts behind a peak's readings, at a body-pressure zone.
 
-    Args:
-        peak: the averaged readings.
-        config: robot.toml as used.
-        zone: index of the body-pressure zone that held.
-        response: what each sensor reads of an untouched robot.
-        nearest_arc: no contact lies nearer to the base than this (`SweptSpace`), cm.
-        prior: obstacles that are expected.
-
-    Raises:
-        DataError: no usable sensor.
+    No contact lies nearer to the base than `nearest_arc` (cm, by `SweptSpace`); `prior` are
+    obstacles that are expected. Raises DataError if no sensor is usable.
     """
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)

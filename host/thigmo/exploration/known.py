@@ -39,8 +39,7 @@ def expected(
     Args:
         contact: the localizer's.
         bend: (K, 2) arc, and curvature that it causes there.
-        arcs: (n,) evenly spaced, cm.
-        mass: (n,) posterior in each cell, of sum one.
+        arcs, mass: (n,) evenly spaced, cm; posterior in each cell, of sum one.
         boost: (n,) prior density there, of any scale.
     """
     product = mass * boost

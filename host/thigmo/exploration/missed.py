@@ -24,7 +24,6 @@ from thigmo.record import (
     TruePeg,
 )
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.robot.readings import other_side
 
 # A contact is the true one if it lies within so many standard deviations in the plane, none taken
 # as smaller than a peg's size; or if its interval holds the true arc (an end is no sharper than
@@ -99,9 +98,9 @@ def _missed(
 def _why_missed(
     document: RunDocument, missed: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
 ) -> str:
-    side: Side = "left" if missed.side == "left" else "right"
     # The sensors of the side that is not inflated feel.
-    feeling = [s for s in config.sensors.column(other_side(side)) if s.healthy]
+    other: Side = "right" if missed.side == "left" else "left"
+    feeling = [s for s in config.sensors.column(other) if s.healthy]
     first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
     if missed.arc_cm <= first:
         return "below detection: nearer to the base than the first sensor, which it does not bend"

@@ -90,13 +90,12 @@ class FreeResponse:
 
         That is, up to a free curvature (1/cm, unsigned).
         """
-        mine = np.array([f.side == side for f in sweep.frames], dtype=np.bool_)
-        if not mine.any():
+        frames, readings = sweep.half(side)
+        if not frames:
             return
-        pressure = np.array([f.pressure_psi for f in sweep.frames])[mine]
-        free = np.array([f.free_curvature for f in sweep.frames])[mine]
-        readings = sweep.curvature[mine]
-        t_s = np.array([f.t_s for f in sweep.frames])[mine]
+        pressure, free, t_s = np.array(
+            [(f.pressure_psi, f.free_curvature, f.t_s) for f in frames]
+        ).T
         rising = (np.arange(len(free)) <= pressure.argmax()) & (pressure >= _LEAST_PSI)
         rising &= t_s >= t_s[0] + _SWINGS_S
         rising &= np.abs(free) <= below

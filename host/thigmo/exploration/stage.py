@@ -170,11 +170,10 @@ def _swept_shapes(
     gain = gain_errors(config)
     for side in SIDES:
         use = table.usable(side, sweep.sensors)
-        mine = np.array([frame.side == side for frame in sweep.frames], dtype=np.bool_)
-        if not use.any() or not mine.any():
+        frames, readings = sweep.half(side)
+        if not use.any() or not frames:
             continue
-        frames = [frame for frame in sweep.frames if frame.side == side]
-        readings = sweep.curvature[mine][:, use]
+        readings = readings[:, use]
         pressure = np.array([frame.pressure_psi for frame in frames])
         held = held_back(frames, side)
         folds = np.array([pressed_enough(each, config, zone) for each in held])

@@ -7,8 +7,8 @@ The run walks this table and nothing else, so a flow chart drawn from it is the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class State(StrEnum):
@@ -33,8 +33,7 @@ class State(StrEnum):
     DONE = "done"
 
 
-@dataclass(frozen=True, slots=True)
-class Transition:
+class Transition(NamedTuple):
     """From a state, on an outcome (the words on the flow chart's arrow), to a state."""
 
     source: State

@@ -76,14 +76,8 @@ class Client(Inbox, Closing):
     ) -> None:
         """Take an open transport, which the client owns from now on, and say hello.
 
-        Args:
-            transport: what carries it.
-            connect: False leaves the hello to a later `connect()`.
-            heartbeat_s: period of the heartbeat.
-            tap: first of `taps`, from the first byte on.
-
-        Raises:
-            LinkError: as `connect`.
+        Without `connect` the hello is left to a later `connect()`. `tap` is the first of `taps`,
+        from the first byte on. Raises LinkError as `connect`.
         """
         super().__init__()
         self.transport = transport
@@ -393,12 +387,12 @@ class Client(Inbox, Closing):
             return
         if isinstance(message, wire.Announce):
             self._take_announce(message)
-        elif isinstance(message, wire.Pulse):
-            self._take_pulse(message, frame.session, t_s)
-        elif isinstance(message, wire.Event):
-            self._take_event(message, frame.session, t_s)
         elif message.KIND == "reply":
             self._take_reply(message, frame, t_s)
+        elif isinstance(message, wire.Pulse) and frame.session == self.session:
+            self._take_pulse(message, t_s)
+        elif isinstance(message, wire.Event) and frame.session == self.session:
+            self._take_event(message, t_s)
         else:
             self.stats.foreign += 1
 

@@ -64,12 +64,8 @@ def nobody(
 ) -> LinkError:
     """No hello was answered.
 
-    Args:
-        transport: where.
-        announced: a board announced itself.
-        frames: whole frames heard, with a good check sequence: only a thigmo board sends them.
-        strange: those among them that this host cannot read.
-        garbage: bytes heard that were no frames.
+    There came an announce or not, so many whole frames with a good check sequence, which only a
+    thigmo board sends, some of them `strange` to this host, and bytes that were no frames.
     """
     if strange:
         return SchemaMismatchError(

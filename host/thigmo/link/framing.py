@@ -17,7 +17,6 @@ from thigmo.link.protocol import CRC, MAX_FRAME, MAX_WIRE, MESSAGES, Message
 
 _HEADER = Struct("<BHH")
 _CRC = Struct("<H")
-HEADER_SIZE = _HEADER.size
 MIN_FRAME = _HEADER.size + _CRC.size
 _crc = crcmod.predefined.mkPredefinedCrcFun(CRC)
 
@@ -67,7 +66,7 @@ def decode(wire: bytes) -> Frame:
     if _crc(raw[:-2]) != raw[-2] | raw[-1] << 8:
         raise FrameError("wrong check sequence")
     kind, seq, session = _HEADER.unpack_from(raw)
-    return Frame(kind, seq, session, raw[HEADER_SIZE:-2], wire)
+    return Frame(kind, seq, session, raw[_HEADER.size : -2], wire)
 
 
 @dataclass(slots=True)

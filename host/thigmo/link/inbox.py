@@ -75,19 +75,13 @@ class Inbox:
         for callback in self.on_telemetry:
             callback(received)
 
-    def _take_pulse(self, message: wire.Pulse, session: int, t_s: float) -> None:
-        if session != self.session:
-            self.stats.foreign += 1
-            return
+    def _take_pulse(self, message: wire.Pulse, t_s: float) -> None:
         sent_s = self._beats.pop(message.counter, None)
         device_us = self.clock.unwrap(message.t_us)
         if sent_s is not None:
             self.clock.pair(sent_s, t_s, device_us)
 
-    def _take_event(self, message: wire.Event, session: int, t_s: float) -> None:
-        if session != self.session:
-            self.stats.foreign += 1
-            return
+    def _take_event(self, message: wire.Event, t_s: float) -> None:
         if len(self.events) >= _EVENTS:
             return  # unacknowledged, so the board keeps it and asks again
         new = self._ledger.take(message.number)

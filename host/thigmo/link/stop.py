@@ -23,19 +23,14 @@ MUTE_S = 0.6
 SILENT_S = 1.6
 
 
-def _nonce() -> int:
-    """Random and never 0. Its bytes have the top bit set, for "!!!" enters the boot loader's
-    monitor."""
-    return secrets.randbits(32) | 0x8080_8080
-
-
 @dataclass(slots=True)
 class StopCall:
     """One stop, from the first frame to its echo."""
 
     called_s: float  # when it began, by the clock that all methods are given
     heard_s: float = float("-inf")  # when a byte last came from the board
-    nonce: int = field(default_factory=_nonce)  # of this stop
+    # Random, never 0. Its bytes have the top bit set, for "!!!" enters the boot loader's monitor.
+    nonce: int = field(default_factory=lambda: secrets.randbits(32) | 0x8080_8080)
     next_s: float = float("-inf")  # when the next frame is due
     unheard: int = 0  # frames sent since the board was last heard
     confirmed: bool = False  # the board has echoed the nonce: its outputs are off

@@ -5,7 +5,7 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 
 from thigmo.robot.growing import GrowthWatcher
 from thigmo.robot.operator import Operator
-from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of, other_side
+from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of
 from thigmo.robot.robot import Robot, connect
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import ContactTrigger, Peak, Reading, Status, SweepFrame, SweepResult
@@ -30,7 +30,6 @@ __all__ = [
     "connect",
     "in_mask",
     "mask_of",
-    "other_side",
     "peak_frame",
     "rising_period_s",
     "sweep_period_s",

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 def send_config(client: Client, config: RobotConfig) -> bool:
     """Make the board's parameters and maps those of robot.toml; whether any of them changed.
 
-    Raises:
-        ConfigError: a value that the board cannot hold, or does not give back.
-        CommandRefusedError: an output is energised, or a value is out of range.
+    Raises ConfigError for a value that the board cannot hold or does not give back,
+    CommandRefusedError if an output is energised.
     """
     wanted_values = parameter_settings(config)
     differing = {n: v for n, v in wanted_values.items() if get_parameter(client, n) != v}

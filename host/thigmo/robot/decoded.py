@@ -47,6 +47,8 @@ class Decoder:
         raw = frame.message
         length_cm = raw.length_um / 1e4
         free = raw.free_e5 / 1e5
+        drives = (raw.left_drive, raw.right_drive)
+        left_ma, right_ma = (level * _FULL_MA / _FULL_DRIVE for level in drives)
         state, activity = _phase(raw.state_activity)
         inflated = None
         if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
@@ -68,7 +70,7 @@ class Decoder:
             device_s=frame.device_us * 1e-6,
             pressure_psi=(raw.left_cpsi / 100, raw.right_cpsi / 100),
             demand_psi=(raw.left_set_cpsi / 100, raw.right_set_cpsi / 100),
-            drive_ma=(_drive_ma(raw.left_drive), _drive_ma(raw.right_drive)),
+            drive_ma=(left_ma, right_ma),
             curvature_per_cm=tuple(curvature),
             expected_per_cm=tuple(expected),
             base_per_cm=raw.base_e5 / 1e5,
@@ -96,10 +98,6 @@ def _phase(both: int) -> tuple[str, str]:
 @cache
 def _faults(mask: int) -> tuple[str, ...]:
     return tuple(fault.key for fault in wire.Fault.from_mask(mask))
-
-
-def _drive_ma(level: int) -> float:
-    return level * _FULL_MA / _FULL_DRIVE
 
 
 def _told(event: wire.Event) -> tuple[str, Severity, str, str]:

@@ -11,19 +11,17 @@ __all__ = ["NobodyThere", "Operator"]
 
 
 class NobodyThere:
-    """The operator of a program that named none: every question is an error."""
+    """The operator of a program that named none: every question is a DataError."""
 
     def everted_length_cm(self) -> float:
-        """Refuse: raises DataError."""
+        """Refuse."""
         raise DataError("the everted length is unknown", "measure it, and call confirm_length")
 
     def set_body_pressure(self, pressure_psi: float) -> None:
-        """Refuse: raises DataError."""
-        raise DataError(
-            f"the body pressure must be set to {pressure_psi:g} psi by hand",
-            "set the regulator, and call select_zone",
-        )
+        """Refuse."""
+        what = f"the body pressure must be set to {pressure_psi:g} psi by hand"
+        raise DataError(what, "set the regulator, and call select_zone")
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Refuse: raises DataError."""
+        """Refuse."""
         raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")

@@ -55,11 +55,6 @@ def in_mask(mask: int) -> list[int]:
     return [sensor for sensor in range(SENSORS) if mask >> sensor & 1]
 
 
-def other_side(side: Side) -> Side:
-    """The side whose sensors are usable while `side` is inflated."""
-    return "right" if side == "left" else "left"
-
-
 def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
     """Sensor resistance (ohm) of mean ADC counts; NaN where the circuit is open."""
     with np.errstate(divide="ignore", invalid="ignore"):

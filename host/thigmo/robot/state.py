@@ -140,6 +140,11 @@ class SweepResult:
     sensors: int = 0
     truth: Truth | None = None
 
+    def half(self, side: Side) -> tuple[list[SweepFrame], Floats]:
+        """A side's frames, and what each sensor read in them, (n, 10)."""
+        mine = np.array([frame.side == side for frame in self.frames], dtype=np.bool_)
+        return [frame for frame in self.frames if frame.side == side], self.curvature[mine]
+
     @classmethod
     def joined(cls, parts: Sequence[SweepResult]) -> SweepResult:
         """Several sweeps, in their order, as one; `sensors` are those that all of them had."""
