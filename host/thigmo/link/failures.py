@@ -17,8 +17,12 @@ from thigmo.link.transport import Transport
 def refused(command: wire.Message, reason: wire.Reason, detail: int) -> CommandRefusedError:
     """The board said no, with a reason whose sentence the schema has."""
     what, step = reason.told
-    said = f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}"
-    return CommandRefusedError(said, step, reason=reason.key, detail=detail)
+    return CommandRefusedError(
+        f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
+        step,
+        reason=reason.key,
+        detail=detail,
+    )
 
 
 def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:

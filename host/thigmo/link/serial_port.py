@@ -210,20 +210,23 @@ def port_error(name: str, number: int, text: str) -> PortError:
     if busy or (denied and os.name == "nt"):  # Windows says "access denied" for a port in use
         return PortError(f"{name} is in use", "close the other program that has it open")
     if denied:
-        step = "add yourself to the group that owns it (often dialout or uucp) and sign in again"
-        return PortError(f"no permission to open {name}", step)
+        return PortError(
+            f"no permission to open {name}",
+            "add yourself to the group that owns it (often dialout or uucp) and sign in again",
+        )
     if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
-        what = f"there is no port {name}"
-    elif number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
-        what = f"{name} is no serial port"
-    elif "not known" in lowered or "invalid url" in lowered:
-        what = f"{name} is no address that can be opened"
-    elif "://" in name:
+        return PortError(f"there is no port {name}", _ports_step())
+    if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
+        return PortError(f"{name} is no serial port", _ports_step())
+    if "not known" in lowered or "invalid url" in lowered:
+        return PortError(f"{name} is no address that can be opened", _ports_step())
+    if "://" in name:
         return PortError(f"cannot open {name}: {text}", "check that its server is running")
-    else:
-        what = f"cannot open {name}: {text}"
+    return PortError(f"cannot open {name}: {text}", _ports_step())
+
+
+def _ports_step() -> str:
     from serial.tools.list_ports import comports
 
     found = ", ".join(sorted(port.device for port in comports()))
-    none = "plug the board in: no serial port is there now"
-    return PortError(what, f"give one of: {found}" if found else none)
+    return f"give one of: {found}" if found else "plug the board in: no serial port is there now"

@@ -56,8 +56,11 @@ class Everting(Supervised):
         status = self.status()
         psi = max(status.left_psi, status.right_psi)
         if psi >= VENTED_PSI:
-            what, cure = f"a muscle holds {psi:.2f} psi", f"empty it below {VENTED_PSI} psi first"
-            raise CommandRefusedError(what, cure, reason=wire.Reason.NOT_VENTED.key)
+            raise CommandRefusedError(
+                f"a muscle holds {psi:.2f} psi",
+                f"empty it below {VENTED_PSI} psi first",
+                reason=wire.Reason.NOT_VENTED.key,
+            )
         self._start(wire.RetractTo(round(length_cm * 1e4), 0))
         return self._watch.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
 

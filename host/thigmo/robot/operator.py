@@ -19,8 +19,10 @@ class NobodyThere:
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Refuse."""
-        what = f"the body pressure must be set to {pressure_psi:g} psi by hand"
-        raise DataError(what, "set the regulator, and call select_zone")
+        raise DataError(
+            f"the body pressure must be set to {pressure_psi:g} psi by hand",
+            "set the regulator, and call select_zone",
+        )
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Refuse."""

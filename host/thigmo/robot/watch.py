@@ -131,8 +131,9 @@ class Watch:
                 if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
                     reason = wire.Reason(event.value)
                     what, cure = reason.told
-                    what = f"{activity.key} ended early: {what}"
-                    raise CommandRefusedError(what, cure, reason=reason.key)
+                    raise CommandRefusedError(
+                        f"{activity.key} ended early: {what}", cure, reason=reason.key
+                    )
                 yield event
                 if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
                     return
