@@ -69,7 +69,6 @@ def deflection(
         length_cm: (n,) believed lengths, ascending.
         bend: (n, 10) what the sensors read there, 1/cm, from any zero.
         before, after: (10,) the zeros around the growth, from the same; NaN without one.
-        table: of the sensors.
     """
     if len(length_cm) < _SMOOTH:
         return None

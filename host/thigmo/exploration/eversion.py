@@ -44,7 +44,6 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Stall | None:
     Args:
         length_cm: (n,) believed lengths, ascending.
         bend: (n, 10) what the sensors read there, 1/cm, from any zero.
-        table: of the sensors.
     """
     if len(length_cm) <= 2 * _SETTLED:
         return None

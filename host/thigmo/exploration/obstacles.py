@@ -52,8 +52,6 @@ def export_obstacles(
     """Write obstacles.json, map.pgm and map.yaml of what a run knows.
 
     Args:
-        folder, document: the run's, with contacts and stages.
-        radius_cm: of the tube.
         prior: obstacles of the map that the run was given.
         prefix: of the files' names (a replay's differ).
 

@@ -127,8 +127,6 @@ class FreeResponse:
         """What sensors would read of an untouched robot, and what is unknown of that.
 
         Args:
-            side: inflated muscle.
-            zone: index of the body-pressure zone.
             free_curvature: by the map, 1/cm.
             curvature: (10,) what they read now: a gain's error is a share of it.
             use: (10,) which of them.

@@ -172,11 +172,9 @@ def place_contact(
     """Put one of the bend's contacts into the room.
 
     Args:
-        bend: the body's shape at the moment of measurement.
         arc: of the contact, cm.
         force: over EI, 1/cm^2: its sign says from which side.
         interval_cm: 95 % interval of the arc.
-        radius_cm: of the tube.
         curvature_se: standard error of the common curvature, 1/cm.
         end_offset_cm: where a contact on the end of the body bears, left of the centreline.
     """

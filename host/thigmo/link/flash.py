@@ -90,8 +90,6 @@ def flash(
     Args:
         port: serial port, as /dev/ttyACM0 or COM3.
         image: Intel HEX; None: this source tree's, built if need be.
-        avrdude: the program.
-        tell: called with what is being done.
 
     Raises:
         ConfigError: the file is no thigmo image.

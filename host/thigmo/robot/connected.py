@@ -164,7 +164,6 @@ class Connected(Closing):
         Another thread than the one that drives the robot takes `hub.subscribe()` instead.
 
         Args:
-            seconds: for so long.
             channels: names of `thigmo.stream.CHANNELS`; None gives all.
             size: messages that are kept while nobody takes them; then the oldest are lost.
 

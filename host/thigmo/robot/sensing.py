@@ -68,7 +68,6 @@ class Sensing(Everting):
 
         Args:
             progress: told the seconds that are left, about once a second.
-            sensors: bit 0 = left base.
 
         Raises:
             CommandTimeoutError: they do not settle in their time.

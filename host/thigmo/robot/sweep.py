@@ -43,8 +43,6 @@ def sweep_period_s(
     """Period (s) of a whole sweep, both directions, at a body-pressure zone.
 
     Args:
-        config: maps, lags and highest pressures.
-        zone: index of the body-pressure zone.
         trigger_per_cm: the trigger's threshold, 1/cm.
         residual_lag: share of the calibrated lag that is not compensated.
         top_psi: to which it goes; as high as the muscles hold if not given.
