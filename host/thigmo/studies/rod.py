@@ -135,6 +135,8 @@ def solve(
 def readings(
     arcs: Floats, normal: Floats, position: Floats, span: float | Floats = 0.0, **options: Any
 ) -> Floats:
-    """(N,) readings of one body under loads (C,), without noise; options are those of `solve`."""
-    only: Floats = solve(arcs[None], normal[None], **options).readings(position, span)[0]
+    """(N,) readings of one body under loads (C,) in any order; options are those of `solve`."""
+    order = np.argsort(arcs)
+    bodies = solve(arcs[None, order], normal[None, order], **options)
+    only: Floats = bodies.readings(position, span)[0]
     return only
