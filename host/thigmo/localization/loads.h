@@ -572,13 +572,13 @@ class SetsGrid {
   }
 
   // Adds the weights of all sets at that level and one prior of the forces.
-  void weigh(const Row& precision, double constant, double critical, std::size_t at_level,
+  void weigh(const Row& variance, double constant, double critical, std::size_t at_level,
              double at_scale) {
     gap_ = *std::min_element(width.begin(), width.end()) * 0.5;
     critical_ = critical, level_ = at_level, scale_ = at_scale;
-    precision_ = precision;
-    for (std::size_t k = 0; k < precision.size(); ++k) {
-      left_[0].diagonal[k] = precision[k] + square_[k];
+    variance_ = variance;
+    for (std::size_t k = 0; k < variance.size(); ++k) {
+      left_[0].diagonal[k] = 1.0 / variance[k] + square_[k];
     }
     place_contact(0, {constant, 1.0, 0.0});
   }
@@ -601,11 +601,13 @@ class SetsGrid {
     for (int m = first; m < end; ++m) {
       if (contact > 0 && place[m] - place[at_[contact - 1]] < gap_) continue;
       const double share = left.told[m] / left.diagonal[m];
+      const double exponent = sum.exponent + 0.5 * left.told[m] * share;
+      const bool last = contact + 1 == count_;
+      if (last && !(exponent >= top - kNothing)) continue;
       at_[contact] = m;
-      const Sum with{sum.exponent + 0.5 * left.told[m] * share,
-                     sum.volume * left.diagonal[m] / precision_[m],
+      const Sum with{exponent, sum.volume * left.diagonal[m] * variance_[m],
                      sum.moment + share * left.base[m]};
-      if (contact + 1 == count_) {
+      if (last) {
         add(with);
       } else {
         eliminate(left, m, end, left_[contact + 1]);
@@ -633,7 +635,7 @@ class SetsGrid {
 
   // A whole set, the columns `at_`.
   void add(Sum sum) {
-    if (!(sum.exponent >= top - kNothing) || std::abs(sum.moment) > critical_) return;
+    if (std::abs(sum.moment) > critical_) return;
     if (sum.exponent > top + kNothing) {  // what was added so far is small beside this
       const double shrink = std::exp(top - sum.exponent);
       for (Row& row : mass) {
@@ -650,7 +652,7 @@ class SetsGrid {
   int count_, cells_;
   std::vector<int> at_;         // columns of the set that is being weighed
   std::vector<Products> left_;  // by how many contacts are placed
-  Row square_, precision_;
+  Row square_, variance_;
   double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
   std::size_t level_ = 0;
 };
@@ -697,7 +699,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
   Body body(frame, prior, start);
   SetsGrid sets(count, cells);
   Matrix white;
-  Row precision(wide);
+  Row variance(wide);
   for (int turn = 0; turn < kMostTurns; ++turn) {
     sets.clear();
     double log_volume = 0.0;
@@ -714,8 +716,8 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       at.by(levers.sensor, white);
       sets.set(white, at.read, levers.base);
       for (const double scale : prior.scales) {
-        for (int k = 0; k < wide; ++k) precision[k] = 1.0 / (scale * scale * unit[k] * unit[k]);
-        sets.weigh(precision, at.log_density, prior.critical, s, scale);
+        for (int k = 0; k < wide; ++k) variance[k] = scale * scale * unit[k] * unit[k];
+        sets.weigh(variance, at.log_density, prior.critical, s, scale);
       }
     }
     if (!(sets.total > 0.0)) return out;
