@@ -243,7 +243,9 @@ class Weighing {
     double weight = contact_;
     const bool bends = readings.turn > priors_.end_turn;
     if (!held) weight += bends ? priors_.end : priors_.end_straight;
-    if (held && settings_.held_end == Settings::Held::perhaps) weight += priors_.held;
+    if (held && settings_.held_end == Settings::Held::perhaps) {
+      weight += bends ? priors_.held : priors_.held_straight;
+    }
     add_end(white_, start, held, weight, -1);
     const Hypothesis& plain = found.back();
     doubt(plain, weight - contact_, [this, shape = plain.curvature, held, weight](int i) {

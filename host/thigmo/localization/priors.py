@@ -31,8 +31,10 @@ END = math.log(0.15 / 0.85) - 0.7
 # The same where nothing but the contact bends the body, which then hardly meets a peg end on. Its
 # three free loads fit two opposed contacts as well.
 END_STRAIGHT = -7.0
-# Of a hand or a clamp that holds the end of a body that need not be a tube.
-HELD = 0.0
+# Of a hand or a clamp that holds the end of a body that need not be a tube: where an actuator bends
+# it, and where nothing else does.
+HELD = -1.0
+HELD_STRAIGHT = 0.0
 # Of one more contact, of a contact that is spread out, of a kink anywhere on the body.
 ANOTHER = -1.7
 SPREAD = -3.0

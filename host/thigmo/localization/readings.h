@@ -10,8 +10,8 @@ namespace thigmo {
 // Constants of priors.py, passed with every call.
 struct Priors {
   Row moments, half_widths, noise_levels;
-  double least_lever, contact, end, end_straight, held, another, spread, hinge, base_fold,
-      bad_deviation, angle;
+  double least_lever, contact, end, end_straight, held, held_straight, another, spread, hinge,
+      base_fold, bad_deviation, angle;
   double near_fold, strong, straight, end_turn, shape_rests, level, excluded, five_sigma,
       second_gain, noise_factor, noise_odds;
   double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure;
