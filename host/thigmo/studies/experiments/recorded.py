@@ -1,7 +1,7 @@
 """Trials taken with a robot: kept in a folder, resumed, evaluated again.
 
 OUT/EXPERIMENT/
-  robot.toml, trials.csv    as `folder.py` says
+  robot.toml, trials.jsonl  as `folder.py` says
   run-1.mcap                every frame of the first session's link, run-2.mcap of the next
 """
 
