@@ -18,8 +18,7 @@ import thigmo
 from thigmo.emulator.scene import Scene
 from thigmo.errors import PortError, StoppedByViewerError
 from thigmo.live.foxglove import FoxgloveServer
-from thigmo.live.relay import Relay
-from thigmo.live.watched import Watched
+from thigmo.live.relay import Relay, Watched
 from thigmo.stream import Contacts, Grid, Telemetry
 from thigmo.stream.foxglove import VIEWS
 from thigmo.stream.protobuf import from_protobuf, schema

@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, replay, run
-from thigmo.exploration.deflection import Deflection
+from thigmo.exploration.met import Lean
 from thigmo.record import OBSTACLES_FILE, read_obstacles
 from thigmo.studies.rooms import explored
 
@@ -76,16 +76,16 @@ def test_zeros_that_moved_by_themselves_end_no_run(
 ) -> None:
     asked: list[int] = []
 
-    def moved(*grown: Any) -> Deflection | None:
+    def moved(*grown: Any) -> Lean | None:
         """What zeros that move in proportion to their levers look like, when 40 cm are out."""
         asked.append(round(max(grown[0], default=30.0)))
         if asked[-1] != 40:
             return None
         lever = np.maximum(34.0 - grown[-1].center_cm, 0.0)
         bend = np.where(grown[-1].direction >= 0, 2e-4 * lever, np.nan)
-        return Deflection(40.0, 34.0, (33.0, 35.5), 2e-4, 3e-4, 3, bend)
+        return Lean(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
 
-    monkeypatch.setattr(run, "deflection", moved)
+    monkeypatch.setattr(run, "lean", moved)
     scene = Scene.load("default")
     scene.start_length_cm = 30.0
     scene.pegs = []

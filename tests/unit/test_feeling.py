@@ -19,10 +19,10 @@ from thigmo.exploration.measuring import (
     touch_curvature,
 )
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.swept import SweptSpace
+from thigmo.exploration.stage import nearest_arc
 from thigmo.exploration.workspace import Bend
 from thigmo.localization import Contact
-from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
+from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
 
@@ -146,14 +146,15 @@ def test_what_one_zone_teaches_of_the_map_is_expected_of_the_next() -> None:
 
 
 def test_a_contact_lies_on_what_has_grown_since_the_last_free_sweep() -> None:
-    swept = SweptSpace()
-    swept.remember("left", 40.0, 0.029)
-    swept.remember("left", 50.0, 0.029)
-    swept.remember("right", 50.0, -0.028)
-    assert swept.nearest_arc("left", 53.0, 0.02) == pytest.approx(48.25)
-    assert swept.nearest_arc("left", 50.0, 0.02) == pytest.approx(38.25)
-    assert swept.nearest_arc("left", 53.0, 0.0288) == 0.0  # the earlier sweep bent no further
-    assert swept.nearest_arc("left", 40.0, 0.02) == 0.0
+    def swept(side: Side, length_cm: float, free_curvature: float) -> Peak:
+        return Peak(side, 0.0, length_cm, np.zeros(10), free_curvature, 18.0, 0, 10, np.zeros(10))
+
+    untouched = [swept("left", 40, 0.029), swept("left", 50, 0.029), swept("right", 50, -0.028)]
+    assert nearest_arc(untouched, swept("left", 53, 0.03), 0.02) == pytest.approx(48.25)
+    assert nearest_arc(untouched, swept("left", 50, 0.03), 0.02) == pytest.approx(38.25)
+    assert nearest_arc(untouched, swept("left", 53, 0.03), 0.0288) == 0.0  # bent no further before
+    assert nearest_arc(untouched, swept("left", 40, 0.03), 0.02) == 0.0
+    assert nearest_arc(untouched, swept("left", 53, 0.03), None) == 0.0  # nothing touched it
 
 
 def _felt(

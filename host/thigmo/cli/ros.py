@@ -77,8 +77,7 @@ def _publish_folder(node: RosNode, folder: Path) -> None:
 
 
 def _relay(node: RosNode, url: str | None, stop: threading.Event) -> None:
-    from thigmo.live.relay import Relay
-    from thigmo.live.watched import Watched
+    from thigmo.live.relay import Relay, Watched
 
     relay = Relay(Watched(url))
     # A stop waits for the board; neither DDS nor the messages may wait with it.

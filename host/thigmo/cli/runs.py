@@ -70,7 +70,7 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write a run's telemetry, events, states, posteriors, contacts and shapes as tables."""
-    from thigmo.stream.export import export_csv
+    from thigmo.stream.recorded import export_csv
 
     files = export_csv(run, csv)
     show(as_json, {"files": [str(file) for file in files]}, *files)

@@ -100,8 +100,7 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
     """Serve runs to Foxglove, from a thread beside the page."""
     import threading
 
-    from thigmo.live.relay import Relay
-    from thigmo.live.watched import Watched
+    from thigmo.live.relay import Relay, Watched
 
     with extra("foxglove", "foxglove", "Foxglove"):
         from thigmo.live.foxglove import FoxgloveServer

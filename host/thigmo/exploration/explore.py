@@ -26,10 +26,6 @@ from thigmo.robot import Operator, connect
 from thigmo.stream import Event, Hello, Server, recording
 
 
-class _TerminatedError(BaseException):
-    """SIGTERM, as an exception that no handler of errors swallows."""
-
-
 def explore(
     url: str = "emulator://default",
     *,
@@ -127,7 +123,7 @@ def _walk(run: Exploration) -> None:
     try:
         run.run()
     except BaseException as error:
-        interrupted = isinstance(error, KeyboardInterrupt | _TerminatedError | StoppedByViewerError)
+        interrupted = isinstance(error, KeyboardInterrupt | SystemExit | StoppedByViewerError)
         why = _why(error)
         run.document = replace(run.document, outcome=f"aborted: {why}")
         told = (error.what, error.next_step) if isinstance(error, ThigmoError) else (why, "")
@@ -165,7 +161,7 @@ def _why(error: BaseException) -> str:
         return str(error)
     if isinstance(error, KeyboardInterrupt):
         return "interrupted by the operator"
-    if isinstance(error, _TerminatedError):
+    if isinstance(error, SystemExit):
         return "terminated"
     return f"{type(error).__name__}: {error}"
 
@@ -179,15 +175,10 @@ def _sigterm_raises() -> Iterator[None]:
 
     def terminate(number: int, frame: FrameType | None) -> None:
         signal.signal(signal.SIGTERM, before)  # a second one does not wait for the robot
-        raise _TerminatedError
+        raise SystemExit(128 + signal.SIGTERM)
 
     before = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
-    except _TerminatedError as error:
-        ended = SystemExit(128 + signal.SIGTERM)
-        for note in getattr(error, "__notes__", []):
-            ended.add_note(note)
-        raise ended from None
     finally:
         signal.signal(signal.SIGTERM, before)

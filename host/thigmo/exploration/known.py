@@ -36,11 +36,8 @@ def expected(
 ) -> tuple[Contact, Floats]:
     """A single contact and its posterior, multiplied with a prior over its arc.
 
-    Args:
-        contact: the localizer's.
-        bend: (K, 2) arc, and curvature that it causes there.
-        arcs, mass: (n,) evenly spaced, cm; posterior in each cell, of sum one.
-        boost: (n,) prior density there, of any scale.
+    It causes `bend` (K, 2), curvature over arc. The posterior `mass` (n,), of sum one, and the
+    prior's density `boost` (n,), of any scale, lie on `arcs` (n,), evenly spaced.
     """
     product = mass * boost
     if float(np.ptp(boost)) < _FLAT * float(boost.max()) or not product.sum() > 0:

@@ -59,8 +59,8 @@ class RunControl:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._paused = False
         self._stopped = False
+        self.paused = False  # the run is to wait before its next stage
 
     def command(self, command: Command) -> None:
         """Take a request."""
@@ -68,18 +68,13 @@ class RunControl:
             if command == "stop":
                 self._stopped = True
             else:
-                self._paused = command == "pause"
+                self.paused = command == "pause"
             self._changed.notify_all()
-
-    @property
-    def paused(self) -> bool:
-        """Whether the run is to wait before its next stage."""
-        return self._paused
 
     def wait(self, seconds: float) -> None:
         """Let the clock run, until another request comes at most."""
         with self._changed:
-            self._changed.wait_for(lambda: self._stopped or not self._paused, seconds)
+            self._changed.wait_for(lambda: self._stopped or not self.paused, seconds)
 
     def obey_stop(self) -> None:
         """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""

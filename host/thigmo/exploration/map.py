@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import hypot
 from typing import Any
 
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.deflection import Deflection
-from thigmo.exploration.eversion import Stall
 from thigmo.exploration.feel import Felt, arc_grid
 from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
+from thigmo.exploration.met import Lean, Met
 from thigmo.exploration.prior import match
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.record import MapContact, Obstacle, TrueContact
@@ -25,20 +24,19 @@ _FLOOR_CM = 1.0
 _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
-@dataclass
 class ContactMap:
-    """Contacts in the workspace.
+    """Contacts in the workspace; one that is an obstacle of the map that was given says so.
 
     A contact that is the same as a known one within the uncertainty is fused with it: their
     posteriors over the arc are multiplied, for the peg stands still and the body near it bends
     alike at every length, and the result is placed through the newest shape.
     """
 
-    config: RobotConfig  # robot.toml as used
-    # obstacles of the map that was given; a contact that is one of them says so
-    prior: Sequence[Obstacle] = ()
-    _pegs: list[list[Felt]] = field(default_factory=list)
-    _placed: list[MapContact] = field(default_factory=list)
+    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
+        self._config = config
+        self._prior = prior
+        self._pegs: list[list[Felt]] = []
+        self._placed: list[MapContact] = []
 
     @property
     def contacts(self) -> list[MapContact]:
@@ -48,66 +46,56 @@ class ContactMap:
     def add(self, felt: Felt) -> None:
         """Take a contact that a stage felt."""
         alone = self._place([felt])
-        for index, known in enumerate(self._placed):
-            once_a_stage = all(
-                abs(f.length_cm - felt.length_cm) > _FLOOR_CM for f in self._pegs[index]
-            )
-            again = _apart(known, alone) < _SAME_SIGMA or self._agree(index, felt)
+        for index, (known, stages) in enumerate(zip(self._placed, self._pegs, strict=True)):
+            once_a_stage = all(abs(f.length_cm - felt.length_cm) > _FLOOR_CM for f in stages)
+            again = _apart(known, alone) < _SAME_SIGMA or self._agree(stages, felt)
             if known.side == felt.side and once_a_stage and again:
-                self._pegs[index].append(felt)
-                self._placed[index] = self._place(self._pegs[index])
+                stages.append(felt)
+                self._placed[index] = self._place(stages)
                 return
-            if self._other_bend(known, alone):
+            if _other_bend(known, alone):
                 self._keep_surer(index, alone, [felt])
                 return
         self._pegs.append([felt])
         self._placed.append(alone)
 
-    def add_ahead(self, stall: Stall) -> None:
-        """Take what stopped the tip's growth, which may have been felt before."""
-        low, high = stall.interval_cm
-        # Anywhere in the interval along the path, and anywhere across the tip's face.
-        along, across = (high - low) ** 2 / 12, (2 * self.config.body.radius_cm) ** 2 / 12
-        track = [(low, 0.0), (high, 0.0)]
-        placed = PlacedContact(stall.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
-        model = "stalled growth: sensors that were due did not evert"
-        self._add_met(stall, stall.arc_cm, model, placed)
-
-    def add_leaning(self, leaning: Deflection) -> None:
-        """Take what growth bent the body on, which may have been felt before."""
-        arc, force = leaning.arc_cm, leaning.force_per_cm2
-        placed = place_contact(
-            Bend(leaning.length_cm, 0.0, ramp_knots([(arc, force)])),
-            arc,
-            force,
-            leaning.interval_cm,
-            radius_cm=self.config.body.radius_cm,
-            curvature_se=leaning.curvature_se,
-        )
-        model = "growth bent the body: its zeros moved"
-        self._add_met(leaning, leaning.length_cm, model, placed)
-
-    def _add_met(
-        self, told: Stall | Deflection, length_cm: float, model: str, placed: PlacedContact
-    ) -> None:
-        """A contact without a posterior along the body: growth met it. Of two, the surer stays."""
-        met = self._contact(
+    def add_met(self, met: Met) -> None:
+        """Take what growth met, which may have been felt before: of two, the surer stays."""
+        low, high = met.interval_cm
+        radius = self._config.body.radius_cm
+        if isinstance(met, Lean):
+            model = "growth bent the body: its zeros moved"
+            placed = place_contact(
+                Bend(met.length_cm, 0.0, ramp_knots([(met.arc_cm, met.force_per_cm2)])),
+                met.arc_cm,
+                met.force_per_cm2,
+                met.interval_cm,
+                radius_cm=radius,
+                curvature_se=met.curvature_se,
+            )
+        else:
+            model = "stalled growth: sensors that were due did not evert"
+            # Anywhere in the interval along the path, and anywhere across the tip's face.
+            along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
+            track = [(low, 0.0), (high, 0.0)]
+            placed = PlacedContact(met.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
+        contact = self._contact(
             placed,
-            arc_cm=told.arc_cm,
-            force_per_cm2=told.force_per_cm2,
-            interval_cm=told.interval_cm,
-            status=_status(told.interval_cm),
-            everted_length_cm=length_cm,
+            arc_cm=met.arc_cm,
+            force_per_cm2=met.force_per_cm2,
+            interval_cm=met.interval_cm,
+            status=_status(met.interval_cm),
+            everted_length_cm=met.length_cm,
             side="",
             model=model,
-            readings=told.sensors,
+            readings=met.sensors,
         )
         for index, known in enumerate(self._placed):
-            if _apart(known, met) < _SAME_SIGMA:
-                self._keep_surer(index, met, [])
+            if _apart(known, contact) < _SAME_SIGMA:
+                self._keep_surer(index, contact, [])
                 return
         self._pegs.append([])
-        self._placed.append(met)
+        self._placed.append(contact)
 
     def _keep_surer(self, index: int, again: MapContact, stages: list[Felt]) -> None:
         """Of a known peg and what is the same peg, the surer stays."""
@@ -120,33 +108,25 @@ class ContactMap:
     def _contact(self, placed: PlacedContact, **told: Any) -> MapContact:
         """A contact at its place, with the obstacle of the map that was given that it is."""
         found = MapContact(**told, **placed._asdict())
-        return replace(found, known=match(self.prior, found))
+        return replace(found, known=match(self._prior, found))
 
-    def _agree(self, index: int, felt: Felt) -> bool:
+    def _agree(self, stages: Sequence[Felt], felt: Felt) -> bool:
         """Whether one place explains a known peg's posterior and a new one better than two do.
 
         The Bayes factor of one place against two, each anywhere along the body: a posterior with a
         mode at the known peg and another elsewhere is the known peg.
         """
-        if not self._pegs[index]:
+        if not stages:
             return False  # what growth met has no posterior along the body
-        mass = fused(arc_grid(self.config.body.length_cm), [f.mass for f in self._pegs[index]])
+        mass = fused(arc_grid(self._config.body.length_cm), [f.mass for f in stages])
         return float(mass @ felt.mass) * len(mass) > 1.0
-
-    @staticmethod
-    def _other_bend(known: MapContact, alone: MapContact) -> bool:
-        """Whether a contact is a known peg again, felt on the same side of the body by the other
-        muscle: a peg that touches the straight robot. The bends differ, so the surer one stays.
-        """
-        same_skin = known.force_per_cm2 * alone.force_per_cm2 > 0
-        return known.side != alone.side and same_skin and _apart(known, alone) < _SAME_SIGMA
 
     def _place(self, stages: list[Felt]) -> MapContact:
         newest = stages[-1]
         contact = newest.contact
         arc, interval, status = contact.arc, contact.interval, str(contact.status)
         if len(stages) > 1:
-            grid = arc_grid(self.config.body.length_cm)
+            grid = arc_grid(self._config.body.length_cm)
             mass = fused(grid, [felt.mass for felt in stages])
             arc = median(grid, mass)
             interval = shortest(grid, mass)
@@ -161,8 +141,8 @@ class ContactMap:
             arc,
             force,
             interval,
-            radius_cm=self.config.body.radius_cm,
-            curvature_se=self.config.actuators.side(newest.side).offset_se,
+            radius_cm=self._config.body.radius_cm,
+            curvature_se=self._config.actuators.side(newest.side).offset_se,
             end_offset_cm=offset,
         )
         return self._contact(
@@ -183,6 +163,14 @@ def _status(interval: tuple[float, float]) -> str:
     return "localized" if interval[1] - interval[0] <= WIDEST_CM else "ambiguous"
 
 
+def _other_bend(known: MapContact, alone: MapContact) -> bool:
+    """Whether a contact is a known peg again, felt on the same side of the body by the other
+    muscle: a peg that touches the straight robot. The bends differ, so the surer one stays.
+    """
+    same_skin = known.force_per_cm2 * alone.force_per_cm2 > 0
+    return known.side != alone.side and same_skin and _apart(known, alone) < _SAME_SIGMA
+
+
 def _apart(a: MapContact, b: MapContact) -> float:
     """Distance in the plane, in standard deviations."""
     covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
@@ -195,7 +183,7 @@ def _rank(contact: MapContact) -> tuple[bool, float]:
     return (contact.status != "localized", contact.interval_cm[1] - contact.interval_cm[0])
 
 
-def best_contact(contacts: list[MapContact]) -> MapContact | None:
+def best_contact(contacts: Sequence[MapContact]) -> MapContact | None:
     """The contact that the run vouches for most: localized, with the narrowest interval."""
     return min(contacts, key=_rank, default=None)
 
@@ -207,7 +195,7 @@ def of_stage(true: TrueContact, length_cm: float, side: str) -> bool:
 
 
 def errors(
-    contacts: list[MapContact], truth: list[TrueContact]
+    contacts: Sequence[MapContact], truth: Sequence[TrueContact]
 ) -> tuple[float | None, float | None]:
     """(|x error|, distance in the plane) of the best contact, cm; (None, None) without either.
 
@@ -215,14 +203,12 @@ def errors(
     of several, with the nearest.
     """
     best = best_contact(contacts)
-    if best is None:
-        return None, None
-    same = [t for t in truth if of_stage(t, best.everted_length_cm, best.side)]
-    if not same:
-        return None, None
-    apart = [(t.x_cm - best.x_cm, t.y_cm - best.y_cm) for t in same]
-    x, y = min(apart, key=lambda gap: hypot(*gap))
-    return abs(x), hypot(x, y)
+    apart = [
+        (abs(true.x_cm - best.x_cm), hypot(true.x_cm - best.x_cm, true.y_cm - best.y_cm))
+        for true in truth
+        if best and of_stage(true, best.everted_length_cm, best.side)
+    ]
+    return min(apart, key=lambda gap: gap[1], default=(None, None))
 
 
 def peg_ahead(contacts: list[MapContact], length_cm: float, radius_cm: float) -> bool:

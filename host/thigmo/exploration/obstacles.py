@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.record import (
+    OBSTACLES_FILE,
     Ellipse,
     FreeArea,
     MapContact,
@@ -26,6 +27,8 @@ from thigmo.record import (
     RunFolder,
     outline,
     passed,
+    write_obstacles,
+    write_ros_map,
 )
 from thigmo.record.occupancy import FREE, OCCUPIED, UNKNOWN
 
@@ -49,14 +52,10 @@ def export_obstacles(
     prior: Sequence[Obstacle] = (),
     prefix: str = "",
 ) -> ObstacleMap:
-    """Write obstacles.json, map.pgm and map.yaml of what a run knows.
+    """Write obstacles.json, map.pgm and map.yaml of what a run knows, with the map it was given.
 
-    Args:
-        prior: obstacles of the map that the run was given.
-        prefix: of the files' names (a replay's differ).
-
-    Raises:
-        RunFolderError: the folder cannot be written.
+    `prefix` begins the files' names (a replay's differ). Raises RunFolderError if they cannot be
+    written.
     """
     grid, obstacles = occupancy(document, radius_cm, prior)
     known = ObstacleMap(
@@ -68,7 +67,8 @@ def export_obstacles(
         free=_areas(grid, grid.cells == FREE),
         grid=f"{prefix}map.yaml",
     )
-    folder.write_map(known, grid, prefix)
+    write_ros_map(grid, folder.path / known.grid)
+    write_obstacles(known, folder.path / f"{prefix}{OBSTACLES_FILE}")
     return known
 
 
@@ -77,9 +77,7 @@ def occupancy(
 ) -> tuple[OccupancyGrid, list[Obstacle]]:
     """The grid of what a run knows, and its obstacles.
 
-    Args:
-        document, radius_cm, prior: as for `export_obstacles`.
-        sigmas: standard errors that free cells keep from what is not.
+    Free cells keep `sigmas` standard errors from what is not.
     """
     felt = [_obstacle(contact) for contact in document.contacts]
     met = {contact.known for contact in document.contacts}
@@ -99,9 +97,8 @@ def occupancy(
 
 
 def _obstacle(contact: MapContact) -> Obstacle:
-    side = "right" if contact.force_per_cm2 > 0 else "left"
-    if contact.force_per_cm2 == 0:
-        side = "tip"  # it stopped the growth, and bent nothing
+    # What stopped the growth bent nothing.
+    side = {1.0: "right", -1.0: "left"}.get(np.sign(contact.force_per_cm2), "tip")
     return Obstacle(
         x_cm=contact.x_cm,
         y_cm=contact.y_cm,
@@ -187,7 +184,7 @@ def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
     contours, tree = cv2.findContours(cells, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if tree is None:
         return []
-    low = np.array(grid.origin[:2])
+    low, parents = np.array(grid.origin[:2]), tree[0, :, 3]
     drawn = [
         [
             (round(float(x), 3), round(float(y), 3))
@@ -195,11 +192,8 @@ def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
         ]
         for contour in contours
     ]
-    outer = [index for index in range(len(drawn)) if tree[0, index, 3] < 0]
     return [
-        FreeArea(
-            drawn[index], [drawn[hole] for hole in range(len(drawn)) if tree[0, hole, 3] == index]
-        )
-        for index in outer
-        if len(drawn[index]) > 2
+        FreeArea(drawn[outer], [drawn[hole] for hole in np.flatnonzero(parents == outer)])
+        for outer in np.flatnonzero(parents < 0)
+        if len(drawn[outer]) > 2
     ]

@@ -124,12 +124,10 @@ class FreeResponse:
     def expected(
         self, side: Side, zone: int, free_curvature: float, curvature: Floats, use: Mask
     ) -> FreeReading:
-        """What sensors would read of an untouched robot, and what is unknown of that.
+        """What the sensors in `use` (10,) would read untouched, and what is unknown of that.
 
-        Args:
-            free_curvature: by the map, 1/cm.
-            curvature: (10,) what they read now: a gain's error is a share of it.
-            use: (10,) which of them.
+        The free curvature (1/cm) is the map's; of what they read now, `curvature` (10,), a gain's
+        error is a share.
         """
         row = SIDES.index(side)
         covariance = np.linalg.inv(self._matrix[row])

@@ -16,8 +16,7 @@ from typing import Any
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
-from thigmo.exploration.deflection import deflection
-from thigmo.exploration.eversion import stall
+from thigmo.exploration.met import lean, stall
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.stage import Interpreter
@@ -48,26 +47,21 @@ _ZEROED = 1 << 2  # of sensor_report.flags
 class ReplayResult:
     """What the record says now."""
 
-    # contacts and triggers found again; truth and errors from the run's document
-    document: RunDocument
-    sweeps: int  # sweeps in the record
-    bad_frames: int  # frames that could not be decoded
+    document: RunDocument  # contacts and triggers found again; the truth is the run's own
+    sweeps: int  # in the record
+    bad_frames: int  # that could not be decoded
     truncated: bool  # the record is cut short
-    gaps: int = 0  # places at which the record is damaged
-    missing: str = ""  # the same in words, for the operator; empty if the record is whole
+    gaps: int  # places at which the record is damaged
+    missing: str  # the same in words, for the operator; empty if the record is whole
 
     def as_json(self) -> dict[str, Any]:
         """The object that `thigmo replay --json` prints."""
-        plain = asdict(self.document)
-        for stage in plain["stages"]:
+        facts = asdict(self)
+        document = facts.pop("document")
+        del facts["missing"]
+        for stage in document["stages"]:
             del stage["shapes"]
-        return {
-            **plain,
-            "sweeps": self.sweeps,
-            "bad_frames": self.bad_frames,
-            "truncated": self.truncated,
-            "gaps": self.gaps,
-        }
+        return {**document, **facts}
 
 
 @dataclass
@@ -75,7 +69,7 @@ class _Sweep:
     """A sweep as it is read off the frames."""
 
     zone: int
-    sides: frozenset[Side]
+    sides: set[Side]
     t_s: float
     watcher: SweepWatcher
 
@@ -105,6 +99,7 @@ class _Reader:
 
     def take(self, entry: Entry) -> None:
         """Take one frame of the record, in its order."""
+        watcher = self.sweeps[-1].watcher if self.sweeps else None
         try:
             frame = decode(entry.frame)
             message = frame.message()
@@ -118,8 +113,8 @@ class _Reader:
                     self._standing.telemetry(device_s, lambda: message)
                 if self._growing:
                     self.growth.telemetry(device_s, lambda: message)
-                elif self.sweeps:
-                    self.sweeps[-1].watcher.telemetry(device_s, lambda: message)
+                elif watcher:
+                    watcher.telemetry(device_s, lambda: message)
             case wire.GrowTo():
                 if self.backed_off:
                     self.growth, self.backed_off = GrowthWatcher(), False
@@ -149,21 +144,17 @@ class _Reader:
                 self._begin(message, entry.t_s)
             case wire.Event() if message.number not in self._events:
                 self._events.add(message.number)
-                if message.code == wire.EventCode.CONTACT and self.sweeps:
-                    self.sweeps[-1].watcher.triggered(message, self._device_s(message.t_us))
-                if message.code == wire.EventCode.PEAK:
-                    self._peaked = True
+                if message.code == wire.EventCode.CONTACT and watcher:
+                    watcher.triggered(message, self._device_s(message.t_us))
+                self._peaked |= message.code == wire.EventCode.PEAK
                 if message.code == wire.EventCode.ACTIVITY_DONE:
-                    self._swept = True
-                    self._growing = False
-            case wire.Vent() if self.sweeps and not self._swept:
-                watcher = self.sweeps[-1].watcher
+                    self._swept, self._growing = True, False
+            case wire.Vent() if watcher and not self._swept:
                 watcher.rising = True  # cut short after its peak, or on the way up
-                if not self._peaked:
-                    watcher.stopped = True
+                watcher.stopped |= not self._peaked
                 self._swept = True
-            case wire.Snapshot() if message.index < message.count and self.sweeps:
-                self._snapshot(message)
+            case wire.Snapshot() if watcher and message.index < message.count:
+                self._snapshot(message, watcher)
 
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
@@ -183,17 +174,17 @@ class _Reader:
             length = status.length_um / 1e4
         watcher = SweepWatcher(self.table, mask, length, young, self._standing)
         amplitudes = (command.left_cpsi, command.right_cpsi)
-        sides = frozenset(side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0)
+        sides = {side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0}
         self.sweeps.append(_Sweep(self._zone, sides, t_s, watcher))
 
-    def _snapshot(self, message: wire.Snapshot) -> None:
+    def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
         if message.index == 0:
             self._snapshots = []
         if message.index != len(self._snapshots):
             return  # the reply to a repeated request
         self._snapshots.append(peak_frame(message, self._device_s(message.t_us)))
-        if len(self._snapshots) == message.count and self.sweeps:
-            self.sweeps[-1].watcher.peaks.append(self._snapshots)
+        if len(self._snapshots) == message.count:
+            watcher.peaks.append(self._snapshots)
 
 
 def replay(run: str | os.PathLike[str]) -> ReplayResult:
@@ -207,8 +198,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
         ConfigError: its robot.toml cannot be read.
     """
     folder = RunFolder(run)
-    config = folder.read_config()
-    log = folder.read_log()
+    config, log = folder.read_config(), folder.read_log()
     reader = _read(folder, config, log)
     prior = kept_prior(folder)
     found, table = Interpreter(config, prior), SensorTable.of(config)
@@ -224,11 +214,9 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     if reader.backed_off:
         grown = reader.growth.profile(reader.table)
         if (stalled := stall(*grown, table)) is not None:
-            found.map.add_ahead(stalled)
-        elif (held := deflection(*grown, *reader.zeros_ahead, table)) and held.released(
-            *reader.zeros()
-        ):
-            found.map.add_leaning(held)
+            found.map.add_met(stalled)
+        elif (held := lean(*grown, *reader.zeros_ahead, table)) and held.released(*reader.zeros()):
+            found.map.add_met(held)
     document = found.judged(_document(folder, log, stages))
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
@@ -242,13 +230,10 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
 def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
     """The sweeps in a run's raw record, in their order, for who wants to localize otherwise.
 
-    Raises:
-        RunFolderError: no record, or one of another protocol schema.
-        ConfigError: its robot.toml cannot be read.
+    Raises as `replay` does.
     """
     folder = RunFolder(run)
-    config = folder.read_config()
-    reader = _read(folder, config, folder.read_log())
+    reader = _read(folder, folder.read_config(), folder.read_log())
     return [sweep.watcher.result() for sweep in reader.sweeps]
 
 

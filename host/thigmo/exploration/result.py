@@ -28,12 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ExplorationResult:
-    """What an exploration found.
-
-    Attributes:
-        document: contacts, stages, truth, errors and times, as in contacts.json.
-        folder: the run folder.
-    """
+    """What an exploration found: `document`, as in contacts.json, and its run folder."""
 
     document: RunDocument
     folder: Path
@@ -58,13 +53,12 @@ class ExplorationResult:
 
     def _said(self) -> str:
         found = self.document
-        said = (
+        error = found.error_cm
+        return (
             f"{found.outcome}; {_counted(len(found.contacts), 'contact')}, "
             f"{_counted(len(found.stages), 'stage')}, {found.robot_time_s:.0f} s of robot time"
+            + ("" if error is None else f"; error in the plane {error:.2f} cm")
         )
-        if found.error_cm is None:
-            return said
-        return f"{said}; error in the plane {found.error_cm:.2f} cm"
 
     @property
     def contacts(self) -> list[MapContact]:
@@ -78,38 +72,27 @@ class ExplorationResult:
 
     @property
     def config(self) -> RobotConfig:
-        """robot.toml as it was used.
-
-        Raises:
-            ConfigError: missing or malformed.
-        """
+        """robot.toml as it was used. Raises ConfigError if it is missing or malformed."""
         return RunFolder(self.folder).read_config()
 
     @property
     def map(self) -> OccupancyGrid:
-        """The map as a grid: free, occupied, unknown.
-
-        Raises:
-            RunFolderError: missing or malformed.
-        """
+        """The map as a grid: free, occupied, unknown. Raises RunFolderError without one."""
         return read_ros_map(self.folder / "map.yaml")
 
     @property
     def obstacles(self) -> ObstacleMap:
         """The map as obstacles with their ellipses, and the outlines of what was swept freely.
 
-        Raises:
-            RunFolderError: missing or malformed.
+        Raises RunFolderError without one.
         """
         return read_obstacles(self.folder / OBSTACLES_FILE)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map: the robot's bends, the swept space, the contacts, the truth if known.
 
-        On the axes given, or on a new figure of matplotlib's pyplot.
-
-        Raises:
-            ConfigError, RunFolderError: the folder's robot.toml or prior.json cannot be read.
+        On the axes given, or on a new figure of matplotlib's pyplot. Raises ConfigError or
+        RunFolderError if the folder's robot.toml or prior.json cannot be read.
         """
         radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
         return plot_map(self.document, axes, radius_cm=radius, prior=prior)
@@ -139,8 +122,7 @@ class ExplorationResult:
 def open_run(path: str | os.PathLike[str]) -> ExplorationResult:
     """Open a run folder: what `explore` returned when it was made.
 
-    Raises:
-        RunFolderError: it holds no contacts.json, or a malformed one.
+    Raises RunFolderError: it holds no contacts.json, or a malformed one.
     """
     folder = RunFolder(path)
     return ExplorationResult(folder.read_document(), folder.path)

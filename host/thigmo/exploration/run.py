@@ -7,7 +7,6 @@ folder is closed and readable.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,12 +14,11 @@ from typing import Any, Literal
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError
-from thigmo.exploration.deflection import Deflection, deflection
-from thigmo.exploration.eversion import Stall, stall
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
+from thigmo.exploration.met import Lean, Met, lean, stall
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
@@ -85,8 +83,7 @@ class Exploration:
     _feelings: list[Feeling] = field(default_factory=list)
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
-    _stall: Stall | None = None
-    _deflection: Deflection | None = None
+    _met: Met | None = None  # by growth, and not yet on the map
     _zero_tries: int = 0
 
     def __post_init__(self) -> None:
@@ -184,8 +181,8 @@ class Exploration:
         target = growth_target(self.config, self.length_cm, self._stage_cm)
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
-            self._stall = stall(*self._grown(), self._table)
-            if self._stall is not None:
+            self._met = stall(*self._grown(), self._table)
+            if self._met is not None:
                 return "no eversion"
         return "whole pitch" if target == self._stage_cm else "pressure boundary"
 
@@ -199,22 +196,21 @@ class Exploration:
         There every sensor is where the encoder says. A tip that was stopped is told by the encoder,
         and a body that is held bent by sensors only: those are asked again.
         """
-        truth = self.robot.truth()
+        met, truth = self._met, self.robot.truth()
+        assert met is not None
+        leaning = isinstance(met, Lean)
         if truth is not None:
-            met = met_ahead(truth.pegs, self._stall.arc_cm) if self._stall else truth.contacts
-            self._note(truth=together([self.document.truth, Truth(truth.pegs, met)]))
-        held = self._deflection
-        self.length_cm = self.robot.retract_to(
-            min(self._start_cm, held.clear_cm if held else math.inf)
-        )
-        if held is not None:
+            ahead = truth.contacts if leaning else met_ahead(truth.pegs, met.arc_cm)
+            self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
+        clear_cm = met.clear_cm if isinstance(met, Lean) else self._start_cm
+        self.length_cm = self.robot.retract_to(min(self._start_cm, clear_cm))
+        if leaning:
             return "clear of what held it"
-        if self._stall is not None:
-            self._found.map.add_ahead(self._stall)
-        self._end_at_peg()
+        self._end_at(met)
         return "peg ahead"
 
-    def _end_at_peg(self) -> None:
+    def _end_at(self, met: Met) -> None:
+        self._found.map.add_met(met)
         self._note(outcome="peg ahead")
         self._judge()
 
@@ -234,20 +230,19 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        if self._deflection is not None:
-            return self._released(self._deflection)
+        if isinstance(self._met, Lean):
+            return self._released(self._met)
         if self._swept:
             return "zeroed after sweep"
         if self._stage_cm > self._straight_cm:
-            self._deflection = deflection(*self._grown(), *self.robot.zeros(), self._table)
-        return "zeroed after growth" if self._deflection is None else "held bent"
+            self._met = lean(*self._grown(), *self.robot.zeros(), self._table)
+        return "zeroed after growth" if self._met is None else "held bent"
 
-    def _released(self, held: Deflection) -> str:
+    def _released(self, held: Lean) -> str:
         """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
-        self._deflection = None
+        self._met = None
         if held.released(*self.robot.zeros()):
-            self._found.map.add_leaning(held)
-            self._end_at_peg()
+            self._end_at(held)
             return "straight again: peg ahead"
         self._swept, self._straight_cm = True, held.length_cm
         return "as before: the zeros moved"

@@ -5,7 +5,7 @@ Shared by the live run and the replay of a record, so that both say the same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import replace
 
@@ -23,10 +23,9 @@ from thigmo.exploration.measuring import (
 )
 from thigmo.exploration.missed import judged
 from thigmo.exploration.reference import FreeResponse, gain_errors
-from thigmo.exploration.swept import SweptSpace
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
-from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepFrame, SweepResult
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -38,6 +37,10 @@ _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 ENOUGH_CM = 3.0
 # Probability from which a contact counts although the trigger did not fire.
 _CERTAIN = 0.99
+# A contact on the earlier tip's rim may slide off it unfelt: one tube radius.
+_SLACK_CM = 1.75
+# Bends are compared with this much doubt: maps of different body pressures, hysteresis.
+_SAME_BEND = 0.95
 _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
 
 
@@ -49,7 +52,7 @@ class Interpreter:
         self._prior = prior
         self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
-        self._swept = SweptSpace()
+        self._untouched: list[Peak] = []
         self.map = ContactMap(config, prior)  # contacts so far
 
     def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
@@ -64,17 +67,20 @@ class Interpreter:
         for peak in sweep.peaks:
             if not self._table.usable(peak.side, peak.sensors).any():
                 continue  # nothing to feel with: no sensor is out and well
-            nearest = self._nearest(sweep, peak) if peak.side in fired else 0.0
+            side = peak.side
+            touch = touch_curvature(sweep.frames, side)
+            nearest = nearest_arc(self._untouched, peak, touch) if side in fired else 0.0
             for each in (sweep, measuring) if measuring else (sweep,):
-                self._learn(self._response, each, sweep.frames, peak.side, zone)
-            feeling = self._felt(measured.get(peak.side, peak), zone, self._response, nearest)
+                _learn(self._response, each, side, zone, touch)
+            told = measured.get(side, peak)
+            feeling = feel(told, self._config, zone, self._response, nearest, self._prior)
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
-            if peak.side in fired or certain:
+            if side in fired or certain:
                 feelings.append(feeling)
             else:
-                self._response.learn(sweep, peak.side, zone)
+                self._response.learn(sweep, side, zone)
             if feeling.result.status == "no contact":
-                self._swept.remember(peak.side, peak.length_cm, peak.free_curvature)
+                self._untouched.append(peak)
         return feelings
 
     def so_far(self, so_far: SweepResult, zone: int) -> Feeling | None:
@@ -83,42 +89,21 @@ class Interpreter:
         if not self._table.usable(peak.side, peak.sensors).any():
             return None
         response = deepcopy(self._response)
-        self._learn(response, so_far, so_far.frames, peak.side, zone)
-        return self._felt(peak, zone, response, self._nearest(so_far, peak))
+        touch = touch_curvature(so_far.frames, peak.side)
+        _learn(response, so_far, peak.side, zone, touch)
+        nearest = nearest_arc(self._untouched, peak, touch)
+        return feel(peak, self._config, zone, response, nearest, self._prior)
 
-    def _felt(self, peak: Peak, zone: int, response: FreeResponse, nearest_arc: float) -> Feeling:
-        return feel(peak, self._config, zone, response, nearest_arc, self._prior)
-
-    @staticmethod
-    def _learn(
-        response: FreeResponse,
-        sweep: SweepResult,
-        frames: Sequence[SweepFrame],
-        side: Side,
-        zone: int,
-    ) -> None:
-        """Learn from a sweep what it read before the touch that some frames show."""
-        touch = touch_curvature(frames, side)
-        if touch is not None:
-            response.learn(sweep, side, zone, abs(touch) - _TOUCH_MARGIN)
-
-    def _nearest(self, sweep: SweepResult, peak: Peak) -> float:
-        touch = touch_curvature(sweep.frames, peak.side)
-        if touch is None:
-            return 0.0
-        return self._swept.nearest_arc(peak.side, peak.length_cm, touch)
-
-    def add(self, feelings: Sequence[Feeling]) -> None:
+    def add(self, feelings: Iterable[Feeling]) -> None:
         """Put what a stage felt on the map."""
-        for feeling in feelings:
-            for felt in feeling.felt:
-                self.map.add(felt)
+        for felt in (felt for feeling in feelings for felt in feeling.felt):
+            self.map.add(felt)
 
     def entry(
         self, t_s: float, length_cm: float, sweep: SweepResult, told: Sequence[Feeling], zone: int
     ) -> Stage:
         """The stage's entry in contacts.json."""
-        by_side = {feeling.shape.side: feeling.result for feeling in told}
+        said = {each.shape.side: (each.result.status, each.result.message) for each in told}
         shapes = _swept_shapes(length_cm, zone, sweep, self._config)
         return Stage(
             everted_length_cm=length_cm,
@@ -127,11 +112,7 @@ class Interpreter:
             shapes=[*shapes, *(feeling.shape for feeling in told)],
             triggers=[
                 Trigger(
-                    t.side,
-                    t.t_s,
-                    t.excess_per_cm,
-                    by_side[t.side].status if t.side in by_side else "no contact",
-                    by_side[t.side].message if t.side in by_side else _NOT_HELD,
+                    t.side, t.t_s, t.excess_per_cm, *said.get(t.side, ("no contact", _NOT_HELD))
                 )
                 for t in sweep.triggers
             ],
@@ -145,6 +126,32 @@ class Interpreter:
     def judged(self, document: RunDocument) -> RunDocument:
         """The document with the map's contacts, their errors, and what was missed or is false."""
         return judged(replace(document, contacts=self.map.contacts), self._config, self._prior)
+
+
+def _learn(
+    response: FreeResponse, sweep: SweepResult, side: Side, zone: int, touch: float | None
+) -> None:
+    """Learn from a sweep what it read before its touch, at a free curvature, if it has one."""
+    if touch is not None:
+        response.learn(sweep, side, zone, abs(touch) - _TOUCH_MARGIN)
+
+
+def nearest_arc(untouched: Iterable[Peak], peak: Peak, touch: float | None) -> float:
+    """The arc (cm) below which a contact that was felt from a free curvature on cannot be.
+
+    Pegs stand still, and the free body bends alike at every length. So a peg on a part of the body
+    that had swept the same space before, untouched, would have been felt then: a contact that
+    appears lies on what has grown since, or at a bend that the earlier sweep did not reach.
+    """
+    arcs = [
+        each.length_cm - _SLACK_CM
+        for each in untouched
+        if touch is not None
+        and each.side == peak.side
+        and each.length_cm < peak.length_cm - 0.5
+        and abs(touch) <= _SAME_BEND * abs(each.free_curvature)
+    ]
+    return max(arcs, default=0.0)
 
 
 def placed(feeling: Feeling) -> bool:

@@ -84,10 +84,8 @@ def excess_knots(
 ) -> tuple[tuple[float, float], ...]:
     """The excess curvature along the body from readings: extended to the base, zero at the contact.
 
-    Args:
-        centers: of the sensors, cm, ascending.
-        excess: their readings above the free curvature, 1/cm.
-        last_contact_cm: arc of the most distal contact; beyond it the body is free.
+    Sensors at `centers` (cm, ascending) read `excess` (1/cm); beyond the last contact the body is
+    free.
     """
     before = centers < last_contact_cm - 1.0
     x, y = centers[before], excess[before]
@@ -95,7 +93,7 @@ def excess_knots(
         return ()
     after_x, after_y = (x[1], y[1]) if x.size > 1 else (last_contact_cm, 0.0)
     at_base = y[0] + (y[0] - after_y) * x[0] / (after_x - x[0])
-    inner = [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
+    inner = zip(x.tolist(), y.tolist(), strict=True)
     return ((0.0, float(at_base)), *inner, (last_contact_cm, 0.0))
 
 
@@ -108,7 +106,7 @@ def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
     if len(centers) > 1:
         slope = float((curvature[1] - curvature[0]) / (centers[1] - centers[0]))
     at_base = float(curvature[0]) - slope * float(centers[0])
-    inner = [(float(a), float(b)) for a, b in zip(centers, curvature, strict=True)]
+    inner = zip(centers.tolist(), curvature.tolist(), strict=True)
     return Bend(length_cm, 0.0, ((0.0, at_base), *inner, (length_cm, float(curvature[-1]))))
 
 
@@ -171,12 +169,9 @@ def place_contact(
 ) -> PlacedContact:
     """Put one of the bend's contacts into the room.
 
-    Args:
-        arc: of the contact, cm.
-        force: over EI, 1/cm^2: its sign says from which side.
-        interval_cm: 95 % interval of the arc.
-        curvature_se: standard error of the common curvature, 1/cm.
-        end_offset_cm: where a contact on the end of the body bears, left of the centreline.
+    Its arc has a 95 % interval; the sign of its force over EI says from which side it comes. The
+    curvature (1/cm) has a common standard error. A contact on the end of the body bears
+    `end_offset_cm` left of the centreline.
     """
     curve = centreline(bend)
     x, y, normal = skin_point(curve, arc, force, radius_cm, end_offset_cm)

@@ -28,12 +28,8 @@ STATUS = "/thigmo/status"
 class FoxgloveServer(ServerListener, Closing):
     """Serves what it is told to all who connect. A context manager.
 
-    Args:
-        stop: stops the robot and says what came of it; may take seconds.
-        port: to serve at; 0 takes any that is free.
-
-    Raises:
-        PortError: the port is taken.
+    `stop` stops the robot and says what came of it, which may take seconds; port 0 is any that is
+    free. Raises PortError if the port is taken.
     """
 
     def __init__(self, stop: Callable[[], str], port: int = PORT) -> None:
@@ -98,8 +94,7 @@ class FoxgloveServer(ServerListener, Closing):
         self._status.log(now)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Called by the server: somebody looks at a channel. For the others, who get it again, it
-        changes nothing."""
+        """Called by the server; for those who looked already the same message changes nothing."""
         for data, at_ns in self.late_comers_get(channel.topic):
             self._channels[channel.topic].log(data, log_time=at_ns)
 

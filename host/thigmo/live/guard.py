@@ -29,11 +29,7 @@ _HEADERS = {
 
 
 def guard(token: str | None) -> Middleware:
-    """Checks of every request, as aiohttp calls them.
-
-    Args:
-        token: that requests must have; None on loopback.
-    """
+    """Checks of every request, as aiohttp calls them; the token is None on loopback."""
 
     @web.middleware
     async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:

@@ -1,25 +1,141 @@
-"""Passes runs on to other tools, and their stops to the robot: what ROS 2 and Foxglove share.
+"""Ways from runs to views and back: the stream of the run that is looked at, and its stop.
 
-A view is told of every message as it comes, and each second of how things are. It drives no robot:
-if it is killed, the run goes on.
+A robot on a port is stopped by the process that owns the port, whatever its program does, hangs or
+is stopped itself. One that is emulated inside its run has nobody else to ask than the run. A
+`Relay` passes a run's messages on to another tool, and that tool's stops to the robot: what ROS 2
+and Foxglove share. Nothing here drives a robot: if it is killed, the run goes on.
 """
 
 from __future__ import annotations
 
+import os
 import threading
 import time
+from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
-from thigmo.errors import ThigmoError
-from thigmo.live.stopping import stop_port, way_to
-from thigmo.live.watched import Watched
-from thigmo.stream import Hello, Message, RunState, Telemetry
+from thigmo.errors import LinkError, PortError, ThigmoError
+from thigmo.link import stop_socket
+from thigmo.robot.stopping import stop_all
+from thigmo.stream import Command, Hello, Message, RemoteRun, RunState, Telemetry, attach, running
 
+_MOST_WAITING = 20_000  # messages; who is that far behind loses some, and is told by the run
+_SEARCH_S = 0.3  # between two looks for a run
+_ROOM_S = 0.02  # between two looks whether messages were taken
 _LOOK_S = 0.02  # between two looks at the stream
 _TELL_S = 1.0
 _LOOKS_WITHIN_S = 10.0  # for runs that are under way at the start, on a computer that is busy
 _CLOSED = {"lost": "stop not connected: use the e-stop", "none": "no robot is in use"}
+
+Way = Literal["port", "run", "lost", "none"]
+
+
+def way_to(run: Hello | None) -> Way:
+    """How a stop would reach the robot of the run that is under way, if any: by its port's process,
+    by its run, or not at all.
+    """
+    if run is not None and run.virtual:
+        return "run"
+    try:
+        owned = stop_socket.running()
+    except PortError:
+        return "lost"
+    if run is None:
+        return "port" if owned else "none"
+    return "port" if _socket(run.url) in owned else "lost"
+
+
+def stop_port(run: Hello | None) -> list[str]:
+    """Stop the robot of a run on a port, or, where none is known, all that are in use.
+
+    Blocks for seconds at most, until the boards have confirmed it: those of the addresses returned.
+    Raises LinkError if one has not.
+    """
+    if run is not None:
+        if stop_socket.call(_socket(run.url)) is None:
+            raise LinkError("nobody owns the robot's port")
+        return [run.url]
+    try:
+        return stop_all()
+    except LinkError:
+        if stop_socket.running():
+            raise
+        return []
+
+
+def _socket(url: str) -> str:
+    return stop_socket.address(url.partition("?baud=")[0])
+
+
+class Watched:
+    """Attaches to a robot's runs, or to any, one after the other, the youngest first.
+
+    A thread of its own takes messages off the run's stream as they come, so that a busy server
+    delays them and never the run. What it has taken is fetched in one go, many times a second.
+    """
+
+    def __init__(self, url: str | None) -> None:
+        self._robot = url and _robot(url)
+        self._waiting: deque[Message | None] = deque()
+        self._run: RemoteRun | None = None
+        self._closed = threading.Event()
+        self.looked = threading.Event()  # once a run that was under way at the start is known
+        self.heard_s = time.monotonic()  # when the run was last heard of
+        self._thread = threading.Thread(target=self._follow, daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Message | None]:
+        """What has come since the last call, oldest first. A `Hello` begins a run, None ends it."""
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
+
+    def send(self, command: Command) -> None:
+        """Tell the run to pause, to go on or to stop. Raises LinkError if none is under way."""
+        run = self._run
+        if run is None:
+            raise LinkError("no run is under way", "start one with `thigmo explore`")
+        run.send(command)
+
+    def close(self) -> None:
+        """Look no more."""
+        self._closed.set()
+        self._thread.join()
+
+    def _follow(self) -> None:
+        while not self._closed.is_set():
+            runs = [each for each in running() if self._robot in (None, _robot(each.hello.url))]
+            with suppress(LinkError):  # it has just ended
+                if runs:
+                    with attach(runs[-1].address) as run:
+                        self._read(run)
+                    continue
+            self.looked.set()
+            self._closed.wait(_SEARCH_S)
+
+    def _read(self, run: RemoteRun) -> None:
+        self._run = run
+        self._take(run.hello)
+        self.looked.set()
+        # It ends, or speaks another version of the stream.
+        with suppress(EOFError, ThigmoError):
+            while not self._closed.is_set():
+                if len(self._waiting) >= _MOST_WAITING:
+                    self._closed.wait(_ROOM_S)
+                elif (message := run.get(0.2)) is not None:
+                    self._take(message)
+        self._run = None
+        self._waiting.append(None)
+
+    def _take(self, message: Message) -> None:
+        self.heard_s = time.monotonic()
+        self._waiting.append(message)
+
+
+def _robot(url: str) -> str:
+    """A URL without what two URLs of one robot may differ in."""
+    device = url.partition("?baud=")[0]
+    return os.path.realpath(device) if device.startswith("/") else device
 
 
 @dataclass(slots=True)
@@ -46,10 +162,9 @@ class View(Protocol):
 
 
 class Relay:
-    """Passes on what a run says.
+    """Passes on what a run says to a view, as it comes, and each second how things are.
 
-    Args:
-        watched: the run. The relay closes it.
+    It closes what it watches.
     """
 
     def __init__(self, watched: Watched) -> None:
@@ -91,11 +206,9 @@ class Relay:
         return bool(taken)
 
     def stop(self) -> str:
-        """Stop the robot, from any thread. Blocks until its board has confirmed it, for seconds at
-        most.
+        """Stop the robot, from any thread; a line for the operator, which the view is told, too.
 
-        Returns:
-            A line for the operator, which the view is soon told, too.
+        Blocks until its board has confirmed it, for seconds at most.
         """
         looked, facts = self._looked.is_set(), self.facts
         said = self._stop(facts)

@@ -62,16 +62,9 @@ _LOCAL_PARTICIPANTS = 32
 class RosNode(Closing):
     """The topics. A context manager.
 
-    Args:
-        on_stop: called when a stop arrives, in a thread of DDS: it must be quick.
-        namespace: of the topics that are not the whole machine's.
-        frame: of map, contacts and body. `made.BASE` says nothing of where the robot stands.
-        domain: ROS_DOMAIN_ID.
-        interface: name or address of a network interface; None keeps to this machine.
-
-    Raises:
-        DataError: a name that ROS does not allow.
-        LinkError: DDS cannot start.
+    `on_stop` is called when a stop arrives, in a thread of DDS: it must be quick. A frame of
+    `made.BASE` says nothing of where the robot stands; without an interface it keeps to this
+    machine. Raises DataError for a name that ROS does not allow, LinkError if DDS cannot start.
     """
 
     def __init__(

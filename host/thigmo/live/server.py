@@ -22,12 +22,10 @@ from aiohttp import WSMsgType, web
 
 from thigmo.errors import ThigmoError
 from thigmo.live.guard import add_headers, guard
-from thigmo.live.past import PastRun, body, pegs
-from thigmo.live.rows import board, row_text, thinned
+from thigmo.live.relay import Watched, Way, stop_port, way_to
+from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.starting import StartedRun, in_the_run
-from thigmo.live.stopping import Way, stop_port, way_to
 from thigmo.live.viewer import Viewer
-from thigmo.live.watched import Watched
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
 
 PAGE = Path(__file__).parent / "page"
@@ -57,15 +55,11 @@ class WatchOptions:
 
 
 class _Run:
-    """What is known of the run that is looked at, which is nothing of the one before.
-
-    Args:
-        hello: whose run it is; None before the first.
-    """
+    """What is known of the run that is looked at, which is nothing of the one before."""
 
     def __init__(self, hello: Hello | None) -> None:
         folder = hello.folder if hello else ""
-        self.hello = hello
+        self.hello = hello  # None before the first run
         self.over = asyncio.Event()
         self.pausing = False
         self.failure = ""
@@ -80,20 +74,13 @@ class _Run:
         self.past: PastRun | None = None  # once somebody looks back at it
 
     @property
-    def ended(self) -> bool:
-        """Whether it is over."""
-        return self.over.is_set()
+    def moving(self) -> Hello | None:
+        """The run, while it is under way."""
+        return None if self.over.is_set() else self.hello
 
 
 class PageServer:
-    """Serves the page.
-
-    Args:
-        options: what to watch.
-
-    Raises:
-        RunFolderError: there is no such finished run.
-    """
+    """Serves the page. Raises RunFolderError if there is no such finished run."""
 
     def __init__(self, options: WatchOptions) -> None:
         self.options = options
@@ -203,17 +190,12 @@ class PageServer:
         while True:
             if self._viewers:
                 self._left_s = time.monotonic()
-            self._way = await asyncio.to_thread(way_to, self._moving)
+            self._way = await asyncio.to_thread(way_to, self._run.moving)
             run = self._run
-            if run.hello is not None and not run.ended:
-                run.pegs = await asyncio.to_thread(pegs, run.hello.folder)
+            if run.moving is not None:
+                run.pegs = await asyncio.to_thread(pegs, run.moving.folder)
             self._tell()
             await asyncio.sleep(_PULSE_S)
-
-    @property
-    def _moving(self) -> Hello | None:
-        """The run that is under way."""
-        return None if self._run.ended else self._run.hello
 
     def _tell(self) -> None:
         for viewer in self._viewers:
@@ -230,7 +212,7 @@ class PageServer:
             "channel": "page",
             "mode": "live" if run.hello else "idle",
             "run": _run_facts(run.hello) if run.hello else None,
-            "ended": run.ended,
+            "ended": run.over.is_set(),
             "body": run.body,
             "truth": run.pegs,
             "start": {"url": url, "virtual": in_the_run(url)} if url else None,
@@ -249,7 +231,7 @@ class PageServer:
     def _starting(self) -> bool:
         """A run was started and has not spoken yet."""
         started = self._started
-        return started is not None and started.runs and self._moving is None
+        return started is not None and started.runs and self._run.moving is None
 
     # Requests of the pages.
 
@@ -312,12 +294,12 @@ class PageServer:
 
     async def _start(self, *, realtime: bool) -> None:
         url, explore = self.options.url, self.options.explore
-        if url is None or self._moving is not None or self._starting:
+        if url is None or self._run.moving is not None or self._starting:
             return
         self._started = await asyncio.to_thread(StartedRun, url, explore, realtime=realtime)
 
     async def _stop(self, request: web.Request) -> web.Response:
-        run, over = self._moving, self._run.over
+        run, over = self._run.moving, self._run.over
         stopped: list[str] = []
         failed = ""
         if run is not None and run.virtual and self._watched is not None:
@@ -339,7 +321,7 @@ class PageServer:
     async def _looked_back(self) -> PastRun:
         """The record of the run that is to be looked at, or has just ended."""
         run = self._run
-        if run.past is None and run.ended and run.hello is not None and run.hello.folder:
+        if run.past is None and run.over.is_set() and run.hello is not None and run.hello.folder:
             try:
                 run.past = await asyncio.to_thread(PastRun, Path(run.hello.folder))
             except ThigmoError as error:
@@ -358,7 +340,7 @@ class PageServer:
 
     def left(self) -> bool:
         """Whether nothing runs and nobody has looked for a while."""
-        return self._moving is None and time.monotonic() - self._left_s > _LEAVES_S
+        return self._run.moving is None and time.monotonic() - self._left_s > _LEAVES_S
 
 
 def _run_facts(run: Hello) -> dict[str, Any]:
@@ -366,18 +348,11 @@ def _run_facts(run: Hello) -> dict[str, Any]:
     return {"id": f"{run.pid} {run.epoch_s}", **facts}
 
 
-async def serve(
-    options: WatchOptions, announce: Callable[[str], None] = lambda address: None
-) -> None:
-    """Serve the page until cancelled.
+async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
+    """Serve the page until cancelled; `announce` is told its address, once it can be opened.
 
-    Args:
-        options: what to watch, and where.
-        announce: told the page's address, once it can be opened.
-
-    Raises:
-        RunFolderError: there is no such finished run.
-        ThigmoError: the address cannot be listened at.
+    Raises RunFolderError if there is no such finished run, and ThigmoError if the address cannot be
+    listened at.
     """
     server = PageServer(options)
     runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=1.0)

@@ -24,20 +24,11 @@ def in_the_run(url: str) -> bool:
 
 
 class StartedRun:
-    """A run that the page started.
-
-    Args:
-        url: of the robot.
-        options: further arguments of `thigmo explore`.
-        realtime: at the clock's pace, if it is emulated.
-
-    Attributes:
-        question: to the operator, which the run waits to be answered; empty if there is none.
-    """
+    """A run that the page started, with further `options` of `thigmo explore`."""
 
     def __init__(self, url: str, options: Sequence[str], *, realtime: bool) -> None:
         self._said: deque[str] = deque(maxlen=_LINES)
-        self.question = ""
+        self.question = ""  # to the operator, which the run waits to be answered
         pace = ["--realtime"] if realtime and in_the_run(url) else []
         explore = [sys.executable, "-m", "thigmo", "explore", "--robot", url, "--prompts-piped"]
         # A session of its own: Ctrl-C at the server's terminal is not meant for the run.

@@ -24,12 +24,7 @@ _MOST_SHAPES = 40  # what the body swept is drawn of them: two seconds
 
 
 class Viewer:
-    """A page behind its WebSocket.
-
-    Attributes:
-        socket: the WebSocket.
-        dropped: readings that it has missed.
-    """
+    """A page behind its WebSocket."""
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
         self.socket = socket
@@ -41,16 +36,10 @@ class Viewer:
         self._due = asyncio.Event()
         self._under_way = 0
         self._told = 0
-        self.dropped = 0
+        self.dropped = 0  # readings that it has missed
 
     def add_rows(self, rows: Iterable[str], board: str, *, most: int = _MOST_ROWS) -> None:
-        """Queue telemetry.
-
-        Args:
-            rows: as JSON.
-            board: what else the last of them says: the fields of the message, as JSON.
-            most: rows that may wait.
-        """
+        """Queue telemetry in JSON: rows, of which `most` may wait, and what else the last says."""
         self._rows.extend(rows)
         self._board = board
         while len(self._rows) > most:

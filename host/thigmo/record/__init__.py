@@ -32,8 +32,8 @@ from thigmo.record.obstacles import (
     write_obstacles,
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
-from thigmo.record.readings_table import ReadingsTable, read_readings
 from thigmo.record.swept_shapes import outline, passed
+from thigmo.record.table import ReadingsTable, read_readings
 from thigmo.record.whole_file import write_whole
 
 __all__ = [

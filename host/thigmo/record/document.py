@@ -37,40 +37,25 @@ class Trigger:
 
 @dataclass(frozen=True, slots=True)
 class MapContact:
-    """A contact in the room.
+    """A contact in the room."""
 
-    Attributes:
-        arc_cm: along the body, from the base.
-        x_cm, y_cm: the point of the skin that touches.
-        force_per_cm2: signed, F/EI; positive pushes towards +y of the body there.
-        interval_cm: 95 % interval of the arc.
-        status: "localized" or "ambiguous".
-        everted_length_cm: stage at which it was felt.
-        side: active muscle; empty for a peg that growth met: it stopped the tip, or bent it aside.
-        normal_rad: direction from the centreline to the contact point.
-        covariance_cm2: of (x, y), from the interval along the body and the shape's uncertainty.
-        track: the interval drawn along the skin, low end to high end.
-        model: the localizer's model.
-        readings: number of sensors used.
-        merged: earlier stages whose contact is the same one.
-        known: index of the prior map's obstacle (prior.json) that this is; null if it is new, or no
-            map was given.
-    """
-
-    arc_cm: float
-    x_cm: float
-    y_cm: float
-    force_per_cm2: float
-    interval_cm: tuple[float, float]
-    status: str
-    everted_length_cm: float
+    arc_cm: float  #: along the body, from the base
+    x_cm: float  #: of the point of the skin that touches
+    y_cm: float  #: of the same point
+    force_per_cm2: float  #: signed, F/EI; positive pushes towards +y of the body there
+    interval_cm: tuple[float, float]  #: 95 % interval of the arc
+    status: str  #: "localized" or "ambiguous"
+    everted_length_cm: float  #: stage at which it was felt
+    #: active muscle; empty for a peg that growth met: it stopped the tip, or bent it aside
     side: str
-    normal_rad: float
+    normal_rad: float  #: direction from the centreline to the contact point
+    #: of (x, y), from the interval along the body and the shape's uncertainty
     covariance_cm2: tuple[tuple[float, float], tuple[float, float]]
-    track: list[tuple[float, float]]
-    model: str
-    readings: int
-    merged: list[float] = field(default_factory=list)
+    track: list[tuple[float, float]]  #: the interval drawn along the skin, low end to high end
+    model: str  #: the localizer's model
+    readings: int  #: number of sensors used
+    merged: list[float] = field(default_factory=list)  #: earlier stages whose contact is this one
+    #: index of the prior map's obstacle (prior.json) that this is; null if it is new or none given
     known: int | None = None
 
     def __repr__(self) -> str:
@@ -131,12 +116,10 @@ class MissedContact:
     # who knows of it: "truth" (the emulated room: a peg that a sweep's peak touched) or "prior"
     # (the map given: an obstacle whose place was swept without its being felt)
     source: str
-    # x_cm, y_cm: where it is
     x_cm: float
     y_cm: float
     reason: str  # why it was missed, as far as the record tells
-    # arc_cm, everted_length_cm, side: along the body, at the last stage that touched it; null and
-    # empty for the prior's
+    # along the body, at the last stage that touched it; null and empty for the prior's
     arc_cm: float | None = None
     everted_length_cm: float | None = None
     side: str = ""
@@ -156,36 +139,25 @@ class FalseContact:
 
 @dataclass(frozen=True, slots=True)
 class RunDocument:
-    """The whole of contacts.json.
-
-    Attributes:
-        outcome: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or
-            "aborted: why".
-        contacts: merged contacts, in the order of their discovery.
-        error_x_cm: absolute x error of the best contact against the true contact point (the
-            thesis's measure), null without truth or contact.
-        error_cm: distance in the plane from it to the true contact point.
-        missed: contacts known otherwise that are not on the map; null if nothing else is known.
-        false: contacts of the map that are not in the room; null without truth.
-        length_cm: everted length at the end, which the robot keeps.
-        robot_time_s: device time that the run took.
-        wall_time_s: the operator's time that it took, from connecting on.
-    """
+    """The whole of contacts.json."""
 
     thigmo: str
     name: str
     url: str
     started: str
+    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or "aborted: why"
     outcome: str = "running"
     seed: int | None = None
-    contacts: list[MapContact] = field(default_factory=list)
+    contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
     stages: list[Stage] = field(default_factory=list)
     truth: Truth | None = None
+    #: absolute x error of the best contact against the true contact point (the thesis's measure),
+    #: null without truth or contact
     error_x_cm: float | None = None
-    error_cm: float | None = None
-    missed: list[MissedContact] | None = None
-    false: list[FalseContact] | None = None
-    length_cm: float = 0.0
-    robot_time_s: float = 0.0
-    wall_time_s: float = 0.0
+    error_cm: float | None = None  #: distance in the plane from it to the true contact point
+    missed: list[MissedContact] | None = None  #: known otherwise; null if nothing else is known
+    false: list[FalseContact] | None = None  #: not in the room; null without truth
+    length_cm: float = 0.0  #: everted length at the end, which the robot keeps
+    robot_time_s: float = 0.0  #: device time that the run took
+    wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
     version: int = 1

@@ -13,8 +13,6 @@ from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.record.document import RunDocument
 from thigmo.record.log import Log, LogWriter, read_log
-from thigmo.record.obstacles import OBSTACLES_FILE, ObstacleMap, write_obstacles
-from thigmo.record.occupancy import OccupancyGrid, write_ros_map
 from thigmo.record.whole_file import read_json, write_whole
 
 _CHUNK_BYTES = 65_536  # half a second of frames and decoded channels
@@ -22,10 +20,8 @@ _DOCUMENT = TypeAdapter(RunDocument)
 
 
 class RunFolder:
-    """One run's folder.
-
-    Attributes:
-        path: the folder.
+    """One run's folder. Its methods raise RunFolderError where a file is missing or malformed, or
+    cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -33,11 +29,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, parent: str | os.PathLike[str], name: str, started: datetime) -> RunFolder:
-        """Make `parent/DATE-NAME`; a number is appended if it exists.
-
-        Raises:
-            RunFolderError: the folder cannot be made or written.
-        """
+        """Make `parent/DATE-NAME`; a number is appended if it exists."""
         slug = re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.") or "run"
         stem = f"{started:%Y%m%d-%H%M%S}-{slug}"
         for number in range(1, 1000):
@@ -60,43 +52,20 @@ class RunFolder:
         """The picture of the map."""
         return self.path / "map.png"
 
-    @property
-    def log_path(self) -> Path:
-        """The record."""
-        return self.path / "run.mcap"
-
     def open_log(self, metadata: dict[str, str], epoch_s: float = 0.0) -> LogWriter:
-        """Start `run.mcap`, with room for decoded channels; arguments as for `LogWriter`.
-
-        Raises:
-            RunFolderError: it exists already or cannot be written.
-        """
-        return LogWriter(self.log_path, metadata, epoch_s, _CHUNK_BYTES)
+        """Start `run.mcap`, with room for decoded channels; arguments as for `LogWriter`."""
+        return LogWriter(self.path / "run.mcap", metadata, epoch_s, _CHUNK_BYTES)
 
     def read_log(self) -> Log:
-        """Read `run.mcap`.
+        """Read `run.mcap`."""
+        return read_log(self.path / "run.mcap")
 
-        Raises:
-            RunFolderError: missing, or not an MCAP file.
-        """
-        return read_log(self.log_path)
-
-    def write_document(self, document: RunDocument, name: str = "contacts.json") -> Path:
-        """Write contacts.json whole or not at all.
-
-        Raises:
-            RunFolderError: the folder cannot be written.
-        """
-        target = self.path / name
-        write_whole(target, _DOCUMENT.dump_json(document, indent=2) + b"\n")
-        return target
+    def write_document(self, document: RunDocument, name: str = "contacts.json") -> None:
+        """Write contacts.json whole or not at all."""
+        write_whole(self.path / name, _DOCUMENT.dump_json(document, indent=2) + b"\n")
 
     def read_document(self) -> RunDocument:
-        """Read contacts.json.
-
-        Raises:
-            RunFolderError: missing or malformed.
-        """
+        """Read contacts.json."""
         return read_json(
             _DOCUMENT,
             self.path / "contacts.json",
@@ -104,19 +73,6 @@ class RunFolder:
             invalid="run `thigmo replay` on the folder",
         )
 
-    def write_map(self, known: ObstacleMap, grid: OccupancyGrid, prefix: str = "") -> None:
-        """Write obstacles.json, map.pgm and map.yaml; each whole or not at all.
-
-        Raises:
-            RunFolderError: the folder cannot be written.
-        """
-        write_ros_map(grid, self.path / f"{prefix}map.yaml")
-        write_obstacles(known, self.path / f"{prefix}{OBSTACLES_FILE}")
-
     def read_config(self) -> RobotConfig:
-        """Read robot.toml as it was used.
-
-        Raises:
-            ConfigError: missing or malformed.
-        """
+        """Read robot.toml as it was used. Raises ConfigError if it is missing or malformed."""
         return RobotConfig.load(self.path / "robot.toml")

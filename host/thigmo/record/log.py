@@ -51,9 +51,8 @@ class Entry:
 class Log:
     """A record that was read."""
 
-    # entries, notes: in time order
-    entries: list[Entry]
-    notes: list[tuple[float, dict[str, Any]]]
+    entries: list[Entry]  # in time order
+    notes: list[tuple[float, dict[str, Any]]]  # in time order
     metadata: dict[str, str]  # facts of the run, as they were given to the writer
     truncated: bool = False  # the end is missing: the writer was killed
     gaps: int = 0  # places before the end at which something is missing: the file is damaged
@@ -67,16 +66,11 @@ class Log:
 
 
 class LogWriter(Closing):
-    """Writes `run.mcap`. A context manager; `close` may be called twice.
+    """Writes `run.mcap`, which must not exist. A context manager; `close` may be called twice.
 
-    Args:
-        path: the file; it must not exist.
-        metadata: facts of the run, as strings (versions, schema hash, URL, seed).
-        epoch_s: UTC seconds since 1970 at which the robot's time base was 0.
-        chunk_bytes: what a killed process loses at most.
-
-    Raises:
-        RunFolderError: the file cannot be created.
+    The metadata are facts of the run (versions, schema hash, URL, seed); `epoch_s` is when the
+    robot's time base was 0, in UTC seconds since 1970; `chunk_bytes` is what a killed process loses
+    at most. Raises RunFolderError if the file cannot be created.
     """
 
     def __init__(
@@ -124,9 +118,7 @@ class LogWriter(Closing):
     def add_channel(
         self, topic: str, encoding: str, schema: str, schema_encoding: str, data: bytes
     ) -> int:
-        """A further channel: its topic, its messages' encoding, and their schema (name, encoding,
-        data), as mcap.dev/spec/registry has them. Returns its number.
-        """
+        """A further channel with its schema, as mcap.dev/spec/registry has them; its number."""
         number = self._writer.register_schema(schema, schema_encoding, data)
         return int(self._writer.register_channel(topic, encoding, number))
 
@@ -149,13 +141,9 @@ class LogWriter(Closing):
 
 
 def read_log(path: Path) -> Log:
-    """Read a `run.mcap`, also a damaged one, or one whose writer was killed.
+    """Read what is whole of a `run.mcap`, also of a damaged one, or one whose writer was killed.
 
-    Returns:
-        What is whole; `truncated` and `gaps` tell whether something is missing.
-
-    Raises:
-        RunFolderError: there is no such file, or it is no MCAP file.
+    Raises RunFolderError if there is no such file, or it is no MCAP file.
     """
     found = read_mcap(path, {*_TOPICS, _NOTES})
     told = found.metadata.pop(EPOCH, "0")  # damaged records hold none

@@ -48,8 +48,7 @@ class McapContents:
 def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
     """Read a file's messages on the topics that are wanted.
 
-    Raises:
-        RunFolderError: there is no such file, or it is no MCAP file.
+    Raises RunFolderError if there is no such file, or it is no MCAP file.
     """
     try:
         data = path.read_bytes()
@@ -99,8 +98,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
 def _records(opcode: int, content: bytes) -> list[McapRecord] | None:
     """What a record tells, with those in it; None if it is damaged, and its length is right.
 
-    Raises:
-        ValueError, struct.error, McapError: its lengths do not add up.
+    Raises one of `_DAMAGE` if its lengths do not add up.
     """
     stream = ReadDataStream(BytesIO(content))
     if opcode == Opcode.CHANNEL:

@@ -78,23 +78,15 @@ class FreeArea:
 
 @dataclass(frozen=True, slots=True)
 class ObstacleMap:
-    """The whole of obstacles.json.
-
-    Attributes:
-        name, started, outcome: of the run.
-        tube_radius_cm: of the robot that swept.
-        obstacles: merged.
-        free: swept without contact.
-        grid: file that holds the same as a ROS map, beside this one; empty without.
-    """
+    """The whole of obstacles.json: what the run of a name, a start and an outcome knows."""
 
     name: str
     started: str
     outcome: str
-    tube_radius_cm: float
-    obstacles: list[Obstacle] = field(default_factory=list)
-    free: list[FreeArea] = field(default_factory=list)
-    grid: str = ""
+    tube_radius_cm: float  # of the robot that swept
+    obstacles: list[Obstacle] = field(default_factory=list)  # merged
+    free: list[FreeArea] = field(default_factory=list)  # swept without contact
+    grid: str = ""  # file that holds the same as a ROS map, beside this one; empty without
     frame: str = _FRAME
     units: dict[str, str] = field(
         default_factory=lambda: {"length": "cm", "angle": "rad", "force over EI": "1/cm^2"}
@@ -112,20 +104,12 @@ _MAP = TypeAdapter(ObstacleMap)
 
 
 def write_obstacles(known: ObstacleMap, path: Path) -> None:
-    """Write obstacles.json whole or not at all.
-
-    Raises:
-        RunFolderError: the folder cannot be written.
-    """
+    """Write obstacles.json whole or not at all. Raises RunFolderError if it cannot be written."""
     write_whole(path, _MAP.dump_json(known, indent=1) + b"\n")
 
 
 def read_obstacles(path: str | os.PathLike[str]) -> ObstacleMap:
-    """Read an obstacles.json.
-
-    Raises:
-        RunFolderError: missing or malformed.
-    """
+    """Read an obstacles.json. Raises RunFolderError if it is missing or malformed."""
     return read_json(
         _MAP,
         path,

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FREE, UNKNOWN, OCCUPIED = 0, -1, 100  # as in nav_msgs/OccupancyGrid
-_GREY = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
 _CM_PER_M = 100.0
 
@@ -36,10 +35,8 @@ _CM_PER_M = 100.0
 class OccupancyGrid:
     """A grid in the plane.
 
-    Attributes:
-        cells: (rows, columns) of FREE, UNKNOWN or OCCUPIED; row 0 lowest in y.
-        resolution_cm: size of a cell.
-        origin: x, y (cm) and yaw (rad) of the outer corner of cell (0, 0).
+    `cells` (rows, columns) are FREE, UNKNOWN or OCCUPIED, row 0 lowest in y; `origin` is x, y (cm)
+    and yaw (rad) of the outer corner of cell (0, 0).
     """
 
     cells: NDArray[np.int8]
@@ -64,11 +61,7 @@ class OccupancyGrid:
         return html_card("Occupancy grid", said, html_table(("", "cells", "area", "share"), rows))
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the cells in the robot's frame.
-
-        Args:
-            axes: where to; None makes a new figure with matplotlib's pyplot.
-        """
+        """Draw the cells in the robot's frame; without axes on a new figure of pyplot."""
         return draw(self, axes)
 
     def _size(self) -> str:
@@ -105,13 +98,10 @@ class _Description(BaseModel):
 def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
     """Write `path` (a .yaml) and the picture of the same name beside it.
 
-    Raises:
-        RunFolderError: the folder cannot be written.
+    Raises RunFolderError if they cannot be written.
     """
     picture = path.with_suffix(".pgm")
-    grey: NDArray[np.uint8] = np.full(grid.cells.shape, _GREY[UNKNOWN], dtype=np.uint8)
-    for value in (FREE, OCCUPIED):
-        grey[grid.cells == value] = _GREY[value]
+    grey = np.select([grid.cells == FREE, grid.cells == OCCUPIED], [254, 0], 205).astype(np.uint8)
     x, y, yaw = grid.origin
     described = _Description(
         image=picture.name,
@@ -127,8 +117,7 @@ def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
 def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     """Read a map that map_server could serve: its YAML file, and the picture that this names.
 
-    Raises:
-        RunFolderError: a file is missing or is not what it should be.
+    Raises RunFolderError if one is missing or is not what it should be.
     """
     import cv2
 

@@ -17,11 +17,7 @@ _BETWEEN = 9  # positions from one recorded shape to the next
 
 
 def outline(poses: ArrayLike, radius_cm: float) -> Floats:
-    """The tube around centrelines (..., n, 3) of x, y, heading: left side out, right back.
-
-    Returns:
-        (..., 2n, 2) corners.
-    """
+    """The tube's (..., 2n, 2) corners around centrelines (..., n, 3): left side out, right back."""
     line = np.asarray(poses, dtype=np.float64)
     heading = line[..., 2:]
     across = radius_cm * np.concatenate((-np.sin(heading), np.cos(heading)), axis=-1)
@@ -33,12 +29,9 @@ def outline(poses: ArrayLike, radius_cm: float) -> Floats:
 def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
     """Centrelines (k, n, 3) of a half sweep's recorded shapes and those passed on the way between.
 
-    The sweep starts with the straight robot, and goes up in pressure.
-
-    Args:
-        shapes: of one stage and side.
-        drawn_in: standard errors of the curvature by which the sweep starts later and ends earlier
-            than it seems; then each shape has its error.
+    The shapes are of one stage and side, whose sweep starts with the straight robot and goes up in
+    pressure. `drawn_in` is in standard errors of the curvature: by so many the sweep starts later
+    and ends earlier than it seems; then each shape has its error.
     """
     ordered = sorted(shapes, key=lambda shape: shape.pressure_psi)
     if not ordered:

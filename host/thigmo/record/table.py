@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,29 +20,26 @@ from thigmo.errors import DataError
 Array = NDArray[np.float64]
 
 _MOST_ROWS = 1_000_000
+_MOST_READINGS = 2000  # of one frame
 
 
 class MissingColumnError(DataError):
     """A column that is needed is not there."""
 
 
+@dataclass(frozen=True, slots=True)
 class Table:
     """Columns by name; empty cells are nan, words stay words."""
 
-    def __init__(
-        self, columns: Mapping[str, Sequence[str]], name: str, lines: Sequence[int]
-    ) -> None:
-        self.columns = columns
-        self.name = name
-        self.lines = lines
-        self.rows = len(lines)
+    columns: Mapping[str, Sequence[str]]
+    name: str  # of the file
+    lines: Sequence[int]  # of each row in the file, from 1
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], *, most_rows: int = _MOST_ROWS) -> Table:
         """Read a CSV file; lines that start with # are comments.
 
-        Raises:
-            DataError: unreadable, empty, ragged, too long, or separated by something else.
+        Raises DataError: unreadable, empty, ragged, too long, or separated by something else.
         """
         header: list[str] = []
         rows: list[list[str]] = []
@@ -83,11 +81,9 @@ class Table:
     def numbers(self, column: str, default: float | None = None) -> Array:
         """A column of numbers (n,); empty cells are nan.
 
-        Raises:
-            MissingColumnError: there is no such column, and no default.
-            DataError: a word where a number belongs.
+        Raises MissingColumnError without a default, and DataError: a word where a number belongs.
         """
-        found = np.empty(self.rows)
+        found = np.empty(len(self.lines))
         cells = self.words(column, None if default is None else str(default))
         for number, (cell, line) in enumerate(zip(cells, self.lines, strict=True)):
             where, cure = f"{self.name}, line {line}: {column}", "correct it, or leave that row out"
@@ -104,9 +100,7 @@ class Table:
     def whole(self, column: str, default: int | None = None) -> NDArray[np.int64]:
         """A column of whole numbers (n,), none of them empty.
 
-        Raises:
-            MissingColumnError: there is no such column, and no default.
-            DataError: an empty cell, or a number that is not whole.
+        Raises as `numbers` does, and DataError for an empty cell or a number that is not whole.
         """
         values = self.numbers(column, None if default is None else float(default))
         for row in np.flatnonzero(values != np.round(values))[:1]:
@@ -115,24 +109,54 @@ class Table:
         return values.astype(np.int64)
 
     def words(self, column: str, default: str | None = None) -> list[str]:
-        """A column of words.
-
-        Raises:
-            MissingColumnError: there is no such column, and no default.
-        """
+        """A column of words. Raises MissingColumnError if it is not there, without a default."""
         if column in self.columns:
             return list(self.columns[column])
         if default is None:
             raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
-        return [default] * self.rows
+        return [default] * len(self.lines)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingsTable:
+    """Readings along the body: arrays of shape (N,), in consistent units."""
+
+    position: Array
+    curvature: Array
+    span: Array | None  # None without that column
+    lines: tuple[int, ...]  # of the file, from 1
+
+
+def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
+    """Read a CSV of readings: columns `position`, `curvature` and optionally `span`.
+
+    Whether they can be those of a body (places, units) is the localizer's to say. Raises DataError,
+    which names file, line and column: unreadable, empty, too long, a missing or empty column, or a
+    value that is no finite number.
+    """
+    table = Table.read(path, most_rows=_MOST_READINGS)
+    position, curvature = _readings(table, "position"), _readings(table, "curvature")
+    span = _readings(table, "span") if "span" in table else None
+    return ReadingsTable(position, curvature, span, tuple(table.lines))
+
+
+def _readings(table: Table, name: str) -> Array:
+    if name not in table:
+        raise MissingColumnError(
+            f"{table.name}: no column `{name}` in its header ({', '.join(table.columns)})",
+            "name the columns position, curvature and optionally span",
+        )
+    if not any(table.columns[name]):
+        raise DataError(f"{table.name}: the column `{name}` is empty", "fill it, or leave it out")
+    values = table.numbers(name)
+    for row in np.flatnonzero(np.isnan(values))[:1]:
+        where = f"{table.name}, line {table.lines[row]}"
+        raise DataError(f"{where}: {name} is nan", "leave that row out")
+    return values
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[object]]) -> None:
-    """Write columns as CSV; nan and None become empty cells.
-
-    Raises:
-        DataError: the folder cannot be written.
-    """
+    """Write columns as CSV; nan and None become empty cells. Raises DataError if it cannot."""
 
     def cell(value: object) -> str:
         if value is None or (isinstance(value, float) and not np.isfinite(value)):

@@ -18,11 +18,7 @@ T = TypeVar("T")
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Replace a file's content; on disk on return.
-
-    Raises:
-        RunFolderError: the folder cannot be written.
-    """
+    """Replace a file's content; on disk on return. Raises RunFolderError if that fails."""
     partial = path.with_name(f"{path.name}.partial")
     try:
         with partial.open("wb") as file:
@@ -39,11 +35,7 @@ def write_whole(path: Path, data: bytes) -> None:
 def read_json(
     kind: TypeAdapter[T], path: str | os.PathLike[str], *, missing: str, invalid: str
 ) -> T:
-    """Read a JSON file of a kind; `missing` and `invalid` say what to do where it is so.
-
-    Raises:
-        RunFolderError: missing or malformed.
-    """
+    """Read a JSON file of a kind. Raises RunFolderError, which says what to do where it is so."""
     try:
         return kind.validate_json(Path(path).read_bytes())
     except OSError as error:

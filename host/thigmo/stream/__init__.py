@@ -6,7 +6,6 @@ Foxglove and ROS 2 are views of the same messages. A viewer never slows the robo
 bounded queue, loses the oldest messages and is told how many.
 """
 
-from thigmo.stream.client import RemoteRun, Watchable, attach, running
 from thigmo.stream.hub import Hub, Subscription
 from thigmo.stream.messages import (
     CHANNELS,
@@ -26,7 +25,7 @@ from thigmo.stream.messages import (
     to_json,
 )
 from thigmo.stream.recorded import read_messages, recording
-from thigmo.stream.server import Command, Server
+from thigmo.stream.remote import Command, RemoteRun, Server, Watchable, attach, running
 
 __all__ = [
     "CHANNELS",

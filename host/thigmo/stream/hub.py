@@ -22,9 +22,6 @@ class Subscription(Closing):
     """A queue of messages for one listener, which drops its oldest when it is full. A context
     manager and an iterator, which ends when the subscription or the hub is closed. For several
     threads.
-
-    Attributes:
-        dropped: messages lost so far.
     """
 
     def __init__(self, hub: Hub, channels: Iterable[str], size: int) -> None:
@@ -33,7 +30,7 @@ class Subscription(Closing):
         self._size = size
         self._changed = threading.Condition()
         self._ended = threading.Event()
-        self.dropped = 0
+        self.dropped = 0  # messages lost so far
         hub.attach(self._put, channels, self._end)
 
     def _put(self, message: Message) -> None:
@@ -56,8 +53,7 @@ class Subscription(Closing):
             return self._waiting.popleft() if self._waiting else None
 
     def take(self) -> list[Message]:
-        """All messages, oldest first; waits for one, and gives none when none will come any
-        more."""
+        """All messages, oldest first; waits for one. None when none will come any more."""
         with self._changed:
             self._wait()
             taken = list(self._waiting)
@@ -110,15 +106,10 @@ class Hub:
         return any(kind.CHANNEL in channels for _, channels, _ in self._sinks)
 
     def subscribe(self, channels: Iterable[str] | None = None, size: int = QUEUE) -> Subscription:
-        """Listen.
+        """Listen to channels, by the names of `CHANNELS`; None takes all.
 
-        Args:
-            channels: names of `messages.CHANNELS`; None takes all.
-            size: of the queue, in messages; when it is full the oldest is lost.
-
-        Returns:
-            An iterator that gives first the last message of each slow channel, and the last
-            hundred events.
+        First come the last message of each slow channel, and the last hundred events. When `size`
+        messages wait, the oldest is lost.
         """
         return Subscription(self, CHANNELS if channels is None else channels, size)
 
@@ -131,11 +122,7 @@ class Hub:
         """Call `sink` with every message from now on, and first with those that are retained.
 
         It is called in the publisher's thread: it must be quick, and must not use the hub.
-
-        Args:
-            sink: the function.
-            channels: to which it listens.
-            closed: called when the hub is closed.
+        `closed` is called when the hub is closed.
         """
         names = frozenset(channels)
         with self._lock:

@@ -27,41 +27,28 @@ Severity = Literal["info", "warning", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Base of all messages.
-
-    Attributes:
-        t_s: the robot's time base, as in run.mcap: the host's monotonic clock, or an emulator's
-            virtual time.
-        epoch_s: since 1970, UTC; in the emulator the start of the run plus virtual time.
-    """
+    """Base of all messages."""
 
     CHANNEL: ClassVar[str]
 
+    #: the robot's time base, as in run.mcap: the host's monotonic clock, or an emulator's virtual
+    #: time
     t_s: float
-    epoch_s: float
+    epoch_s: float  #: since 1970, UTC; in the emulator the start of the run plus virtual time
 
 
 @dataclass(frozen=True, slots=True)
 class Hello(Message):
-    """Whose stream this is: the first message to each client of a server.
-
-    Attributes:
-        url: of the robot.
-        name: of the run.
-        folder: the run folder, absolute; empty if there is none.
-        pid: process that drives the robot.
-        version: of thigmo.
-        virtual: the robot lives in that process, which is then where to stop it.
-    """
+    """Whose stream this is: the first message to each client of a server."""
 
     CHANNEL = "hello"
 
-    url: str
-    name: str
-    folder: str
-    pid: int
-    version: str
-    virtual: bool
+    url: str  #: of the robot
+    name: str  #: of the run
+    folder: str  #: the run folder, absolute; empty if there is none
+    pid: int  #: process that drives the robot
+    version: str  #: of thigmo
+    virtual: bool  #: the robot lives in that process, which is then where to stop it
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,128 +62,86 @@ class Dropped(Message):
 
 @dataclass(frozen=True, slots=True)
 class Telemetry(Message):
-    """One telemetry frame of the board, decoded.
-
-    Attributes:
-        device_s: the board's own clock when the readings were complete; evenly spaced where `t_s`,
-            the arrival at the host, is not.
-        pressure_psi, demand_psi, drive_ma: of the muscles: measured, set point, current to the
-            pressure transducer.
-        curvature_per_cm: of the ten sensors; NaN where one is not healthy, everted and zeroed.
-        expected_per_cm: what the free body would read by the calibrated map, at the measured
-            pressure; NaN for the same sensors and for those of the inflated side, which wrinkles.
-        base_per_cm, free_per_cm: what the board's contact trigger compares: the base sensor's
-            curvature, and the free curvature by the map.
-        length_cm: everted.
-        motor: of the spool, signed share of full duty; positive pays out.
-        supply_v: of the board, as last asked for.
-        state, activity: of the board, by the schema's names.
-        faults: latched, by the schema's names.
-        flex_sum: the sensors' raw readings, sums of ADC counts.
-    """
+    """One telemetry frame of the board, decoded."""
 
     CHANNEL = "telemetry"
 
+    #: the board's own clock when the readings were complete; evenly spaced where `t_s`, the arrival
+    #: at the host, is not
     device_s: float
-    pressure_psi: Pair
-    demand_psi: Pair
-    drive_ma: Pair
+    pressure_psi: Pair  #: of the muscles
+    demand_psi: Pair  #: set points of the same
+    drive_ma: Pair  #: current to the pressure transducers
+    #: of the ten sensors; NaN where one is not healthy, everted and zeroed
     curvature_per_cm: tuple[Number, ...]
+    #: what the free body would read by the calibrated map, at the measured pressure; NaN for the
+    #: same sensors and for those of the inflated side, which wrinkles
     expected_per_cm: tuple[Number, ...]
-    base_per_cm: float
-    free_per_cm: float
-    length_cm: Number
-    motor: float
-    supply_v: Number
-    state: str
-    activity: str
-    faults: tuple[str, ...]
-    flex_sum: tuple[int, ...]
+    base_per_cm: float  #: the base sensor's, which the board's contact trigger compares...
+    free_per_cm: float  #: ...with the free curvature by the map
+    length_cm: Number  #: everted
+    motor: float  #: of the spool, signed share of full duty; positive pays out
+    supply_v: Number  #: of the board, as last asked for
+    state: str  #: of the board, by the schema's names
+    activity: str  #: the same
+    faults: tuple[str, ...]  #: latched, by the schema's names
+    flex_sum: tuple[int, ...]  #: the sensors' raw readings, sums of ADC counts
 
 
 @dataclass(frozen=True, slots=True)
 class Event(Message):
-    """Something happened.
-
-    Attributes:
-        name: of the event or, for a fault, of the fault, by the schema.
-        severity: "fault" needs the operator.
-        message: what happened.
-        next: what to do now; empty where nothing is to be done.
-    """
+    """Something happened."""
 
     CHANNEL = "event"
 
-    name: str
-    severity: Severity
-    message: str
-    next: str
+    name: str  #: of the event or, for a fault, of the fault, by the schema
+    severity: Severity  #: "fault" needs the operator
+    message: str  #: what happened
+    next: str  #: what to do now; empty where nothing is to be done
 
 
 @dataclass(frozen=True, slots=True)
 class RunState(Message):
-    """What the run does.
-
-    Attributes:
-        state: name of the exploration's state (`exploration.State`).
-        doing: the same in words.
-        stage_cm: everted length of the stage; 0 before the first.
-        done: share of the run, 0 to 1.
-        paused: it waits, vented, to be resumed.
-        outcome: "running", or how the run ended, as in contacts.json.
-    """
+    """What the run does."""
 
     CHANNEL = "state"
 
-    state: str
-    doing: str
-    stage_cm: float
-    done: float
-    paused: bool = False
-    outcome: str = "running"
+    state: str  #: name of the exploration's state (`exploration.State`)
+    doing: str  #: the same in words
+    stage_cm: float  #: everted length of the stage; 0 before the first
+    done: float  #: share of the run, 0 to 1
+    paused: bool = False  #: it waits, vented, to be resumed
+    outcome: str = "running"  #: or how the run ended, as in contacts.json
 
 
 @dataclass(frozen=True, slots=True)
 class BodyShape(Message):
-    """The robot as it lies now.
-
-    Attributes:
-        poses: centreline from base to tip: x, y, heading.
-        radius_cm: of the tube.
-    """
+    """The robot as it lies now."""
 
     CHANNEL = "shape"
 
-    poses: tuple[Pose, ...]
-    radius_cm: float
+    poses: tuple[Pose, ...]  #: centreline from base to tip: x, y, heading
+    radius_cm: float  #: of the tube
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior(Message):
     """Where along the body a contact is, as the localizer sees it: about ten times a second while a
     sweep feels one, and after a stage's measurement.
-
-    Attributes:
-        side: inflated muscle.
-        length_cm: everted length.
-        places_cm: (N,) middles of cells along the body; empty without a contact.
-        probability: (N,) mass of each cell; their sum is 1.
-        status, hypothesis, message: the localizer's answer in words.
-        contact_probability: that the readings have a contact behind them at all, 0 to 1.
-        sweeping: the sweep goes on, and this is by its last half second.
     """
 
     CHANNEL = "posterior"
 
-    side: str
-    length_cm: float
-    places_cm: tuple[float, ...]
-    probability: tuple[float, ...]
-    status: str
-    hypothesis: str
-    message: str
+    side: str  #: inflated muscle
+    length_cm: float  #: everted length
+    places_cm: tuple[float, ...]  #: (N,) middles of cells along the body; empty without a contact
+    probability: tuple[float, ...]  #: (N,) mass of each cell; their sum is 1
+    status: str  #: the localizer's answer
+    hypothesis: str  #: what explains the readings best
+    message: str  #: the answer in words
+    #: that the readings have a contact behind them at all, 0 to 1
     contact_probability: Number = nan
-    sweeping: bool = False
+    sweeping: bool = False  #: the sweep goes on, and this is by its last half second
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,22 +155,15 @@ class Contacts(Message):
 
 @dataclass(frozen=True, slots=True)
 class Grid(Message):
-    """The occupancy grid so far.
-
-    Attributes:
-        resolution_cm: size of a cell.
-        origin: x, y, yaw of the outer corner of the first cell.
-        width, height: in cells.
-        cells: row by row from the lowest y: 0 free, 100 occupied, -1 unknown.
-    """
+    """The occupancy grid so far."""
 
     CHANNEL = "grid"
 
-    resolution_cm: float
-    origin: Pose
-    width: int
-    height: int
-    cells: tuple[int, ...]
+    resolution_cm: float  #: size of a cell
+    origin: Pose  #: x, y, yaw of the outer corner of the first cell
+    width: int  #: in cells
+    height: int  #: in cells
+    cells: tuple[int, ...]  #: row by row from the lowest y: 0 free, 100 occupied, -1 unknown
 
     @classmethod
     def of(cls, grid: OccupancyGrid, t_s: float, epoch_s: float) -> Self:
@@ -265,11 +203,7 @@ def to_json(message: Message) -> bytes:
 
 
 def from_json(data: bytes) -> Message:
-    """The message of `to_json`'s bytes.
-
-    Raises:
-        DataError: these are not such bytes.
-    """
+    """The message of `to_json`'s bytes. Raises DataError if these are not such bytes."""
     try:
         fields = json.loads(data)
         channel = fields.pop("channel")
@@ -279,11 +213,7 @@ def from_json(data: bytes) -> Message:
 
 
 def validated(channel: str, fields: dict[str, Any]) -> Message:
-    """The message of a channel with these fields.
-
-    Raises:
-        DataError: it has others.
-    """
+    """The message of a channel with these fields. Raises DataError if it has others."""
     try:
         message: Message = ADAPTERS[channel].validate_python(fields)
     except (KeyError, ValidationError) as error:

@@ -114,15 +114,9 @@ def _proto(channel: str) -> type[Proto]:
     return message_factory.GetMessageClass(_file(channel).message_types_by_name[name])
 
 
-@cache
-def _names(kind: Any) -> list[str]:
-    return [each.name for each in fields(kind)]
-
-
 def _told(value: Any) -> dict[str, Any]:
     """A dataclass as the keyword arguments of its protobuf message."""
-    kind: Any = type(value)
-    return {name: _held(getattr(value, name)) for name in _names(kind)}
+    return {each.name: _held(getattr(value, each.name)) for each in fields(value)}
 
 
 def _held(value: Any) -> Any:
@@ -139,12 +133,7 @@ def to_protobuf(message: Message) -> bytes:
 
 
 def from_protobuf(channel: str, data: bytes) -> Message:
-    """The message of `to_protobuf`'s bytes.
-
-    Raises:
-        DataError: these are not such bytes.
-        KeyError: there is no such channel.
-    """
+    """The message of `to_protobuf`'s bytes. Raises DataError if these are of other fields."""
     proto = _proto(channel)()
     proto.MergeFromString(data)
     return validated(channel, _read(proto))

@@ -14,7 +14,7 @@ from thigmo.cli.main import app
 from thigmo.errors import RunFolderError
 from thigmo.record import LogWriter
 from thigmo.stream import Hub, recording
-from thigmo.stream.export import export_csv
+from thigmo.stream.recorded import export_csv
 
 
 @pytest.fixture(scope="module")

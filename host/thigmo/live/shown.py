@@ -1,20 +1,78 @@
-"""What the page shows of a run beside its stream: the robot's build and, where the robot is
-emulated, the pegs of its room; of a finished run all readings as one block, and what else was told.
+"""What the page shows of a run beside its stream: telemetry as rows of numbers, live as JSON text
+and of a finished run as one block of 32-bit floats; the robot's build and, where the robot is
+emulated, the pegs of its room; of a finished run what else was told.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import ConfigError
-from thigmo.live.rows import block, board
 from thigmo.record import RunFolder
 from thigmo.stream import Message, Telemetry, read_messages, to_json
 
 _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
+
+# Of a row; `page/store.js` has the same.
+COLUMNS = (
+    "t_s",
+    *(f"{name}_{side}" for name in ("pressure", "demand", "drive") for side in ("left", "right")),
+    *(f"curvature_{n}" for n in range(10)),
+    *(f"expected_{n}" for n in range(10)),
+    "length_cm",
+    "motor",
+)
+_DIGITS = 5  # 1/cm: a hundredth of a sensor's noise
+
+
+def row(telemetry: Telemetry) -> tuple[float, ...]:
+    """A reading's numbers in the order of `COLUMNS`; NaN where one is not known."""
+    return (
+        telemetry.t_s,
+        *telemetry.pressure_psi,
+        *telemetry.demand_psi,
+        *telemetry.drive_ma,
+        *telemetry.curvature_per_cm,
+        *telemetry.expected_per_cm,
+        telemetry.length_cm,
+        telemetry.motor,
+    )
+
+
+def row_text(telemetry: Telemetry) -> str:
+    """A row as JSON."""
+    return json.dumps([round(x, _DIGITS) if isfinite(x) else None for x in row(telemetry)])
+
+
+def board(telemetry: Telemetry) -> dict[str, Any]:
+    """What a reading says besides numbers."""
+    return {name: getattr(telemetry, name) for name in ("state", "activity", "faults")}
+
+
+def thinned(count: int, most: int) -> slice:
+    """Every nth of `count` entries, at most `most` of them, the last one included."""
+    step = max(1, -(-count // most))
+    return slice((count - 1) % step, None, step)
+
+
+def block(readings: Sequence[Telemetry], origin_s: float, most: int) -> NDArray[np.float32]:
+    """At most so many readings, in the order of time, as (columns, rows); NaN is not known.
+
+    Their time is counted from an origin: 32 bits do not hold that of a computer that has been on
+    for a month.
+    """
+    kept = readings[thinned(len(readings), most)] if readings else []
+    table = np.array([row(reading) for reading in kept]).reshape(-1, len(COLUMNS))
+    table[:, 0] -= origin_s
+    return np.ascontiguousarray(table.T, dtype=np.float32)
 
 
 def body(folder: str) -> dict[str, Any]:
@@ -42,14 +100,7 @@ def pegs(folder: str) -> list[dict[str, float]]:
 
 
 class PastRun:
-    """A finished run.
-
-    Args:
-        folder: of the run.
-
-    Raises:
-        RunFolderError: it holds no record, or one of an earlier version.
-    """
+    """A finished run. Raises RunFolderError if it has no record, or one of an earlier version."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = str(folder)

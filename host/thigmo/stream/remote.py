@@ -1,4 +1,4 @@
-"""A hub for other processes: the stream on a socket that only the same user can open.
+"""A run's hub for other processes: the stream on a socket that only the same user can open.
 
 Each message is sent as its JSON, with its length before it (`multiprocessing.connection` frames
 it). Each client has a subscription and two threads of its own, so that one that stalls keeps
@@ -15,65 +15,62 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from typing import Literal, get_args
 
 from thigmo.closing import Closing
-from thigmo.errors import PortError
+from thigmo.errors import LinkError, PortError
 from thigmo.link import stop_socket
 from thigmo.stream.hub import Hub, Subscription
-from thigmo.stream.messages import Dropped, Hello, to_json
+from thigmo.stream.messages import Dropped, Hello, Message, from_json, to_json
 
 Command = Literal["pause", "resume", "stop"]
-COMMANDS: tuple[Command, ...] = get_args(Command)
+_COMMANDS: tuple[Command, ...] = get_args(Command)
 _MOST_BYTES = 4096
 _POLL_S = 0.1
 _LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
 _LAST_S = 5.0  # for all clients to take what is left when the run ends
-_PIPES = r"\\.\pipe"
+_PATIENCE_S = 2.0  # for a server's hello
+_BEGINS_WITHIN_S = 60.0  # from a socket's name to its listening, on a computer that is busy
+# How the names of this user's streams begin on Windows.
+_PIPE_PREFIX = f"thigmo-run-{os.environ.get('USERNAME', '')}-"
 
 
-def folder() -> Path:
+def _folder() -> Path:
     """The folder of the streams' sockets, made if need be; only its user can enter.
 
-    Raises:
-        PortError: others could enter it.
+    Raises PortError if others could.
     """
     path = stop_socket.folder() / "runs"
     path.mkdir(mode=0o700, exist_ok=True)
     return path
 
 
-def pipe_prefix() -> str:
-    """How the names of this user's streams begin on Windows."""
-    return f"thigmo-run-{os.environ.get('USERNAME', '')}-"
-
-
 def _new_address(name: str) -> str:
     label = re.sub(r"\W+", "-", name)[:24].strip("-")
     if sys.platform == "win32":
-        return rf"{_PIPES}\{pipe_prefix()}{label}-{os.getpid()}-{threading.get_native_id()}"
-    handle, path = tempfile.mkstemp(prefix=f"{label}-{os.getpid()}-", dir=folder())
+        return rf"\\.\pipe\{_PIPE_PREFIX}{label}-{os.getpid()}-{threading.get_native_id()}"
+    handle, path = tempfile.mkstemp(prefix=f"{label}-{os.getpid()}-", dir=_folder())
     os.close(handle)
     Path(path).unlink()
     return path
 
 
+def _addresses() -> list[str]:
+    if sys.platform == "win32":
+        pipes = Path("//./pipe").iterdir()
+        return [str(path) for path in pipes if path.name.startswith(_PIPE_PREFIX)]
+    return [str(path) for path in _folder().iterdir() if path.is_socket()]
+
+
 class Server(Closing):
-    """Serves one run's hub. A context manager.
+    """Serves one run's hub at the `address` of a socket. A context manager.
 
-    Args:
-        hub: what to serve.
-        hello: the first message to each client.
-        command: called with what a client commands, in a thread of its own.
-
-    Attributes:
-        address: of the socket.
-
-    Raises:
-        PortError: the socket cannot be made.
+    `hello` is the first message to each client; `command` is called with what a client commands, in
+    a thread of its own. Raises PortError if the socket cannot be made.
     """
 
     def __init__(self, hub: Hub, hello: Hello, command: Callable[[Command], None]) -> None:
@@ -162,10 +159,91 @@ def _thread(target: Callable[..., None], *arguments: object) -> threading.Thread
 
 
 def _command_in(data: bytes) -> Command | None:
-    """The command that a client's bytes hold; None for what is none, which a newer client may
-    send."""
+    """The command that a client's bytes hold; None for what a newer client may send."""
     try:
         wanted = json.loads(data).get("command")
     except (ValueError, AttributeError):
         return None
-    return next((command for command in COMMANDS if command == wanted), None)
+    return next((command for command in _COMMANDS if command == wanted), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Watchable:
+    """A run that is under way: the address of its stream, and its hello."""
+
+    address: str
+    hello: Hello
+
+
+class RemoteRun(Closing):
+    """The stream of a run in another process, with the address of its socket and its hello. A
+    context manager and an iterator, which ends when the run does.
+    """
+
+    def __init__(self, connection: Connection, address: str, hello: Hello) -> None:
+        self._connection = connection
+        self._sending = threading.Lock()
+        self.address = address
+        self.hello = hello
+
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """The next message; None if none comes in time.
+
+        Raises EOFError if the run or its process has ended, and DataError if it speaks another
+        version of the stream.
+        """
+        try:
+            if not self._connection.poll(timeout_s):
+                return None
+            return from_json(self._connection.recv_bytes())
+        except OSError as error:
+            raise EOFError from error
+
+    def send(self, command: Command) -> None:
+        """Ask the run to pause between stages, to go on, or to stop. For several threads.
+
+        Raises LinkError if it has ended.
+        """
+        try:
+            with self._sending:
+                self._connection.send_bytes(json.dumps({"command": command}).encode())
+        except OSError as error:
+            raise LinkError(f"the run {self.hello.name} has ended", "see its run folder") from error
+
+    def close(self) -> None:
+        """Listen no more; may be called twice."""
+        self._connection.close()
+
+    def __iter__(self) -> Iterator[Message]:
+        with contextlib.suppress(EOFError):
+            while True:
+                if (message := self.get()) is not None:
+                    yield message
+
+
+def attach(address: str) -> RemoteRun:
+    """Listen to the run that is served at an address. Raises LinkError if nobody serves one."""
+    hello: Message | None = None
+    with contextlib.suppress(OSError, EOFError):
+        try:
+            connection = Client(address)
+        except ConnectionRefusedError:
+            # A killed run leaves its socket; one that just begins has it before it listens.
+            if time.time() - Path(address).stat().st_mtime > _BEGINS_WITHIN_S:
+                Path(address).unlink()
+            raise
+        if connection.poll(_PATIENCE_S):
+            hello = from_json(connection.recv_bytes())
+        if isinstance(hello, Hello):
+            return RemoteRun(connection, address, hello)
+        connection.close()
+    raise LinkError(f"no run is under way at {address}", "start one with `thigmo explore`")
+
+
+def running() -> list[Watchable]:
+    """All runs of this user that can be watched, the youngest last."""
+    found = []
+    for address in _addresses():
+        with contextlib.suppress(LinkError), attach(address) as run:
+            found.append(Watchable(address, run.hello))
+    return sorted(found, key=lambda each: each.hello.epoch_s)

@@ -1,4 +1,10 @@
-"""Whether growth left the body straight, by the zeros: a peg ahead may bend the tip aside.
+"""What growth met, by the sensors: a peg that stopped the tip, or one that bent the body aside.
+
+The spool only pays out line; nothing measures its tension. If a peg stands ahead, the tip stalls,
+the tail goes slack, and the length that the encoder tells is too long from there on. But a sensor
+that everts passes through the tip's fold, the tightest bend there is: its reading rises and falls
+again. A sensor that lies behind the believed tip and shows no such thing has not come out. How far
+it got says where the tip is.
 
 A tip that meets a peg off its middle is not stopped but slides round it, and the vented robot then
 leans on the peg with its side. Zeroed so, every later reading would be wrong by that bend. But a
@@ -15,8 +21,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from thigmo.exploration.plan import FOLD_MARGIN_CM
 from thigmo.robot import SensorTable
 from thigmo.robot.readings import Floats
+
+_SMOOTH = 5  # frames of a running median, a quarter of a second
+
+# A rise of so much (1/cm) is the fold's. The fold's own curvature is of the order of one
+# over the tube's radius, ten times that even where a sensor averages it; creep and noise are less.
+_FOLD_PER_CM = 0.03
+_PASSED = 0.5  # share of the rise by which a reading falls once the fold has left; creep is less
+_SAME_PLACE_CM = 1.0
+_LEVEL = 0.03  # share of the rise by which a reading may differ from its last and count as that
+_ONSET_CM = 1.0  # a fold that has entered a sensor by less may go unseen
 
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
 # held bent; what is left of an eversion's creep is less.
@@ -26,22 +43,27 @@ _SIGMAS = 4.0
 _EXPLAINED = 0.8
 _CLEAR_CM = 1.0  # wound in so far behind the peg, the tip is clear of it
 _CAME_BACK = 0.5  # share of a bend
-_SMOOTH = 5  # frames of a running median, a quarter of a second
 # The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
 # on its way from the near face to the middle: up to a peg's radius before, which is not known.
 _BACK_CM, _ON_CM = 1.0, 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Deflection:
-    """A body that leans on a peg while nothing inflates it."""
+class Met:
+    """A peg that growth met: where it is not a `Lean`, the peg stopped the tip."""
 
     length_cm: float  # everted length
-    arc_cm: float  # where it leans, by the best guess
+    arc_cm: float  # where the peg is, by the best guess
     interval_cm: tuple[float, float]  # it is within these
-    force_per_cm2: float  # of the peg, over EI; positive bends to the left
-    curvature_se: float  # standard error of the bend, 1/cm
     sensors: int  # how many tell so
+    force_per_cm2: float  # of the peg, over EI; positive bends to the left
+
+
+@dataclass(frozen=True, slots=True)
+class Lean(Met):
+    """A peg on which the body leans while nothing inflates it."""
+
+    curvature_se: float  # standard error of the bend, 1/cm
     bend: Floats  # (10,) by how much the zeros moved, 1/cm; NaN where that says nothing
 
     @property
@@ -60,15 +82,59 @@ class Deflection:
         return not told.any() or float(bend @ back[told]) > _CAME_BACK * float(bend @ bend)
 
 
-def deflection(
-    length_cm: Floats, bend: Floats, before: Floats, after: Floats, table: SensorTable
-) -> Deflection | None:
-    """What a growth's readings and the zeros around it say of the body; None if it is straight.
+def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
+    """What a growth's readings say of its tip; None if every sensor that was due has everted.
 
     Args:
         length_cm: (n,) believed lengths, ascending.
         bend: (n, 10) what the sensors read there, 1/cm, from any zero.
-        before, after: (10,) the zeros around the growth, from the same; NaN without one.
+    """
+    if len(length_cm) <= 2 * _SMOOTH:
+        return None
+    start = table.center_cm - table.span_cm / 2
+    end = table.center_cm + table.span_cm / 2
+    due = table.healthy & (start > length_cm[0]) & (end + FOLD_MARGIN_CM <= length_cm[-1] + 0.05)
+    due &= np.isfinite(bend).all(axis=0)
+    for place in sorted(set(table.center_cm[due].tolist())):
+        here = np.flatnonzero(due & (np.abs(table.center_cm - place) < _SAME_PLACE_CM))
+        stalls = [_stalled(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in here]
+        stuck = [found for found in stalls if found is not None]
+        if len(stuck) == len(here):
+            tips, lows, highs = zip(*stuck, strict=True)
+            tip = float(np.mean(tips))
+            return Met(tip, tip, (min(lows), max(highs)), len(here), 0.0)
+    return None
+
+
+def _stalled(
+    length_cm: Floats, reading: Floats, start: float, end: float
+) -> tuple[float, float, float] | None:
+    """(tip, low, high) of a sensor that the fold did not pass through; None if it did."""
+    before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
+    last = float(np.median(reading[-_SMOOTH:]))
+    rise = np.abs(reading - before)
+    top = int(rise.argmax())
+    if rise[top] < _FOLD_PER_CM:  # it has not reached the fold
+        low, high = float(length_cm[0]), start + _ONSET_CM
+        return (low + high) / 2, low, high
+    if abs(reading[top] - last) >= _PASSED * rise[top]:
+        return None
+    # It lies in the fold: from where on its reading stayed as it is, the tip stood still.
+    noise = float(np.std(reading[-_SMOOTH:]))
+    level = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - last)
+    off = np.flatnonzero(level > _LEVEL * rise[top] + 3 * noise)
+    tip = float(np.clip(length_cm[off[-1]] if off.size else start, start, end))
+    return tip, start, end
+
+
+def lean(
+    length_cm: Floats, bend: Floats, before: Floats, after: Floats, table: SensorTable
+) -> Lean | None:
+    """What a growth's readings and the zeros around it say of the body; None if it is straight.
+
+    Args:
+        length_cm, bend: as for `stall`.
+        before, after: (10,) the zeros around the growth, from the same zero; NaN without one.
     """
     if len(length_cm) < _SMOOTH:
         return None
@@ -96,7 +162,7 @@ def deflection(
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
         told = np.where(use, moved, np.nan)
-        return Deflection(float(length_cm[-1]), arc, (low, high), force, noise, count, told)
+        return Lean(float(length_cm[-1]), arc, (low, high), count, force, noise, told)
     return None
 
 

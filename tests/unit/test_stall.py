@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.eversion import stall
+from thigmo.exploration.met import stall
 from thigmo.robot import SensorTable
 from thigmo.robot.readings import Floats
 
