@@ -6,7 +6,7 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
-from thigmo.mechanics.buckling import critical_moment
+from thigmo.mechanics.closed_forms import critical_moment
 from thigmo.reading_errors import reading_errors
 
 SENSORS = [("right", 0), ("right", 3)]

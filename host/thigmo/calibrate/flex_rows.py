@@ -25,7 +25,7 @@ from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics import push
-from thigmo.mechanics.spans import phi
+from thigmo.mechanics.closed_forms import phi
 
 Array = NDArray[np.float64]
 

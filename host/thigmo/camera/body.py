@@ -8,7 +8,6 @@ that fit with its covariance: constant for free bends, a spline for any other sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -70,22 +69,16 @@ def flatten(
 
 
 def bodyness(
-    flat: Flat, radius_cm: float, covers: Sequence[Array] = (), background: Flat | None = None
+    flat: Flat, radius_cm: float, cover: Array | None, background: Flat | None
 ) -> NDArray[np.float32]:
     """How much each pixel looks like the body, about 0 (table) to 1 (body).
 
     The body's colour is sampled where the robot leaves its base, the table's everywhere; a linear
     discriminant in log-chromaticity (which shadows leave alone) and, weakly, brightness tells them
     apart. With a `background` picture of the empty table, change against it counts as well.
+    What lies under a `cover` (n, 2) in cm, the tip marker, is counted as body.
 
-    Args:
-        flat: picture laid flat at the axis's height.
-        radius_cm: tube radius.
-        covers: polygons (n, 2) in cm that hide the body (the tip marker): counted as body.
-        background: the same view without the robot.
-
-    Raises:
-        BodyNotSeenError: base and table have the same colour.
+    Raises BodyNotSeenError where base and table have the same colour.
     """
     features = _features(flat.image)
     # Light differs along the body and across it far more than in the sample.
@@ -95,7 +88,9 @@ def bodyness(
         # What was there before cancels, and a small change of colour is enough.
         features = features - _features(background.image)
         lighting, loosest = np.diag([1e-5, 1e-5, 0.03]), 0.04
-    seed = _patch(features, flat, (1.0, 4.0), 0.5 * radius_cm)
+    corners = flat.pixels(np.array([[1.0, 0.5 * radius_cm], [4.0, -0.5 * radius_cm]]))
+    (left, upper), (right, lower) = np.round(corners).astype(int)
+    seed = features[upper:lower, left:right].reshape(-1, 3).astype(float)
     table = features[::6, ::6].reshape(-1, 3)
     center, spread = np.median(seed, axis=0), np.cov(seed.T)
     middle = np.median(table, axis=0)
@@ -114,7 +109,7 @@ def bodyness(
     reach = np.sqrt(np.maximum(np.diag(spread)[:2], loosest**2 / 8)) * 4 + loosest
     strange = np.sqrt(((away / reach) ** 2).sum(axis=-1))
     score = (np.clip(score, 0, 1) * np.clip(2 - strange, 0, 1)).astype(np.float32)
-    for cover in covers:
+    if cover is not None:
         polygon = np.round(flat.pixels(cover)).astype(np.int32).reshape(-1, 1, 2)
         cv2.fillPoly(score, [polygon], 1.0)
     return np.asarray(cv2.GaussianBlur(score, (0, 0), 1.2), np.float32)
@@ -127,14 +122,6 @@ def _features(image: Picture) -> NDArray[np.float32]:
     return np.dstack(
         [logs[..., 2] - logs[..., 1], logs[..., 0] - logs[..., 1], logs.mean(axis=-1)]
     ).astype(np.float32)
-
-
-def _patch(
-    features: NDArray[np.float32], flat: Flat, x: tuple[float, float], half_y: float
-) -> NDArray[np.float64]:
-    corners = flat.pixels(np.array([[x[0], half_y], [x[1], -half_y]]))
-    (left, upper), (right, lower) = np.round(corners).astype(int)
-    return features[upper:lower, left:right].reshape(-1, 3).astype(float)
 
 
 @dataclass(frozen=True)
@@ -151,64 +138,28 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     """Follow the tube from its base by both flanks.
 
     Where one flank is hidden (a peg before the body) the other and the known radius stand in.
-
-    Raises:
-        BodyNotSeenError: nothing like a tube of that radius starts at the base.
+    Raises BodyNotSeenError where nothing like a tube of that radius starts at the base.
     """
-    reach = np.arange(-2.2, 2.2001, 0.05) * radius_cm
-
-    def sample(points: Array) -> NDArray[np.float32]:
-        at = flat.pixels(points)
-        return np.asarray(
-            cv2.remap(score, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0), np.float32
-        )
-
-    def flanks(point: Array, heading: float) -> tuple[float, float, float]:
-        """Offsets of the left and right flank (nan if not plausible), and filling between."""
-        normal = np.array([-np.sin(heading), np.cos(heading)])
-        profile = sample((point + reach[:, None] * normal)[None])[0]
-        edge = {}
-        for side in (1.0, -1.0):
-            values, offsets = (profile, reach) if side > 0 else (profile[::-1], reach[::-1])
-            drop = np.nonzero((values[:-1] >= _CLASH) & (values[1:] < _CLASH))[0]
-            place = offsets[drop] + (values[drop] - _CLASH) / (values[drop] - values[drop + 1]) * (
-                offsets[drop + 1] - offsets[drop]
-            )
-            near = np.abs(place - side * radius_cm)
-            at = int(np.argmin(near)) if len(near) else -1
-            edge[side] = float(place[at]) if at >= 0 and near[at] < 0.6 * radius_cm else np.nan
-        inner = np.abs(reach) < 0.8 * radius_cm
-        return edge[1.0], edge[-1.0], float(profile[inner].mean())
-
     point, heading = np.array([0.6, 0.0]), 0.0
-    middles: list[Array] = []
-    headings: list[float] = []
-    widths: list[float] = []
-    good: list[bool] = []
+    steps: list[tuple[Array, float, float, bool]] = []  # middle, heading, width, both flanks seen
     lost = 0
-    while len(middles) * _STEP_CM < _LONGEST_CM:
-        left, right, filling = flanks(point, heading)
-        whole = bool(abs((left - right) / (2 * radius_cm) - 1) < 0.22)
+    while len(steps) * _STEP_CM < _LONGEST_CM:
+        normal = np.array([-np.sin(heading), np.cos(heading)])
+        left, right, filling = _flanks(flat, score, point, normal, radius_cm)
         if filling < 0.5:
             break
+        whole = bool(abs((left - right) / (2 * radius_cm) - 1) < 0.22)
+        shift = 0.0
         if whole:
             shift = (left + right) / 2
-        elif np.isfinite(left) and not np.isfinite(right):
-            shift = left - radius_cm
-        elif np.isfinite(right) and not np.isfinite(left):
-            shift = right + radius_cm
-        else:
-            shift = 0.0
+        elif np.isfinite(left) != np.isfinite(right):
+            shift = left - radius_cm if np.isfinite(left) else right + radius_cm
         lost = 0 if whole else lost + 1
         if lost * _STEP_CM > 4 * radius_cm:
             break
-        normal = np.array([-np.sin(heading), np.cos(heading)])
         point = point + float(np.clip(shift, -0.35 * radius_cm, 0.35 * radius_cm)) * normal
-        middles.append(point)
-        headings.append(heading)
-        widths.append(left - right)
-        good.append(whole)
-        recent = np.array(middles[-12:])
+        steps.append((point, heading, left - right, whole))
+        recent = np.array([middle for middle, *_ in steps[-12:]])
         if len(recent) >= 4:
             # A parabola through the last 6 cm tells where the tube goes next.
             along = np.arange(len(recent)) * _STEP_CM
@@ -218,31 +169,56 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
             x, y = (np.polyval(np.polyder(line), end) for line in lines)
             heading = float(np.arctan2(y, x))
         point = point + _STEP_CM * np.array([np.cos(heading), np.sin(heading)])
-    if len(middles) * _STEP_CM < 3 * radius_cm or np.mean(good) < 0.5:
+    if len(steps) * _STEP_CM < 3 * radius_cm or np.mean([whole for *_, whole in steps]) < 0.5:
         raise BodyNotSeenError(
             "no tube of the configured diameter starts at the base",
             "check body.diameter_cm and the cards' places, or click its axis by hand (`--click`)",
         )
-    middle, way = np.array(middles), np.array(headings)
+    middle, way, width, sound = (np.array(column) for column in zip(*steps, strict=True))
     # Things of the body's colour beside it make it look wide: where its width is unlike the rest's,
     # the middle is not to be trusted.
-    width, sound = np.array(widths), np.array(good)
     usual = float(np.median(width[sound]))
     scatter = 1.4826 * float(np.median(np.abs(width[sound] - usual)))
     sound &= np.abs(width - usual) < max(3 * scatter, _WIDTH_CM)
     # The end: where bodyness along the axis (mean over its width) falls through a half.
     forward = np.array([np.cos(heading), np.sin(heading)])
-    normal = np.array([-forward[1], forward[0]])
     ahead_cm = np.arange(-2.5, 2.5, 0.05)
     lanes = np.linspace(-0.6, 0.6, 13) * radius_cm
     base = middle[-1]
-    grid = base + ahead_cm[:, None, None] * forward + lanes[None, :, None] * normal
-    fade = gaussian_filter1d(np.median(sample(grid), axis=1).astype(float), 2)
+    across = np.array([-forward[1], forward[0]])
+    grid = base + ahead_cm[:, None, None] * forward + lanes[None, :, None] * across
+    fade = gaussian_filter1d(np.median(_sample(flat, score, grid), axis=1).astype(float), 2)
     falls = np.nonzero((fade[:-1] >= 0.5) & (fade[1:] < 0.5))[0]
     overshoot = float(ahead_cm[falls[-1]] + 0.025) if len(falls) else 0.0
     refined = _between_edges(flat, middle, way, np.where(sound, width, 2 * radius_cm))
     middle = np.where((sound & np.isfinite(refined[:, 0]))[:, None], refined, middle)
     return Track(middle, sound, base + overshoot * forward, lost * _STEP_CM > 4 * radius_cm)
+
+
+def _sample(flat: Flat, score: NDArray[np.float32], points: Array) -> NDArray[np.float32]:
+    at = flat.pixels(points)
+    found = cv2.remap(score, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    return np.asarray(found, np.float32)
+
+
+def _flanks(
+    flat: Flat, score: NDArray[np.float32], point: Array, normal: Array, radius_cm: float
+) -> tuple[float, float, float]:
+    """Offsets of the left and right flank (nan if not plausible), and filling between."""
+    reach = np.arange(-2.2, 2.2001, 0.05) * radius_cm
+    profile = _sample(flat, score, (point + reach[:, None] * normal)[None])[0]
+    edge = {}
+    for side in (1.0, -1.0):
+        values, offsets = (profile, reach) if side > 0 else (profile[::-1], reach[::-1])
+        drop = np.nonzero((values[:-1] >= _CLASH) & (values[1:] < _CLASH))[0]
+        place = offsets[drop] + (values[drop] - _CLASH) / (values[drop] - values[drop + 1]) * (
+            offsets[drop + 1] - offsets[drop]
+        )
+        near = np.abs(place - side * radius_cm)
+        at = int(np.argmin(near)) if len(near) else -1
+        edge[side] = float(place[at]) if at >= 0 and near[at] < 0.6 * radius_cm else np.nan
+    inner = np.abs(reach) < 0.8 * radius_cm
+    return edge[1.0], edge[-1.0], float(profile[inner].mean())
 
 
 def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> Array:

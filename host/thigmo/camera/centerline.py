@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
 from thigmo.errors import DataError
+from thigmo.mechanics import traced
 
 Array = NDArray[np.float64]
 
@@ -138,10 +139,8 @@ def _fit(
 
     def curve(p: Array) -> tuple[Array, Array, Array]:
         heading = p[1] + integral @ p[2:]
-        middle = (heading[1:] + heading[:-1]) / 2
-        x = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)])
-        y = p[0] + np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)])
-        return x, y, heading
+        x, y = traced(heading, step)
+        return x, p[0] + y, heading
 
     # Second differences of the spline's coefficients are held down, so that noise between
     # knots is not taken for bends; 2e-3 1/cm per knot squared is more than a loaded body shows.

@@ -2,65 +2,40 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.camera.errors import CameraError
-from thigmo.camera.model import read_json, write_json
+from thigmo.camera.model import Kept
 
 Pixel = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Clicks:
-    """Pixels given by hand."""
+class Clicks(Kept):
+    """Pixels given by hand; their file spares clicking a picture twice."""
 
+    what = "file of clicks"
+    cure = "click with `--click`"
     tip: Pixel | None = None  # the tip of the body's outline
     axis: tuple[Pixel, ...] = ()  # points along the body's middle, base to tip (six or more)
     # for each dowel, three or more points on the rim of its top
     obstacles: tuple[tuple[Pixel, ...], ...] = ()
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write as JSON, so that a picture need be clicked only once.
-
-        Raises:
-            CameraError: the folder cannot be written.
-        """
-        write_json(path, self)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Clicks:
-        """Read clicks.
-
-        Raises:
-            CameraError: missing or damaged file.
-        """
-        return read_json(path, cls, "file of clicks", "click with `--click`")
-
 
 def parse_pixel(text: str) -> Pixel:
-    """`812,440` to a pixel.
-
-    Raises:
-        CameraError: anything else.
-    """
-    parts = text.split(",")
+    """`812,440` to a pixel; raises CameraError for anything else."""
     try:
-        x, y = (float(part) for part in parts)
+        x, y = map(float, text.split(","))
     except ValueError as error:
         raise CameraError(f"'{text}' is no pixel", "write it as 812,440") from error
     return x, y
 
 
 def _clicked(picture: NDArray[np.uint8], what: str) -> tuple[Pixel, ...]:
-    """Points clicked on a picture in a window, until Enter is pressed or it is closed.
-
-    Raises:
-        CameraError: matplotlib has no interactive back end here.
-    """
+    """Points clicked on a picture in a window, until Enter is pressed or it is closed."""
     import matplotlib.pyplot as plt
 
     if plt.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template"):
@@ -79,8 +54,7 @@ def _clicked(picture: NDArray[np.uint8], what: str) -> tuple[Pixel, ...]:
 def click(picture: NDArray[np.uint8], what: tuple[str, ...] = ("tip",)) -> Clicks:
     """Ask for points in a window: any of `tip`, `axis`, `obstacles`.
 
-    Raises:
-        CameraError: unknown thing to click, no window, or too few points were clicked.
+    Raises CameraError for another word, without a window, or when too few points were clicked.
     """
     for word in what:
         if word not in ("tip", "axis", "obstacles"):

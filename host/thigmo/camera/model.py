@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import cv2
 import numpy as np
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
 from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
-from thigmo.camera.sheet import Sheet, board, dictionary, marker_dictionaries
+from thigmo.camera.sheet import Sheet, board, dictionary
+from thigmo.config import invalid_entry
 
 Picture = NDArray[np.uint8]
 Points = Annotated[
@@ -30,16 +31,61 @@ Points = Annotated[
     PlainValidator(lambda values: np.array(values, float)),
     PlainSerializer(np.ndarray.tolist),
 ]
-T = TypeVar("T")
 
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
+_LARGEST = (
+    *(f"DICT_{n}X{n}_1000" for n in range(4, 8)), "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11",
+)  # fmt: skip
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
 
 
+class Kept:
+    """A dataclass with a JSON file; in a camera's, the lens's entries stand beside its own."""
+
+    what: ClassVar[str]  # the file is
+    cure: ClassVar[str]  # how to make one
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file.
+
+        Raises:
+            CameraError: the folder cannot be written.
+        """
+        data = TypeAdapter(type(self)).dump_python(self, by_alias=True)
+        try:
+            Path(path).write_text(json.dumps(data.pop("lens", {}) | data, indent=1))
+        except OSError as error:
+            raise CameraError(
+                f"cannot write {path}: {error.strerror}", "choose a folder that you may write to"
+            ) from error
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file written by `save`; for a lens, a camera's will do as well.
+
+        Raises:
+            CameraError: missing or damaged file.
+        """
+        try:
+            data = json.loads(Path(path).read_text())
+            return TypeAdapter(cls).validate_python({"lens": data, **data})
+        except OSError as error:
+            raise CameraError(
+                f"cannot read {path}: {error.strerror}", f"{cls.cure} first"
+            ) from error
+        except ValidationError as error:
+            told = invalid_entry(cls.what, error)
+            raise CameraError(f"{path} is no {told}", f"{cls.cure} again") from error
+        except (ValueError, TypeError) as error:
+            raise CameraError(f"{path} is no {cls.what}: {error}", f"{cls.cure} again") from error
+
+
 @dataclass(frozen=True)
-class Lens:
+class Lens(Kept):
     """Pinhole and distortion (OpenCV's five-parameter model), px."""
 
+    what = "lens calibration"
+    cure = "run `thigmo camera lens`"
     matrix: Points  # (3, 3) camera matrix
     distortion: Points  # (5,) k1, k2, p1, p2, k3
     size: tuple[int, int]  # picture width and height
@@ -60,28 +106,13 @@ class Lens:
                 "take pictures of one size, or calibrate the camera again",
             )
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the lens as JSON.
-
-        Raises:
-            CameraError: the folder cannot be written.
-        """
-        write_json(path, self)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Lens:
-        """Read a lens written by `save` (a camera model's file will do as well).
-
-        Raises:
-            CameraError: missing or damaged file.
-        """
-        return read_json(path, cls, "lens calibration", "run `thigmo camera lens`")
-
 
 @dataclass(frozen=True)
-class CameraModel:
+class CameraModel(Kept):
     """A lens in its place above the workspace."""
 
+    what = "camera calibration"
+    cure = "run `thigmo camera locate`"
     lens: Lens  # pinhole and distortion
     rotation: Points  # (3,) Rodrigues vector, workspace to camera
     translation: Points  # (3,) cm, workspace to camera
@@ -147,86 +178,9 @@ class CameraModel:
         """Size of a pixel on the table under the camera."""
         return float(abs(self.eye_cm[2]) / self.lens.matrix[0, 0])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model as JSON.
-
-        Raises:
-            CameraError: the folder cannot be written.
-        """
-        write_json(path, self.lens, self)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> CameraModel:
-        """Read a model written by `save`.
-
-        Raises:
-            CameraError: missing or damaged file.
-        """
-        # The lens's entries stand beside the camera's own.
-        return read_json(
-            path, cls, "camera calibration", "run `thigmo camera locate`",
-            lambda data: {"lens": data, **data},
-        )  # fmt: skip
-
-
-def read_json(
-    path: str | os.PathLike[str],
-    kind: type[T],
-    what: str,
-    cure: str,
-    nested: Callable[[Any], Any] = lambda data: data,
-) -> T:
-    """A record that `write_json` wrote.
-
-    Args:
-        path: of the file.
-        kind: dataclass of the record.
-        what: the file should be.
-        cure: how to make one.
-        nested: the file's data as those of `kind`.
-
-    Raises:
-        CameraError: missing or damaged file.
-    """
-    try:
-        return TypeAdapter(kind).validate_python(nested(json.loads(Path(path).read_text())))
-    except OSError as error:
-        raise CameraError(f"cannot read {path}: {error.strerror}", f"{cure} first") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise CameraError(f"{path} is no {what} ({where}: {first['msg']})", f"{cure} again") from (
-            error
-        )
-    except (ValueError, TypeError) as error:
-        raise CameraError(f"{path} is no {what} ({error})", f"{cure} again") from error
-
-
-def write_json(path: str | os.PathLike[str], *records: Any) -> None:
-    """Write the plain entries of dataclasses, side by side.
-
-    Raises:
-        CameraError: the folder cannot be written.
-    """
-    data: dict[str, Any] = {}
-    for record in records:
-        plain = TypeAdapter(type(record))
-        data |= plain.dump_python(record, by_alias=True, exclude={"lens"})
-    try:
-        Path(path).write_text(json.dumps(data, indent=1))
-    except OSError as error:
-        raise CameraError(
-            f"cannot write {path}: {error.strerror}", "choose a folder that you may write to"
-        ) from error
-
 
 def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
-    """Corners (4, 2) px of every marker of a dictionary, by id; sub-pixel. A doubled id is dropped.
-
-    Args:
-        picture: (h, w, 3) BGR or (h, w).
-        name: of the dictionary.
-    """
+    """Sub-pixel corners (4, 2) of a dictionary's markers, by id; one seen twice is dropped."""
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     settings.cornerRefinementWinSize = 4
@@ -249,19 +203,10 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
 def other_dictionary(picture: Picture, name: str) -> str:
     """The dictionary of another name of which most markers are seen, if four or more; else empty.
 
-    Of each marker size only the largest dictionary is tried: the smaller ones are parts of it.
+    Those of `_LARGEST` hold the smaller ones of their marker size.
     """
-    largest: dict[int, str] = {}
-    for each in marker_dictionaries():
-        if each.startswith(("DICT_APRILTAG", "DICT_ARUCO")):
-            continue
-        size = dictionary(each).markerSize
-        now = largest.get(size)
-        if now is None or len(dictionary(each).bytesList) > len(dictionary(now).bytesList):
-            largest[size] = each
     own = dictionary(name).markerSize
-    tried = [each for size, each in largest.items() if size != own or "DICT_ARUCO" in name]
-    tried += [e for e in ("DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11") if e != name]
+    tried = [e for e in _LARGEST if e != name and (dictionary(e).markerSize != own or "X" not in e)]
     seen = {each: len(detect_markers(picture, each)) for each in tried}
     most = max(seen, key=lambda each: seen[each])
     return most if seen[most] >= 4 else ""
@@ -302,12 +247,7 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
 
 
 def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
-    """Whether the camera stands where it was located; returns the names of hidden cards.
-
-    Args:
-        found: corners (4, 2) px of the markers that are seen, by id.
-        model: located.
-        sheet: in use.
+    """Names of hidden cards, from the markers found, if the camera stands where it was located.
 
     Raises:
         SheetHiddenError: no card at all is seen.

@@ -42,12 +42,9 @@ class Obstacle:
 def find_obstacles(
     flat: Flat, radius_cm: tuple[float, float], ignore: Sequence[Array]
 ) -> list[Obstacle]:
-    """Circles of a picture laid flat at the obstacles' height, best rim first.
+    """Circles of a picture laid flat at their tops' height, of least to largest radius.
 
-    Args:
-        flat: from `flatten` at the height of the obstacles' tops.
-        radius_cm: least and largest radius looked for.
-        ignore: polygons (n, 2) in cm where nothing is looked for (cards, the tip marker).
+    The best rim comes first. Nothing is looked for in polygons (n, 2) in cm to ignore.
     """
     channels = _channels(flat)
     low, high = (r * flat.px_per_cm for r in radius_cm)
@@ -59,11 +56,13 @@ def find_obstacles(
         )  # fmt: skip
         if circles is not None:
             candidates.extend(np.asarray(circles, float).reshape(-1, circles.shape[-1])[:60, :3])
+    outlines = [np.asarray(polygon, np.float32) for polygon in ignore]
     # GRADIENT_ALT gives the most voted first, channel by channel.
     found: list[Obstacle] = []
     for column, row, radius in candidates:
         center = flat.places(np.array([column, row]))
-        if any(_inside(polygon, center) for polygon in ignore):
+        x, y = center.tolist()
+        if any(cv2.pointPolygonTest(outline, (x, y), False) >= 0 for outline in outlines):
             continue
         obstacle = _refine(channels, flat, np.array([column, row]), radius)
         if obstacle is None or not radius_cm[0] <= obstacle.radius_cm <= radius_cm[1]:
@@ -81,11 +80,6 @@ def _channels(flat: Flat) -> list[NDArray[np.uint8]]:
     lab = cv2.cvtColor(smooth, cv2.COLOR_BGR2LAB).astype(np.float32)
     stretched = [lab[..., 0], 3 * (lab[..., 1] - 128) + 128, 3 * (lab[..., 2] - 128) + 128]
     return [np.clip(channel, 0, 255).astype(np.uint8) for channel in stretched]
-
-
-def _inside(polygon: Array, point: Array) -> bool:
-    outline = np.asarray(polygon, np.float32).reshape(-1, 1, 2)
-    return bool(cv2.pointPolygonTest(outline, (float(point[0]), float(point[1])), False) >= 0)
 
 
 def _refine(
@@ -139,18 +133,16 @@ def _solid(channels: Sequence[NDArray[np.uint8]], circle: Array) -> bool:
         (circle[:2] + radius * share * toward).astype(np.float32)
         for share in (0.3, 0.6, 1.3, 1.6, 1.9)
     ]
-    contrast = 0.0
     for channel in channels:
         inner, half, *outer = (
-            cv2.remap(
-                channel, ring[None, :, 0].copy(), ring[None, :, 1].copy(), cv2.INTER_LINEAR
-            ).ravel()
+            cv2.remap(channel, ring[None, :, 0], ring[None, :, 1], cv2.INTER_LINEAR)
             for ring in rings
         )
-        core = np.concatenate([inner, half]).astype(float)
+        core = np.append(inner, half).astype(float)
         gap = min(abs(float(np.median(core) - np.median(ring))) for ring in outer)
-        contrast = max(contrast, gap / (8.0 + 2.0 * float(core.std())))
-    return contrast > 1.0
+        if gap > 8.0 + 2.0 * float(core.std()):
+            return True
+    return False
 
 
 def _circle(points: Array, center: Array, radius: float) -> Array:
@@ -164,13 +156,9 @@ def _circle(points: Array, center: Array, radius: float) -> Array:
 
 
 def circle_through(points_cm: Array) -> Obstacle:
-    """Obstacle from three or more points clicked on its rim (workspace x, y in cm).
-
-    Raises:
-        DataError: fewer than three points, or points on a line.
-    """
+    """Obstacle from points (n, 2) in cm on its rim; raises DataError where they do not suffice."""
     points = np.asarray(points_cm, float)
-    if points.ndim != 2 or len(points) < 3:
+    if len(points) < 3:
         raise DataError("a circle needs three or more points", "click three points of its rim")
     system = np.column_stack([2 * points, np.ones(len(points))])
     if np.linalg.matrix_rank(system, tol=1e-6) < 3:

@@ -10,7 +10,7 @@ One of three things settles it: a lens board (`thigmo camera lens`), the camera'
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -29,8 +29,6 @@ _VIEW_DEG = 70.0
 _FOCAL_SPREAD = 0.25
 _LENS_SPREAD = 0.4  # k1 and k2
 _CENTER_SPREAD = 0.01  # principal point, of the picture's width
-_LENS = 5  # log focal length, principal point, k1, k2
-_POSE = 6
 
 
 def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraModel:
@@ -70,18 +68,18 @@ def fit_pose(
         PlaneFitError: corners and sheet disagree.
     """
     problem = Problem(found, sheet, size, lens)
-    best: Any = None
+    fits = []
     for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):
         fit = least_squares(
             problem.residuals, problem.start(view_deg), jac=problem.jacobian, loss="soft_l1",
             x_scale="jac", max_nfev=80,
         )  # fmt: skip
-        if best is None or fit.cost < best.cost:
-            best = fit
-    whole = problem.residuals(best.x)[: 2 * len(problem.pixels)] * _CORNER_PX
-    rms = float(np.sqrt(np.mean(whole**2) * 2))
-    used, turn, move, shifts = problem.split(best.x)
-    worst = np.abs(shifts[:, :2]).max(axis=1)
+        fits.append(fit)
+    best = min(fits, key=lambda fit: fit.cost)
+    corners = problem.residuals(best.x)[: 2 * len(problem.pixels)] * _CORNER_PX
+    rms = float(np.sqrt(np.mean(corners**2) * 2))
+    camera, slips = problem.split(best.x)
+    worst = np.abs(slips[:, :2]).max(axis=1)
     if rms > 3.0 or worst.max() > 8 * sheet.placement_se_cm + 0.5:
         card = problem.cards[int(np.argmax(worst))].name
         raise PlaneFitError(
@@ -90,7 +88,7 @@ def fit_pose(
             "measure the crosses again, check that no card is swapped or turned, and the 10 cm bar",
         )
     accuracy = _accuracy(problem, best.x, np.asarray(best.jac, float))
-    return CameraModel(used, turn.copy(), move.copy(), dict(found), rms, accuracy, hidden)
+    return replace(camera, corners=found, rms_px=rms, accuracy_cm=accuracy, hidden=hidden)
 
 
 def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
@@ -114,17 +112,7 @@ def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
 class Problem:
     """Corners against sheet: unknowns are the lens (unless known), the pose, and each card's slip.
 
-    All residuals are in units of their one sigma.
-
-    Args:
-        found: corners (4, 2) px by marker.
-        sheet: in use.
-        size: of the picture, px.
-        lens: where it is known.
-
-    Attributes:
-        cards: those seen.
-        pixels: corners (n, 2) in the picture.
+    A slip is x, y, turn. All residuals are in units of their one sigma.
     """
 
     def __init__(
@@ -133,46 +121,46 @@ class Problem:
         self.sheet, self.size, self.lens = sheet, size, lens
         card_of, markers = sheet.marker_ids(), sorted(found)
         self.cards = [c for c in sheet.cards if any(card_of[m] is c for m in markers)]
-        self.pixels = np.concatenate([found[m] for m in markers])
+        self.pixels = np.concatenate([found[m] for m in markers])  # (n, 2)
         # Card of each corner (n,), and its place (n, 2) in the card's frame, from the card's cross.
         self.owner = np.repeat([self.cards.index(card_of[m]) for m in markers], 4)
         self.local = np.concatenate([sheet.local_corners(m - card_of[m].first_id) for m in markers])
         # x, y, z in cm and turn in rad of each card (c, 4), by the sheet file.
         self.laid = np.array([[c.x_cm, c.y_cm, c.z_cm, np.radians(c.turn_deg)] for c in self.cards])
-        self._head = 0 if lens is not None else _LENS
-        # Middle of the lens's prior, and one sigma of every prior: the lens, then each card's slip
-        # (x, y, turn).
+        # The lens's prior, unless it is known: log focal length, principal point, k1, k2.
         width, place = size[0], sheet.placement_se_cm
-        self.center = np.array([_log_focal(width, _VIEW_DEG), width / 2, size[1] / 2, 0.0, 0.0])
         middle = _CENTER_SPREAD * width
-        spread = [_FOCAL_SPREAD, middle, middle, _LENS_SPREAD, _LENS_SPREAD][: self._head]
-        self.spread = np.array([*spread, *[place, place, _TURN_SE] * len(self.cards)])
+        center = [_log_focal(width, _VIEW_DEG), width / 2, size[1] / 2, 0.0, 0.0]
+        spread = [_FOCAL_SPREAD, middle, middle, _LENS_SPREAD, _LENS_SPREAD]
+        self._head = 0 if lens is not None else len(center)
+        self.center = np.array(center[: self._head])
+        slips = [place, place, _TURN_SE] * len(self.cards)
+        self.spread = np.array([*spread[: self._head], *slips])
 
     def start(self, view_deg: float) -> Points:
         """Unknowns to begin with: a pinhole of that angle, the plane's pose, no slips."""
-        head = self.center[: self._head].copy()
+        x = np.concatenate([self.center, np.zeros(6 + 3 * len(self.cards))])
         if self.lens is None:
-            head[0] = _log_focal(self.size[0], view_deg)
-        lens = self._lens(head)
-        flat = self._solid(np.zeros((len(self.cards), 3)))
+            x[0] = _log_focal(self.size[0], view_deg)
+        camera, slips = self.split(x)
+        flat = self._solid(slips)
         flat[:, 2] = 0.0
         _, turn, move = cv2.solvePnP(
-            flat, self.pixels, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE
-        )
-        return np.concatenate([head, np.ravel(turn), np.ravel(move), np.zeros(3 * len(self.cards))])
+            flat, self.pixels, camera.lens.matrix, camera.lens.distortion,
+            flags=cv2.SOLVEPNP_IPPE,
+        )  # fmt: skip
+        x[self._head :][:6] = np.ravel([turn, move])
+        return x
 
-    def split(self, x: Points) -> tuple[Lens, Points, Points, Points]:
-        """Lens, rotation (3,), translation (3,), slips (c, 3) of the unknowns."""
-        pose = x[self._head : self._head + _POSE]
-        slips = x[self._head + _POSE :].reshape(-1, 3)
-        return self._lens(x[: self._head]), pose[:3], pose[3:], slips
-
-    def _lens(self, head: Points) -> Lens:
-        if self.lens is not None:
-            return self.lens
-        focal = float(np.exp(head[0]))
-        matrix = np.array([[focal, 0, head[1]], [0, focal, head[2]], [0, 0, 1]])
-        return Lens(matrix, np.array([head[3], head[4], 0.0, 0.0, 0.0]), self.size)
+    def split(self, x: Points) -> tuple[CameraModel, Points]:
+        """Camera, and slips (c, 3), of the unknowns."""
+        head, pose, slips = np.split(x, [self._head, self._head + 6])
+        lens = self.lens
+        if lens is None:
+            focal = float(np.exp(head[0]))
+            matrix = np.array([[focal, 0, head[1]], [0, focal, head[2]], [0, 0, 1]])
+            lens = Lens(matrix, np.array([*head[3:], 0.0, 0.0, 0.0]), self.size)
+        return CameraModel(lens, pose[:3], pose[3:]), slips.reshape(-1, 3)
 
     def _solid(self, slips: Points) -> Points:
         """Corners (n, 3) in the workspace."""
@@ -183,61 +171,52 @@ class Problem:
         y = at[:, 1] + np.sin(turn) * u + np.cos(turn) * v
         return np.column_stack([x, y, self.laid[self.owner, 2]])
 
-    def _project(self, x: Points) -> tuple[Points, Points]:
-        """Pixels (n, 2) and OpenCV's derivatives (2 n, 15)."""
-        lens, turn, move, slips = self.split(x)
-        seen, slopes = cv2.projectPoints(
-            self._solid(slips), turn, move, lens.matrix, lens.distortion
-        )
-        return np.asarray(seen, float).reshape(-1, 2), np.asarray(slopes, float)
-
     def residuals(self, x: Points) -> Points:
         """Corners, priors of lens and slips, height by tape."""
-        seen, _ = self._project(x)
-        priors = np.concatenate([x[: self._head] - self.center[: self._head],
-                                 x[self._head + _POSE :]]) / self.spread  # fmt: skip
-        parts = [(seen - self.pixels).ravel() / _CORNER_PX, priors]
-        if self.sheet.camera_height_cm is not None:
-            _, turn, move, _ = self.split(x)
-            height = -(cv2.Rodrigues(turn)[0].T @ move)[2:]
-            parts.append((height - self.sheet.camera_height_cm) / self.sheet.camera_height_se_cm)
-        return np.concatenate(parts)
+        camera, slips = self.split(x)
+        corners = (camera.project(self._solid(slips)) - self.pixels).ravel() / _CORNER_PX
+        priors = np.append(x[: self._head] - self.center, slips) / self.spread
+        if (tape_cm := self.sheet.camera_height_cm) is None:
+            return np.append(corners, priors)
+        height = (camera.eye_cm[2] - tape_cm) / self.sheet.camera_height_se_cm
+        return np.concatenate([corners, priors, [height]])
 
     def jacobian(self, x: Points) -> Points:
         """Derivatives of `residuals`."""
-        lens, turn, move, slips = self.split(x)
-        _, slopes = self._project(x)
-        rotation, by_turn = cv2.Rodrigues(turn)
-        n, head = len(self.pixels), self._head
-        made = np.zeros((2 * n, len(x)))
+        camera, slips = self.split(x)
+        lens, head, n = camera.lens, self._head, len(self.pixels)
+        # OpenCV's columns: rotation, translation, fx, fy, cx, cy, k1, k2, ...
+        slopes = np.asarray(cv2.projectPoints(
+            self._solid(slips), camera.rotation, camera.translation, lens.matrix, lens.distortion
+        )[1], float)  # fmt: skip
+        rotation, by_turn = cv2.Rodrigues(camera.rotation)
+        made = np.zeros((2 * n + len(self.spread), len(x)))
         if self.lens is None:
-            # OpenCV's columns: rotation, translation, fx, fy, cx, cy, k1, k2, ...
-            made[:, 0] = (slopes[:, 6] + slopes[:, 7]) * lens.matrix[0, 0]
-            made[:, 1:5] = slopes[:, 8:12]
-        made[:, head : head + _POSE] = slopes[:, :6]
+            made[: 2 * n, 0] = (slopes[:, 6] + slopes[:, 7]) * lens.matrix[0, 0]
+            made[: 2 * n, 1:5] = slopes[:, 8:12]
+        made[: 2 * n, head : head + 6] = slopes[:, :6]
         # A corner that moves in the workspace moves as the rotation carries it.
-        by_place = (slopes[:, 3:6] @ rotation).reshape(n, 2, 3)
+        by_place = (slopes[:, 3:6] @ rotation).reshape(n, 2, 3)[:, :, :2]
         angle = (self.laid[:, 3] + slips[:, 2])[self.owner]
         u, v = self.local.T
         swing = np.column_stack([-np.sin(angle) * u - np.cos(angle) * v,
                                  np.cos(angle) * u - np.sin(angle) * v])  # fmt: skip
-        by_swing = np.einsum("nij,nj->ni", by_place[:, :, :2], swing)
+        by_swing = np.einsum("nij,nj->ni", by_place, swing)
         for card in range(len(self.cards)):
-            rows = np.repeat(self.owner == card, 2)
-            column = head + _POSE + 3 * card
-            made[rows, column : column + 2] = by_place[self.owner == card, :, :2].reshape(-1, 2)
-            made[rows, column + 2] = by_swing[self.owner == card].ravel()
-        priors = np.zeros((len(self.spread), len(x)))
-        columns = np.r_[np.arange(head), np.arange(head + _POSE, len(x))]
-        priors[np.arange(len(columns)), columns] = 1 / self.spread
-        parts = [made / _CORNER_PX, priors]
-        if self.sheet.camera_height_cm is not None:
-            row = np.zeros((1, len(x)))
-            # height = -(R^T t)_z; by_turn holds dR / d turn, R row by row.
-            row[0, head : head + 3] = -(by_turn.reshape(3, 3, 3)[:, :, 2] @ move)
-            row[0, head + 3 : head + _POSE] = -rotation[:, 2]
-            parts.append(row / self.sheet.camera_height_se_cm)
-        return np.vstack(parts)
+            own = self.owner == card
+            rows, column = np.nonzero(np.repeat(own, 2))[0], head + 6 + 3 * card
+            made[rows, column : column + 2] = by_place[own].reshape(-1, 2)
+            made[rows, column + 2] = by_swing[own].ravel()
+        made[: 2 * n] /= _CORNER_PX
+        columns = np.r_[np.arange(head), np.arange(head + 6, len(x))]
+        made[2 * n + np.arange(len(columns)), columns] = 1 / self.spread
+        if self.sheet.camera_height_cm is None:
+            return made
+        # height = -(R^T t)_z; by_turn holds dR / d turn, R row by row.
+        row = np.zeros((1, len(x)))
+        row[0, head : head + 3] = -(by_turn.reshape(3, 3, 3)[:, :, 2] @ camera.translation)
+        row[0, head + 3 : head + 6] = -rotation[:, 2]
+        return np.vstack([made, row / self.sheet.camera_height_se_cm])
 
 
 def _log_focal(width: int, view_deg: float) -> float:
@@ -251,17 +230,14 @@ def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
     low, high = problem.laid[:, :2].min(axis=0), problem.laid[:, :2].max(axis=0)
     across = np.meshgrid(np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 4))
     grid = np.column_stack([across[0].ravel(), across[1].ravel(), np.full(16, 1.75)])
+    pixels = problem.split(best)[0].project(grid)
 
-    def model(p: Points) -> CameraModel:
-        lens, turn, move, _ = problem.split(p)
-        return CameraModel(lens, turn, move)
+    def places(x: Points) -> Points:
+        return problem.split(x)[0].to_plane(pixels, 1.75)
 
-    pixels = model(best).project(grid)
     steps = 1e-3 * np.sqrt(np.maximum(np.diag(covariance), 1e-16))
     slopes = np.array([
-        (model(best + step).to_plane(pixels, 1.75) - model(best - step).to_plane(pixels, 1.75))
-        / (2 * step.max())
-        for step in np.diag(steps)
+        (places(best + step) - places(best - step)) / (2 * step.max()) for step in np.diag(steps)
     ])  # fmt: skip
     spread = np.einsum("pgk,pq,qgk->gk", slopes, covariance, slopes)
     return float(np.sqrt(spread.sum(axis=1)).max())

@@ -46,13 +46,12 @@ class Card(Model):
     z_cm: Annotated[Finite, Field(ge=0, le=40)] = 0.0
 
 
-def _default_cards() -> list[Card]:
-    return [
-        Card(name="base left", first_id=0, x_cm=0.0, y_cm=44.0),
-        Card(name="base right", first_id=4, x_cm=0.0, y_cm=-44.0),
-        Card(name="tip left", first_id=8, x_cm=54.0, y_cm=44.0),
-        Card(name="tip right", first_id=12, x_cm=54.0, y_cm=-44.0),
-    ]
+_CARDS = [
+    Card(name="base left", first_id=0, x_cm=0.0, y_cm=44.0),
+    Card(name="base right", first_id=4, x_cm=0.0, y_cm=-44.0),
+    Card(name="tip left", first_id=8, x_cm=54.0, y_cm=44.0),
+    Card(name="tip right", first_id=12, x_cm=54.0, y_cm=-44.0),
+]
 
 
 class Sheet(Model):
@@ -60,7 +59,7 @@ class Sheet(Model):
 
     version: Literal[1] = 1
     dictionary: str = DICTIONARY  # of the markers, as OpenCV names it; APRILTAG ones too
-    cards: list[Card] = Field(default_factory=_default_cards, min_length=3, max_length=10)
+    cards: list[Card] = Field(default=_CARDS, min_length=3, max_length=10)
     marker_cm: Positive = 4.4
     marker_offset_cm: Positive = 3.1  # marker centres from the cross, in both directions
     placement_se_cm: Positive = 0.05  # how well the crosses' places are known (tape measure)
@@ -128,11 +127,6 @@ class Sheet(Model):
         v = self.marker_offset_cm * (-1 if k >= 2 else 1)
         return (np.array([u, v]) + _square(self.marker_cm)) * self.print_scale
 
-    def corners(self, marker: int) -> Points:
-        """Corners (4, 2) of a workspace marker in the robot's frame, cm."""
-        card = self.marker_ids()[marker]
-        return place(self.local_corners(marker - card.first_id), card)
-
 
 def _square(side: float) -> Points:
     half = side / 2
@@ -141,8 +135,9 @@ def _square(side: float) -> Points:
 
 def place(points: Points, card: Card) -> Points:
     """Card coordinates (n, 2) to the robot's frame."""
-    ahead = np.exp(1j * np.radians(card.turn_deg))
-    return np.asarray(_turned(points, ahead.real, ahead.imag) + np.array([card.x_cm, card.y_cm]))
+    turn = np.radians(card.turn_deg)
+    turned = _turned(points, np.cos(turn), np.sin(turn))
+    return np.asarray(turned + np.array([card.x_cm, card.y_cm]))
 
 
 def _turned(points: Points, cosine: float, sine: float) -> Points:
@@ -171,9 +166,8 @@ def board(sheet: Sheet) -> Any:
 class Decal:
     """A printed patch as it lies in the workspace: picture and its corners."""
 
-    image: Gray  # gray picture, rows from the top
+    image: Gray  # rows from the top
     corners_cm: Points  # (4, 3) upper left, upper right, lower right, lower left; cm, z up
-    name: str = ""  # what it is
 
 
 def _marker_image(sheet: Sheet, marker: int, size: int) -> Gray:
@@ -190,18 +184,16 @@ def card_image(sheet: Sheet, card: Card) -> Gray:
     picture = np.full((n, n), 255, np.uint8)
     size = round(sheet.marker_cm * PX_CM)
     for k in range(4):
-        upper_left = sheet.local_corners(k)[0] / sheet.print_scale
-        column = round((upper_left[0] + side_cm / 2) * PX_CM)
-        row = round((side_cm / 2 - upper_left[1]) * PX_CM)
+        left, top = sheet.local_corners(k)[0] / sheet.print_scale
+        column, row = round((left + side_cm / 2) * PX_CM), round((side_cm / 2 - top) * PX_CM)
         made = _marker_image(sheet, card.first_id + k, size)
         picture[row : row + size, column : column + size] = made
     middle, arm = n // 2, round(0.7 * PX_CM)
     line = PX_CM // 20
     cv2.line(picture, (middle - arm, middle), (middle + arm, middle), 0, line)
     cv2.line(picture, (middle, middle - arm), (middle, middle + arm), 0, line)
-    tail = (middle + round(0.9 * PX_CM), middle)
-    head = (middle + round(2.2 * PX_CM), middle)
-    cv2.arrowedLine(picture, tail, head, 0, line, tipLength=0.3)
+    tail, head = (middle + round(cm * PX_CM) for cm in (0.9, 2.2))
+    cv2.arrowedLine(picture, (tail, middle), (head, middle), 0, line, tipLength=0.3)
     return picture
 
 
@@ -226,12 +218,12 @@ def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Dec
     """The tip marker as it rides on a robot's axis (n,) and (n,), base to tip, at that height."""
     side = sheet.tip_marker_cm * (1 + 2 / sheet.modules) * sheet.print_scale
     axis = np.column_stack([x_cm, y_cm])
-    back = np.cumsum(np.linalg.norm(np.diff(axis[::-1], axis=0), axis=1))
-    place = len(axis) - 2 - int(np.searchsorted(back[:-1], sheet.tip_offset_cm))
-    ahead = axis[place + 1] - axis[place]
+    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1)))
+    at = arc[-1] - sheet.tip_offset_cm
+    piece = min(max(int(np.searchsorted(arc, at)), 1), len(axis) - 1)
+    ahead = axis[piece] - axis[piece - 1]
     ahead /= np.linalg.norm(ahead)
-    over = sheet.tip_offset_cm - (back[len(axis) - 3 - place] if place < len(axis) - 2 else 0.0)
-    center = axis[place + 1] - over * ahead
+    center = axis[piece] - (arc[piece] - at) * ahead
     return _decal(tip_image(sheet), _turned(_square(side), ahead[0], ahead[1]) + center, height_cm)
 
 
@@ -301,20 +293,19 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
     target = Path(path)
     if target.suffix not in (".pdf", ".png"):
         raise CameraError(f"cannot print to {target.name}", "end the name in .pdf or .png")
-    drawn = []
+    figures = []
     for picture in pages(sheet):
-        figure = Figure(figsize=(A4_CM[0] / 2.54, A4_CM[1] / 2.54), dpi=PX_CM * 2.54)
-        figure.figimage(picture, cmap="gray", vmin=0, vmax=255)
-        drawn.append(figure)
+        figures.append(Figure(figsize=np.array(A4_CM) / 2.54, dpi=PX_CM * 2.54))
+        figures[-1].figimage(picture, cmap="gray", vmin=0, vmax=255)
+    names = [target]
     try:
         if target.suffix == ".pdf":
             with PdfPages(target) as book:
-                for figure in drawn:
+                for figure in figures:
                     book.savefig(figure)
-            names = [target]
         else:
-            names = [target.with_name(f"{target.stem}-{n}.png") for n in range(1, len(drawn) + 1)]
-            for name, figure in zip(names, drawn, strict=True):
+            names = [target.with_name(f"{target.stem}-{n + 1}.png") for n in range(len(figures))]
+            for name, figure in zip(names, figures, strict=True):
                 figure.savefig(name)
     except OSError as error:
         raise CameraError(

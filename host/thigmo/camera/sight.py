@@ -99,15 +99,9 @@ def look(
     background: Picture | None = None,
     clicks: Clicks | None = None,
 ) -> Sighting:
-    """Read one picture.
+    """Read one picture, (h, w, 3) BGR.
 
-    Args:
-        picture: (h, w, 3) BGR.
-        camera: from `locate`.
-        sheet: the sheet in use.
-        wanted: what to look for.
-        background: the empty table from the same camera.
-        clicks: points given by hand, which replace detection.
+    `background` is the empty table from the same camera; `clicks` replace detection.
 
     Raises:
         CameraError: the picture has another size than the camera's.
@@ -116,107 +110,134 @@ def look(
         CameraMovedError: the camera moved since it was located.
     """
     camera.lens.require(picture)
-    wanted, clicks = wanted or Seen(), clicks or Clicks()
-    _fine_enough(camera, sheet, wanted, clicks)
     markers = detect_markers(picture, sheet.dictionary)
+    glance = _Glance(picture, camera, sheet, wanted or Seen(), clicks or Clicks(), markers)
+    glance.require_fine()
     hidden = judge_still(markers, camera, sheet)
     problems: list[CameraError] = []
     tip: TipSighting | None = None
-    if wanted.tip:
+    if glance.wanted.tip:
         try:
-            tip = _tip(markers, camera, sheet, wanted, clicks)
+            tip = glance.tip()
         except MarkerMissingError as error:
             problems.append(error)
     axis: Centerline | None = None
-    if wanted.body:
+    if glance.wanted.body:
         try:
-            axis, doubts = _axis(picture, camera, sheet, wanted, markers, tip, background, clicks)
+            axis, doubts = glance.axis(tip, background)
             problems += [AxisDoubtfulError(doubt, _CURE) for doubt in doubts]
         except (BodyNotSeenError, MarkerAstrayError) as error:
             problems.append(error)
             tip = None if isinstance(error, MarkerAstrayError) else tip
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
-    found = _obstacles(picture, camera, wanted, markers, clicks) if wanted.obstacles else []
+    found = glance.obstacles() if glance.wanted.obstacles else []
     return Sighting(tip, axis, found, hidden, tuple(problems), markers)
 
 
-def _tip(
-    markers: dict[int, Array], camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks
-) -> TipSighting:
-    if clicks.tip is not None:
-        # A hand clicks the outline's end, which stands at the axis's height.
-        place = camera.to_plane(np.array([clicks.tip]), wanted.diameter_cm / 2)[0]
-        return TipSighting(float(place[0]), float(place[1]), float("nan"), True, place)
-    four = markers.get(sheet.tip_marker_id)
-    if four is None:
-        raise MarkerMissingError(
-            f"the tip marker (id {sheet.tip_marker_id}) is not seen",
-            "turn it face up and clear the view",
-        )
-    flat = camera.to_plane(four, wanted.diameter_cm)
-    ahead = (flat[1] + flat[2] - flat[0] - flat[3]) / 2
-    heading = float(np.arctan2(ahead[1], ahead[0]))
-    center = flat.mean(axis=0)
-    tip = center + sheet.tip_offset_cm * np.array([np.cos(heading), np.sin(heading)])
-    return TipSighting(float(tip[0]), float(tip[1]), heading, False, center)
+@dataclass(frozen=True)
+class _Glance:
+    """A picture, and what reading it takes."""
 
+    picture: Picture
+    camera: CameraModel
+    sheet: Sheet
+    wanted: Seen
+    clicks: Clicks
+    markers: dict[int, Array]  # corners px by id
 
-def _axis(
-    picture: Picture,
-    camera: CameraModel,
-    sheet: Sheet,
-    wanted: Seen,
-    markers: dict[int, Array],
-    tip: TipSighting | None,
-    background: Picture | None,
-    clicks: Clicks,
-) -> tuple[Centerline, list[str]]:
-    """The axis, and why it may not be trusted."""
-    radius = wanted.diameter_cm / 2
-    if clicks.axis:
-        points = camera.to_plane(np.array(clicks.axis), radius)
-        end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
-        by_hand = fit_centerline(
-            points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0
-        )
-        return by_hand, []
-    flat = flatten(picture, camera, radius)
-    empty = None if background is None else flatten(background, camera, radius)
-    covers = []
-    four = markers.get(sheet.tip_marker_id)
-    if four is not None:
-        # The white margin belongs to the marker: one more cell on each side.
-        middle = four.mean(axis=0)
-        wider = 1.02 * (1 + 2 / sheet.modules)
-        covers.append(camera.to_plane(middle + wider * (four - middle), radius))
-    score = bodyness(flat, radius, covers, empty)
-    track = follow(flat, score, radius)
-    middle, good = track.middle, track.good
-    # The end's upper or lower edge juts out by its height, by half if it is rounded.
-    forward = middle[-1] - middle[-min(4, len(middle))]
-    forward /= max(float(np.linalg.norm(forward)), 1e-9)
-    out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
-    end = track.tip - 0.5 * radius * out / float(camera.eye_cm[2]) * forward
-    if four is not None and tip is not None and not tip.clicked:
-        away = float(np.hypot(*(end - (tip.x_cm, tip.y_cm))))
-        if away > radius:
-            raise MarkerAstrayError(
-                f"the tip marker (id {sheet.tip_marker_id}) lies {away:.1f} cm from where the "
-                "body ends",
-                "stick it back on the tip, and clear the view of the body",
+    def require_fine(self) -> None:
+        """Refuse a picture in which markers and flanks are too few pixels wide."""
+        px_per_cm = 1 / self.camera.cm_per_px
+        wanted, marker_cm = self.wanted, self.sheet.tip_marker_cm
+        needs = []
+        if wanted.tip and self.clicks.tip is None:
+            cell_cm = marker_cm * self.sheet.print_scale / self.sheet.modules
+            needs.append((_CELL_PX / cell_cm, f"a tip marker of {marker_cm:g} cm"))
+        if wanted.body and not self.clicks.axis:
+            needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
+        needed, what = max(needs, default=(0.0, ""))
+        if px_per_cm < needed:
+            raise TooCoarseError(
+                f"the picture has {px_per_cm:.1f} px per cm, and {what} needs {needed:.1f}",
+                f"take one {needed / px_per_cm:.1f} times as large, or bring the camera nearer",
             )
-        # The marker hides the flanks under it; its own centre, at its own height, is on the axis.
-        reach = float(np.linalg.norm(covers[0] - covers[0].mean(axis=0), axis=1).max()) + 0.3
-        free = np.linalg.norm(middle - covers[0].mean(axis=0), axis=1) > reach
-        last = int(np.nonzero(~free)[0][0]) if (~free).any() else len(middle)
-        middle = np.vstack([middle[:last], tip.center_cm])
-        good = np.append(good[:last], True)
-        end = np.array([tip.x_cm, tip.y_cm])
-    elif tip is not None and tip.clicked:
-        end = np.array([tip.x_cm, tip.y_cm])
-    line = fit_centerline(middle, end, constant=wanted.constant, good=good)
-    return line, _doubts(track, good, line, wanted)
+
+    def tip(self) -> TipSighting:
+        """The tip as it was clicked, or by its marker."""
+        diameter, marker = self.wanted.diameter_cm, self.sheet.tip_marker_id
+        if self.clicks.tip is not None:
+            # A hand clicks the outline's end, which stands at the axis's height.
+            place = self.camera.to_plane(np.array([self.clicks.tip]), diameter / 2)[0]
+            return TipSighting(float(place[0]), float(place[1]), float("nan"), True, place)
+        if marker not in self.markers:
+            raise MarkerMissingError(
+                f"the tip marker (id {marker}) is not seen", "turn it face up and clear the view"
+            )
+        flat = self.camera.to_plane(self.markers[marker], diameter)
+        ahead = (flat[1] + flat[2] - flat[0] - flat[3]) / 2
+        heading = float(np.arctan2(ahead[1], ahead[0]))
+        center = flat.mean(axis=0)
+        tip = center + self.sheet.tip_offset_cm * np.array([np.cos(heading), np.sin(heading)])
+        return TipSighting(float(tip[0]), float(tip[1]), heading, False, center)
+
+    def axis(
+        self, tip: TipSighting | None, background: Picture | None
+    ) -> tuple[Centerline, list[str]]:
+        """The axis, and why it may not be trusted."""
+        camera, wanted = self.camera, self.wanted
+        radius = wanted.diameter_cm / 2
+        end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
+        if self.clicks.axis:
+            points = camera.to_plane(np.array(self.clicks.axis), radius)
+            by_hand = fit_centerline(
+                points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0
+            )
+            return by_hand, []
+        flat = flatten(self.picture, camera, radius)
+        empty = None if background is None else flatten(background, camera, radius)
+        cover = None
+        if (four := self.markers.get(self.sheet.tip_marker_id)) is not None:
+            # The white margin belongs to the marker: one more cell on each side.
+            center = four.mean(axis=0)
+            wider = 1.02 * (1 + 2 / self.sheet.modules)
+            cover = camera.to_plane(center + wider * (four - center), radius)
+        track = follow(flat, bodyness(flat, radius, cover, empty), radius)
+        middle, good = track.middle, track.good
+        # The end's upper or lower edge juts out by its height, by half if it is rounded.
+        forward = middle[-1] - middle[-min(4, len(middle))]
+        forward /= max(float(np.linalg.norm(forward)), 1e-9)
+        out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
+        seen_end = track.tip - 0.5 * radius * out / float(camera.eye_cm[2]) * forward
+        if cover is not None and tip is not None and not tip.clicked:
+            away = float(np.hypot(*(seen_end - end)))
+            if away > radius:
+                raise MarkerAstrayError(
+                    f"the tip marker (id {self.sheet.tip_marker_id}) lies {away:.1f} cm from where "
+                    "the body ends",
+                    "stick it back on the tip, and clear the view of the body",
+                )
+            # It hides the flanks under it; its own centre, at its own height, is on the axis.
+            center = cover.mean(axis=0)
+            reach = float(np.linalg.norm(cover - center, axis=1).max()) + 0.3
+            under = np.linalg.norm(middle - center, axis=1) <= reach
+            last = int(np.argmax(under)) if under.any() else len(middle)
+            middle = np.vstack([middle[:last], tip.center_cm])
+            good = np.append(good[:last], True)
+        line = fit_centerline(
+            middle, seen_end if end is None else end, constant=wanted.constant, good=good
+        )
+        return line, _doubts(track, good, line, wanted)
+
+    def obstacles(self) -> list[Obstacle]:
+        """Dowels: those clicked, and others that are seen."""
+        camera, height = self.camera, self.wanted.obstacle_height_cm
+        rims = [np.array(rim) for rim in self.clicks.obstacles]
+        given = [circle_through(camera.to_plane(rim, height)) for rim in rims]
+        flat = flatten(self.picture, camera, height, OBSTACLE_PX_CM)
+        ignore = [camera.to_plane(four, height) for four in self.markers.values()]
+        found = find_obstacles(flat, self.wanted.obstacle_radius_cm, ignore)
+        return given + [one for one in found if all(one.apart_cm(g) > g.radius_cm for g in given)]
 
 
 def _doubts(track: Track, good: NDArray[np.bool_], line: Centerline, wanted: Seen) -> list[str]:
@@ -232,34 +253,6 @@ def _doubts(track: Track, good: NDArray[np.bool_], line: Centerline, wanted: See
             f"{wanted.length_cm:.1f} cm"
         )
     return doubts
-
-
-def _fine_enough(camera: CameraModel, sheet: Sheet, wanted: Seen, clicks: Clicks) -> None:
-    """Refuse a picture in which markers and flanks are too few pixels wide."""
-    px_per_cm = 1 / camera.cm_per_px
-    needs = []
-    if wanted.tip and clicks.tip is None:
-        cell_cm = sheet.tip_marker_cm * sheet.print_scale / sheet.modules
-        needs.append((_CELL_PX / cell_cm, f"a tip marker of {sheet.tip_marker_cm:g} cm"))
-    if wanted.body and not clicks.axis:
-        needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
-    needed, what = max(needs, default=(0.0, ""))
-    if px_per_cm < needed:
-        raise TooCoarseError(
-            f"the picture has {px_per_cm:.1f} px per cm, and {what} needs {needed:.1f}",
-            f"take one {needed / px_per_cm:.1f} times as large, or bring the camera nearer",
-        )
-
-
-def _obstacles(
-    picture: Picture, camera: CameraModel, wanted: Seen, markers: dict[int, Array], clicks: Clicks
-) -> list[Obstacle]:
-    height = wanted.obstacle_height_cm
-    given = [circle_through(camera.to_plane(np.array(rim), height)) for rim in clicks.obstacles]
-    flat = flatten(picture, camera, height, OBSTACLE_PX_CM)
-    ignore = [camera.to_plane(four, height) for four in markers.values()]
-    found = find_obstacles(flat, wanted.obstacle_radius_cm, ignore)
-    return given + [one for one in found if all(one.apart_cm(g) > g.radius_cm for g in given)]
 
 
 def draw(
@@ -313,11 +306,7 @@ def _raised(x: Array | float, y: Array | float, height_cm: float) -> Array:
 
 
 def write_picture(path: str | Path, picture: Picture) -> None:
-    """Write a picture file.
-
-    Raises:
-        CameraError: unknown suffix or unwritable folder.
-    """
+    """Write a picture file; raises CameraError for an unknown suffix or an unwritable folder."""
     try:
         written = cv2.imwrite(str(path), picture)
     except cv2.error as error:

@@ -24,8 +24,7 @@ _WARM_UP = 5  # pictures that a webcam needs to settle its exposure
 class PictureSource:
     """Anything that yields pictures."""
 
-    # the newest (live) or next (recorded) picture, (h, w, 3) BGR; raises PictureError where there
-    # is none
+    # The newest (live) or next (recorded) picture, (h, w, 3) BGR; PictureError if there is none.
     read: Callable[[], Picture]
     close: Callable[[], None] = lambda: None  # lets go of the device or file
     live: bool = False  # shows what is there now

@@ -8,19 +8,17 @@ tests and tools/budgets.py use it directly.
 from __future__ import annotations
 
 import ctypes
-from ctypes import POINTER, byref, c_bool, c_char, c_char_p, c_double, c_int, c_int64
-from ctypes import c_uint16 as u16
-from ctypes import c_uint32 as u32
-from ctypes import c_uint64 as u64
-from ctypes import c_void_p as handle
+import re
+from ctypes import byref
 from dataclasses import dataclass
 from enum import IntFlag
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from thigmo.emulator.mega_build import BRIDGE, bridge_library
 
 CYCLES_PER_MS = 16_000
 CHANNELS = 16
@@ -47,22 +45,19 @@ class InterruptFigures(ctypes.Structure):
     of 0.
     """
 
-    _fields_ = [(name, u64) for name in ("count", "total", "longest", "shortest", "waited")]
-
-    @property
-    def mean(self) -> float:
-        """Mean cost; 0 where there was none."""
-        return float(self.total / max(self.count, 1))
+    _fields_ = [
+        (name, ctypes.c_uint64) for name in ("count", "total", "longest", "shortest", "waited")
+    ]
 
 
-@dataclass(frozen=True, slots=True)
-class Pwm:
-    """A 16-bit timer's outputs: which of them reach their pins, compare values, top."""
+class Pwm(ctypes.Structure):
+    """A 16-bit timer's outputs A to C (which reach their pins, compare values), and its top."""
 
-    connected: tuple[bool, ...]
-    compare: tuple[int, ...]
-    top: int
-    period_cycles: int
+    _fields_ = [
+        ("connected", ctypes.c_bool * 3), ("inverted", ctypes.c_bool * 3),
+        ("compare", ctypes.c_uint16 * 3), ("top", ctypes.c_uint16),
+        ("period_cycles", ctypes.c_uint32),
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,80 +72,31 @@ class Port:
         return bool(self.port >> bit & 1) if self.ddr >> bit & 1 else None
 
 
-class _Pwm(ctypes.Structure):
-    _fields_ = [
-        ("connected", c_bool * 3),
-        ("inverted", c_bool * 3),
-        ("compare", u16 * 3),
-        ("top", u16),
-        ("period", u32),
-    ]
-
-
-MARK = np.dtype({"names": ["cycle", "reg", "value"], "formats": ["<u8", "u1", "u1"],
-                 "offsets": [0, 8, 9], "itemsize": 16})  # fmt: skip
+MARK = np.dtype([("cycle", "<u8"), ("reg", "u1"), ("value", "u1")], align=True)
 """A write to a general-purpose register 0..2: when, which, what."""
 
 CONVERSION = np.dtype(
-    {
-        "names": ["sampled", "tick", "count", "channel"],
-        "formats": ["<u8", "<u4", "<u2", "u1"],
-        "offsets": [0, 8, 12, 14],
-        "itemsize": 16,
-    }
+    [("sampled", "<u8"), ("tick", "<u4"), ("count", "<u2"), ("channel", "u1")], align=True
 )
 """An analog conversion: cycle of the sample, tick of timer 1, count, channel (30 = bandgap)."""
 
+# Whatever else the bridge takes or returns is a pointer.
+_SCALARS = {
+    "void": None, "char": ctypes.c_char, "int": ctypes.c_int, "double": ctypes.c_double,
+    "uint32_t": ctypes.c_uint32, "int64_t": ctypes.c_int64, "uint64_t": ctypes.c_uint64,
+}  # fmt: skip
+
 
 @cache
-def _library(path: Path) -> ctypes.CDLL:
-    library = ctypes.CDLL(str(path))
-    signatures: dict[str, tuple[Any, list[Any]]] = {
-        "new": (handle, []),
-        "free": (None, [handle]),
-        **{
-            f"{memory}_{way}": (None, [handle, u32, c_char_p, u32])
-            for memory in _SIZES
-            for way in ("write", "read")
-        },
-        "boot_at": (None, [handle, u32]),
-        "reset": (None, [handle, c_int, u64]),
-        "hang": (c_int, [handle, c_int]),
-        "run": (c_int, [handle, u64]),
-        "cycle": (u64, [handle]),
-        "asleep": (u64, [handle]),
-        "resets": (u64, [handle, c_int]),
-        "analog": (None, [handle, handle, handle, u64, u64]),
-        "noise": (None, [handle, u64, handle]),
-        "supply": (None, [handle, u32]),
-        "trace_feed": (None, [handle, handle, u64, u64]),
-        "trace_read": (u32, [handle, handle, u32]),
-        "trace_record": (None, [handle, c_int]),
-        "tick_origin": (u64, [handle]),
-        "lost_triggers": (u32, [handle]),
-        "pin": (None, [handle, c_char, c_int, c_int]),
-        "port": (c_int, [handle, c_char]),
-        "encoder": (None, [handle, c_char, c_int, c_int, c_double, c_double, u64, u64]),
-        "pwm_read": (None, [handle, c_int, POINTER(_Pwm)]),
-        "line_baud": (None, [handle, u32]),
-        "line_send": (u32, [handle, c_char_p, u32]),
-        "line_take": (u32, [handle, handle, handle, u32]),
-        "line_backlog": (u32, [handle]),
-        "line_overruns": (u64, [handle]),
-        "line_clear": (None, [handle]),
-        "line_cycles": (u32, [handle]),
-        "eeprom_cut": (None, [handle, c_int64]),
-        "power_is_cut": (c_int, [handle]),
-        "eeprom_writes": (u64, [handle]),
-        "interrupt_read": (None, [handle, c_int, POINTER(InterruptFigures)]),
-        "measure_reset": (None, [handle]),
-        "marks": (u32, [handle, handle, u32]),
-        "marks_on": (None, [handle, c_int]),
-    }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(library, f"bridge_{name}")
-        function.restype = result
-        function.argtypes = arguments
+def _library() -> ctypes.CDLL:
+    """The bridge, its functions typed as its header declares them."""
+    library = ctypes.CDLL(str(bridge_library()))
+    header = (BRIDGE / "bridge.h").read_text()
+    for result, name, arguments in re.findall(r"^(\S+) (bridge_\w+)\(([^)]*)\);", header, re.M):
+        function = getattr(library, name)
+        function.restype = _SCALARS.get(result, ctypes.c_void_p)
+        kinds = [argument.strip().rpartition(" ")[0] for argument in arguments.split(",")]
+        function.argtypes = [_SCALARS.get(kind, ctypes.c_void_p) for kind in kinds if kind]
     return library
 
 
@@ -161,44 +107,61 @@ def _doubles(values: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-class _Figure:
+def _figure(name: str) -> property:
     """A number that the bridge tells, as an attribute of the chip."""
+    return property(lambda chip: getattr(chip._lib, f"bridge_{name}")(chip._chip))
 
-    def __init__(self, name: str) -> None:
-        self._name = f"bridge_{name}"
 
-    def __get__(self, chip: Chip, owner: type[Chip]) -> int:
-        return int(getattr(chip._lib, self._name)(chip._chip))
+def _function(name: str) -> property:
+    """A function of the bridge, as a method of the chip."""
+    return property(lambda chip: partial(getattr(chip._lib, f"bridge_{name}"), chip._chip))
 
 
 class Chip:
     """One simulated ATmega2560 at 16 MHz, powered on with empty flash.
 
-    Args:
-        library: the bridge's shared library (see `mega_build.bridge_library`).
+    Raises:
+        PortError: the bridge's tools are missing, or building it failed.
     """
 
-    cycle = _Figure("cycle")
+    cycle = _figure("cycle")
     """Cycles since the chip was made."""
-    asleep_cycles = _Figure("asleep")
+    asleep_cycles = _figure("asleep")
     """Cycles spent in sleep since the last `measure_again`."""
-    tick_origin = _Figure("tick_origin")
+    tick_origin = _figure("tick_origin")
     """Cycle at which tick 0 of timer 1 begins; 0 while that timer stands still."""
-    lost_triggers = _Figure("lost_triggers")
+    lost_triggers = _figure("lost_triggers")
     """Timer triggers that met a running conversion or an uncleared flag."""
-    line_backlog = _Figure("line_backlog")
+    line_backlog = _figure("line_backlog")
     """Queued bytes that have not reached the board yet."""
-    line_overruns = _Figure("line_overruns")
+    line_overruns = _figure("line_overruns")
     """Bytes that the board's USART lost because nobody read it in time."""
-    line_byte_cycles = _Figure("line_cycles")
+    line_byte_cycles = _figure("line_cycles")
     """Cycles of one byte at the board's setting; 0 while the USART is off."""
-    power_is_cut = _Figure("power_is_cut")
+    power_is_cut = _figure("power_is_cut")
     """The power is off; a power-on reset brings it back."""
-    eeprom_writes = _Figure("eeprom_writes")
+    eeprom_writes = _figure("eeprom_writes")
     """EEPROM bytes whose write was started."""
 
-    def __init__(self, library: Path) -> None:
-        self._lib = _library(library)
+    boot_at = _function("boot_at")
+    """(address): where execution starts after a reset, 0 or the boot loader's section."""
+    resets = _function("resets")
+    """(cause): how often the chip restarted for it."""
+    supply_mv = _function("supply")
+    """(millivolt): below 2.7 V the chip is held in brown-out reset until the supply recovers."""
+    record_trace = _function("trace_record")
+    """(on): record every conversion from now on."""
+    line_baud = _function("line_baud")
+    """(baud): the host's rate; 0 = always the board's own."""
+    line_clear = _function("line_clear")
+    """Drop what waits on the wire, both ways."""
+    measure_again = _function("measure_reset")
+    """Forget interrupt figures, and sleep so far."""
+    record_marks = _function("marks_on")
+    """(on): record writes to GPIOR0..2 from now on."""
+
+    def __init__(self) -> None:
+        self._lib = _library()
         self._chip = self._lib.bridge_new()
         if not self._chip:
             raise MemoryError("the simulated chip could not be made")
@@ -252,10 +215,6 @@ class Chip:
             raise ValueError(f"bytes {address}..{address + count} do not fit in {_SIZES[memory]}")
 
     # --- life -------------------------------------------------------------------------------------
-    def boot_at(self, address: int) -> None:
-        """Where execution starts after a reset: 0, or the boot loader's section."""
-        self._lib.bridge_boot_at(self._chip, address)
-
     def reset(self, cause: Cause, filler: int = 0) -> None:
         """Restart the chip; power-on also fills SRAM with bytes made from `filler`."""
         self._lib.bridge_reset(self._chip, int(cause), filler)
@@ -273,10 +232,6 @@ class Chip:
         """Run on for so long."""
         return self.run(self.cycle + round(milliseconds * CYCLES_PER_MS))
 
-    def resets(self, cause: Cause) -> int:
-        """How often the chip restarted for that cause."""
-        return int(self._lib.bridge_resets(self._chip, int(cause)))
-
     # --- analog -----------------------------------------------------------------------------------
     def analog(self, start: ArrayLike, end: ArrayLike, first: int, last: int) -> None:
         """Ideal counts (16 channels, 0..1024) at cycles `first` and `last`, linear in between."""
@@ -287,20 +242,12 @@ class Chip:
         """Noise of conversions, in counts, per channel; a pure function of seed, tick, channel."""
         self._lib.bridge_noise(self._chip, seed & (2**64 - 1), _doubles(sigma).ctypes.data)
 
-    def supply_mv(self, millivolt: int) -> None:
-        """Supply voltage; below 2.7 V the chip is held in brown-out reset until it recovers."""
-        self._lib.bridge_supply(self._chip, millivolt)
-
     def feed_trace(self, counts: NDArray[np.uint16], first_tick: int = 0) -> None:
         """Counts to deliver, shape (ticks, 16), `NO_COUNT` where the analog input is to be used."""
         table = np.ascontiguousarray(counts, dtype=np.uint16)
         if table.ndim != 2 or table.shape[1] != CHANNELS:
             raise ValueError(f"shape (ticks, {CHANNELS}) is needed, not {table.shape}")
         self._lib.bridge_trace_feed(self._chip, table.ctypes.data, first_tick, len(table))
-
-    def record_trace(self, on: bool) -> None:
-        """Record every conversion from now on."""
-        self._lib.bridge_trace_record(self._chip, int(on))
 
     def take_trace(self) -> NDArray[np.void]:
         """Conversions recorded since the last call: array of `CONVERSION`."""
@@ -319,29 +266,20 @@ class Chip:
     def encoder(
         self, pins: tuple[str, int, int], start: float, end: float, first: int, last: int
     ) -> None:
-        """Quadrature edges of a count moving from `start` to `end` between two cycles.
+        """Quadrature edges of a count (x4) moving from `start` at cycle `first` to `end` at `last`.
 
-        Args:
-            pins: port letter, bit of A, bit of B.
-            start: count (x4) at cycle `first`.
-            end: count at cycle `last`.
-            first: absolute cycle.
-            last: absolute cycle.
+        The pins are a port's letter, the bit of A, the bit of B.
         """
         port, a, b = pins
         self._lib.bridge_encoder(self._chip, port.encode(), a, b, start, end, first, last)
 
     def pwm(self, timer: int) -> Pwm:
         """Outputs of timer 1, 3, 4 or 5."""
-        raw = _Pwm()
-        self._lib.bridge_pwm_read(self._chip, timer, byref(raw))
-        return Pwm(tuple(raw.connected), tuple(raw.compare), raw.top, raw.period)
+        outputs = Pwm()
+        self._lib.bridge_pwm_read(self._chip, timer, byref(outputs))
+        return outputs
 
     # --- wire of USART0 ---------------------------------------------------------------------------
-    def line_baud(self, baud: int) -> None:
-        """The host's rate; 0 = always the board's own."""
-        self._lib.bridge_line_baud(self._chip, baud)
-
     def send(self, data: bytes) -> int:
         """Queue bytes for the board at the host's rate; returns how many found room."""
         return int(self._lib.bridge_line_send(self._chip, data, len(data)))
@@ -353,10 +291,6 @@ class Chip:
         )
         return self._bytes[:count].tobytes(), self._cycles[:count].copy()
 
-    def line_clear(self) -> None:
-        """Drop what waits on the wire, both ways."""
-        self._lib.bridge_line_clear(self._chip)
-
     # --- EEPROM's power ---------------------------------------------------------------------------
     def cut_power_in_write(self, write: int | None) -> None:
         """Cut the power in the middle of the n-th EEPROM write from now; None: never."""
@@ -365,17 +299,9 @@ class Chip:
     # --- measurement ------------------------------------------------------------------------------
     def interrupt(self, vector: int) -> InterruptFigures:
         """Cost of an interrupt vector since the last `measure_again`."""
-        raw = InterruptFigures()
-        self._lib.bridge_interrupt_read(self._chip, vector, byref(raw))
-        return raw
-
-    def measure_again(self) -> None:
-        """Forget interrupt figures, and sleep so far."""
-        self._lib.bridge_measure_reset(self._chip)
-
-    def record_marks(self, on: bool) -> None:
-        """Record writes to GPIOR0..2 from now on."""
-        self._lib.bridge_marks_on(self._chip, int(on))
+        figures = InterruptFigures()
+        self._lib.bridge_interrupt_read(self._chip, vector, byref(figures))
+        return figures
 
     def take_marks(self) -> NDArray[np.void]:
         """Marks since the last call: array of `MARK`."""

@@ -31,18 +31,12 @@ _DEFAULTS = {
 
 
 class FaultInjector:
-    """Watches the plant and starts and ends the scene's faults.
-
-    Attributes:
-        host_silent: the host's bytes and heartbeats are to be dropped.
-        powered: the board runs.
-        active: kinds of the faults that hold now.
-    """
+    """Watches the plant and starts and ends the scene's faults."""
 
     def __init__(self, scene: Scene) -> None:
-        self.host_silent = False
-        self.powered = True
-        self.active: set[str] = set()
+        self.host_silent = False  # the host's bytes and heartbeats are to be dropped
+        self.powered = True  # the board runs
+        self.active: set[str] = set()  # kinds of the faults that hold now
         self._supply = scene.supply.millivolt
         self._waiting = list(scene.faults)
         self._running: list[tuple[float, FaultTable]] = []

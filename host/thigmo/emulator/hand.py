@@ -24,13 +24,7 @@ _MISS_CM = 1e-4
 def hold(
     pushes: Sequence[tuple[float, float]], free_curvature: float, length_cm: float, tube: Tube
 ) -> Solution:
-    """Shape of the body with points of its centreline held at lateral places.
-
-    Args:
-        pushes: (arc, y) of each point held, cm, base first.
-        free_curvature: 1/cm.
-        length_cm: everted length.
-        tube: with its critical moment.
+    """Shape of the body with points (arc, y) of its centreline held, cm, base first.
 
     Raises:
         DataError: a place that the body cannot reach.

@@ -15,16 +15,9 @@ from thigmo.errors import ConfigError
 
 
 class Lockstep:
-    """A board inside a plant.
+    """A board inside a scene's plant, both random by `seed` (None takes the scene's).
 
-    Args:
-        scene: what to emulate.
-        board: holding the firmware.
-        seed: of the plant's noise; None takes the scene's.
-        exchange_ms: how long the board runs between exchanges; divides 10.
-
-    Attributes:
-        t_s: virtual time since the start.
+    The board runs `exchange_ms` between exchanges, which divides 10.
     """
 
     def __init__(

@@ -11,20 +11,18 @@ from functools import cache
 from pathlib import Path
 
 from thigmo.errors import PortError
-from thigmo.link.image import BUILD, ROOT, build_image, make, read_hex
-
-__all__ = ["BOOT_LOADER", "bridge_library", "firmware_elf", "firmware_hex", "missing", "read_hex"]
+from thigmo.link.image import BUILD, ROOT, build_image, make
 
 BOOT_LOADER = Path(
     "/usr/share/arduino/hardware/arduino/avr/bootloaders/stk500v2/stk500boot_v2_mega2560.hex"
 )
 PACKAGES = "gcc-avr avr-libc binutils-avr libsimavr-dev libelf-dev make gcc"
-_BRIDGE = ROOT / "firmware" / "mega" / "sim"
+BRIDGE = ROOT / "firmware" / "mega" / "sim"
 
 
 def missing() -> str:
     """What keeps the simulated Mega from running here, in words; empty when nothing does."""
-    if not (_BRIDGE / "Makefile").exists():
+    if not (BRIDGE / "Makefile").exists():
         return "it links to libsimavr (GPL) and is built in a source checkout only"
     absent = [tool for tool in ("make", "cc", "avr-g++") if shutil.which(tool) is None]
     if not Path("/usr/include/simavr/sim_avr.h").exists():
@@ -33,43 +31,27 @@ def missing() -> str:
 
 
 def _require() -> None:
-    reason = missing()
-    if reason:
+    """Raises PortError where the simulated Mega cannot run, as do those below."""
+    if reason := missing():
         raise PortError(
             f"the simulated Mega cannot run here: {reason}",
             f"install {PACKAGES} and work in a source checkout, or use emulator://",
         )
 
 
-@cache
 def bridge_library() -> Path:
-    """The bridge's shared library, built if need be.
-
-    Raises:
-        PortError: a tool is missing, or the build failed.
-    """
+    """The bridge's shared library."""
     _require()
-    return make(_BRIDGE, BUILD / "libmega_bridge.so")
+    return make(BRIDGE, BUILD / "libmega_bridge.so")
 
 
 @cache
 def firmware_hex(baud: int = 250_000) -> Path:
-    """The firmware image (Intel HEX), built if need be.
-
-    Args:
-        baud: rate that it speaks; 250 000 or 500 000.
-
-    Raises:
-        PortError: a tool is missing, or the build failed.
-    """
+    """The firmware image (Intel HEX) that speaks 250 000 or 500 000 baud."""
     _require()
     return build_image(baud)
 
 
 def firmware_elf() -> Path:
-    """The linked program that the image was made from, with its symbols, built if need be.
-
-    Raises:
-        PortError: a tool is missing, or the build failed.
-    """
+    """The linked program that the image was made from, with its symbols."""
     return firmware_hex().with_suffix(".elf")

@@ -8,7 +8,6 @@ starts through the real boot loader where that is installed.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qs
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,7 @@ from thigmo.emulator.chip import (
 )
 from thigmo.emulator.transport import EmulatorTransport, parse_url
 from thigmo.emulator.usb_bridge import UsbBridge
-from thigmo.errors import ConfigError
+from thigmo.link.image import read_hex
 from thigmo.link.protocol import ResetCause
 
 if TYPE_CHECKING:
@@ -44,7 +43,6 @@ MOTOR_PWM = ("H", 3)  # OC4A
 MOTOR_DIRECTION = ("H", 4)
 AIR = (("A", 2), ("A", 4))  # muscles, body
 AIR_HOLD_CYCLES = 60 * CYCLES_PER_MS  # a charge pump's longest (docs/hardware/electronics.md)
-DEFAULT_BAUD = 250_000
 
 
 class SimulatedMega:
@@ -70,11 +68,11 @@ class SimulatedMega:
         eeprom: bytes = b"",
         *,
         image: Path | None = None,
-        baud: int = DEFAULT_BAUD,
+        baud: int = 250_000,
         boot_loader: bool | None = None,
         usb: UsbBridge | None = None,
     ) -> None:
-        self.chip = Chip(mega_build.bridge_library())
+        self.chip = Chip()
         self.usb = usb
         self._seed = seed
         self._power_ons = 0
@@ -91,12 +89,12 @@ class SimulatedMega:
         self._air_levels = [False, False]
         self._air_edges = [-AIR_HOLD_CYCLES] * 2
         chip = self.chip
-        for address, data in mega_build.read_hex(image or mega_build.firmware_hex(baud)):
+        for address, data in read_hex(image or mega_build.firmware_hex(baud)):
             chip.write_flash(address, data)
         if boot_loader is None:
             boot_loader = mega_build.BOOT_LOADER.exists()
         if boot_loader:
-            for address, data in mega_build.read_hex(mega_build.BOOT_LOADER):
+            for address, data in read_hex(mega_build.BOOT_LOADER):
                 chip.write_flash(address, data)
             chip.boot_at(BOOT_SECTION)
         chip.eeprom = eeprom + b"\xff" * (EEPROM_SIZE - len(eeprom))
@@ -134,12 +132,11 @@ class SimulatedMega:
                     self._air_edges[enable] = self._grid
 
     def _exchange_bytes(self) -> None:
-        data, _ = self.chip.take()
+        down, (data, _) = b"", self.chip.take()
         if self.usb is not None:
             down, data = self.usb.exchange(self._grid / CYCLES_PER_MS, data)
-            if down and self._line_open:
-                self.chip.send(down)
         if self._line_open:
+            self.chip.send(down)
             self._received += data
 
     def run_to_tick(self) -> None:
@@ -165,12 +162,8 @@ class SimulatedMega:
     # --- serial line ------------------------------------------------------------------------------
     def write(self, data: bytes) -> None:
         """Bytes from the host."""
-        if not self._line_open:
-            return
-        if self.usb is not None:
-            self.usb.send(data)
-        else:
-            self.chip.send(data)
+        if self._line_open:
+            (self.chip if self.usb is None else self.usb).send(data)
 
     def read(self) -> bytes:
         """Bytes that have reached the host since the last call."""
@@ -249,7 +242,7 @@ class SimulatedMega:
         """Motor duty, -800..800, positive pays out."""
         pwm = self.chip.pwm(4)
         if pwm.connected[0] and pwm.top:
-            duty = min(pwm.compare[0] + 1, MOTOR_FULL)
+            duty: int = min(pwm.compare[0] + 1, MOTOR_FULL)
         else:
             duty = MOTOR_FULL * self._level(MOTOR_PWM)
         return duty * self.direction
@@ -321,10 +314,6 @@ class SimulatedMega:
     # --- traces -----------------------------------------------------------------------------------
     def feed_trace(self, rows: npt.NDArray[np.int64]) -> None:
         """Replace conversions by recorded ones, shape (n, 3): tick, channel, count."""
-        rows = np.asarray(rows)
-        if not len(rows):
-            self.chip.feed_trace(np.zeros((0, CHANNELS), dtype=np.uint16))
-            return
         first = int(rows[:, 0].min())
         table = np.full((int(rows[:, 0].max()) - first + 1, CHANNELS), NO_COUNT, dtype=np.uint16)
         table[rows[:, 0] - first, rows[:, 1]] = rows[:, 2]
@@ -346,18 +335,10 @@ def open_mega_sim(url: str, *, seed: int | None = None, realtime: bool = False) 
     """Open `mega-sim://SCENE?seed=N&baud=250000&usb=on|off`.
 
     Raises:
-        ConfigError: no such scene, or an unknown option.
+        ConfigError: no such scene, or an unknown option or choice.
         PortError: the simulator or the compiler is not installed.
     """
-    place, _, query = url.partition("?")
-    options = parse_qs(query, keep_blank_values=True)
-    baud = options.pop("baud", [str(DEFAULT_BAUD)])[-1]
-    usb = options.pop("usb", ["on"])[-1]
-    if baud not in ("250000", "500000"):
-        raise ConfigError(f"{url}: no image for {baud!r} baud", "give baud=250000 or baud=500000")
-    if usb not in ("on", "off"):
-        raise ConfigError(f"{url}: usb={usb!r} is not known", "give usb=on or usb=off")
-    rest = "&".join(f"{key}={value[-1]}" for key, value in options.items())
-    scene, used = parse_url(f"{place}?{rest}" if rest else place, seed)
-    board = SimulatedMega(used, baud=int(baud), usb=UsbBridge(used) if usb == "on" else None)
+    scene, used, options = parse_url(url, seed, baud=("250000", "500000"), usb=("on", "off"))
+    usb = UsbBridge(used) if options["usb"] == "on" else None
+    board = SimulatedMega(used, baud=int(options["baud"]), usb=usb)
     return EmulatorTransport(scene, board, seed=used, realtime=realtime, exchange_ms=1, name=url)

@@ -54,26 +54,7 @@ class Truth:
 
 
 class Plant:
-    """Robot and room of a scene.
-
-    Args:
-        scene: what to emulate.
-        seed: of everything random; None takes the scene's.
-
-    Attributes that faults and operators set:
-        body_psi: body pressure (its regulator is set through `set_body_pressure`).
-        forced_outlet: transducer output forced to a pressure, nan = free, shape (2,).
-        spool_stall: the spool does not turn.
-        slip_cm_s: line speed to which a failing brake lets the body pull the spool; 0 = it holds.
-        motor_lost: the motor's circuit is broken: neither drive nor damping.
-        stuck: counts at which analog inputs stand, by channel: broken, shorted, frozen.
-        motor_forced: duty that a failed driver gives the motor, whatever the board asks.
-        encoder_lost: the encoder stands still.
-        flex_noise: of flex sensors (left base first), counts.
-        pressure_frozen, pressure_gain, pressure_offset, pressure_noisy: what ails the pressure
-            sensors: psi at which they stand still (nan: none), relative, psi, psi; shape (2,).
-        pushes: (arc, y) of points of the body that are held (set through `hold`); () = none.
-    """
+    """Robot and room of a scene, random by `seed` (None takes the scene's)."""
 
     def __init__(self, scene: Scene, seed: int | None = None) -> None:
         self.scene = scene
@@ -87,19 +68,23 @@ class Plant:
         self.body_psi = robot.body.zones[robot.body.zone_at(scene.start_length_cm)].pressure_psi
         self._regulator_psi = self.body_psi
         self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
-        self.forced_outlet = np.full(2, np.nan)
-        self.spool_stall = False
-        self.slip_cm_s = 0.0
-        self.motor_lost = False
-        self.motor_forced: int | None = None
-        self.encoder_lost = False
+
+        # What faults set.
+        self.forced_outlet = np.full(2, np.nan)  # psi at which the transducers' outputs stand
+        self.spool_stall = False  # the spool does not turn
+        self.slip_cm_s = 0.0  # speed to which a failing brake lets the body pull the line
+        self.motor_lost = False  # the motor's circuit is broken: neither drive nor damping
+        self.motor_forced: int | None = None  # duty that a failed driver gives the motor
+        self.encoder_lost = False  # it stands still
         self._encoder_missed = 0.0
-        self.stuck: dict[int, float] = {}
-        self.flex_noise: dict[int, float] = {}
+        self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
+        self.flex_noise: dict[int, float] = {}  # counts, by sensor, left base first
+        # What ails the pressure sensors: psi at which they stand, factor, psi added, psi of noise.
         self.pressure_frozen = np.full(2, np.nan)
         self.pressure_gain = np.ones(2)
         self.pressure_offset = np.zeros(2)
         self.pressure_noisy = np.zeros(2)
+        # What `hold` holds: (arc, y) of points of the body.
         self.pushes: tuple[tuple[float, float], ...] = ()
         self._dowel_cm = 0.0
         self._held: Solution | None = None
@@ -149,29 +134,24 @@ class Plant:
     # Construction.
 
     def _make_sensors(self) -> list[FlexSensor]:
-        scene, rng = self.scene, self._rng
-        f = scene.flex
-        ailments = {
-            "loop_width": scene.noise.hysteresis_width, "wrong_gain": f.wrong_direction_gain,
-            "wrinkle": f.wrinkle, "wrinkle_start_psi": f.wrinkle_start_psi,
-            "wrinkle_full_psi": max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
-            "fold_bend": f.fold_bend,
-        }  # fmt: skip
-        draws = rng.standard_normal((_SENSORS, 2))
-        phases = rng.uniform(0, 2 * pi, (_SENSORS, 2))
+        scene, f = self.scene, self.scene.flex
+        draws = self._rng.standard_normal((_SENSORS, 2))
+        phases = self._rng.uniform(0, 2 * pi, (_SENSORS, 2))
         sensors = []
         for i in range(_SENSORS):
             column = scene.robot.sensors.column(SIDES[i // FLEX_RIGHT])
             sensor = column[i % FLEX_RIGHT] if i % FLEX_RIGHT < len(column) else _NO_SENSOR
-            sensors.append(
-                FlexSensor(
-                    **ailments, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
-                    scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
-                    divider_ohm=scene.robot.sensors.divider_ohm, direction=sensor.valid_direction,
-                    loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
-                    stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
-                )
+            made = FlexSensor(
+                loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
+                wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
+                wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
+                fold_bend=f.fold_bend, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
+                scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
+                divider_ohm=scene.robot.sensors.divider_ohm, direction=sensor.valid_direction,
+                loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
+                stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
             )  # fmt: skip
+            sensors.append(made)
         return sensors
 
     def _critical(self) -> float | None:
@@ -203,11 +183,10 @@ class Plant:
             ))  # fmt: skip
 
     def hold(self, pushes: Sequence[tuple[float, float]], dowel_cm: float = 0.0) -> None:
-        """Hold points of the centreline aside; the room's pegs are out of reach meanwhile.
+        """Hold points (arc, y) of the centreline aside, cm, base first; none lets go.
 
-        Args:
-            pushes: (arc, y) of each point, cm, base first; none lets go.
-            dowel_cm: radius of the dowels that hold them; 0 = fingers, which nobody sees.
+        The room's pegs are out of reach meanwhile. Dowels of a radius hold them, or (0) fingers,
+        which nobody sees.
 
         Raises:
             DataError: a place that the body cannot reach, or an arc beyond its end.
@@ -249,8 +228,7 @@ class Plant:
     @property
     def muscle_psi(self) -> tuple[float, float]:
         """True pressures of the left and right muscle."""
-        left, right = self._muscles
-        return left.outlet_psi, right.outlet_psi
+        return self._muscles[0].outlet_psi, self._muscles[1].outlet_psi
 
     @property
     def line_cm(self) -> float:
@@ -265,8 +243,7 @@ class Plant:
     @property
     def pressure_seen(self) -> tuple[float, float]:
         """What the pressure sensors make of it, psi."""
-        left, right = (self._pressure_read(side) for side in range(2))
-        return left, right
+        return self._pressure_read(0), self._pressure_read(1)
 
     def _pressure_read(self, side: int) -> float:
         if not isnan(self.pressure_frozen[side]):
@@ -303,15 +280,9 @@ class Plant:
         braked: bool,
         air: tuple[bool, bool] = (False, False),
     ) -> None:
-        """Advance by 10 ms under the board's outputs; `analog` and `encoder` then hold the inputs.
+        """Advance by 10 ms under a `Board`'s outputs; `analog` and `encoder` then hold its inputs.
 
-        Args:
-            drive: transducer duties, 0..1599.
-            enabled: whether each is connected.
-            motor: duty -800..800.
-            braked: the driver brakes.
-            air: enables of muscles and body are held; without them, if the scene has the valves,
-                both empty.
+        If the scene has valves, muscles and body empty unless the air enables are held.
         """
         self.steps += 1
         outlets = self.forced_outlet

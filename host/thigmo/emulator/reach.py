@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig, Side, ZoneMap
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
 
 TRIGGER = 0.005  # 1/cm
@@ -37,28 +37,14 @@ def stages(robot: RobotConfig) -> list[float]:
     return [*whole, full]
 
 
-def first_felt(
-    robot: RobotConfig,
-    pegs: Sequence[Peg],
-    *,
-    lengths: Sequence[float] | None = None,
-) -> Felt | None:
+def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
     """The first growth stage and side whose full sweep is felt at the base, or None.
 
     The base contact curvature is the base sensor's mean curvature (fold included) less the free
     curvature. At each stage the left half of the sweep comes first.
-
-    Args:
-        robot: the true robot.
-        pegs: the room.
-        lengths: everted lengths in their order; default `stages`.
     """
-    for length in stages(robot) if lengths is None else lengths:
-        for side in SIDES:
-            felt = sweep_once(robot, pegs, length, side)
-            if felt is not None and felt.peak >= TRIGGER:
-                return felt
-    return None
+    sweeps = (sweep_once(robot, pegs, at, side) for at in stages(robot) for side in SIDES)
+    return next((felt for felt in sweeps if felt is not None and felt.peak >= TRIGGER), None)
 
 
 def sweep_once(
@@ -66,50 +52,37 @@ def sweep_once(
 ) -> Felt | None:
     """Inflate one muscle from zero to its highest pressure; None if nothing is touched."""
     body = robot.body
-    index = body.zone_at(length_cm)
+    zone = body.zone_at(length_cm)
     muscle = robot.actuators.side(side)
-    zone: ZoneMap = muscle.maps[index]
-    top = muscle.max_pressure_psi
     crit = critical_moment(
-        body.critical_curvature, body.critical_pressure_psi, body.zones[index].pressure_psi
+        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
     )
     model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
     model.step(0.0, length_cm)
     base = robot.sensors.column("right" if side == "left" else "left")[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
     sign = 1.0 if side == "left" else -1.0
-    peak, passed, touched = 0.0, 0.0, False
-    for pressure in np.linspace(0.0, top, max(2, round(top / _STEP_PSI) + 1))[1:]:
-        g = sign * zone.inflate.curvature(float(pressure))
+    felt: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches
+    top = muscle.max_pressure_psi
+    for pressure in np.linspace(0.0, top, max(2, round(top / _STEP_PSI) + 1))[1:].tolist():
+        g = sign * muscle.maps[zone].inflate.curvature(pressure)
         model.step(g, length_cm)
-        if not model.touching:
-            continue
-        touched = True
-        model.averages_into(center, span, mean)
-        excess = abs(float(mean[0]) - g)
-        if excess >= TRIGGER and passed == 0.0:
-            passed = float(pressure)
-        peak = max(peak, excess)
-    if not touched:
+        if model.touching:
+            model.averages_into(center, span, mean)
+            felt.append((pressure, abs(float(mean[0]) - g)))
+    if not felt:
         return None
-    return Felt(length_cm, side, passed, peak, model.contacts())
+    passed = next((pressure for pressure, excess in felt if excess >= TRIGGER), 0.0)
+    return Felt(length_cm, side, passed, max(excess for _, excess in felt), model.contacts())
 
 
 def random_peg(
-    robot: RobotConfig,
-    rng: np.random.Generator,
-    *,
-    radius: tuple[float, float] = (0.4, 1.0),
+    robot: RobotConfig, rng: np.random.Generator, *, radius: tuple[float, float] = (0.4, 1.0)
 ) -> tuple[Peg, Felt]:
     """A peg beside the path of growth that the exploration must feel, and where it first does.
 
     Only pegs that still hold the body at the peak of that sweep are made: a body that slips past
     its peg (contacts are frictionless) has nothing left to measure there.
-
-    Args:
-        robot: the true robot.
-        rng: source of randomness.
-        radius: range of radii, cm.
     """
     full = robot.body.length_cm
     while True:

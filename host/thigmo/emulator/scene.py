@@ -91,7 +91,6 @@ class Flex(Model):
     """What ails every flex sensor."""
 
     creep: NonNegative = 0.02  # 1/cm just after eversion, one sigma over sensors
-    creep_tau_s: Positive = 8.0
     wrong_direction_gain: NonNegative = 0.6  # response to bends against valid_direction
     wrinkle: NonNegative = 0.012  # 1/cm, size of the garbage on the active side
     wrinkle_start_psi: NonNegative = 1.0

@@ -30,15 +30,9 @@ _QUEUE = 65_536  # bytes kept for a program that does not read; beyond, they are
 
 
 class PtyServer:
-    """A lockstep behind a pseudo-terminal.
+    """A lockstep behind the pseudo-terminal `path`, and a symbolic link to it for a stable name.
 
-    Args:
-        lockstep: board and plant.
-        reset_on_open: restart the board when a program opens the port, as DTR does.
-        link: a symbolic link to make to the port, for a stable name.
-
-    Attributes:
-        path: the port to open.
+    With `reset_on_open` the board restarts when a program opens the port, as DTR does.
     """
 
     def __init__(
@@ -167,8 +161,7 @@ def serve(
         scene: a scene's name or the path of its file.
         seed: of all noise; None takes the scene's.
         link: a symbolic link to make to the port.
-        config: where to write this robot's constants, as its lab knows them; a file that holds
-            others is kept as a backup.
+        config: where to write this robot's constants, as its lab knows them.
         announce: told where the port is, once it can be opened.
         keep_on: asked every 10 ms.
 

@@ -37,13 +37,15 @@ class EmulatedOperator:
 
     def __init__(self, transport: EmulatorTransport) -> None:
         self._transport = transport
-        self._line_cm = transport.lockstep.plant.line_cm
+        self._plant = transport.lockstep.plant
+        self._about = transport.scene.operator
+        self._line_cm = self._plant.line_cm
         self._rng = np.random.default_rng([transport.seed, 0x0FE8])
 
     def everted_length_cm(self) -> float:
         """Measure the everted length."""
-        error = self._transport.scene.operator.length_error_cm * self._rng.standard_normal()
-        return max(self._transport.lockstep.plant.length_cm + error, 0.0)
+        error = self._about.length_error_cm * self._rng.standard_normal()
+        return max(self._plant.length_cm + error, 0.0)
 
     def ready(self, request: str) -> None:
         """Do what a bring-up asks for; the emulated robot needs nothing."""
@@ -55,7 +57,7 @@ class EmulatedOperator:
 
     def spool_turned(self) -> Literal["out", "in", "not"]:
         """How the spool has turned since the last such question."""
-        line_cm = self._transport.lockstep.plant.line_cm
+        line_cm = self._plant.line_cm
         moved, self._line_cm = line_cm - self._line_cm, line_cm
         if abs(moved) < _SEEN_CM:
             return "not"
@@ -63,36 +65,30 @@ class EmulatedOperator:
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's regulator; takes the scene's `operator.takes_s` of virtual time."""
-        self._transport.pass_time(self._transport.scene.operator.takes_s)
-        self._transport.lockstep.plant.set_body_pressure(pressure_psi)
+        self._transport.pass_time(self._about.takes_s)
+        self._plant.set_body_pressure(pressure_psi)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Clear the room and put these pegs into it; takes as long as setting the regulator.
+        """Clear the room and put these pegs into it; takes as long.
 
         Raises:
             DataError: a peg that overlaps the robot's base.
         """
-        self._transport.pass_time(self._transport.scene.operator.takes_s)
-        room = [Peg(peg.x, peg.y, peg.radius) for peg in pegs]
-        self._transport.lockstep.plant.place_pegs(room)
+        self._transport.pass_time(self._about.takes_s)
+        self._plant.place_pegs([Peg(peg.x, peg.y, peg.radius) for peg in pegs])
 
     def push_tip(self, y_cm: float | None) -> None:
         """Push the tip aside to y and hold it there; None lets go."""
-        plant = self._transport.lockstep.plant
-        plant.hold([] if y_cm is None else [(plant.length_cm, y_cm)])
+        self._plant.hold([] if y_cm is None else [(self._plant.length_cm, y_cm)])
 
     def push_aside(self, pushes: Sequence[tuple[float, float]], radius_cm: float) -> None:
-        """Push points of the body aside with dowels, and hold them; takes `operator.takes_s`.
-
-        Args:
-            pushes: (arc, y) of each point of the centreline, cm, base first; none lets go.
-            radius_cm: of the dowels.
+        """Hold points (arc, y) of the body aside, base first, with dowels; takes as long.
 
         Raises:
             DataError: a place that the body cannot reach.
         """
-        self._transport.pass_time(self._transport.scene.operator.takes_s)
-        self._transport.lockstep.plant.hold(pushes, radius_cm)
+        self._transport.pass_time(self._about.takes_s)
+        self._plant.hold(pushes, radius_cm)
 
 
 class EmulatorTransport:
@@ -105,11 +101,6 @@ class EmulatorTransport:
         realtime: pace virtual time by the clock.
         exchange_ms: how long the board runs between exchanges with the plant.
         name: for messages.
-
-    Attributes:
-        config: the robot.toml that this robot's lab would have (the truth with its errors).
-        lockstep: board, plant and faults, for tests.
-        read_s: host time at which the bytes last read had arrived.
     """
 
     virtual = True
@@ -128,9 +119,10 @@ class EmulatorTransport:
         self.scene = scene
         self.seed = scene.seed if seed is None else seed
         self.lockstep = Lockstep(scene, board, seed=self.seed, exchange_ms=exchange_ms)
+        # The robot.toml that this robot's lab would have: the truth with its errors.
         self.config: RobotConfig = scene.believed(self.seed)
         self.operator: Operator = EmulatedOperator(self)
-        self.read_s = 0.0
+        self.read_s = 0.0  # host time at which the bytes last read had arrived
         self._heart: Heart | None = None
         self._beats: deque[Beat] = deque(maxlen=_KEPT_BEATS)
         self._received = bytearray()
@@ -216,27 +208,31 @@ class EmulatorTransport:
             raise LinkError(f"{self.name} is closed", "open it again")
 
 
-def parse_url(url: str, seed: int | None) -> tuple[Scene, int]:
-    """Scene and seed of `emulator://SCENE?seed=N` (a scene's name or a path to a .toml file).
+def parse_url(
+    url: str, seed: int | None, **choices: tuple[str, ...]
+) -> tuple[Scene, int, dict[str, str]]:
+    """Scene, seed and further options of `emulator://SCENE?seed=N&OPTION=CHOICE`.
 
-    The seed given comes first, then the address's, then the scene's.
+    The scene is a name or a path to a .toml file. The seed given comes first, then the address's,
+    then the scene's. An option that is left out takes its first choice.
 
     Raises:
-        ConfigError: no such scene, a malformed one, or an unknown option.
+        ConfigError: no such scene, a malformed one, or an unknown option or choice.
     """
-    _, _, rest = url.partition("://")
-    place, _, query = rest.partition("?")
-    options = parse_qs(query, keep_blank_values=True)
-    for key in options:
-        if key != "seed":
-            raise ConfigError(f"{url}: unknown option {key!r}", "only ?seed=NUMBER is known")
-    if "seed" in options and seed is None:
-        text = options["seed"][-1]
+    place, _, query = url.partition("://")[2].partition("?")
+    told = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}
+    text = told.pop("seed", None)
+    for key, value in told.items():
+        if value not in choices.get(key, ()):
+            known = ["seed=NUMBER", *(f"{k}={' or '.join(c)}" for k, c in choices.items())]
+            raise ConfigError(f"{url}: no option {key}={value}", f"give any of {', '.join(known)}")
+    if text is not None and seed is None:
         if not text.isdecimal():
             raise ConfigError(f"{url}: seed {text!r} is not a whole number", "give ?seed=NUMBER")
         seed = int(text)
     scene = Scene.load(place or "default")
-    return scene, scene.seed if seed is None else seed
+    options = {key: known[0] for key, known in choices.items()} | told
+    return scene, scene.seed if seed is None else seed, options
 
 
 def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
@@ -247,5 +243,5 @@ def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) 
     """
     from thigmo.emulator._board import VirtualBoard
 
-    scene, used = parse_url(url, seed)
+    scene, used, _ = parse_url(url, seed)
     return EmulatorTransport(scene, VirtualBoard(used), seed=used, realtime=realtime, name=url)

@@ -19,7 +19,7 @@ from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
 from thigmo.localization import Contact, LocalizeResult, localize
-from thigmo.mechanics.buckling import fold_share
+from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
 from thigmo.robot.readings import Floats

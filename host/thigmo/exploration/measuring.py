@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from thigmo.config import RobotConfig, Side
-from thigmo.mechanics.buckling import critical_moment
+from thigmo.mechanics.closed_forms import critical_moment
 from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
 from thigmo.robot.readings import Floats
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.mechanics import traced
 from thigmo.record import Pose
 
 Floats = NDArray[np.float64]
@@ -72,11 +73,7 @@ def centreline(bend: Bend) -> Curve:
         above = np.interp(arc, knots[:, 0], knots[:, 1], right=0.0)
         turned = np.cumsum(step * (above[1:] + above[:-1]) / 2)
         heading = heading + np.concatenate(([0.0], turned))
-    # Mid-point headings: second order, and exact enough at a quarter of a centimetre.
-    middle = (heading[1:] + heading[:-1]) / 2
-    x = np.concatenate(([0.0], np.cumsum(step * np.cos(middle))))
-    y = np.concatenate(([0.0], np.cumsum(step * np.sin(middle))))
-    return Curve(arc, x, y, heading)
+    return Curve(arc, *traced(heading, step), heading)
 
 
 def excess_knots(

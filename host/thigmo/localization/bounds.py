@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization.readings import Array, check_layout, everted_length, positive, vector
-from thigmo.mechanics.spans import phi
+from thigmo.mechanics.closed_forms import phi
 
 # Signal over noise from which one contact is reported nine times in ten (studies/accuracy.py).
 DETECTABLE = 4.5

@@ -80,7 +80,7 @@ def localize(
         method: "posterior"; or "l1", "l2": exact point fits of one or two contacts, without
             intervals.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure
-            (it is proportional to it: `thigmo.mechanics.buckling.critical_moment`); None for a
+            (it is proportional to it: `thigmo.mechanics.critical_moment`); None for a
             base that does not fold.
         critical_curvature_error: its relative standard error.
         tube_radius: radius of the body; 1.75/53 of the length if not given.

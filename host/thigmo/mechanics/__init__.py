@@ -4,11 +4,12 @@ EI = 1 everywhere: forces in 1/cm^2, moments in 1/cm. What is solved step by ste
 C++ beside these files is the extension `_rod`.
 """
 
-from thigmo.mechanics.buckling import critical_moment, fold_share
-from thigmo.mechanics.contact import Peg, PegContact
+from thigmo.mechanics.closed_forms import critical_moment, fold_share, phi, traced
 from thigmo.mechanics.elastica import (
     Model,
     ModelChoice,
+    Peg,
+    PegContact,
     Rod,
     Solution,
     Tube,
@@ -16,7 +17,6 @@ from thigmo.mechanics.elastica import (
     push,
     solve,
 )
-from thigmo.mechanics.spans import phi
 
 __all__ = [
     "Model",
@@ -32,4 +32,5 @@ __all__ = [
     "phi",
     "push",
     "solve",
+    "traced",
 ]

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.mechanics.contact import Kind
-from thigmo.mechanics.elastica import Model, ModelChoice, Status
+from thigmo.mechanics.elastica import Kind, Model, ModelChoice, Status
 
 Floats = NDArray[np.float64]
 _ContactRow = tuple[int, float, Kind, float, float, float, float, float, float, float]

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thigmo.mechanics import traced
 from thigmo.record.document import Shape
 
 Floats = NDArray[np.float64]
@@ -57,9 +58,4 @@ def _turned(poses: Floats, steps: Floats, curvature: Floats) -> Floats:
     """Centrelines (k, n, 3) of (k, n - 1) steps, bent by so much more each (k,)."""
     arc = np.concatenate((np.zeros((len(steps), 1)), np.cumsum(steps, axis=1)), axis=1)
     heading = poses[..., 2] + curvature[:, None] * arc
-    middle = (heading[:, 1:] + heading[:, :-1]) / 2
-    turned = np.zeros_like(poses)
-    turned[:, 1:, 0] = np.cumsum(steps * np.cos(middle), axis=1)
-    turned[:, 1:, 1] = np.cumsum(steps * np.sin(middle), axis=1)
-    turned[..., 2] = heading
-    return turned
+    return np.stack((*traced(heading, steps), heading), axis=-1)

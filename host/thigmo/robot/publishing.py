@@ -14,6 +14,7 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.link.received import ReceivedEvent, TelemetryFrame
+from thigmo.mechanics import traced
 from thigmo.robot.decoded import Decoder
 from thigmo.robot.readings import SensorTable
 from thigmo.stream import BodyShape, Hub, Telemetry
@@ -84,7 +85,5 @@ def bent(
     curvature = np.interp(arc, places, values)
     step = arc[1]
     heading = np.concatenate(([0.0], np.cumsum(step * (curvature[1:] + curvature[:-1]) / 2)))
-    middle = (heading[1:] + heading[:-1]) / 2
-    x = np.concatenate(([0.0], np.cumsum(step * np.cos(middle))))
-    y = np.concatenate(([0.0], np.cumsum(step * np.sin(middle))))
+    x, y = traced(heading, step)
     return tuple(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True))

@@ -26,6 +26,7 @@ from thigmo.camera.render import (
     render,
 )
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
+from thigmo.mechanics import traced
 from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import COLUMN, RADIUS, SPAN
@@ -63,10 +64,7 @@ def axis_of(curvature: Floats, length: float) -> tuple[Floats, Floats, Floats, F
     s = np.linspace(0.0, length, len(curvature))
     step = np.diff(s)
     heading = np.concatenate([[0.0], np.cumsum((curvature[1:] + curvature[:-1]) / 2 * step)])
-    middle = (heading[1:] + heading[:-1]) / 2
-    x = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)])
-    y = np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)])
-    return s, heading, x, y
+    return s, heading, *traced(heading, step)
 
 
 def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
@@ -179,8 +177,8 @@ def board_picture(camera: CameraModel, sheet: Sheet, rng: np.random.Generator) -
     reach = (camera.eye_cm[2] - height) / camera.eye_cm[2] * np.array([18.0, 32.0])
     middle = np.append(camera.eye_cm[:2] + rng.uniform(-1, 1, 2) * reach * 0.8, height)
     solid = np.column_stack([corners, np.zeros(4)]) @ turn.T + middle
-    margin = Decal(np.full((8, 8), 255, np.uint8), (solid - middle) * 1.12 + middle, "margin")
-    patches = [margin, Decal(image, solid, "board")]
+    margin = Decal(np.full((8, 8), 255, np.uint8), (solid - middle) * 1.12 + middle)
+    patches = [margin, Decal(image, solid)]
     return render(camera, View(None, (), patches, housing=False), random_look(rng), rng)
 
 

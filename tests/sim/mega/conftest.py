@@ -15,6 +15,7 @@ from thigmo.emulator.chip import Cause, Chip
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link.client import Client
+from thigmo.link.image import read_hex
 from thigmo.robot.robot import Robot
 
 PRELUDE = """
@@ -50,8 +51,8 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Programs:
         image = folder / f"{name}.hex"
         if not image.exists():
             compile_program(text, image)
-        chip = Chip(mega_build.bridge_library())
-        for address, data in mega_build.read_hex(image):
+        chip = Chip()
+        for address, data in read_hex(image):
             chip.write_flash(address, data)
         chip.reset(Cause.POWER_ON)
         return chip

@@ -18,6 +18,7 @@ import tty
 from thigmo.emulator import mega_build
 from thigmo.emulator.chip import CYCLES_PER_MS, Cause, Chip
 from thigmo.emulator.mega_sim import BOOT_SECTION, ESTOP
+from thigmo.link.image import read_hex
 
 QUIET_MS = 5  # of device time without a byte, after which the wall clock rules
 
@@ -27,8 +28,8 @@ class PtyMega:
 
     def __init__(self, chip: Chip | None = None) -> None:
         if chip is None:
-            chip = Chip(mega_build.bridge_library())
-            for address, data in mega_build.read_hex(mega_build.BOOT_LOADER):
+            chip = Chip()
+            for address, data in read_hex(mega_build.BOOT_LOADER):
                 chip.write_flash(address, data)
             chip.boot_at(BOOT_SECTION)
             chip.drive_pin(*ESTOP, False)

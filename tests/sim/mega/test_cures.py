@@ -281,7 +281,7 @@ def test_phase_correct_pwm_is_read_from_the_registers(program: Programs) -> None
     chip.run_ms(1)
     pwm = chip.pwm(4)
     assert (pwm.compare[0], pwm.top, pwm.period_cycles) == (123, 400, 800)  # 20 kHz
-    assert pwm.connected == (True, False, False)
+    assert pwm.connected[:] == [True, False, False]
 
 
 def test_true_zero_is_a_disconnected_output_and_a_low_pin(program: Programs) -> None:
@@ -295,7 +295,7 @@ def test_true_zero_is_a_disconnected_output_and_a_low_pin(program: Programs) -> 
     """)
     chip.run_ms(1)
     pwm, port = chip.pwm(5), chip.port("L")
-    assert pwm.connected == (True, False, False)
+    assert pwm.connected[:] == [True, False, False]
     assert (pwm.compare[0], pwm.top, pwm.period_cycles) == (800, 1599, 1600)
     assert port.output(4) is False
 

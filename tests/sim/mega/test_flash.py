@@ -24,7 +24,7 @@ from thigmo.errors import (
 from thigmo.link import client as client_module
 from thigmo.link import flash as flasher
 from thigmo.link import protocol as wire
-from thigmo.link.image import MAGIC, read_image
+from thigmo.link.image import MAGIC, read_hex, read_image
 
 needs_avrdude = pytest.mark.skipif(
     shutil.which("avrdude") is None or not mega_build.BOOT_LOADER.exists(),
@@ -45,7 +45,7 @@ def patched(image: Path, target: Path, old: bytes, new: bytes) -> Path:
         return f":{content.hex()}{-sum(content) & 255:02x}"
 
     lines = []
-    for start, content in mega_build.read_hex(image):
+    for start, content in read_hex(image):
         data = content.replace(old, new)
         for at in range(0, len(data), 16):
             lines.append(record(4, 0, ((start + at) >> 16).to_bytes(2, "big")))
@@ -82,7 +82,7 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
         assert told["bytes"] == read_image(image).size
         assert told["schema_hash"] == f"{wire.SCHEMA_HASH:08x}"
         assert mega.opened == 2, "once by avrdude, once for the hello"
-        for start, data in mega_build.read_hex(image):
+        for start, data in read_hex(image):
             assert mega.chip.read_flash(start, len(data)) == data
 
 
@@ -101,7 +101,7 @@ def test_another_board_is_told_by_its_signature_and_left_as_it_was(image: Path) 
 @pytest.mark.realtime
 @needs_avrdude
 def test_a_board_without_boot_loader_is_told_apart(image: Path) -> None:
-    chip = Chip(mega_build.bridge_library())
+    chip = Chip()
     chip.write_flash(0, b"\xff\xcf")  # `rjmp .-2`: it runs, and says nothing
     chip.reset(Cause.POWER_ON)
     with PtyMega(chip) as mega, pytest.raises(NotARobotError, match="reset button"):

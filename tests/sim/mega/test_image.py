@@ -116,10 +116,10 @@ def test_a_vented_valve_is_disconnected_not_at_duty_zero(
     pwm = rig.mega.chip.pwm(5)
     assert pwm.top == 1599
     assert pwm.period_cycles == 1600
-    assert pwm.connected == (True, False, False)
+    assert pwm.connected[:] == [True, False, False]
     assert rig.mega.drive[0] > 300
     rig.robot.vent()
-    assert rig.mega.chip.pwm(5).connected == (False, False, False)
+    assert rig.mega.chip.pwm(5).connected[:] == [False, False, False]
     for port, bit in (*DRIVES, MOTOR_PWM):
         assert rig.mega.chip.port(port).output(bit) is False
 

@@ -26,17 +26,19 @@ from thigmo.camera.model import judge_still
 from thigmo.camera.obstacles import circle_through
 from thigmo.camera.pose import fit_pose, what_helps
 from thigmo.camera.render import overhead_camera
+from thigmo.camera.sheet import place
 from thigmo.errors import DataError
 from thigmo.studies.camera import axis_of
 
 
 def corners_seen(camera: CameraModel, sheet: Sheet, rng: np.random.Generator) -> dict:
     """Every card's corners as that camera sees them, 0.1 px of noise."""
-    return {
-        marker: camera.project(np.column_stack([sheet.corners(marker), np.full(4, card.z_cm)]))
-        + rng.normal(0, 0.1, (4, 2))
-        for marker, card in sheet.marker_ids().items()
-    }
+    seen = {}
+    for marker, card in sheet.marker_ids().items():
+        flat = place(sheet.local_corners(marker - card.first_id), card)
+        corners = camera.project(np.column_stack([flat, np.full(4, card.z_cm)]))
+        seen[marker] = corners + rng.normal(0, 0.1, (4, 2))
+    return seen
 
 
 def places(camera: CameraModel, model: CameraModel, height: float) -> float:

@@ -7,7 +7,7 @@ import pytest
 
 from thigmo.camera import CameraError, Sheet, print_sheet
 from thigmo.camera.model import detect_markers
-from thigmo.camera.sheet import card_image, pages, tip_image
+from thigmo.camera.sheet import card_image, pages, place, tip_image
 from thigmo.errors import ConfigError
 
 
@@ -27,7 +27,9 @@ def test_turned_and_shrunk_cards_move_their_corners():
     sheet = Sheet()
     sheet.print_scale = 0.95
     sheet.cards[0].turn_deg = 90
-    corners = sheet.corners(0)  # upper left of a card that is turned to the left
+    corners = place(
+        sheet.local_corners(0), sheet.cards[0]
+    )  # upper left of a card that is turned to the left
     assert corners.mean(axis=0) == pytest.approx(
         [sheet.cards[0].x_cm - 3.1 * 0.95, sheet.cards[0].y_cm - 3.1 * 0.95]
     )

@@ -244,7 +244,7 @@ def test_closed_transport_says_so(board: SilentBoard) -> None:
 
 
 def test_url_names_scene_and_seed() -> None:
-    scene, seed = parse_url("emulator://empty?seed=12", None)
+    scene, seed, _ = parse_url("emulator://empty?seed=12", None)
     assert (scene.name, seed) == ("empty", 12)
     assert parse_url("emulator://empty?seed=12", 3)[1] == 3
     assert parse_url("emulator://", None)[0].name == "default"

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 import thigmo
 from thigmo.localization import localize_batch, priors
 from thigmo.localization.estimate import localizer_of
-from thigmo.mechanics.spans import phi
+from thigmo.mechanics.closed_forms import phi
 
 LENGTH, SPAN, NOISE = 53.0, 5.5, 6e-4
 POSITION = np.tile(np.arange(5.0, 50.0, 10.0), 2)
