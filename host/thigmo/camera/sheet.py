@@ -293,9 +293,9 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
     target = Path(path)
     if target.suffix not in (".pdf", ".png"):
         raise CameraError(f"cannot print to {target.name}", "end the name in .pdf or .png")
-    figures = []
+    figures, (width, height) = [], A4_CM
     for picture in pages(sheet):
-        figures.append(Figure(figsize=np.array(A4_CM) / 2.54, dpi=PX_CM * 2.54))
+        figures.append(Figure(figsize=(width / 2.54, height / 2.54), dpi=PX_CM * 2.54))
         figures[-1].figimage(picture, cmap="gray", vmin=0, vmax=255)
     names = [target]
     try:

@@ -14,14 +14,10 @@ class VirtualBoard:
     """
 
     def __init__(self, seed: int, eeprom: bytes = b"") -> None:
-        """Power on.
+        """Power on, with an EEPROM of that content (4096 bytes at most); the rest is blank.
 
-        Args:
-            seed: of the conversion noise and of what a cut EEPROM write leaves behind.
-            eeprom: contents from address 0 (at most 4096 bytes); the rest is blank (0xFF).
-
-        Raises:
-            ValueError: the EEPROM image is too long.
+        The seed is of the conversions' noise and of what a cut EEPROM write leaves behind.
+        Raises ValueError for a longer image.
         """
 
     # As `Board` has them.
@@ -43,11 +39,7 @@ class VirtualBoard:
     def set_supply_mv(self, supply_mv: int) -> None: ...
     def set_estop(self, pressed: bool) -> None: ...
     def reset(self, cause: int) -> None:
-        """Restart the chip (also after a power cut), with a `ResetCause`.
-
-        Raises:
-            ValueError: no such cause.
-        """
+        """Restart the chip (also after a power cut), with a `ResetCause`; else ValueError."""
 
     def hang(self) -> None: ...
     def cut_power_after(self, bytes_written: int) -> None: ...
@@ -77,18 +69,7 @@ class VirtualBoard:
     def recorded_trace(self) -> NDArray[np.int64]:
         """Recorded conversions, shape (n, 3): tick since the firmware's start, channel, count."""
 
-    @property
-    def direction(self) -> int:
-        """Level of the direction pin: 1 pays out, -1 winds in."""
-
-    @property
-    def powered(self) -> bool:
-        """False after a power cut, until `reset`."""
-
-    @property
-    def running(self) -> bool:
-        """Whether the firmware runs: not unpowered, not in the boot loader."""
-
-    @property
-    def boots(self) -> int:
-        """How often the firmware has started."""
+    direction: int  # level of the direction pin: 1 pays out, -1 winds in
+    powered: bool  # False after a power cut, until `reset`
+    running: bool  # whether the firmware runs: not unpowered, not in the boot loader
+    boots: int  # how often the firmware has started

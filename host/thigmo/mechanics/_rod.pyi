@@ -28,9 +28,7 @@ class Rod:
         """Follow the equilibrium to a new free curvature (1/cm) and everted length (cm).
 
         The elastica cuts the way into pieces in which the free tip would travel at most 1 cm.
-
-        Raises:
-            DataError: values that are not finite, or a length that is not positive.
+        Raises DataError for values that are not finite, or a length that is not positive.
         """
 
     def assume_free(self, free_curvature: float, length: float) -> None:
@@ -38,12 +36,7 @@ class Rod:
 
     def _place(self, pegs: Sequence[tuple[float, float, float]]) -> None: ...
     def press(
-        self,
-        force: Floats,
-        place: Floats,
-        fold_angle: float,
-        free_curvature: float,
-        length: float,
+        self, force: Floats, place: Floats, fold_angle: float, free_curvature: float, length: float
     ) -> None:
         """Take forces at places around the skin and a fold for given: one integration."""
 

@@ -204,15 +204,8 @@ def solve(
     """Equilibrium of the body among pegs.
 
     With pegs the answer depends on how the body came there: it starts straight at its full length
-    and the free curvature then rises in steps (pegs that overlap the straight body push it aside).
-    Use `Rod` for another history.
-
-    Args:
-        free_curvature: g, 1/cm.
-        length: everted length, cm.
-        tube: diameter and fold; default 3.5 cm without a fold.
-        pegs: round obstacles.
-        cell_cm: mesh width.
+    (cm) and the free curvature (1/cm) then rises in steps; pegs that overlap the straight body push
+    it aside. Use `Rod` for another history. The tube is 3.5 cm wide without a fold unless given.
 
     Raises:
         DataError: bad values.
@@ -240,7 +233,7 @@ def push(
     Args:
         force: normal forces (1/cm^2, signed: positive bends left), scalar or shape (n,).
         arc: their arc lengths (cm), same shape.
-        free_curvature: as in `solve`.
+        free_curvature: 1/cm.
         length: everted length, cm.
         tube: diameter; its critical moment is ignored here, see fold_angle.
         fold_angle: angle of the base's fold (rad), spread over one diameter.

@@ -51,13 +51,8 @@ class Settling:
     ) -> tuple[Settled, Settling]:
         """Settled value from readings of a robot that stands still, and this eversion's own law.
 
-        Args:
-            t_s: (n,) times since eversion.
-            reading: (n,) readings, 1/cm.
-            noise: one sigma of a single reading, 1/cm.
-
-        Raises:
-            DataError: fewer than three readings.
+        Times since eversion and readings in 1/cm, (n,) each; noise is one sigma of one reading.
+        Raises DataError for fewer than three readings.
         """
         t, y = np.asarray(t_s, dtype=np.float64), np.asarray(reading, dtype=np.float64)
         if t.ndim != 1 or t.shape != y.shape or len(t) < 3:
@@ -67,13 +62,9 @@ class Settling:
         covariance = self._covariance(t, noise)
         best = covariance @ (full.T @ target)
         tau = float(np.clip(self.tau_s + best[2], 0.3 * self.tau_s, 3 * self.tau_s))
-        own = Settling(
-            tau,
-            float(np.sqrt(covariance[2, 2])),
-            float(best[1]),
-            float(np.sqrt(covariance[1, 1])),
-        )
-        return Settled(float(best[0]), float(np.sqrt(covariance[0, 0]))), own
+        error, amplitude_sd, tau_se = np.sqrt(np.diag(covariance)).tolist()
+        own = Settling(tau, tau_se, float(best[1]), amplitude_sd)
+        return Settled(float(best[0]), error), own
 
     def _design(self, t: Floats, noise: float) -> tuple[Floats, Floats]:
         """Rows for the unknowns rest, amplitude, tau's error; the last two with priors."""
