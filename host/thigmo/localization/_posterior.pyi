@@ -14,6 +14,7 @@ class Answer:
     shows: float
     number: list[float]
     discarded: int
+    end_open: bool
     noise: float
     log_odds: float
     objective: float

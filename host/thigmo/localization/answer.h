@@ -31,6 +31,7 @@ struct Answer {
   Row edges, mass;  // cells of the most distal contact
   Row bend;         // at the nodes, curvature above that of the free body, by the best
   int discarded = -1;
+  bool end_open = false;  // only the end, which something may hold, leaves a place open
   double noise = 0.0, log_odds = 0.0;
   double objective = NAN, gap = NAN;  // of a point fit, in the caller's units
 };
@@ -192,8 +193,8 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
   }
   // A hand that holds the end explains what a contact beside it does.
-  if (settings.held_end != Settings::Held::perhaps) held = 0.0;
-  const bool doubtful = open + std::min(held, all - held) > priors.excluded * all;
+  const bool perhaps = settings.held_end == Settings::Held::perhaps &&
+                       std::min(held, all - held) > priors.held_excluded * all;
   const bool sure = (settings.contacts >= 0 || out.number[count] > 1.0 - priors.excluded) &&
                     touched > 1.0 - priors.excluded && open <= priors.excluded * all;
   for (std::size_t j = 0; j < count; ++j) {
@@ -213,8 +214,9 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     const std::size_t at = mixture.cell(felt.arc);
     felt.force = mixture.force[at];
     felt.deviation = std::sqrt(mixture.variance[at]);
-    felt.localized =
-        sure && felt.high - felt.low <= settings.width_limit && (!doubtful || felt.low >= kNearEnd);
+    const bool placed = sure && felt.high - felt.low <= settings.width_limit;
+    felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
+    out.end_open |= placed && !felt.localized;
     if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
       double heaviest = 0.0;
       for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {

@@ -111,23 +111,13 @@ def localize(
         raise refusal(found.problem, found.shows, localizer.length)
     if method != "posterior":
         return _point_fit(found, localizer.length, method)
-    return _result(found, localizer.length, tube_radius is None and held_end is None)
+    return _result(found, localizer.length)
 
 
 def localizer_of(
     position: npt.ArrayLike, count: int, length: float, *options: Any, **named: Any
 ) -> _posterior.Localizer:
-    """The compiled localizer of N readings, by checked options and the priors of now.
-
-    Args:
-        position: (N,) sensor centres.
-        count: N.
-        length: everted length.
-        options, named: those of `localize` that hold for every frame of the same sensors.
-
-    Raises:
-        DataError: an option that is not possible.
-    """
+    """The compiled localizer of `count` readings, by checked options and the priors of now."""
     given = vector(position, "position").tobytes(), priors.compiled(), count, length, *options
     try:
         # Most callers give the same options again and again.
@@ -229,15 +219,15 @@ def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeR
     )
 
 
-def _result(found: _posterior.Answer, total: float, end_untold: bool) -> LocalizeResult:
-    """The answer in the caller's units; `end_untold`: whether something may hold the end."""
+def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
+    """The answer in the caller's units."""
     status = STATUSES[found.status]
     contacts = tuple(Contact(*fields) for fields in found.contacts(total))
     return LocalizeResult(
         status,
         contacts,
         found.hypothesis,
-        _message(status, found, len(contacts), end_untold),
+        _message(status, found, len(contacts)),
         found.noise,
         found.log_odds,
         found.hypotheses,
@@ -248,8 +238,13 @@ def _result(found: _posterior.Answer, total: float, end_untold: bool) -> Localiz
     )
 
 
-def _message(status: Status, found: _posterior.Answer, count: int, end_untold: bool) -> str:
-    bad = "; one reading looks bad (see `discarded`)" if found.discarded >= 0 else ""
+def _message(status: Status, found: _posterior.Answer, count: int) -> str:
+    bad = ""
+    if found.discarded >= 0:  # a kink under a sensor looks much the same
+        bad = "; one reading looks bad (see `discarded`)"
+        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
+        if kink > priors.EXCLUDED:
+            bad += f", or the body is kinked there (probability {kink:.2f})"
     if status == "no contact":
         return "the readings are those of the free body" + bad
     if status == "below detection":
@@ -266,6 +261,6 @@ def _message(status: Status, found: _posterior.Answer, count: int, end_untold: b
         return f"{places} the readings{more}{bad}"
     if number[0] > priors.EXCLUDED:
         return f"a contact has probability {1.0 - number[0]:.2f}{more}{bad}"
-    if end_untold and found.hypotheses.get("end wrench", 0.0) > priors.EXCLUDED:
+    if found.end_open:
         return f"something may hold the end: give tube_radius or held_end{more}{bad}"
     return f"the readings do not fix the place; see `intervals`{more}{bad}"

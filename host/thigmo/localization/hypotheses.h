@@ -107,7 +107,8 @@ class Weighing {
     if (poor || strong) hinge(bent, strong);
     if (poor) spread(bent);
     // What bends a straight body so far may hold its end.
-    const bool held_perhaps = poor || (turned && readings.turn <= priors_.end_turn);
+    const bool held_perhaps =
+        poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
     if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
     if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
     for (const Doubt& doubt : doubts_) {
@@ -336,6 +337,20 @@ class Weighing {
       if (folds && place[h] < 4.0 * settings_.radius) log_odds[h] = priors_.base_fold;
     }
     if (place.empty()) return;
+    const double one = contact_ + std::log(unfolded_), least = best() + priors_.hopeless;
+    for (std::size_t k = 0, known = found.size(); k < known; ++k) {
+      // A kink under one sensor alone looks like a bad reading there, whose body is near.
+      if (found[k].load != Load::contact || found[k].bad < 0 || found[k].log_weight < least)
+        continue;
+      for (int h = 0; h < columns.size(); ++h) {
+        if (columns[h].from != found[k].bad || columns[h].count != 1) continue;
+        OneContact fit =
+            one_contact(with(columns, h), prior_, kCells, 0.0, Nodes(found[k].curvature));
+        found.push_back(contact(Load::contact_hinge, std::move(fit), one + log_odds[h], 3, -1));
+        found.back().at = place[h];
+        log_odds[h] = -INFINITY;
+      }
+    }
     const auto first = static_cast<std::ptrdiff_t>(weigh_one(columns, log_odds, start, INFINITY));
     for (auto kinked = found.erase(found.begin() + first); kinked != found.end(); ++kinked) {
       kinked->load = Load::contact_hinge;

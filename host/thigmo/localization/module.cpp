@@ -94,17 +94,17 @@ NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
     const auto numbers = [&](const char* name) { return nb::cast<Row>(values[name]); };
-    new (self) Priors{numbers("MOMENTS"),      numbers("HALF_WIDTHS"),  numbers("NOISE_LEVELS"),
-                      number("LEAST_LEVER"),   number("CONTACT"),       number("END"),
-                      number("END_STRAIGHT"),  number("HELD"),          number("HELD_STRAIGHT"),
-                      number("ANOTHER"),       number("SPREAD"),        number("HINGE"),
-                      number("BASE_FOLD"),     number("BAD_DEVIATION"), number("ANGLE"),
-                      number("NEAR_FOLD"),     number("STRONG"),        number("STRAIGHT"),
-                      number("END_TURN"),      number("SHAPE_RESTS"),   number("LEVEL"),
-                      number("EXCLUDED"),      number("FIVE_SIGMA"),    number("SECOND_GAIN"),
-                      number("NOISE_FACTOR"),  number("NOISE_ODDS"),    number("HOPELESS"),
-                      number("TRUST"),         number("END_CELL"),      number("MISFIT_DEVIATE"),
-                      number("NOISE_DEVIATE"), number("CONTACT_UNSURE")};
+    new (self) Priors{numbers("MOMENTS"),       numbers("HALF_WIDTHS"),  numbers("NOISE_LEVELS"),
+                      number("LEAST_LEVER"),    number("CONTACT"),       number("END"),
+                      number("END_STRAIGHT"),   number("HELD"),          number("HELD_STRAIGHT"),
+                      number("ANOTHER"),        number("SPREAD"),        number("HINGE"),
+                      number("BASE_FOLD"),      number("BAD_DEVIATION"), number("ANGLE"),
+                      number("NEAR_FOLD"),      number("STRONG"),        number("STRAIGHT"),
+                      number("END_TURN"),       number("SHAPE_RESTS"),   number("LEVEL"),
+                      number("EXCLUDED"),       number("HELD_EXCLUDED"), number("FIVE_SIGMA"),
+                      number("SECOND_GAIN"),    number("NOISE_FACTOR"),  number("NOISE_ODDS"),
+                      number("HOPELESS"),       number("TRUST"),         number("END_CELL"),
+                      number("MISFIT_DEVIATE"), number("NOISE_DEVIATE"), number("CONTACT_UNSURE")};
   });
 
   nb::class_<Answer>(m, "Answer")
@@ -113,6 +113,7 @@ NB_MODULE(_posterior, m) {
       .def_ro("shows", &Answer::shows)
       .def_ro("number", &Answer::number)
       .def_ro("discarded", &Answer::discarded)
+      .def_ro("end_open", &Answer::end_open)
       .def_ro("noise", &Answer::noise)
       .def_ro("log_odds", &Answer::log_odds)
       .def_ro("objective", &Answer::objective)

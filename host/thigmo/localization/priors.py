@@ -70,6 +70,8 @@ END_CELL = 0.01
 # Mass of the intervals; probability below which another number of contacts is excluded.
 LEVEL = 0.95
 EXCLUDED = 0.05
+# The same of a held end, whose odds nobody knows to a factor of ten.
+HELD_EXCLUDED = 0.005
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
 WIDTH_SHARE = 10.0 / 53.0
 # Misfit of a free body over that of a contact, from which the contact is listed whatever its

@@ -18,11 +18,7 @@ Range = tuple[float, float]
 
 
 def vector(value: npt.ArrayLike, name: str, count: int | None = None) -> Array:
-    """One row of numbers; with a count, one number for all or one for each.
-
-    Raises:
-        DataError: not numeric, not one row, or of another length.
-    """
+    """One row of numbers; with a count, one number for all or one for each. Else a DataError."""
     if isinstance(value, float):
         return np.array([value])
     try:
@@ -41,11 +37,7 @@ def vector(value: npt.ArrayLike, name: str, count: int | None = None) -> Array:
 
 
 def positive(value: float, name: str) -> float:
-    """A finite number of zero or more.
-
-    Raises:
-        DataError: anything else.
-    """
+    """A finite number of zero or more; anything else is a DataError."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError) as error:
@@ -56,11 +48,7 @@ def positive(value: float, name: str) -> float:
 
 
 def everted_length(length: float) -> float:
-    """The length, if it is one.
-
-    Raises:
-        DataError: not a positive number.
-    """
+    """The length, if it is one; a DataError if not."""
     total = positive(length, "length")
     if not 1e-9 <= total <= 1e9:
         raise DataError(f"length {total:g} is no length", "give the everted length, in cm, m or mm")
@@ -68,11 +56,7 @@ def everted_length(length: float) -> float:
 
 
 def share_of_length(within: Range | None, total: float) -> Range:
-    """Two arcs as shares of the length.
-
-    Raises:
-        DataError: no two arcs, or nothing between them.
-    """
+    """Two arcs as shares of the length; a DataError if nothing lies between them."""
     if within is None:
         return 0.0, 1.0
     low, high = (positive(end, "within") / total for end in within)
@@ -83,11 +67,7 @@ def share_of_length(within: Range | None, total: float) -> Range:
 
 
 def columns(shared: npt.ArrayLike | None, count: int) -> Array:
-    """(K, N) columns of the further shared errors, from the caller's (N, K).
-
-    Raises:
-        DataError: of another shape, or not finite.
-    """
+    """(K, N) columns of the further shared errors, from the caller's (N, K)."""
     if shared is None:
         return np.zeros((0, count))
     try:

@@ -63,7 +63,7 @@ class Seen:
     held: int  # intervals that hold a true place, of the contacts listed
     wrong: bool  # localized, with an interval that holds no true place
     off_cm: float  # the farthest that a localized contact is from the true place nearest to it
-    hinge: bool  # the explanation has a kink
+    hinge: bool  # the explanation has a kink, or the message says that it may
     open: bool  # the message says that more contacts are not excluded
     stands_out: float  # misfit of what the group's promise speaks of
     fits: bool  # one contact leaves no more misfit than noise does in 99 of 100 frames
@@ -240,7 +240,10 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
                 held=sum(holds(arcs, contact.interval) for contact in result.contacts),
                 wrong=any(not holds(arcs, contact.interval) for contact in placed),
                 off_cm=max(off, default=0.0),
-                hinge="hinge" in result.hypothesis or "folded" in result.hypothesis,
+                hinge=any(
+                    word in f"{result.hypothesis} {result.message}"
+                    for word in ("hinge", "folded", "kinked")
+                ),
                 open="not excluded" in result.message,
                 stands_out=float(out),
                 fits=bool(fit),
@@ -310,7 +313,7 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
                  share([f.held > 0 for f in rods]), 0.95),
         Claim("rod held at its end: localized more than 5 % of its length from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods]), 0.0),
-        Claim("kinks of 3 standard errors or more: not found, and a contact localized",
+        Claim("kinks of 3 standard errors or more: not told, and a contact localized",
               share([f.localized and not f.hinge for f in told]), 0.0),
         Claim("of these, localized where nothing is", share([f.wrong for f in told]), 0.03),
         at_least("kinks that hardly show: least coverage",

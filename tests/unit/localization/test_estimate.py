@@ -248,11 +248,30 @@ def test_what_a_contact_explains_is_listed_even_if_sensors_are_said_to_be_bad():
     assert result.status == "ambiguous"
 
 
-def test_a_strongly_bent_rod_may_be_held_at_its_end_unless_it_is_a_tube():
-    reading = felt(49.0, 3e-4, COLUMN)
+@pytest.mark.parametrize("force", [2.2e-4, 3e-4])  # bends of 0.26 and 0.36 rad
+def test_a_bent_rod_may_be_held_at_its_end_unless_it_is_a_tube(force):
+    reading = felt(49.0, force, COLUMN)
     tube, any_rod = find(reading, COLUMN), find(reading, COLUMN, tube_radius=None)
     assert tube.status == "localized"
     assert any_rod.status == "ambiguous"
-    assert sum(share for name, share in any_rod.hypotheses.items() if "end" in name) > 0.05
+    assert any_rod.hypotheses["end wrench"] > 0.005
     assert "tube_radius or held_end" in any_rod.message
     assert find(reading, COLUMN, tube_radius=None, held_end=False).status == "localized"
+
+
+@pytest.mark.parametrize("force", [-2e-4, -4e-4])
+@pytest.mark.parametrize("sensor", [1, 2, 3])
+@pytest.mark.parametrize("angle", [0.3, 0.5])
+def test_a_kink_under_a_sensor_is_told_from_a_bad_reading_or_beside_it(force, sensor, angle):
+    arcs, forces, kink = [COLUMN[sensor], 50.0], [0.0, force], np.array([[angle, 0.0]])
+    answer = find(
+        felt(arcs, forces, COLUMN, free_curvature=0.03, kink=kink), COLUMN, free_curvature=0.03
+    )
+    share = answer.hypotheses["one contact, hinge"]
+    if angle == 0.5:
+        assert answer.hypothesis == "one contact, hinge"
+        assert share > 0.8
+    else:
+        assert answer.discarded == (sensor,)
+        assert f"or the body is kinked there (probability {share:.2f})" in answer.message
+        assert share > 0.3
