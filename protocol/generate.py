@@ -541,22 +541,17 @@ def cpp(schema: Schema) -> str:
 
 def _py_type(field: Field) -> str:
     if field.count > 1:
-        return "tuple[int, ...]"
-    return field.enum or "int"
+        return f'Annotated[tuple[int, ...], "{field.code}"]'
+    return field.enum or field.type.upper()
 
 
-def _docstring(text: str) -> list[str]:
+def _short(text: str) -> str:
     """Its first sentences, as many as a line takes; PROTOCOL.md has the rest."""
-    sentences = re.split(r"(?<=[.]) (?=[A-Z])", text)
-    short = sentences[0]
-    for each in sentences[1:]:
+    short, *more = re.split(r"(?<=[.]) (?=[A-Z])", text)
+    for each in more:
         if len(short) + 1 + len(each) <= COLUMNS - 10:
             short += f" {each}"
-    line = f'    """{short}"""'
-    if len(line) <= COLUMNS:
-        return [line]
-    first, *rest = textwrap.wrap(short, COLUMNS - 10)
-    return [f'    """{first}', *(f"    {part}" for part in rest), '    """']
+    return short
 
 
 def _py_value(value: Value) -> str:
@@ -572,18 +567,18 @@ def _py_line(line: str, doc: str) -> list[str]:
     """A line of code with its comment, above it if need be."""
     if len(line) + len(doc) + 4 <= COLUMNS:
         return [f"{line}  # {doc}"]
-    return [*(f"    # {part}" for part in textwrap.wrap(doc, COLUMNS - 6)), line]
+    indent = re.match(" *", line)[0]  # type: ignore[index]
+    return [
+        *(f"{indent}# {part}" for part in textwrap.wrap(doc, COLUMNS - 6, break_on_hyphens=False)),
+        line,
+    ]
 
 
 def _py_message(m: Message) -> list[str]:
-    keywords = [f"number=0x{m.id:02X}", f'kind="{m.kind}"', f'layout="{m.format[1:]}"']
-    base = "Message"
-    if m.kind == "command":
-        base = f"Command[{camel(m.reply)}]"
-        keywords = [keywords[0], *keywords[2 : 3 if m.fields else 2]]
-        if m.deadline_ms != DEADLINE_MS:
-            keywords.append(f"deadline_s={m.deadline_ms / 1000}")
-    out = [f"class {m.camel}({base}, {', '.join(keywords)}):", *_docstring(m.doc), ""]
+    base = {"command": f"Command[{camel(m.reply)}]", "reply": "Reply"}.get(m.kind, "Message")
+    deadline = f", deadline_s={m.deadline_ms / 1000}" if m.deadline_ms != DEADLINE_MS else ""
+    head = f"class {m.camel}({base}, number=0x{m.id:02X}{deadline}):{'' if m.fields else ' ...'}"
+    out = _py_line(head, _short(m.doc))
     for f in m.fields:
         doc = f.doc + (f" [{f.unit}]" if f.unit else "")
         out += _py_line(f"    {f.name}: {_py_type(f)}", doc)
@@ -598,13 +593,13 @@ def python(schema: Schema) -> str:
         "Messages and enumerations, as protocol/PROTOCOL.md documents them. Integers are as on the",
         "wire; the scale is in each name and unit.",
         '"""',
+        "# ruff: noqa: D101, F401, I001 - comments say what things are; the imports are passed on",
+        "# mypy: implicit-reexport",
         "",
-        "from thigmo.link.message import MESSAGES as MESSAGES",
-        "from thigmo.link.message import PARAMETERS as PARAMETERS",
-        "from thigmo.link.message import Command as Command",
-        "from thigmo.link.message import Documented",
-        "from thigmo.link.message import Message as Message",
-        "from thigmo.link.message import Parameter as Parameter",
+        "from typing import Annotated",
+        "",
+        "from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32",
+        "from thigmo.link.message import Command, Documented, Message, Parameter, Reply",
         "",
         f"PROTOCOL = {schema.protocol}",
         f"SCHEMA_HASH = 0x{schema.hash:08X}",
@@ -620,7 +615,7 @@ def python(schema: Schema) -> str:
         "",
     ]
     for name, (doc, values) in schema.enums.items():
-        out += [f"class {name}(Documented):", *_docstring(doc), ""]
+        out += _py_line(f"class {name}(Documented):", _short(doc))
         out += [_py_value(v) for v in values]
         out += ["", ""]
     for m in sorted(schema.messages, key=lambda m: m.kind == "command"):

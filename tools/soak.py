@@ -173,7 +173,7 @@ class Soak:
         """From handing the command to the line to the reply's last byte on it."""
         took = (self.client.now() - self._sent_s) * 1e3
         if isinstance(self._rig, Rig):
-            replies = [at for message, at in self._rig.frames() if message.KIND == "reply"]
+            replies = [at for message, at in self._rig.frames() if isinstance(message, wire.Reply)]
             if not replies:
                 return  # lost
             took = (replies[-1] - self._sent_cycle) / CYCLES_PER_MS

@@ -21,7 +21,9 @@ PARAMETER_BY_INDEX = [p for p in wire.PARAMETERS.values() for _ in range(p.count
 DEFAULTS = [d for p in wire.PARAMETERS.values() for d in p.defaults]
 SETTLE = wire.PARAMETERS["settle_ms"].index
 TELEMETRY_MS = wire.PARAMETERS["telemetry_ms"].index
-COMMANDS = [m for m in wire.MESSAGES.values() if m.KIND == "command" and m is not wire.Hello]
+COMMANDS = [
+    m for m in wire.MESSAGES.values() if issubclass(m, wire.Command) and m is not wire.Hello
+]
 UNKNOWN_ZONE = 255
 
 

@@ -387,7 +387,7 @@ class Client(Inbox, Closing):
             return
         if isinstance(message, wire.Announce):
             self._take_announce(message)
-        elif message.KIND == "reply":
+        elif isinstance(message, wire.Reply):
             self._take_reply(message, frame, t_s)
         elif isinstance(message, wire.Pulse) and frame.session == self.session:
             self._take_pulse(message, t_s)

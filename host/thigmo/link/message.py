@@ -1,8 +1,8 @@
 """What the generated protocol.py is made of: messages, their enumerations, parameters.
 
-A message is a frozen dataclass. Its base reads from the fields' types how the integers of the wire
-format become them: `Status` an enumeration's member, `tuple[int, ...]` an array, `int` itself. The
-sentences of enumerations, and the parameters, are data: protocol.json beside this file.
+A message is a frozen dataclass. Its base reads the wire's layout off the fields' types, which carry
+their struct codes; enumerations are bytes. The sentences of enumerations, and the parameters, are
+data: protocol.json beside this file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from enum import IntEnum
 from inspect import get_annotations
 from pathlib import Path
 from struct import Struct
-from typing import Any, ClassVar, Generic, Self, TypeVar, dataclass_transform, get_args
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, dataclass_transform, get_args
 
 _DATA = json.loads(Path(__file__).with_name("protocol.json").read_text(encoding="utf-8"))
 
@@ -49,6 +49,13 @@ class Documented(IntEnum):
         return tuple(member for member in cls if mask >> int(member) & 1)
 
 
+U8 = Annotated[int, "B"]
+U16 = Annotated[int, "H"]
+I16 = Annotated[int, "h"]
+U32 = Annotated[int, "I"]
+I32 = Annotated[int, "i"]
+
+
 @dataclass_transform(frozen_default=True)
 class Message:
     """Base of all messages."""
@@ -56,40 +63,33 @@ class Message:
     ID: ClassVar[int]
     SIZE: ClassVar[int]
     NAME: ClassVar[str]
-    KIND: ClassVar[str]
     _FIELDS: ClassVar[tuple[str, ...]]
     _STRUCT: ClassVar[Struct]
     _ENUMS: ClassVar[list[tuple[int, type[Documented]]]]  # places among the integers
     _ARRAYS: ClassVar[list[slice]]  # last first: each becomes one value, and moves what follows
 
-    def __init_subclass__(
-        cls, *, number: int = 0, kind: str = "command", layout: str = "", deadline_s: float = 2.0
-    ) -> None:
-        """Make a message of a class whose fields are annotated with their types.
-
-        Args:
-            number: its id on the wire; 0 for a base.
-            kind: command, reply, datagram, telemetry or event.
-            layout: struct codes of the fields in order, one each, as `10H` for an array of ten.
-            deadline_s: within which a command must be answered.
-        """
+    def __init_subclass__(cls, *, number: int = 0, deadline_s: float = 2.0) -> None:
+        """Make a message of an annotated class; `number` is its id on the wire, 0 of a base."""
         super().__init_subclass__()
         if not number:
             return
         dataclass(frozen=True)(cls)
-        cls.ID, cls.KIND = number, kind
+        cls.ID = number
         cls.NAME = re.sub(r"\B(?=[A-Z])", "_", cls.__name__).lower()
-        cls._STRUCT = Struct("<" + layout)
-        cls.SIZE = cls._STRUCT.size
         types = get_annotations(cls)
         cls._FIELDS, cls._ENUMS, cls._ARRAYS = tuple(types), [], []
-        at = 0
-        for of, count in zip(types.values(), re.findall(r"(\d*)\D", layout), strict=True):
-            if count:
-                cls._ARRAYS.insert(0, slice(at, at + int(count)))
-            elif of is not int:
+        layout, at = "<", 0
+        for of in types.values():
+            code = getattr(of, "__metadata__", ("B",))[0]  # an enumeration is a byte
+            count = int(code[:-1] or 1)
+            if count > 1:
+                cls._ARRAYS.insert(0, slice(at, at + count))
+            elif isinstance(of, type):
                 cls._ENUMS.append((at, of))
-            at += int(count or 1)
+            layout += code
+            at += count
+        cls._STRUCT = Struct(layout)
+        cls.SIZE = cls._STRUCT.size
         if issubclass(cls, Command):
             cls.DEADLINE_S = deadline_s
             (cls.REPLY,) = get_args(vars(cls)["__orig_bases__"][0])
@@ -116,15 +116,19 @@ class Message:
         return cls(*values)
 
 
-R = TypeVar("R", bound=Message)
+class Reply(Message):
+    """The board's answer to a command."""
+
+
 MESSAGES: dict[int, type[Message]] = {}  # by id
+R = TypeVar("R", bound=Message)
 
 
 class Command(Message, Generic[R]):
     """A message that the board answers with an R, or refuses with an Ack."""
 
     REPLY: ClassVar[type[Message]]
-    DEADLINE_S: ClassVar[float]
+    DEADLINE_S: ClassVar[float]  # within which it must be answered
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,13 @@
 Messages and enumerations, as protocol/PROTOCOL.md documents them. Integers are as on the
 wire; the scale is in each name and unit.
 """
+# ruff: noqa: D101, F401, I001 - comments say what things are; the imports are passed on
+# mypy: implicit-reexport
 
-from thigmo.link.message import MESSAGES as MESSAGES
-from thigmo.link.message import PARAMETERS as PARAMETERS
-from thigmo.link.message import Command as Command
-from thigmo.link.message import Documented
-from thigmo.link.message import Message as Message
-from thigmo.link.message import Parameter as Parameter
+from typing import Annotated
+
+from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32
+from thigmo.link.message import Command, Documented, Message, Parameter, Reply
 
 PROTOCOL = 1
 SCHEMA_HASH = 0x33611322
@@ -23,9 +23,7 @@ MAP_STEP_CPSI = 200
 PARAMETER_COUNT = 90
 
 
-class State(Documented):
-    """The supervisor's states."""
-
+class State(Documented):  # The supervisor's states.
     BOOT = 0  # Starting: outputs off, waiting for the host's hello.
     SAFE = 1  # Valves at 0 mA, motor braked. `arm` leads on.
     READY = 2  # Outputs may be energised; nothing moves.
@@ -33,9 +31,7 @@ class State(Documented):
     FAULT = 4  # A fault is latched: outputs are safe until it is cleared.
 
 
-class Activity(Documented):
-    """What the board is doing."""
-
+class Activity(Documented):  # What the board is doing.
     IDLE = 0  # Nothing.
     GROWING = 1  # The spool pays out towards a length.
     RETRACTING = 2  # The spool winds in towards a length.
@@ -48,38 +44,28 @@ class Activity(Documented):
     TESTING = 9  # One output is driven as it is, for a moment, within small limits.
 
 
-class Output(Documented):
-    """What `test_output` drives."""
-
+class Output(Documented):  # What `test_output` drives.
     LEFT_TRANSDUCER = 0  # Current of the left transducer, 20 mA/1599.
     RIGHT_TRANSDUCER = 1  # Current of the right transducer, 20 mA/1599.
     MOTOR = 2  # Duty of the spool motor, 1/800 of full, positive pays out.
 
 
-class Side(Documented):
-    """A muscle and its column of sensors."""
-
+class Side(Documented):  # A muscle and its column of sensors.
     LEFT = 0  # Bends the body to the left (positive curvature).
     RIGHT = 1  # Bends the body to the right.
 
 
-class Branch(Documented):
-    """Which of a muscle's two maps."""
-
+class Branch(Documented):  # Which of a muscle's two maps.
     INFLATE = 0  # Pressure rising.
     DEFLATE = 1  # Pressure falling.
 
 
-class Board(Documented):
-    """Where the firmware runs."""
-
+class Board(Documented):  # Where the firmware runs.
     VIRTUAL = 0  # Inside the emulator.
     MEGA = 1  # Arduino Mega 2560, real or simulated.
 
 
-class ResetCause(Documented):
-    """Why the board last started."""
-
+class ResetCause(Documented):  # Why the board last started.
     UNKNOWN = 0  # Not recorded.
     POWER_ON = 1  # Power was applied.
     EXTERNAL = 2  # Reset line: button, or the port being opened.
@@ -87,17 +73,13 @@ class ResetCause(Documented):
     WATCHDOG = 4  # The main loop hung and the watchdog restarted the board.
 
 
-class Status(Documented):
-    """First field of every reply."""
-
+class Status(Documented):  # First field of every reply.
     OK = 0  # Done, or started if the command starts an activity.
     IN_PROGRESS = 1  # Still at work on this command: ask again.
     REFUSED = 2  # Not done; `reason` says why.
 
 
-class Reason(Documented):
-    """Why a command was refused. The text is what the operator reads."""
-
+class Reason(Documented):  # Why a command was refused. The text is what the operator reads.
     NONE = 0  # No reason: the command was accepted.
     UNKNOWN_ID = 1  # This firmware does not know that message
     BAD_LENGTH = 2  # The message has the wrong size; flash the firmware of this host's version.
@@ -125,9 +107,8 @@ class Reason(Documented):
     STOPPED_AGAIN = 24  # The robot was stopped once more since
 
 
+# Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
 class Fault(Documented):
-    """Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor."""
-
     HOST_SILENT = 0  # No heartbeat from the host while the robot was armed
     OVER_PRESSURE = 1  # A muscle exceeded the pressure limit
     PRESSURE_WIRE = 2  # A pressure sensor reads outside 5..95 % of its supply
@@ -146,9 +127,8 @@ class Fault(Documented):
     STOPPED = 15
 
 
+# Condition bits that the supervisor's transition table reads, by bit number.
 class Condition(Documented):
-    """Condition bits that the supervisor's transition table reads, by bit number."""
-
     LENGTH_KNOWN = 0  # Homed or confirmed since the reset.
     ZONE_KNOWN = 1  # The host selected the body-pressure map.
     VENTED = 2  # Both muscles below the vent threshold.
@@ -166,9 +146,7 @@ class Condition(Documented):
     BODY_AIR = 14  # The body's enable is on: `body_air` was commanded since the robot was armed.
 
 
-class EventCode(Documented):
-    """What happened. Events stay latched at the board until acknowledged."""
-
+class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
     FAULT = 1  # A fault latched: arg = bit number, value = channel or detail.
     CONTACT = 2
     PEAK = 3  # Readings of a sweep's peak are captured: arg = active Side, value = their number.
@@ -180,380 +158,322 @@ class EventCode(Documented):
     SAVED = 9  # The configuration is committed: arg = slot, value = generation.
 
 
-class SweepOption(Documented):
-    """Bits of the sweep command's options."""
-
+class SweepOption(Documented):  # Bits of the sweep command's options.
     HOLD_ON_CONTACT = 0  # Hold the pressure when the trigger fires, until vent or stop.
 
 
-class Ack(Message, number=0x80, kind="reply", layout="BBi"):
-    """Answer of commands that return nothing else, and every refusal."""
-
+class Ack(Reply, number=0x80):  # Answer of commands that return nothing else, and every refusal.
     status: Status  # Outcome.
     reason: Reason  # Why refused.
-    detail: int  # What the command's doc says, or the index, sensor or bit at fault.
+    detail: I32  # What the command's doc says, or the index, sensor or bit at fault.
 
 
-class HelloReply(Message, number=0x81, kind="reply", layout="BBBI3BBIHBHI"):
-    """Who the board is. Commands carry this session from now on."""
-
+class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this session from now on.
     status: Status  # refused when the schema differs.
     reason: Reason  # wrong_schema, or none.
-    protocol: int  # Protocol version.
-    schema_hash: int  # Hash of the board's schema.
-    firmware_version: tuple[int, ...]  # Major, minor, patch.
+    protocol: U8  # Protocol version.
+    schema_hash: U32  # Hash of the board's schema.
+    firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
     board: Board  # Where it runs.
-    boot_nonce: int  # Differs at each boot.
-    session: int  # Never 0; differs at each hello.
+    boot_nonce: U32  # Differs at each boot.
+    session: U16  # Never 0; differs at each hello.
     reset_cause: ResetCause  # Why it last started.
-    receive_window: int  # Unanswered bytes that the host may have in flight. [byte]
-    host_nonce: int  # Echo.
+    receive_window: U16  # Unanswered bytes that the host may have in flight. [byte]
+    host_nonce: U32  # Echo.
 
 
-class StatusReport(Message, number=0x82, kind="reply", layout="BBBBHHIihhHHHHIHHI"):
-    """The board's whole state."""
-
+class StatusReport(Reply, number=0x82):  # The board's whole state.
     status: Status  # ok.
     state: State  # Supervisor.
     activity: Activity  # What it is doing.
-    zone: int  # Selected body-pressure map; 255 = unknown.
-    faults: int  # Latched Fault bits.
-    conditions: int  # Condition bits.
-    t_us: int  # Device clock, wraps. [us]
-    length_um: int  # Everted length, if known. [um]
-    left_cpsi: int  # Left muscle pressure. [0.01 psi]
-    right_cpsi: int  # Right muscle pressure. [0.01 psi]
-    everted_mask: int  # Sensors fully everted, with margin.
-    settled_mask: int  # Sensors past their settling time.
-    zeroed_mask: int  # Sensors with a valid zero.
-    event_number: int  # Newest event.
-    config_generation: int  # Of the stored configuration; 0 = none.
-    supply_mv: int  # Supply voltage, by reference_mv. [mV]
+    zone: U8  # Selected body-pressure map; 255 = unknown.
+    faults: U16  # Latched Fault bits.
+    conditions: U16  # Condition bits.
+    t_us: U32  # Device clock, wraps. [us]
+    length_um: I32  # Everted length, if known. [um]
+    left_cpsi: I16  # Left muscle pressure. [0.01 psi]
+    right_cpsi: I16  # Right muscle pressure. [0.01 psi]
+    everted_mask: U16  # Sensors fully everted, with margin.
+    settled_mask: U16  # Sensors past their settling time.
+    zeroed_mask: U16  # Sensors with a valid zero.
+    event_number: U16  # Newest event.
+    config_generation: U32  # Of the stored configuration; 0 = none.
+    supply_mv: U16  # Supply voltage, by reference_mv. [mV]
     # Illegal transitions of the spool's encoder since boot; wraps. More than a few mean noise, or a
     # channel that fails.
-    encoder_errors: int
-    stop_nonce: int  # Of the latest stop, if fault stopped is latched.
+    encoder_errors: U16
+    stop_nonce: U32  # Of the latest stop, if fault stopped is latched.
 
 
-class SensorReport(Message, number=0x83, kind="reply", layout="BBHIhIIB"):
-    """One flex sensor's state."""
-
+class SensorReport(Reply, number=0x83):  # One flex sensor's state.
     status: Status  # ok.
-    sensor: int  # 0..9.
-    flex_sum: int  # Latest reading.
-    zero_sum_q8: int  # Zero, in 1/256 of a sum.
-    drift_e5: int  # Drift as last measured. [1e-5/cm/s]
-    settle_left_ms: int  # Until its settling time is over. [ms]
-    everted_t_us: int  # When it last everted. [us]
-    flags: int  # bit 0 everted, 1 settled, 2 zeroed, 3 open, 4 short, 5 enabled.
+    sensor: U8  # 0..9.
+    flex_sum: U16  # Latest reading.
+    zero_sum_q8: U32  # Zero, in 1/256 of a sum.
+    drift_e5: I16  # Drift as last measured. [1e-5/cm/s]
+    settle_left_ms: U32  # Until its settling time is over. [ms]
+    everted_t_us: U32  # When it last everted. [us]
+    flags: U8  # bit 0 everted, 1 settled, 2 zeroed, 3 open, 4 short, 5 enabled.
 
 
-class ParameterValue(Message, number=0x84, kind="reply", layout="BHi"):
-    """A parameter as the board holds it."""
-
+class ParameterValue(Reply, number=0x84):  # A parameter as the board holds it.
     status: Status  # ok.
-    index: int  # Parameter index.
-    value: int  # Value, in the parameter's wire unit.
+    index: U16  # Parameter index.
+    value: I32  # Value, in the parameter's wire unit.
 
 
-class MapValues(Message, number=0x85, kind="reply", layout="BBBB11h"):
-    """One free-curvature map as the board holds it."""
-
+class MapValues(Reply, number=0x85):  # One free-curvature map as the board holds it.
     status: Status  # ok.
-    zone: int  # 0..2.
+    zone: U8  # 0..2.
     side: Side  # Muscle.
     branch: Branch  # Inflating or deflating.
-    curvature_e5: tuple[int, ...]  # At 0, 2, .. 20 psi. [1e-5/cm]
+    curvature_e5: Annotated[tuple[int, ...], "11h"]  # At 0, 2, .. 20 psi. [1e-5/cm]
 
 
-class Snapshot(Message, number=0x86, kind="reply", layout="BBBBBI10Hhhhhh"):
-    """A captured reading, raw and as the trigger saw it."""
-
+class Snapshot(Reply, number=0x86):  # A captured reading, raw and as the trigger saw it.
     status: Status  # ok.
-    index: int  # As asked.
-    count: int  # Readings of the peak captured so far.
+    index: U8  # As asked.
+    count: U8  # Readings of the peak captured so far.
     side: Side  # Active muscle.
     branch: Branch  # Inflating or deflating.
-    t_us: int  # When it was taken. [us]
-    flex_sum: tuple[int, ...]  # Flex readings, left base first.
-    left_cpsi: int  # Left pressure, measured. [0.01 psi]
-    right_cpsi: int  # Right pressure, measured. [0.01 psi]
-    lagged_cpsi: int  # Active pressure filtered by the calibrated lag. [0.01 psi]
-    base_e5: int  # Base curvature of the inactive side. [1e-5/cm]
-    free_e5: int  # Free curvature by the map. [1e-5/cm]
+    t_us: U32  # When it was taken. [us]
+    flex_sum: Annotated[tuple[int, ...], "10H"]  # Flex readings, left base first.
+    left_cpsi: I16  # Left pressure, measured. [0.01 psi]
+    right_cpsi: I16  # Right pressure, measured. [0.01 psi]
+    lagged_cpsi: I16  # Active pressure filtered by the calibrated lag. [0.01 psi]
+    base_e5: I16  # Base curvature of the inactive side. [1e-5/cm]
+    free_e5: I16  # Free curvature by the map. [1e-5/cm]
 
 
-class LinkStats(Message, number=0x87, kind="reply", layout="BIHHHHHH"):
-    """Counters since boot; they wrap."""
-
+class LinkStats(Reply, number=0x87):  # Counters since boot; they wrap.
     status: Status  # ok.
-    rx_frames: int  # Whole frames with a good check sequence.
-    rx_bad: int  # Frames dropped: check sequence, stuffing or size.
-    rx_stale: int  # Frames of another session or out of sequence.
-    rx_repeats: int  # Repeats answered from memory.
-    rx_overruns: int  # Bytes lost for want of room.
-    tx_dropped: int  # Telemetry frames dropped for want of room.
-    loop_max_us: int  # Longest main-loop pass since the last report. [us]
+    rx_frames: U32  # Whole frames with a good check sequence.
+    rx_bad: U16  # Frames dropped: check sequence, stuffing or size.
+    rx_stale: U16  # Frames of another session or out of sequence.
+    rx_repeats: U16  # Repeats answered from memory.
+    rx_overruns: U16  # Bytes lost for want of room.
+    tx_dropped: U16  # Telemetry frames dropped for want of room.
+    loop_max_us: U16  # Longest main-loop pass since the last report. [us]
 
 
-class ConfigReport(Message, number=0x88, kind="reply", layout="BIBB8BB8B"):
-    """How the stored configuration fits the firmware that runs, as of the last start or save."""
-
+# How the stored configuration fits the firmware that runs, as of the last start or save.
+class ConfigReport(Reply, number=0x88):
     status: Status  # ok.
-    generation: int  # Of the stored configuration; 0 = none.
-    kept: int  # Stored parameters that this firmware has, the maps as one.
-    new_count: int  # Parameters that were not stored, at their defaults.
-    new_ids: tuple[int, ...]  # Their ids.
-    unknown_count: int  # Stored parameters that this firmware does not have, left out.
-    unknown_ids: tuple[int, ...]  # Their ids.
+    generation: U32  # Of the stored configuration; 0 = none.
+    kept: U8  # Stored parameters that this firmware has, the maps as one.
+    new_count: U8  # Parameters that were not stored, at their defaults.
+    new_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
+    unknown_count: U8  # Stored parameters that this firmware does not have, left out.
+    unknown_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
 
 
-class Stop(Message, number=0x21, kind="datagram", layout="I"):
-    """At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
-    `stopped` latches.
-    """
-
-    nonce: int  # Random; tells this stop from others, and its echo from a replayed one.
+# At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
+# `stopped` latches.
+class Stop(Message, number=0x21):
+    nonce: U32  # Random; tells this stop from others, and its echo from a replayed one.
 
 
-class Stopped(Message, number=0xA2, kind="datagram", layout="I"):
-    """The robot is stopped, outputs are off. Sent at once for every stop."""
-
-    nonce: int  # Echo.
-
-
-class Heartbeat(Message, number=0x20, kind="datagram", layout="I"):
-    """Host is alive; the counter must rise, so that a replayed one keeps nobody alive."""
-
-    counter: int  # Rises by at least 1.
+# The robot is stopped, outputs are off. Sent at once for every stop.
+class Stopped(Message, number=0xA2):
+    nonce: U32  # Echo.
 
 
-class Pulse(Message, number=0xA0, kind="datagram", layout="II"):
-    """Answer to a heartbeat; pairs device and host clocks."""
-
-    counter: int  # Echo.
-    t_us: int  # Device clock when the heartbeat's last byte was read. [us]
+# Host is alive; the counter must rise, so that a replayed one keeps nobody alive.
+class Heartbeat(Message, number=0x20):
+    counter: U32  # Rises by at least 1.
 
 
-class Announce(Message, number=0xA1, kind="datagram", layout="BI3BBIB"):
-    """Sent twice a second from boot until the first hello, so that the host knows when it may
-    speak.
-    """
+class Pulse(Message, number=0xA0):  # Answer to a heartbeat; pairs device and host clocks.
+    counter: U32  # Echo.
+    t_us: U32  # Device clock when the heartbeat's last byte was read. [us]
 
-    protocol: int  # Protocol version.
-    schema_hash: int  # Hash of the board's schema.
-    firmware_version: tuple[int, ...]  # Major, minor, patch.
+
+# Sent twice a second from boot until the first hello, so that the host knows when it may speak.
+class Announce(Message, number=0xA1):
+    protocol: U8  # Protocol version.
+    schema_hash: U32  # Hash of the board's schema.
+    firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
     board: Board  # Where it runs.
-    boot_nonce: int  # Differs at each boot.
+    boot_nonce: U32  # Differs at each boot.
     reset_cause: ResetCause  # Why it last started.
 
 
-class Telemetry(Message, number=0xC0, kind="telemetry", layout="I10HhhhhHHihhhBH"):
-    """All channels. seq numbers the frames; gaps are drops."""
-
-    t_us: int  # When its readings were complete. [us]
-    flex_sum: tuple[int, ...]  # Latest flex readings, left base first.
-    left_cpsi: int  # Left pressure. [0.01 psi]
-    right_cpsi: int  # Right pressure. [0.01 psi]
-    left_set_cpsi: int  # Left set point. [0.01 psi]
-    right_set_cpsi: int  # Right set point. [0.01 psi]
-    left_drive: int  # Left transducer current. [20 mA/1599]
-    right_drive: int  # Right transducer current. [20 mA/1599]
-    length_um: int  # Everted length. [um]
-    motor: int  # Motor duty, positive pays out. [1/800 of full]
-    base_e5: int  # Base curvature as the trigger sees it. [1e-5/cm]
-    free_e5: int  # Free curvature by the map. [1e-5/cm]
-    state_activity: int  # State in the high, Activity in the low four bits.
-    faults: int  # Latched Fault bits.
+class Telemetry(Message, number=0xC0):  # All channels. seq numbers the frames; gaps are drops.
+    t_us: U32  # When its readings were complete. [us]
+    flex_sum: Annotated[tuple[int, ...], "10H"]  # Latest flex readings, left base first.
+    left_cpsi: I16  # Left pressure. [0.01 psi]
+    right_cpsi: I16  # Right pressure. [0.01 psi]
+    left_set_cpsi: I16  # Left set point. [0.01 psi]
+    right_set_cpsi: I16  # Right set point. [0.01 psi]
+    left_drive: U16  # Left transducer current. [20 mA/1599]
+    right_drive: U16  # Right transducer current. [20 mA/1599]
+    length_um: I32  # Everted length. [um]
+    motor: I16  # Motor duty, positive pays out. [1/800 of full]
+    base_e5: I16  # Base curvature as the trigger sees it. [1e-5/cm]
+    free_e5: I16  # Free curvature by the map. [1e-5/cm]
+    state_activity: U8  # State in the high, Activity in the low four bits.
+    faults: U16  # Latched Fault bits.
 
 
-class Event(Message, number=0xE0, kind="event", layout="HBIHi"):
-    """Something happened; repeated until acknowledged. At most 24 bytes on the wire."""
-
-    number: int  # Rises by 1.
+# Something happened; repeated until acknowledged. At most 24 bytes on the wire.
+class Event(Message, number=0xE0):
+    number: U16  # Rises by 1.
     code: EventCode  # What.
-    t_us: int  # When. [us]
-    arg: int  # As the code's doc says.
-    value: int  # As the code's doc says.
+    t_us: U32  # When. [us]
+    arg: U16  # As the code's doc says.
+    value: I32  # As the code's doc says.
 
 
-class Hello(Command[HelloReply], number=0x01, layout="BII", deadline_s=3.0):
-    """Opens a session. The only command accepted with session 0; resets the sequence."""
-
-    protocol: int  # Protocol version.
-    schema_hash: int  # Hash of this schema.
-    host_nonce: int  # Random; echoed, so that a replayed reply is told apart.
-
-
-class GetStatus(Command[StatusReport], number=0x02):
-    """The board's whole state."""
+# Opens a session. The only command accepted with session 0; resets the sequence.
+class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):
+    protocol: U8  # Protocol version.
+    schema_hash: U32  # Hash of this schema.
+    host_nonce: U32  # Random; echoed, so that a replayed reply is told apart.
 
 
-class Arm(Command[Ack], number=0x03):
-    """Leave safe for ready."""
+class GetStatus(Command[StatusReport], number=0x02): ...  # The board's whole state.
 
 
-class Vent(Command[Ack], number=0x04):
-    """Both muscles to 0 mA; ends a sweep or a press; state stays ready."""
+class Arm(Command[Ack], number=0x03): ...  # Leave safe for ready.
 
 
-class Disarm(Command[Ack], number=0x05):
-    """The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe."""
+# Both muscles to 0 mA; ends a sweep or a press; state stays ready.
+class Vent(Command[Ack], number=0x04): ...
 
 
-class ClearFaults(Command[Ack], number=0x06, layout="H"):
-    """Clears latched faults whose cause is gone; detail holds what remains."""
-
-    mask: int  # Fault bits to clear.
+# The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe.
+class Disarm(Command[Ack], number=0x05): ...
 
 
-class SetPressure(Command[Ack], number=0x07, layout="hhH"):
-    """Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks."""
-
-    left_cpsi: int  # Left set point; at most one side above zero. [0.01 psi]
-    right_cpsi: int  # Right set point. [0.01 psi]
-    ramp_cpsi_s: int  # Slew rate; 0 = as fast as configured. [0.01 psi/s]
+# Clears latched faults whose cause is gone; detail holds what remains.
+class ClearFaults(Command[Ack], number=0x06):
+    mask: U16  # Fault bits to clear.
 
 
-class GrowTo(Command[Ack], number=0x08, layout="iI"):
-    """Pay out to an everted length."""
+# Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks.
+class SetPressure(Command[Ack], number=0x07):
+    left_cpsi: I16  # Left set point; at most one side above zero. [0.01 psi]
+    right_cpsi: I16  # Right set point. [0.01 psi]
+    ramp_cpsi_s: U16  # Slew rate; 0 = as fast as configured. [0.01 psi/s]
 
-    length_um: int  # Target everted length. [um]
+
+class GrowTo(Command[Ack], number=0x08):  # Pay out to an everted length.
+    length_um: I32  # Target everted length. [um]
     # Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so that a dead host
     # costs no more than 2 cm; a heartbeat_ms below the watchdog's 250 ms counts as 250 ms. [um/s]
-    speed_um_s: int
+    speed_um_s: U32
 
 
-class RetractTo(Command[Ack], number=0x09, layout="iI"):
-    """Wind in to an everted length. Refused unless vented, for a bent body buckles."""
-
-    length_um: int  # Target everted length. [um]
-    speed_um_s: int  # Tip speed; 0 = as configured. [um/s]
-
-
-class Home(Command[Ack], number=0x0A):
-    """Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a
-    back-off that the encoder does not see is a spool_stall.
-    """
+# Wind in to an everted length. Refused unless vented, for a bent body buckles.
+class RetractTo(Command[Ack], number=0x09):
+    length_um: I32  # Target everted length. [um]
+    speed_um_s: U32  # Tip speed; 0 = as configured. [um/s]
 
 
-class ConfirmLength(Command[Ack], number=0x0B, layout="iB"):
-    """The operator vouches for the everted length (after a reset, a stall or a slip)."""
+# Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a
+# back-off that the encoder does not see is a spool_stall.
+class Home(Command[Ack], number=0x0A): ...
 
-    length_um: int  # Measured everted length. [um]
+
+# The operator vouches for the everted length (after a reset, a stall or a slip).
+class ConfirmLength(Command[Ack], number=0x0B):
+    length_um: I32  # Measured everted length. [um]
     # 1: everted sensors have rested long enough already; 0: start their settle clocks now.
-    settled: int
+    settled: U8
 
 
-class SelectZone(Command[Ack], number=0x0C, layout="B"):
-    """Tells which body pressure holds, hence which maps and which critical moment."""
-
-    zone: int  # 0..2; 255 = unknown.
-
-
-class Sweep(Command[Ack], number=0x0D, layout="hhIBB"):
-    """One or more half sines of pressure, left then right; side with amplitude 0 is left out."""
-
-    left_cpsi: int  # Amplitude of the left half. [0.01 psi]
-    right_cpsi: int  # Amplitude of the right half. [0.01 psi]
-    period_ms: int  # Period of the whole sine; each half takes half of it. [ms]
-    cycles: int  # Whole periods, at least 1.
-    options: int  # Bits of SweepOption.
+# Tells which body pressure holds, hence which maps and which critical moment.
+class SelectZone(Command[Ack], number=0x0C):
+    zone: U8  # 0..2; 255 = unknown.
 
 
-class ZeroSensors(Command[Ack], number=0x0E, layout="H"):
-    """Average the named sensors' readings into their zeros."""
-
-    mask: int  # Sensors, bit 0 = left base.
-
-
-class GetSensor(Command[SensorReport], number=0x0F, layout="B"):
-    """One flex sensor's state."""
-
-    sensor: int  # 0..9, left base first.
+# One or more half sines of pressure, left then right; side with amplitude 0 is left out.
+class Sweep(Command[Ack], number=0x0D):
+    left_cpsi: I16  # Amplitude of the left half. [0.01 psi]
+    right_cpsi: I16  # Amplitude of the right half. [0.01 psi]
+    period_ms: U32  # Period of the whole sine; each half takes half of it. [ms]
+    cycles: U8  # Whole periods, at least 1.
+    options: U8  # Bits of SweepOption.
 
 
-class GetParameter(Command[ParameterValue], number=0x10, layout="H"):
-    """Read a parameter, as set last; what was set runs once it is applied."""
-
-    index: int  # Parameter index; array parameters take consecutive ones.
-
-
-class SetParameter(Command[ParameterValue], number=0x11, layout="Hi"):
-    """Set a parameter, to be applied with apply_parameters; hello forgets what was not."""
-
-    index: int  # Parameter index.
-    value: int  # New value, in the parameter's wire unit.
+# Average the named sensors' readings into their zeros.
+class ZeroSensors(Command[Ack], number=0x0E):
+    mask: U16  # Sensors, bit 0 = left base.
 
 
-class SetMap(Command[Ack], number=0x12, layout="BBB11h"):
-    """Set one free-curvature map at 0, 2, .. 20 psi (linear in between)."""
+class GetSensor(Command[SensorReport], number=0x0F):  # One flex sensor's state.
+    sensor: U8  # 0..9, left base first.
 
-    zone: int  # 0..2.
+
+# Read a parameter, as set last; what was set runs once it is applied.
+class GetParameter(Command[ParameterValue], number=0x10):
+    index: U16  # Parameter index; array parameters take consecutive ones.
+
+
+# Set a parameter, to be applied with apply_parameters; hello forgets what was not.
+class SetParameter(Command[ParameterValue], number=0x11):
+    index: U16  # Parameter index.
+    value: I32  # New value, in the parameter's wire unit.
+
+
+# Set one free-curvature map at 0, 2, .. 20 psi (linear in between).
+class SetMap(Command[Ack], number=0x12):
+    zone: U8  # 0..2.
     side: Side  # Muscle.
     branch: Branch  # Inflating or deflating.
-    curvature_e5: tuple[int, ...]  # Free curvature, signed (right side negative). [1e-5/cm]
+    # Free curvature, signed (right side negative). [1e-5/cm]
+    curvature_e5: Annotated[tuple[int, ...], "11h"]
 
 
-class GetMap(Command[MapValues], number=0x13, layout="BBB"):
-    """Read one free-curvature map."""
-
-    zone: int  # 0..2.
+class GetMap(Command[MapValues], number=0x13):  # Read one free-curvature map.
+    zone: U8  # 0..2.
     side: Side  # Muscle.
     branch: Branch  # Inflating or deflating.
 
 
-class SaveConfig(Command[Ack], number=0x14, deadline_s=15.0):
-    """Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4
-    ms); detail = generation.
-    """
+# Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4 ms);
+# detail = generation.
+class SaveConfig(Command[Ack], number=0x14, deadline_s=15.0): ...
 
 
-class LoadDefaults(Command[Ack], number=0x15):
-    """Parameters and maps back to the schema's defaults, in memory. Refused while energised."""
+# Parameters and maps back to the schema's defaults, in memory. Refused while energised.
+class LoadDefaults(Command[Ack], number=0x15): ...
 
 
-class GetSnapshot(Command[Snapshot], number=0x16, layout="B"):
-    """A captured reading."""
-
-    index: int  # 0..9 the peak's readings in time order; 255 the one at the trigger.
+class GetSnapshot(Command[Snapshot], number=0x16):  # A captured reading.
+    index: U8  # 0..9 the peak's readings in time order; 255 the one at the trigger.
 
 
-class AckEvent(Command[Ack], number=0x17, layout="H"):
-    """Acknowledge events up to and including a number; the board then unlatches them."""
-
-    number: int  # Event number.
-
-
-class ApplyParameters(Command[Ack], number=0x1B):
-    """Check the parameters that were set, together with those that stay, and let all of them
-    run, or none; detail of a contradiction = the parameter's index. save_config stores them.
-    """
+# Acknowledge events up to and including a number; the board then unlatches them.
+class AckEvent(Command[Ack], number=0x17):
+    number: U16  # Event number.
 
 
-class BodyAir(Command[Ack], number=0x1C, layout="B"):
-    """Let air into the body through its enable, or take it away."""
+# Check the parameters that were set, together with those that stay, and let all of them run, or
+# none; detail of a contradiction = the parameter's index. save_config stores them.
+class ApplyParameters(Command[Ack], number=0x1B): ...
 
-    open: int  # 1: air in; 0: empty the body.
+
+# Let air into the body through its enable, or take it away.
+class BodyAir(Command[Ack], number=0x1C):
+    open: U8  # 1: air in; 0: empty the body.
 
 
-class TestOutput(Command[Ack], number=0x1D, layout="BhH"):
-    """Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated."""
-
+# Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated.
+class TestOutput(Command[Ack], number=0x1D):
     output: Output  # Which.
-    level: int  # Transducer 0..400 (5 mA), motor -200..200 (a quarter).
-    duration_ms: int  # 1..500. [ms]
+    level: I16  # Transducer 0..400 (5 mA), motor -200..200 (a quarter).
+    duration_ms: U16  # 1..500. [ms]
 
 
-class GetLinkStats(Command[LinkStats], number=0x18):
-    """Counters of the link, as the board sees it."""
+# Counters of the link, as the board sees it.
+class GetLinkStats(Command[LinkStats], number=0x18): ...
 
 
-class ClearStop(Command[Ack], number=0x1A, layout="I"):
-    """An operator lets a stopped robot go. Nothing else clears a stop, but power-on."""
+# An operator lets a stopped robot go. Nothing else clears a stop, but power-on.
+class ClearStop(Command[Ack], number=0x1A):
+    nonce: U32  # Of the latched stop, as status_report tells it.
 
-    nonce: int  # Of the latched stop, as status_report tells it.
 
-
-class GetConfigReport(Command[ConfigReport], number=0x19):
-    """What the running firmware made of the stored configuration."""
+# What the running firmware made of the stored configuration.
+class GetConfigReport(Command[ConfigReport], number=0x19): ...

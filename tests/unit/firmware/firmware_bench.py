@@ -181,7 +181,7 @@ class Bench:
         for _ in range(ms // STEP_MS):
             for one in self.step():
                 mine = one.seq == self.seq and one.session == self.session
-                if mine and type(one.message).KIND == "reply":
+                if mine and isinstance(one.message, wire.Reply):
                     return one.message
         raise AssertionError(f"no reply to {message}")
 

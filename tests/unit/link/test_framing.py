@@ -39,7 +39,7 @@ def test_no_message_exceeds_the_wire(message: type[wire.Message]) -> None:
         def pack(self) -> bytes:
             return worst
 
-    assert len(encode(Raw(), 0xFFFF, 0xFFFF)) <= (24 if message.KIND == "event" else wire.MAX_WIRE)
+    assert len(encode(Raw(), 0xFFFF, 0xFFFF)) <= (24 if message is wire.Event else wire.MAX_WIRE)
 
 
 @given(st.lists(st.sampled_from(FRAMES)), st.lists(st.integers(1, 40), min_size=1))
