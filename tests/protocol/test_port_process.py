@@ -21,6 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import serial
 from pty_device import PtyDevice
 from reference_device import ReferenceDevice
 from served import EVER_S, comes
@@ -33,8 +34,8 @@ from thigmo.link import port_process
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
-from thigmo.link.pipe import Kind, read_packet
-from thigmo.link.serial_port import SerialTransport, port_error, waits_for_operator
+from thigmo.link.pipe import Kind, Packet, read_packet
+from thigmo.link.serial_port import SerialTransport, waits_for_operator
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
@@ -401,7 +402,8 @@ def test_a_baud_rate_that_is_none() -> None:
     ],
 )
 def test_each_failure_has_its_words(number: int, text: str, what: str) -> None:
-    assert str(port_error("X", number, text)).startswith(what)
+    error = serial.SerialException(number, text) if number else serial.SerialException(text)
+    assert str(port_process.port_error("X", error)).startswith(what)
 
 
 def test_a_cable_pulled_in_mid_conversation(client: Client, board: PtyDevice) -> None:
@@ -476,14 +478,14 @@ def test_a_host_that_does_not_read_loses_the_oldest_bytes_and_is_told() -> None:
     with os.fdopen(reader, "rb") as source, os.fdopen(writer, "wb") as sink:
         outbox = port_process.Outbox(sink, backlog_bytes=100_000)
         for number in range(1000):
-            outbox.put(Kind.DATA, number.to_bytes(4, "little") * 256, float(number))
+            outbox.put(Packet(Kind.DATA, number.to_bytes(4, "little") * 256, float(number)))
         packets = []
         while not packets or packets[-1].t_s < 999.0 or packets[-1].kind is not Kind.DATA:
             packet = read_packet(source)
             assert packet is not None
             packets.append(packet)
         outbox.close(1.0)
-    dropped = sum(int(p.data) for p in packets if p.kind is Kind.DROPPED)
+    dropped = sum(p.value for p in packets if p.kind is Kind.DROPPED)
     kept = [p.t_s for p in packets if p.kind is Kind.DATA]
     assert dropped + 1024 * len(kept) == 1024 * 1000
     assert dropped > 700_000

@@ -1,62 +1,56 @@
-"""Packets between the host and its port's process, over the process's standard streams.
+"""Packets between the host and its port's process, pickled over the process's standard streams.
 
-A packet is a kind, a time stamp, a length and that many bytes. Both ends run this same module, so
-the layout needs no version.
+Both ends run this same module, so the layout needs no version.
 """
 
 from __future__ import annotations
 
-from enum import IntEnum
-from struct import Struct
-from typing import IO, NamedTuple
-
-_HEAD = Struct("<BdI")
-START = Struct("<Hd")  # session, period
-BEAT = Struct("<I")  # counter
-MAX_BYTES = 1 << 20
+import pickle
+from enum import Enum, auto
+from typing import IO, Any, NamedTuple
 
 
-class Kind(IntEnum):
-    """What a packet says."""
+class Kind(Enum):
+    """What a packet says, and what it carries."""
 
     # host -> process
-    WRITE = 1  # bytes for the port
-    START = 2  # beat the heart: START
-    HUSH = 3  # beat no more
-    LEASE = 4  # the host's main thread is alive
-    ATTENDED = 6  # it waits for its operator: the lease lasts until it speaks again
-    CLOSE = 5
+    WRITE = auto()  # bytes for the port
+    START = auto()  # beat the heart: session, period
+    HUSH = auto()  # beat no more
+    LEASE = auto()  # the host's main thread is alive
+    ATTENDED = auto()  # it waits for its operator: the lease lasts until it speaks again
+    CLOSE = auto()
     # process -> host
-    OPENED = 16
-    DATA = 17  # bytes from the port, stamped on arrival
-    BEATEN = 18  # a heartbeat left: BEAT, stamped before
-    DROPPED = 19  # the host did not read for so long that bytes were dropped
-    FAILED = 20  # the port cannot be opened, or is gone: errno as text, a space, what happened
+    OPENED = auto()
+    DATA = auto()  # bytes from the port, stamped on arrival
+    BEATEN = auto()  # a heartbeat left: its counter, stamped before
+    DROPPED = auto()  # the host did not read for so long that so many bytes were dropped
+    FAILED = auto()  # the port cannot be opened, or is gone: the error to raise
 
 
 class Packet(NamedTuple):
     """One packet."""
 
     kind: Kind
-    t_s: float
-    data: bytes
+    value: Any = None
+    t_s: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Bytes of the port's that it carries."""
+        return len(self.value) if self.kind is Kind.DATA else 0
 
 
-def write_packet(stream: IO[bytes], kind: Kind, data: bytes = b"", t_s: float = 0.0) -> None:
+def write_packet(stream: IO[bytes], packet: Packet) -> None:
     """Write and flush; raises OSError when the other end is gone."""
-    stream.write(_HEAD.pack(kind, t_s, len(data)) + data)
+    stream.write(pickle.dumps(packet))
     stream.flush()
 
 
 def read_packet(stream: IO[bytes]) -> Packet | None:
-    """The next packet, waiting for it; None when the other end is gone or talks nonsense."""
-    head = stream.read(_HEAD.size)
-    if len(head) < _HEAD.size:
+    """The next packet, waiting for it; None when the other end is gone."""
+    try:
+        packet: Packet = pickle.load(stream)
+    except (EOFError, OSError, pickle.UnpicklingError):
         return None
-    kind, t_s, size = _HEAD.unpack(head)
-    if size > MAX_BYTES:
-        return None
-    data = stream.read(size)
-    if len(data) < size:
-        return None
-    return Packet(Kind(kind), t_s, data)
+    return packet

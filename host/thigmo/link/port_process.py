@@ -19,6 +19,7 @@ in the terminal's foreground group, as the host is), by a termination, and over 
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import signal
@@ -31,12 +32,13 @@ from multiprocessing.connection import Listener
 from typing import IO
 
 import serial
+from serial.tools.list_ports import comports
 
-from thigmo.errors import PortError
+from thigmo.errors import LinkError, PortError
 from thigmo.link import stop_socket
 from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Heart
-from thigmo.link.pipe import BEAT, START, Kind, read_packet, write_packet
+from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 from thigmo.link.protocol import Activity, State, Telemetry
 from thigmo.link.stop import CONFIRM_S, StopCall
 
@@ -56,30 +58,27 @@ _ARMED = (State.READY, State.MOVING)
 class Outbox:
     """Packets on their way to the host, written by a thread of their own.
 
-    A host that does not read must stop neither the port nor the heart: the oldest bytes are
-    dropped, and their number reported.
+    A host that does not read must stop neither the port nor the heart: the oldest packets are
+    dropped, and the bytes in them reported.
     """
 
     def __init__(self, stream: IO[bytes], backlog_bytes: int = _BACKLOG_BYTES) -> None:
         self._stream = stream
         self._limit = backlog_bytes
-        self._packets: deque[tuple[Kind, bytes, float]] = deque()
-        self._size = 0
-        self._dropped = 0
+        self._packets: deque[Packet] = deque()
+        self._size = self._dropped = 0
         self._closed = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def put(self, kind: Kind, data: bytes = b"", t_s: float = 0.0) -> None:
+    def put(self, packet: Packet) -> None:
         """Queue a packet; never waits."""
         with self._changed:
-            self._packets.append((kind, data, t_s))
-            self._size += len(data)
+            self._packets.append(packet)
+            self._size += packet.size
             while self._size > self._limit:
-                _, old, _ = self._packets.popleft()
-                self._size -= len(old)
-                self._dropped += len(old)
+                self._dropped += self._oldest().size
             self._changed.notify()
 
     def close(self, wait_s: float) -> None:
@@ -89,20 +88,23 @@ class Outbox:
             self._changed.notify()
         self._thread.join(wait_s)
 
+    def _oldest(self) -> Packet:
+        packet = self._packets.popleft()
+        self._size -= packet.size
+        return packet
+
     def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._packets and not self._closed:
-                    self._changed.wait()
+                self._changed.wait_for(lambda: self._packets or self._closed)
                 if not self._packets:
                     return
                 dropped, self._dropped = self._dropped, 0
-                kind, data, t_s = self._packets.popleft()
-                self._size -= len(data)
+                packet = self._oldest()
             try:
                 if dropped:
-                    write_packet(self._stream, Kind.DROPPED, str(dropped).encode(), t_s)
-                write_packet(self._stream, kind, data, t_s)
+                    write_packet(self._stream, Packet(Kind.DROPPED, dropped))
+                write_packet(self._stream, packet)
             except OSError:
                 return  # the host is gone; the reader of its stream sees that too
 
@@ -136,12 +138,8 @@ class PortProcess:
 
     def run(self) -> None:
         """Relay until the host closes, dies, or the port is lost."""
-        threads = [
-            threading.Thread(target=target, daemon=True)
-            for target in (self._receive, self._beat, self._obey, self._listen)
-        ]
-        for thread in threads:
-            thread.start()
+        for target in (self._receive, self._beat, self._obey, self._listen):
+            threading.Thread(target=target, daemon=True).start()
         self._end.wait()
         with self._heart_lock:
             self._heart = None
@@ -187,7 +185,12 @@ class PortProcess:
 
     def _fail(self, error: Exception) -> None:
         if not self._end.is_set():
-            self._outbox.put(Kind.FAILED, describe(error))
+            number, text = _cause(error)
+            lost = LinkError(
+                f"{self._url} was lost: {os.strerror(number) if number else text}",
+                "check the cable and the board's power, and connect again",
+            )
+            self._outbox.put(Packet(Kind.FAILED, lost))
         self._end.set()
 
     def _send(self, data: bytes) -> None:
@@ -196,10 +199,7 @@ class PortProcess:
                 self._port.write(data)
         except serial.SerialTimeoutException:
             pass  # a device that takes no bytes: the frame is lost, and the client repeats it
-        except (
-            OSError,
-            TypeError,
-        ) as error:  # pyserial raises TypeError on a port closed meanwhile
+        except (OSError, TypeError) as error:  # TypeError: pyserial's, of a port closed meanwhile
             self._fail(error)
 
     def _receive(self) -> None:
@@ -218,7 +218,7 @@ class PortProcess:
                 if heart is not None:
                     heart.heard()
                 self._watch(data)
-                self._outbox.put(Kind.DATA, data, time.monotonic())
+                self._outbox.put(Packet(Kind.DATA, data, time.monotonic()))
 
     def _watch(self, data: bytes) -> None:
         """Look for the board's state, and for the echo of a stop."""
@@ -266,7 +266,7 @@ class PortProcess:
                 self._lease_ended = False
                 frame = heart.beat(now)
                 if frame is not None:
-                    self._outbox.put(Kind.BEATEN, BEAT.pack(heart.counter), time.monotonic())
+                    self._outbox.put(Packet(Kind.BEATEN, heart.counter, time.monotonic()))
                     self._send(frame)
 
     def _obey(self) -> None:
@@ -281,9 +281,9 @@ class PortProcess:
             self._lease_s = math.inf if packet.kind == Kind.ATTENDED else time.monotonic()
             self._touched_um = None
             if packet.kind == Kind.WRITE:
-                self._send(packet.data)
+                self._send(packet.value)
             elif packet.kind == Kind.START:
-                session, period_s = START.unpack(packet.data)
+                session, period_s = packet.value
                 with self._heart_lock:
                     self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
             elif packet.kind == Kind.HUSH:
@@ -291,16 +291,38 @@ class PortProcess:
                     self._heart = None
 
 
-def describe(error: Exception) -> bytes:
-    """An error as FAILED carries it: its errno (0 = none, -1 = the operator's line), a space, its
-    text."""
-    if isinstance(error, PortError):
-        return f"-1 {error}".encode()
+def _cause(error: Exception) -> tuple[int, str]:
+    """The errno of a failure, 0 if it has none, and its text."""
     number = getattr(error, "errno", None)
     cause = error.__context__  # termios.error has no errno, but pyserial's words around it
     if number is None and cause is not None and cause.args and isinstance(cause.args[0], int):
         number = cause.args[0]
-    return f"{number or 0} {error}".encode()
+    return number or 0, str(error)
+
+
+def port_error(name: str, error: Exception) -> PortError:
+    """The operator's error for a port that did not open."""
+    number, text = _cause(error)
+    lowered = text.lower()
+    denied = number in (errno.EACCES, errno.EPERM)
+    busy = number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered
+    if busy or (denied and os.name == "nt"):  # Windows says "access denied" for a port in use
+        return PortError(f"{name} is in use", "close the other program that has it open")
+    if denied:
+        return PortError(
+            f"no permission to open {name}",
+            "add yourself to the group that owns it (often dialout or uucp) and sign in again",
+        )
+    found = ", ".join(sorted(port.device for port in comports()))
+    step = f"give one of: {found}" if found else "plug the board in: no serial port is there now"
+    if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
+        return PortError(f"there is no port {name}", step)
+    if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
+        return PortError(f"{name} is no serial port", step)
+    if "not known" in lowered or "invalid url" in lowered:
+        return PortError(f"{name} is no address that can be opened", step)
+    step = "check that its server is running" if "://" in name else step
+    return PortError(f"cannot open {name}: {text}", step)
 
 
 def main() -> int:
@@ -318,10 +340,11 @@ def main() -> int:
         )
         stops = stop_socket.serve(url)
     except (OSError, ValueError, PortError) as error:
-        outbox.put(Kind.FAILED, describe(error))
+        failure = error if isinstance(error, PortError) else port_error(url, error)
+        outbox.put(Packet(Kind.FAILED, failure))
         outbox.close(2.0)
         return 1
-    outbox.put(Kind.OPENED)
+    outbox.put(Packet(Kind.OPENED))
     relay = PortProcess(port, url, stops, sys.stdin.buffer, outbox)
     signal.signal(signal.SIGINT, lambda number, frame: relay.call_stop())
     signal.signal(signal.SIGTERM, lambda number, frame: relay.call_stop())

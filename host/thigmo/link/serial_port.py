@@ -6,7 +6,6 @@ the main thread reads or writes, and turns the process's complaints into typed e
 
 from __future__ import annotations
 
-import errno
 import os
 import queue
 import subprocess
@@ -20,11 +19,10 @@ from weakref import WeakSet
 
 from thigmo.errors import LinkError, PortError
 from thigmo.link.heart import Beat
-from thigmo.link.pipe import BEAT, START, Kind, Packet, read_packet, write_packet
+from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
 _TOUCH_S = 0.1
-_OPERATORS_LINE = -1  # instead of an errno: the text is an error's line already
 _QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
 _PACKAGES = str(Path(__file__).resolve().parents[2])
 
@@ -65,9 +63,8 @@ class SerialTransport:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._to = self._process.stdin
+        self._to, self._from = self._process.stdin, self._process.stdout
         _open.add(self)
-        self._from = self._process.stdout
         threading.Thread(target=self._collect, daemon=True).start()
         try:
             self._await_open()
@@ -105,12 +102,19 @@ class SerialTransport:
                 )
             if packet.kind == Kind.DATA:
                 self.read_s = packet.t_s
-                return packet.data
-            self._note(packet)
+                data: bytes = packet.value
+                return data
+            if packet.kind == Kind.BEATEN:
+                self._beats.append(Beat(packet.value, packet.t_s))
+            elif packet.kind == Kind.DROPPED:
+                self.dropped_bytes += packet.value
+            else:
+                self._failure = packet.value
+                raise packet.value
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
         """Have the port's process beat the heart."""
-        self._tell(Kind.START, START.pack(session, period_s))
+        self._tell(Kind.START, (session, period_s))
 
     def stop_heartbeat(self) -> None:
         """Beat no more."""
@@ -136,7 +140,7 @@ class SerialTransport:
             return
         self._closing.set()
         with suppress(OSError):  # it is gone already
-            write_packet(self._to, Kind.CLOSE)
+            write_packet(self._to, Packet(Kind.CLOSE))
             self._to.close()
         try:
             self._process.wait(2.0)
@@ -145,10 +149,10 @@ class SerialTransport:
             self._process.wait()
         self._from.close()
 
-    def _tell(self, kind: Kind, data: bytes = b"") -> None:
+    def _tell(self, kind: Kind, value: object = None) -> None:
         self._touched_s = self.now()
         try:
-            write_packet(self._to, kind, data)
+            write_packet(self._to, Packet(kind, value))
         except (OSError, ValueError) as error:  # ValueError: closed here
             raise self._failure or LinkError(
                 f"the process that holds {self.name} is gone", "connect again"
@@ -159,30 +163,15 @@ class SerialTransport:
         if self.now() - self._touched_s >= _TOUCH_S and self._failure is None:
             self._tell(Kind.LEASE)
 
-    def _note(self, packet: Packet) -> None:
-        if packet.kind == Kind.BEATEN:
-            self._beats.append(Beat(BEAT.unpack(packet.data)[0], packet.t_s))
-        elif packet.kind == Kind.DROPPED:
-            self.dropped_bytes += int(packet.data)
-        elif packet.kind == Kind.FAILED:
-            number, _, text = packet.data.decode().partition(" ")
-            self._failure = LinkError(
-                f"{self.name} was lost: {text if int(number) == 0 else os.strerror(int(number))}",
-                "check the cable and the board's power, and connect again",
-            )
-            raise self._failure
-
     def _collect(self) -> None:
         """Thread: packets of the port's process into the queue; None marks their end."""
-        while True:
+        while not self._closing.is_set():
             packet = read_packet(self._from)
             while not self._closing.is_set():
-                try:
+                with suppress(queue.Full):
                     self._packets.put(packet, timeout=0.2)
                     break
-                except queue.Full:
-                    continue
-            if packet is None or self._closing.is_set():
+            if packet is None:
                 return
 
     def _await_open(self) -> None:
@@ -195,38 +184,4 @@ class SerialTransport:
         if packet is None:
             raise PortError(f"the process for {self.name} did not start", "run the command again")
         if packet.kind == Kind.FAILED:
-            number, _, text = packet.data.decode().partition(" ")
-            raise port_error(self.name, int(number), text)
-
-
-def port_error(name: str, number: int, text: str) -> PortError:
-    """The operator's error for a port that did not open."""
-    if number == _OPERATORS_LINE:
-        what, _, step = text.rpartition("; ")
-        return PortError(what, step)
-    lowered = text.lower()
-    denied = number in (errno.EACCES, errno.EPERM)
-    busy = number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered
-    if busy or (denied and os.name == "nt"):  # Windows says "access denied" for a port in use
-        return PortError(f"{name} is in use", "close the other program that has it open")
-    if denied:
-        return PortError(
-            f"no permission to open {name}",
-            "add yourself to the group that owns it (often dialout or uucp) and sign in again",
-        )
-    if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
-        return PortError(f"there is no port {name}", _ports_step())
-    if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):
-        return PortError(f"{name} is no serial port", _ports_step())
-    if "not known" in lowered or "invalid url" in lowered:
-        return PortError(f"{name} is no address that can be opened", _ports_step())
-    if "://" in name:
-        return PortError(f"cannot open {name}: {text}", "check that its server is running")
-    return PortError(f"cannot open {name}: {text}", _ports_step())
-
-
-def _ports_step() -> str:
-    from serial.tools.list_ports import comports
-
-    found = ", ".join(sorted(port.device for port in comports()))
-    return f"give one of: {found}" if found else "plug the board in: no serial port is there now"
+            raise packet.value
