@@ -38,7 +38,7 @@ from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import BoardResetError, CommandRefusedError, CommandTimeoutError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
-from thigmo.link.received import ReceivedEvent
+from thigmo.link.inbox import ReceivedEvent
 from thigmo.link.transport import open_transport
 from thigmo.robot.robot import Robot
 

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
-from thigmo.link.received import ReceivedEvent, TelemetryFrame
+from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.robot import SensorTable
-from thigmo.robot.decoded import Decoder
-from thigmo.robot.publishing import bent
+from thigmo.robot.publishing import Decoder, bent
 
 TABLE = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 660.0))
 

@@ -30,8 +30,8 @@ from thigmo.robot import (
     SweepWatcher,
     sweep_period_s,
 )
+from thigmo.robot.configuration import map_settings, parameter_settings
 from thigmo.robot.readings import resistance_ohm
-from thigmo.robot.settings import map_settings, parameter_settings
 
 OK = wire.Status.OK
 

@@ -7,6 +7,7 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
+from thigmo.link.inbox import TelemetryFrame
 from thigmo.robot import StandingWatch
 from thigmo.robot.readings import Floats, SensorTable
 
@@ -39,25 +40,23 @@ def _watched(
             late = creep * np.exp(-(t - everted_s) / tau_s) + offset
         bent = bent_s[0] < t < bent_s[1]
         value = np.where(np.isin(np.arange(10), (4, 9)), late, 0.0) + (0.02 if bent else 0.0)
-        watch.telemetry(
-            float(t + 10.0),
-            lambda value=value, length=length, bent=bent, t=t: wire.Telemetry(  # type: ignore[misc]
-                t_us=0,
-                flex_sum=_sums(value, rng),
-                left_cpsi=900 if bent else 0,
-                right_cpsi=0,
-                left_set_cpsi=0,
-                right_set_cpsi=0,
-                left_drive=0,
-                right_drive=0,
-                length_um=round(length * 1e4),
-                motor=0 if t >= 0 else 400,
-                base_e5=0,
-                free_e5=0,
-                state_activity=0,
-                faults=0,
-            ),
+        message = wire.Telemetry(
+            t_us=0,
+            flex_sum=_sums(value, rng),
+            left_cpsi=900 if bent else 0,
+            right_cpsi=0,
+            left_set_cpsi=0,
+            right_set_cpsi=0,
+            left_drive=0,
+            right_drive=0,
+            length_um=round(length * 1e4),
+            motor=0 if t >= 0 else 400,
+            base_e5=0,
+            free_e5=0,
+            state_activity=0,
+            faults=0,
         )
+        watch.telemetry(TelemetryFrame(0, t, round((t + 10.0) * 1e6), message.pack()))
     return watch, creep * np.exp(-(until_s + 4.0 - everted_s) / tau_s) + offset
 
 

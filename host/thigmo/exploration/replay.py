@@ -23,6 +23,7 @@ from thigmo.exploration.stage import Interpreter
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
+from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Entry, Log, RunDocument, RunFolder, Stage
 from thigmo.report import draw_map
 from thigmo.robot import (
@@ -108,13 +109,14 @@ class _Reader:
             return
         match message:
             case wire.Telemetry():
-                device_s = self._device_s(message.t_us)
+                device_us = self._clock.unwrap(message.t_us)
+                told = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
                 if self._standing is not None:
-                    self._standing.telemetry(device_s, lambda: message)
+                    self._standing.telemetry(told)
                 if self._growing:
-                    self.growth.telemetry(device_s, lambda: message)
+                    self.growth.telemetry(told)
                 elif watcher:
-                    watcher.telemetry(device_s, lambda: message)
+                    watcher.telemetry(told)
             case wire.GrowTo():
                 if self.backed_off:
                     self.growth, self.backed_off = GrowthWatcher(), False

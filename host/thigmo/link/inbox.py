@@ -1,22 +1,117 @@
 """What a client hears besides replies: telemetry, events, and the pulse that sets its clock.
 
-Telemetry is counted and handed on undecoded; events are handed on once and noted for
-acknowledgement; pulses pair the board's clock with the host's. `client.Client` builds on it.
+Telemetry is counted and handed on undecoded; pulses pair the board's clock with the host's. Events
+are handed on once, as they come, for a contact must not wait. The board repeats each until an
+acknowledgement covers it, and the line may lose and reorder them: an acknowledgement, which covers
+all numbers up to its own, waits until there is no gap below it. `client.Client` builds on it.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
-from thigmo.link.events import EventLedger
 from thigmo.link.framing import Frame
-from thigmo.link.received import LinkCounters, ReceivedEvent, TelemetryFrame
 
 _EVENTS = 1024
 _BEATS = 64
+# A number that is missing while a later one came so often is not at the board: its queue
+# overflowed, or another host took it.
+_REPEATS = 10
+
+
+@dataclass
+class TelemetryFrame:
+    """One telemetry frame, decoded when asked."""
+
+    seq: int  # its number; gaps are drops
+    t_s: float  # host time of its arrival
+    device_us: int  # unwrapped device time of its readings
+    payload: bytes  # the undecoded message
+
+    @property
+    def device_s(self) -> float:
+        """The same in seconds."""
+        return self.device_us * 1e-6
+
+    @cached_property
+    def message(self) -> wire.Telemetry:
+        """The typed message."""
+        return wire.Telemetry.unpack(self.payload)
+
+
+class ReceivedEvent(NamedTuple):
+    """An event, its arrival at the host, and its unwrapped device time."""
+
+    message: wire.Event
+    t_s: float
+    device_us: int
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """What the link went through, as the host sees it."""
+
+    frames: int = 0  # good ones received
+    bad_frames: int = 0
+    garbage_bytes: int = 0  # in no good frame
+    foreign: int = 0  # good frames of another session, or answers to no question
+    repeats: int = 0  # commands sent again
+    timeouts: int = 0  # commands that found no answer
+    telemetry: int = 0  # frames
+    telemetry_lost: int = 0  # by the gaps in their numbers
+    telemetry_stale: int = 0  # frames out of order
+    events: int = 0  # new ones
+    event_repeats: int = 0  # ones already known
+    hellos: int = 0  # conversations opened
+
+
+class EventLedger:
+    """Numbers of events seen, modulo 2**16."""
+
+    def __init__(self) -> None:
+        self._base: int | None = None  # all up to here are known
+        self._ahead: dict[int, int] = {}  # above it: number -> times seen
+
+    def reset(self) -> None:
+        """The board restarted: it numbers from 1 again."""
+        self._base = None
+        self._ahead.clear()
+
+    def take(self, number: int) -> bool:
+        """Note an event that came; whether it is new."""
+        if self._base is None and number == 1:
+            self._base = 0
+        if self._base is not None and not 0 < (number - self._base) & 0xFFFF < 0x8000:
+            return False
+        seen = self._ahead.get(number, 0)
+        self._ahead[number] = seen + 1
+        self._advance()
+        return seen == 0
+
+    @property
+    def acknowledge(self) -> int | None:
+        """The number to acknowledge; None if none is safe."""
+        return self._base or None
+
+    def _advance(self) -> None:
+        if self._base is None or (self._base + 1) & 0xFFFF not in self._ahead:
+            oldest = min(self._ahead, key=self._distance)
+            if self._ahead[oldest] < _REPEATS:
+                return
+            self._base = (oldest - 1) & 0xFFFF
+        while (next_number := (self._base + 1) & 0xFFFF) in self._ahead:
+            del self._ahead[next_number]
+            self._base = next_number
+
+    def _distance(self, number: int) -> int:
+        reference = self._base if self._base is not None else next(iter(self._ahead)) - 0x4000
+        return (number - reference) & 0xFFFF
 
 
 class Inbox:

@@ -3,14 +3,13 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
-from thigmo.robot.growing import GrowthWatcher
-from thigmo.robot.operator import Operator
 from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of
 from thigmo.robot.robot import Robot, connect
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import ContactTrigger, Peak, Reading, Status, SweepFrame, SweepResult
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
-from thigmo.robot.sweeping import SweepWatcher, peak_frame
+from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
+from thigmo.room import Operator
 
 __all__ = [
     "SENSORS",

@@ -6,39 +6,51 @@ the heartbeat runs beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from thigmo.closing import Closing
 from thigmo.config import RobotConfig, Side
-from thigmo.errors import CommandRefusedError, LinkError
+from thigmo.errors import DataError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.record import TrueContact, TruePeg, Truth
-from thigmo.robot.operator import NobodyThere, Operator
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.readings import SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
-from thigmo.robot.watch import Watch
-from thigmo.room import Simulated
-from thigmo.stream import Hub, Message, Telemetry
+from thigmo.room import Dowel, Operator, Simulated
+from thigmo.stream import Message, Telemetry
 from thigmo.stream.hub import QUEUE
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client, Tap
-    from thigmo.link.protocol import Ack, Command
-    from thigmo.link.received import TelemetryFrame
-
-R = TypeVar("R", bound=wire.Message)
-# Given each telemetry frame's device time, and what decodes it.
-Follower = Callable[[float, Callable[[], wire.Telemetry]], None]
+    from thigmo.link.inbox import TelemetryFrame
 
 _STREAM_S = 0.1
 _UNKNOWN_ZONE = 255
+
+
+class NobodyThere:
+    """The operator of a program that named none: every question is a DataError."""
+
+    def everted_length_cm(self) -> float:
+        """Refuse."""
+        raise DataError("the everted length is unknown", "measure it, and call confirm_length")
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Refuse."""
+        raise DataError(
+            f"the body pressure must be set to {pressure_psi:g} psi by hand",
+            "set the regulator, and call select_zone",
+        )
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Refuse."""
+        raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")
 
 
 class Connected(Closing):
@@ -46,26 +58,33 @@ class Connected(Closing):
 
     Attributes:
         url: how it was opened.
+        virtual: whether waiting advances an emulator's time instead of the clock's.
         operator: who answers what the board cannot know.
         config: robot.toml as last sent with `configure`.
+        known_config: the robot.toml that an emulated robot's lab would have; None on hardware.
+        hub: where it publishes telemetry, events and shape; an exploration does as well.
+        epoch_s: UTC seconds since 1970 at which the link's clock (`now`) was 0.
     """
 
     def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
         self._client = client
-        # A board that lives in this process starts anew with the next connection.
-        self._watch = Watch(client, "" if client.transport.virtual else url)
         self.url = url
+        self.virtual = client.transport.virtual
         room = client.transport
         self._room: Simulated | None = room if isinstance(room, Simulated) else None
         self.operator: Operator = self._room.operator if self._room else operator or NobodyThere()
+        self.known_config: RobotConfig | None = self._room.config if self._room else None
         self.config = RobotConfig()
         self._table = SensorTable.of(self.config)
+        self._publisher = Publisher(client, self.config, self._table)
+        self.hub, self.epoch_s = self._publisher.hub, self._publisher.epoch_s
         self._before = self._table  # the last zeroing
-        self._started = client.now()
         self._aside = 0
         self._standing: StandingWatch | None = None
+        self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
+        self._interruptions: list[Callable[[], None]] = []
+        self._started = client.now()
         self._closed = False
-        self._publisher = Publisher(client, self.config, self._table)
 
     # Life.
 
@@ -98,10 +117,6 @@ class Connected(Closing):
             self._client.close()
             self.hub.close()
 
-    def record_frames(self, tap: Tap) -> None:
-        """Call `tap(direction, frame, host time)` with every frame of the link from now on."""
-        self._client.taps.append(tap)
-
     def disarm(self) -> None:
         """Valves 0 mA, motor braked, activity aborted, state safe; `arm` leads back."""
         self._client.request(wire.Disarm())
@@ -133,15 +148,9 @@ class Connected(Closing):
 
     # The stream.
 
-    @property
-    def hub(self) -> Hub:
-        """Where the robot publishes telemetry, events and shape; an exploration does as well."""
-        return self._publisher.hub
-
-    @property
-    def epoch_s(self) -> float:
-        """UTC seconds since 1970 at which the link's clock (`now`) was 0."""
-        return self._publisher.epoch_s
+    def record_frames(self, tap: Tap) -> None:
+        """Call `tap(direction, frame, host time)` with every frame of the link from now on."""
+        self._client.taps.append(tap)
 
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> Callable[[], None]:
         """Call `callback` with each telemetry frame, decoded, while the link is read.
@@ -174,74 +183,48 @@ class Connected(Closing):
         with self.hub.subscribe(channels, size) as heard:
             while self.now() < end:
                 self._client.poll(min(end - self.now(), _STREAM_S))
-                self._watch.forget()  # nobody waits for the board's events meanwhile
+                self._forget()  # nobody waits for the board's events meanwhile
                 # What is done between two messages takes time, and brings new ones.
                 while self.now() < end and (message := heard.get(0.0)) is not None:
                     yield message
 
-    def while_waiting(self, callback: Callable[[], None]) -> None:
-        """Call `callback` whenever something of the board is waited for; it may raise, which ends
-        the waiting, and must command nothing.
-        """
-        self._watch.interruptions.append(callback)
-
-    def _decode(self) -> None:
-        self._publisher.use(self.config, self._table)
-
-    def _follow(self, follow: Follower) -> Callable[[TelemetryFrame], None]:
-        def take(frame: TelemetryFrame) -> None:
-            follow(frame.device_us * 1e-6, lambda: frame.message)
-
-        self._client.on_telemetry.append(take)
-        return take
-
     @contextmanager
-    def _telemetry_to(self, follow: Follower) -> Iterator[None]:
-        take = self._follow(follow)
+    def _telemetry_to(self, take: Callable[[TelemetryFrame], None]) -> Iterator[None]:
+        self._client.on_telemetry.append(take)
         try:
             yield
         finally:
             self._client.on_telemetry.remove(take)
 
-    # Asking and waiting.
-
-    def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
-        """Let time pass, with the link alive; `despite_faults` if a fault is what is looked for.
-
-        Raises:
-            RobotFaultError: a fault was latched meanwhile.
+    def while_waiting(self, callback: Callable[[], None]) -> None:
+        """Call `callback` whenever something of the board is waited for; it may raise, which ends
+        the waiting, and must command nothing.
         """
-        if despite_faults:
-            self._client.wait_for(lambda: False, seconds)
-            self._watch.forget()
-        else:
-            self._watch.wait(seconds)
+        self._interruptions.append(callback)
 
-    def _request(self, command: Command[R]) -> R:
-        """Ask the board; a refusal because of a latched fault becomes that fault's error."""
-        try:
-            return self._client.request(command)
-        except CommandRefusedError as error:
-            if error.reason != wire.Reason.FAULT_LATCHED.key:
-                raise
-            faults = self.status().faults
-            if not faults:
-                raise
-            raise self._watch.fault_error(faults) from error
+    def _note_channels(self) -> None:
+        for each in self._client.events:
+            if each.message.code == wire.EventCode.FAULT:
+                self._fault_channels[wire.Fault(each.message.arg)] = each.message.value
 
-    def _start(self, command: Command[Ack]) -> None:
-        """Start something whose events are waited for."""
-        self._watch.forget()
-        self._request(command)
+    def _forget(self) -> None:
+        """Drop what was received and not asked for, before something new is started.
+
+        A fault among it needs no attention here: the board refuses to start while it is latched.
+        """
+        self._note_channels()
+        self._client.events.clear()
+
+    # What is known.
 
     def status(self) -> Status:
         """Ask the board for its whole state."""
         report = self._client.request(wire.GetStatus())
         conditions = frozenset(c.key for c in wire.Condition.from_mask(report.conditions))
-        self._publisher.supply_v = report.supply_mv / 1e3
+        supply_v = self._publisher.supply_v = report.supply_mv / 1e3
         return Status(
-            state=wire.State(report.state).key,
-            activity=wire.Activity(report.activity).key,
+            state=report.state.key,
+            activity=report.activity.key,
             zone=None if report.zone == _UNKNOWN_ZONE else report.zone,
             faults=tuple(f.key for f in wire.Fault.from_mask(report.faults)),
             conditions=conditions,
@@ -253,33 +236,21 @@ class Connected(Closing):
             settled=report.settled_mask,
             zeroed=report.zeroed_mask,
             config_generation=report.config_generation,
-            supply_v=report.supply_mv / 1e3,
+            supply_v=supply_v,
             encoder_errors=report.encoder_errors,
         )
-
-    # What is known without asking.
 
     @property
     def identity(self) -> dict[str, str]:
         """Who the board is, as strings for a record: firmware, board, schema, boot."""
         hello = self._client.hello
         return {
-            "board": wire.Board(hello.board).key,
+            "board": hello.board.key,
             "firmware": ".".join(str(part) for part in hello.firmware_version),
             "schema_hash": f"{hello.schema_hash:08x}",
             "boot_nonce": f"{hello.boot_nonce:08x}",
-            "reset_cause": wire.ResetCause(hello.reset_cause).key,
+            "reset_cause": hello.reset_cause.key,
         }
-
-    @property
-    def virtual(self) -> bool:
-        """Whether waiting advances an emulator's time instead of the clock's."""
-        return self._client.transport.virtual
-
-    @property
-    def known_config(self) -> RobotConfig | None:
-        """The robot.toml that an emulated robot's lab would have; None on hardware."""
-        return self._room.config if self._room else None
 
     def now(self) -> float:
         """The link's clock, s: monotonic on hardware, virtual in the emulator."""

@@ -1,29 +1,140 @@
-"""What the robot publishes of itself: telemetry, events, and how its body lies.
+"""What the robot publishes of itself: telemetry, events, and how its body lies, in units.
 
 It listens to the link beside whoever drives the robot, and commands nothing. What nobody listens
-to is not even decoded.
+to is not even decoded; what somebody does is plain arithmetic on ten numbers, for each frame.
 """
 
 from __future__ import annotations
 
 import time
+from functools import cache
 from math import isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.config import RobotConfig
-from thigmo.link.received import ReceivedEvent, TelemetryFrame
+from thigmo.config import SIDES, RobotConfig
+from thigmo.link import protocol as wire
+from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
-from thigmo.robot.decoded import Decoder
-from thigmo.robot.readings import SensorTable
-from thigmo.stream import BodyShape, Hub, Telemetry
+from thigmo.robot.readings import SENSORS, SENSORS_A_SIDE, SensorTable, sensor_name
+from thigmo.stream import BodyShape, Event, Hub, Telemetry
+from thigmo.stream.messages import Severity
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
 
+_FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
+_OPEN_COUNT = 0.75  # mean count below which a circuit is open
+_IDLE_CPSI = 10  # below, no muscle bends the body
+_SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(SENSORS)]
 _SHAPE_S = 0.1  # of the board's time, between two shapes
 _STEP_CM = 2.0  # a tenth of the tightest bend's radius
+
+
+class Decoder:
+    """Decodes with one set of constants and zeros; made anew when these change."""
+
+    def __init__(self, table: SensorTable, epoch_s: float) -> None:
+        self._epoch_s = epoch_s
+        self._share = 1.0 / table.oversample
+        self._divider_ohm = table.divider_ohm
+        # Everted where it ends, and never if it is not to be used.
+        used = table.healthy & np.isfinite(table.zero_sum)
+        self._sensors = list(
+            zip(
+                np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist(),
+                table.scale_per_ohm.tolist(),
+                table.resistance(table.zero_sum).tolist(),
+                _SIDE_OF,
+                strict=True,
+            )
+        )
+
+    def telemetry(self, frame: TelemetryFrame, supply_v: float = nan) -> Telemetry:
+        """A frame in units."""
+        raw = frame.message
+        length_cm = raw.length_um / 1e4
+        free = raw.free_e5 / 1e5
+        drives = (raw.left_drive, raw.right_drive)
+        left_ma, right_ma = (level * _FULL_MA / _FULL_DRIVE for level in drives)
+        state, activity = _phase(raw.state_activity)
+        inflated = None
+        if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
+            inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
+        curvature, expected = [], []
+        for flex_sum, (out_cm, scale, zero_ohm, side) in zip(
+            raw.flex_sum, self._sensors, strict=True
+        ):
+            value = nan
+            count = flex_sum * self._share + 0.5
+            if out_cm <= length_cm and count > _OPEN_COUNT:
+                # As `SensorTable.curvature`, of one reading.
+                value = scale * (self._divider_ohm * (1024.0 - count) / count - zero_ohm)
+            curvature.append(value)
+            expected.append(nan if value != value or side == inflated else free)
+        return Telemetry(
+            t_s=frame.t_s,
+            epoch_s=self._epoch_s + frame.t_s,
+            device_s=frame.device_us * 1e-6,
+            pressure_psi=(raw.left_cpsi / 100, raw.right_cpsi / 100),
+            demand_psi=(raw.left_set_cpsi / 100, raw.right_set_cpsi / 100),
+            drive_ma=(left_ma, right_ma),
+            curvature_per_cm=tuple(curvature),
+            expected_per_cm=tuple(expected),
+            base_per_cm=raw.base_e5 / 1e5,
+            free_per_cm=free,
+            length_cm=length_cm,
+            motor=raw.motor / _FULL_MOTOR,
+            supply_v=supply_v,
+            state=state,
+            activity=activity,
+            faults=_faults(raw.faults),
+            flex_sum=raw.flex_sum,
+        )
+
+    def event(self, received: ReceivedEvent) -> Event:
+        """An event in words, with the operator's next step if there is one."""
+        return Event(received.t_s, self._epoch_s + received.t_s, *_told(received.message))
+
+
+@cache
+def _phase(both: int) -> tuple[str, str]:
+    """Names of state and activity."""
+    return wire.State(both >> 4).key, wire.Activity(both & 0xF).key
+
+
+@cache
+def _faults(mask: int) -> tuple[str, ...]:
+    return tuple(fault.key for fault in wire.Fault.from_mask(mask))
+
+
+def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
+    """Name, severity, what happened, and what to do next."""
+    code, arg, value = event.code, event.arg, event.value
+    if code is wire.EventCode.FAULT:
+        return wire.Fault(arg).key, "fault", *wire.Fault(arg).told
+    if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
+        return code.key, "info", f"{wire.Activity(arg).key} ended when the host asked", ""
+    if code is wire.EventCode.ACTIVITY_ABORTED:
+        what, cure = wire.Reason(value).told
+        return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
+    text = {
+        wire.EventCode.CONTACT: lambda: (
+            f"contact: the base is {value / 1e5:+.4f} 1/cm off the free bend to the {SIDES[arg]}"
+        ),
+        wire.EventCode.PEAK: lambda: f"peak of the bend to the {SIDES[arg]}: {value} readings",
+        wire.EventCode.ACTIVITY_DONE: lambda: (
+            f"{wire.Activity(arg).key} done at {value / 1e4:.1f} cm"
+        ),
+        wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
+        wire.EventCode.EVERTED: lambda: (
+            f"sensor {sensor_name(arg)} everted at {value / 1e4:.1f} cm"
+        ),
+        wire.EventCode.SETTLED: lambda: f"sensor {sensor_name(arg)} settled",
+        wire.EventCode.SAVED: lambda: f"configuration {value} stored",
+    }[code]()
+    return code.key, "warning" if code is wire.EventCode.CONTACT else "info", text, ""
 
 
 class Publisher:

@@ -1,26 +1,32 @@
 """The robot as an object: every command of the board in the lab's units, and waiting for its end.
 
-Used by the exploration, the calibration and whoever writes a program for the robot. A fault that
-the board latches while something is waited for is raised as `RobotFaultError` with the schema's
-sentence. Each concern has its file, and builds on the one before: `connected` (link, stream,
-state), `supervised` (configuration, faults, arming), `everting` (length), `sensing`, and sweeps
-here.
+Used by the exploration, the calibration and whoever writes a program for the robot. Each concern
+builds on the one before: `connected` (link, stream, state), `supervised` (waiting, faults, arming,
+configuration), and here length, sensors and sweeps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
+
+import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
+from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
-from thigmo.robot.operator import Operator
-from thigmo.robot.sensing import Sensing
-from thigmo.robot.state import SweepResult, together
-from thigmo.robot.sweeping import SweepWatcher
+from thigmo.robot.readings import SENSORS, Floats, in_mask, mask_of
+from thigmo.robot.standing import StandingWatch
+from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
+from thigmo.robot.supervised import OPEN, SHORT, Supervised
+from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
+from thigmo.room import Operator
 
+_VENTED_PSI = 0.5
+_SETTLE_EXTRA_S = 30.0
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
 
@@ -60,8 +66,237 @@ def connect(
     return robot
 
 
-class Robot(Sensing):
+class Robot(Supervised):
     """A connected robot, with all that it can be told to do; what `connect` returns."""
+
+    # The everted length.
+
+    def confirm_length(self, length_cm: float, *, settled: bool = False) -> None:
+        """Vouch for the everted length, as measured on the robot.
+
+        `settled`: the everted sensors have rested long enough already.
+
+        Raises:
+            CommandTimeoutError: a muscle stays under pressure.
+        """
+        self._wait_vented()
+        self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
+
+    def select_zone(self, zone: int) -> None:
+        """Tell the board which body pressure holds (index of robot.toml's body.zones)."""
+        self._request(wire.SelectZone(zone))
+
+    def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
+        """Pay out to an everted length and wait for it; returns the length reached, cm.
+
+        A watcher is given the telemetry meanwhile.
+
+        Raises:
+            CommandRefusedError: the length is unknown, or a muscle is under pressure.
+            RobotFaultError: the spool stalled.
+        """
+        with self._telemetry_to(watcher.telemetry) if watcher else nullcontext():
+            self._start(wire.GrowTo(round(length_cm * 1e4), 0))
+            return self._finish(wire.Activity.GROWING, self._travel_s()) / 1e4
+
+    def retract_to(self, length_cm: float) -> float:
+        """Vent, then wind in to an everted length; returns the length reached, cm.
+
+        A bent body buckles when it is pulled in, so both muscles must be below 0.5 psi.
+
+        Raises:
+            CommandRefusedError: the length is unknown, or a muscle is under pressure.
+            RobotFaultError: the spool stalled.
+        """
+        self.vent()
+        status = self.status()
+        psi = max(status.left_psi, status.right_psi)
+        if psi >= _VENTED_PSI:
+            raise CommandRefusedError(
+                f"a muscle holds {psi:.2f} psi",
+                f"empty it below {_VENTED_PSI} psi first",
+                reason=wire.Reason.NOT_VENTED.key,
+            )
+        self._start(wire.RetractTo(round(length_cm * 1e4), 0))
+        return self._finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
+
+    def home(self) -> None:
+        """Vent, then wind in slowly until the spool stalls at the base, twice: length zero.
+
+        After a reset the operator confirms the length, for a jam stalls like the base.
+
+        Raises:
+            DataError: the length was unknown, and there is no operator to measure it.
+            RobotFaultError: nothing turns, or the encoder does not see it.
+        """
+        self.vent()
+        self._start(wire.Home())
+        slowest_cm_s = self.parameter("home_speed_um_s")[0] / 1e4
+        self._finish(wire.Activity.HOMING, 2 * self.config.body.length_cm / slowest_cm_s + 10)
+        if self.status().length_cm is None:
+            self.confirm_length(self.operator.everted_length_cm())
+
+    def _travel_s(self) -> float:
+        spool = self.config.spool
+        return 3 * (self.config.body.length_cm / spool.max_speed_cm_s) + 10
+
+    # The sensors.
+
+    @property
+    def oversample(self) -> int:
+        """Conversions that a raw reading sums."""
+        return self._table.oversample
+
+    def follow_settling(self) -> None:
+        """Watch young sensors from now on, so that sweeps can use those that are set aside."""
+        if self._standing is None:
+            self._standing = StandingWatch(self.config, self.oversample)
+            self._client.on_telemetry.append(self._standing.telemetry)
+
+    def young_noise(self) -> Floats:
+        """Standard error of what sensors set aside rest at, (10,), 1/cm; infinite if unknown."""
+        if self._standing is None:
+            return np.full(SENSORS, np.inf)
+        _, sigma = self._standing.rest(self.status().t_s, self._aside)
+        return np.where(np.isnan(sigma), np.inf, sigma)
+
+    def set_aside(self, mask: int) -> None:
+        """Have the board leave out everted sensors of a mask, as if they were dead; 0 takes all in.
+
+        Outputs must be off. Sensors that have not everted stay in use: the board refuses to bend
+        the body while one lies in the tip's fold.
+        """
+        mask &= self.status().everted
+        if mask == self._aside:
+            return
+        healthy = self._table.healthy
+        enabled = [int(healthy[n] and not mask >> n & 1) for n in range(SENSORS)]
+        self.set_parameter("flex_enabled", enabled)
+        self._aside = mask
+
+    @property
+    def aside(self) -> int:
+        """Mask of the sensors that were set aside."""
+        return self._aside
+
+    def wait_settled(
+        self,
+        progress: Callable[[float], None] = lambda left_s: None,
+        sensors: int = (1 << SENSORS) - 1,
+    ) -> None:
+        """Wait until everted sensors of a mask are past their settling time.
+
+        Args:
+            progress: told the seconds that are left, about once a second.
+
+        Raises:
+            CommandTimeoutError: they do not settle in their time.
+            RobotFaultError: a fault was latched meanwhile.
+        """
+        end = self.now() + self.config.sensors.settle_s + _SETTLE_EXTRA_S
+        while waiting := (status := self.status()).everted & ~status.settled & sensors:
+            if self.now() > end:
+                raise CommandTimeoutError(
+                    f"sensors {in_mask(waiting)} do not settle",
+                    "check the board's parameter settle_ms",
+                )
+            reports = [self._client.request(wire.GetSensor(n)) for n in in_mask(waiting)]
+            left_s = max(report.settle_left_ms for report in reports) / 1e3
+            while left_s > 0:
+                progress(left_s)
+                self.wait(min(left_s, 1.0))
+                left_s -= 1.0
+            self.wait(0.02)
+
+    def zero(self) -> int:
+        """Average the everted sensors' readings into their zeros; returns the mask of these.
+
+        Raises:
+            CommandRefusedError: not vented, not settled, or drifting (`reason`).
+        """
+        mask = self.status().everted & mask_of(self._table.healthy) & ~self._aside
+        self._before = self._table
+        if mask:
+            self._start(wire.ZeroSensors(mask))
+            self._finish(wire.Activity.ZEROING, 20.0)
+        q8 = {n: self._client.request(wire.GetSensor(n)).zero_sum_q8 for n in in_mask(mask)}
+        self._table = self._table.zeroed({sensor: zero / 256 for sensor, zero in q8.items()})
+        self._publisher.use(self.config, self._table)
+        return mask
+
+    def zeros(self) -> tuple[Floats, Floats]:
+        """The zeros before the last zeroing and after it, (10,) each; NaN where there is none.
+
+        In 1/cm, from where `GrowthWatcher.profile` counts.
+        """
+        return self._before.zeros, self._table.zeros
+
+    def flex_circuit(self, sensor: int) -> tuple[bool, bool]:
+        """Whether a flex sensor's circuit is open, and whether it is shorted, now."""
+        flags = self._client.request(wire.GetSensor(sensor)).flags
+        return bool(flags & OPEN), bool(flags & SHORT)
+
+    def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
+        """Average telemetry over a while; `despite_faults` as for `wait`.
+
+        Raises:
+            LinkError: no telemetry came.
+        """
+        frames, flex = self._frames(seconds, despite_faults)
+        pressures = [(f.left_cpsi / 100, f.right_cpsi / 100) for f in frames]
+        left, right = np.mean(pressures, axis=0)
+        return Reading(
+            t_s=float(np.mean([self._client.device_s(f.t_us) for f in frames])),
+            curvature=self._table.curvature(flex.mean(axis=0)),
+            spread=self._table.curvature(flex).std(axis=0),
+            left_psi=float(left),
+            right_psi=float(right),
+            length_cm=frames[-1].length_um / 1e4,
+            frames=len(frames),
+            resistance=self._table.resistance(flex.mean(axis=0)),
+        )
+
+    def record(self, seconds: float) -> Recording:
+        """Keep every telemetry frame of a while.
+
+        Raises:
+            LinkError: no telemetry came.
+        """
+        frames, flex = self._frames(seconds)
+        return Recording(
+            t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
+            resistance=self._table.resistance(flex),
+            left_psi=np.array([frame.left_cpsi / 100 for frame in frames]),
+            right_psi=np.array([frame.right_cpsi / 100 for frame in frames]),
+        )
+
+    def _frames(
+        self, seconds: float, despite_faults: bool = False
+    ) -> tuple[list[wire.Telemetry], Floats]:
+        """Telemetry of a while, and its raw flex readings (n, 10)."""
+        heard: list[TelemetryFrame] = []
+        with self._telemetry_to(heard.append):
+            self.wait(seconds, despite_faults=despite_faults)
+        if not heard:
+            raise LinkError("no telemetry came", "check the parameter telemetry_ms")
+        frames = [frame.message for frame in heard]
+        return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
+
+    def press(
+        self, *, left_psi: float = 0.0, right_psi: float = 0.0, ramp_psi_s: float = 0.0
+    ) -> None:
+        """Hold a muscle pressure (at most one side above zero); returns at once.
+
+        A set point below the transducer's live zero (about 2.2 psi) vents that muscle; a slew rate
+        of 0 is as configured.
+
+        Raises:
+            CommandRefusedError: a sensor is half everted, or a set point is above the limit.
+        """
+        ramp = round(ramp_psi_s * 100)
+        self._request(wire.SetPressure(round(left_psi * 100), round(right_psi * 100), ramp))
+
+    # Sweeps.
 
     def sweep(
         self,
@@ -69,8 +304,6 @@ class Robot(Sensing):
         left_psi: float,
         right_psi: float,
         period_s: float,
-        cycles: int = 1,
-        hold_on_contact: bool = False,
         rising_only: bool = False,
         enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
@@ -79,10 +312,8 @@ class Robot(Sensing):
         Args:
             left_psi, right_psi: amplitudes; a side with 0 is left out.
             period_s: of the whole sine (`sweep_period_s` says how slow it must be).
-            cycles: whole periods.
-            hold_on_contact: keep the pressure when the trigger fires, until `vent` or `stop`.
             rising_only: vent each side after its peak: what the way back would feel, the way up
-                has felt. One cycle.
+                has felt.
             enough: with `rising_only`, shown what a side gave so far, twenty times a second once
                 its trigger has fired, with its last half second as its peak; true vents it at once.
 
@@ -90,33 +321,28 @@ class Robot(Sensing):
             CommandRefusedError: a sensor is half everted, the length or the zone is unknown.
             RobotFaultError: the board latched a fault; it is vented.
         """
-        halves = ((left_psi, 0.0), (0.0, right_psi)) if rising_only else ((left_psi, right_psi),)
+        if not rising_only:
+            return self._sweep(left_psi, right_psi, period_s)
         found = []
-        for half in halves:
-            if not rising_only:
-                found.append(self._sweep(half, period_s, cycles, hold_on_contact))
-            elif max(half) > 0:
-                found.append(self._sweep(half, period_s, 1, hold_on_contact, True, enough))
+        for half in ((left_psi, 0.0), (0.0, right_psi)):
+            if max(half) > 0:
+                found.append(self._sweep(*half, period_s, rising=True, enough=enough))
                 self.vent()
         return SweepResult.joined(found)
 
     def _sweep(
         self,
-        amplitudes_psi: tuple[float, float],
+        left_psi: float,
+        right_psi: float,
         period_s: float,
-        cycles: int,
-        hold_on_contact: bool,
+        *,
         rising: bool = False,
         enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
         before = self.status()
-        options = wire.SweepOption.HOLD_ON_CONTACT.mask if hold_on_contact else 0
-        left_cpsi, right_cpsi = (round(psi * 100) for psi in amplitudes_psi)
-        command = wire.Sweep(left_cpsi, right_cpsi, round(period_s * 1e3), cycles, options)
-        usable = before.everted & before.settled & before.zeroed
         watcher = SweepWatcher(
             self._table,
-            usable,
+            before.everted & before.settled & before.zeroed,
             before.length_cm or 0.0,
             self._aside,
             self._standing,
@@ -136,10 +362,12 @@ class Robot(Sensing):
             watcher.stopped = enough(watcher.result(together(truths), so_far=True))
             return watcher.stopped
 
-        within_s = period_s * cycles + _SWEEP_EXTRA_S
+        command = wire.Sweep(
+            round(left_psi * 100), round(right_psi * 100), round(period_s * 1e3), 1, 0
+        )
         with self._telemetry_to(watcher.telemetry):
             self._start(command)
-            for event in self._watch.activity(wire.Activity.SWEEPING, within_s, until):
+            for event in self._events(wire.Activity.SWEEPING, period_s + _SWEEP_EXTRA_S, until):
                 if event.code == wire.EventCode.CONTACT:
                     watcher.triggered(event, self._client.device_s(event.t_us))
                 elif event.code == wire.EventCode.PEAK:
@@ -153,3 +381,9 @@ class Robot(Sensing):
                 truths.append(self.truth(watcher.frames[-1].side))
                 self._request(wire.Vent())
         return watcher.result(together(truths))
+
+    def snapshots(self) -> list[SweepFrame]:
+        """The readings captured around the last peak of a sweep, in time order."""
+        first = self._client.request(wire.GetSnapshot(0))
+        rest = [self._client.request(wire.GetSnapshot(n)) for n in range(1, first.count)]
+        return [peak_frame(one, self._client.device_s(one.t_us)) for one in (first, *rest)]

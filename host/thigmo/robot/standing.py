@@ -8,12 +8,10 @@ with the prediction's standard error added to its noise. Shared by the live robo
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.link import protocol as wire
+from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
 from thigmo.robot.readings import Floats, SensorTable, in_board_order
 
@@ -49,21 +47,22 @@ class StandingWatch:
         self._times: list[float] = []
         self._sums: list[tuple[int, ...]] = []
 
-    def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
-        """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
+    def telemetry(self, frame: TelemetryFrame) -> None:
+        """Take a frame; one in fifty milliseconds is decoded."""
+        t_s = frame.device_s
         slot = int(t_s / _SPACING_S)
         if slot == self._slot:
             return
         self._slot = slot
-        frame = decode()
-        out = self._ends <= frame.length_um / 1e4
+        told = frame.message
+        out = self._ends <= told.length_um / 1e4
         self._everted_s[out & ~self._out] = t_s
         self._out = out
-        if frame.motor != 0 or max(frame.left_cpsi, frame.right_cpsi) > _IDLE_CPSI:
+        if told.motor != 0 or max(told.left_cpsi, told.right_cpsi) > _IDLE_CPSI:
             self._moved_s = t_s
         if t_s - self._moved_s > _STILL_S:
             self._times.append(t_s)
-            self._sums.append(tuple(frame.flex_sum))
+            self._sums.append(told.flex_sum)
 
     def rest(self, at_s: float, sensors: int) -> tuple[Floats, Floats]:
         """What young sensors of a mask would read of the straight robot, and its standard error.

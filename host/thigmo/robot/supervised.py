@@ -1,21 +1,236 @@
-"""The board's configuration and its supervisor: parameters, faults, arming, venting."""
+"""The board's supervisor and configuration: waiting for events, faults, parameters, arming."""
 
 from __future__ import annotations
 
-from thigmo.config import RobotConfig
-from thigmo.errors import CommandRefusedError, CommandTimeoutError
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, TypeVar
+
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
 from thigmo.link import protocol as wire
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SensorTable
+from thigmo.robot.readings import SENSORS, SensorTable, sensor_name
 
+if TYPE_CHECKING:
+    from thigmo.link.protocol import Ack, Command
+
+R = TypeVar("R", bound=wire.Message)
+
+_SLICE_S = 0.25
+_PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
+OPEN, SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5  # of sensor_report.flags
+_OF_A_MUSCLE = (
+    wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
+    wire.Fault.PRESSURE_MISMATCH,
+)  # fmt: skip
+_BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
 
 class Supervised(Connected):
     """A robot that can be configured, armed and vented."""
+
+    # Waiting.
+
+    def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
+        """Let time pass, with the link alive; `despite_faults` if a fault is what is looked for.
+
+        Raises:
+            RobotFaultError: a fault was latched meanwhile.
+        """
+        if despite_faults:
+            self._client.wait_for(lambda: False, seconds)
+            self._forget()
+            return
+        for look in self._looks(seconds, _SLICE_S):
+            for _ in look:
+                pass
+
+    def _looks(self, seconds: float, each_s: float) -> Iterator[Iterator[wire.Event]]:
+        """The events of each look at the link, whenever messages come and `each_s` at the latest.
+
+        Raises RobotFaultError for a fault that the board latched.
+        """
+        end = self.now() + seconds
+        while (left := end - self.now()) > 0:
+            self._client.poll(min(left, each_s))
+            for interrupt in self._interruptions:
+                interrupt()
+            yield self._taken()
+
+    def _taken(self) -> Iterator[wire.Event]:
+        while self._client.events:
+            self._note_channels()
+            event = self._client.events.popleft().message
+            if event.code == wire.EventCode.FAULT:
+                faults, fault = self.status().faults, wire.Fault(event.arg).key
+                if fault in faults:  # it was not cleared since
+                    raise self._fault_error(sorted(faults, key=lambda other: other != fault))
+            yield event
+
+    def _request(self, command: Command[R]) -> R:
+        """Ask the board; a refusal because of a latched fault becomes that fault's error."""
+        try:
+            return self._client.request(command)
+        except CommandRefusedError as error:
+            if error.reason != wire.Reason.FAULT_LATCHED.key:
+                raise
+            faults = self.status().faults
+            if not faults:
+                raise
+            raise self._fault_error(faults) from error
+
+    def _start(self, command: Command[Ack]) -> None:
+        """Start something whose events are waited for."""
+        self._forget()
+        self._request(command)
+
+    def _events(
+        self, activity: wire.Activity, within_s: float, until: Callable[[], bool] | None = None
+    ) -> Iterator[wire.Event]:
+        """Events of an activity that was started, its last one (done, or zeroed) included.
+
+        Who ends it by `until` has to stop the activity.
+
+        Raises:
+            CommandRefusedError: the board ended it early; `reason` says why.
+            RobotFaultError: the board latched a fault.
+            CommandTimeoutError: it has not ended in time.
+        """
+        for look in self._looks(within_s, _PROMPT_S if until else _SLICE_S):
+            for event in look:
+                if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
+                    reason = wire.Reason(event.value)
+                    what, cure = reason.told
+                    raise CommandRefusedError(
+                        f"{activity.key} ended early: {what}", cure, reason=reason.key
+                    )
+                yield event
+                if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
+                    return
+                if event.code == wire.EventCode.ZEROED and activity == wire.Activity.ZEROING:
+                    return
+            if until is not None and until():
+                return
+        raise CommandTimeoutError(
+            f"{activity.key} has not ended within {within_s:.0f} s",
+            "check the robot, then stop it and start again",
+        )
+
+    def _finish(self, activity: wire.Activity, within_s: float) -> int:
+        """Wait for an activity's end; returns the last event's value."""
+        return [event.value for event in self._events(activity, within_s)][-1]
+
+    # Faults.
+
+    def _fault_error(self, faults: Sequence[str]) -> RobotFaultError:
+        """The typed error of latched faults, the first of them in the schema's words.
+
+        A fault of a channel names it, as far as it is known: a flex sensor by its report, a muscle
+        by the channel that the fault's event told.
+        """
+        self._note_channels()
+        first = wire.Fault[faults[0].upper()]
+        what, cure = first.told
+        others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
+        channel = self._fault_channels.get(first)
+        if first in _OF_A_MUSCLE and channel is not None:
+            what += f" ({SIDES[channel]} muscle)"
+        if first in _BAD_SENSOR:
+            flags = _BAD_SENSOR[first] | _ENABLED
+            reports = (self._client.request(wire.GetSensor(n)) for n in range(SENSORS))
+            bad = {report.sensor for report in reports if report.flags & flags == flags}
+            if channel is not None:
+                bad.add(channel)
+            if bad:
+                what += f": {', '.join(sensor_name(n) for n in sorted(bad))} (0 = at the base)"
+            else:
+                what += " now and then, at present none is"
+            cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+        # A board that lives in this process starts anew with the next connection.
+        if self.url and not self.virtual:
+            cure = f"{cure} (`thigmo clear --robot {self.url}`)"
+        return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=tuple(faults))
+
+    def clear_faults(self, *names: str) -> tuple[str, ...]:
+        """Clear latched faults, named as in the schema or all, whose cause is gone.
+
+        Returns the names of those that remain.
+        """
+        known = [wire.Fault[name.upper()] for name in names] or list(wire.Fault)
+        mask = sum(fault.mask for fault in known)
+        remaining = self._client.request(wire.ClearFaults(mask)).detail
+        return tuple(fault.key for fault in wire.Fault.from_mask(remaining))
+
+    def raise_faults(self) -> None:
+        """Tell a latched fault, if there is one.
+
+        Raises:
+            RobotFaultError: a fault is latched.
+        """
+        faults = self.status().faults
+        if faults:
+            raise self._fault_error(faults)
+
+    # Arming.
+
+    def arm(self, *, body_air: bool = True) -> None:
+        """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
+
+        Without `body_air` the body stays empty, if it has an enable.
+
+        Raises:
+            RobotFaultError: a fault is latched.
+        """
+        self.raise_faults()
+        try:
+            self._request(wire.Arm())
+        except CommandRefusedError as error:
+            if error.reason != "host_silent":
+                raise
+            # While an operator was asked nothing was heard of the board, and the heart held still.
+            self.wait(2.0 * PERIOD_S)
+            self._request(wire.Arm())
+        if body_air:
+            self._request(wire.BodyAir(1))
+
+    def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
+        """Drive one output as it is; the board ends it by itself unless repeated, or at `vent`.
+
+        Args:
+            level: transducer 0..400 (5 mA), motor -200..200 (a quarter of full).
+            seconds: at most 0.5.
+
+        Raises:
+            CommandRefusedError: not armed, beyond a limit, or a muscle holds pressure (motor).
+        """
+        self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
+
+    def vent(self, *, wait: bool = True) -> None:
+        """Empty both muscles, and wait until they are, by their sensors.
+
+        Do not wait for sensors whose zeros are unknown.
+
+        Raises:
+            CommandTimeoutError: they stay under pressure.
+        """
+        self._request(wire.Vent())
+        if wait:
+            self._wait_vented()
+
+    def _wait_vented(self) -> None:
+        end = self.now() + _VENT_S
+        while "vented" not in self.status().conditions:
+            if self.now() > end:
+                raise CommandTimeoutError(
+                    f"a muscle still holds pressure {_VENT_S:.0f} s after venting",
+                    "check the exhaust of its transducer; if it is empty, its sensor's zero: "
+                    "`thigmo bringup --robot PORT --from pressure`",
+                )
+            self.wait(0.2)
 
     # Configuration.
 
@@ -31,7 +246,9 @@ class Supervised(Connected):
         """
         changed = send_config(self._client, config)
         self.config = config
-        self._configured(1 << self.parameter("oversample_log2")[0])
+        self._table = SensorTable.of(config, 1 << self.parameter("oversample_log2")[0])
+        self._aside = 0
+        self._publisher.use(config, self._table)
         status = self.status()
         if changed or status.config_generation == 0 or "bad_config" in status.faults:
             self.save()
@@ -71,87 +288,3 @@ class Supervised(Connected):
     def stored_configuration(self) -> StoredConfiguration:
         """How the stored configuration fits the firmware that runs."""
         return StoredConfiguration.of(self._client.request(wire.GetConfigReport()))
-
-    def _configured(self, oversample: int) -> None:
-        """The board has another configuration; its raw readings sum so many conversions."""
-        self._table = SensorTable.of(self.config, oversample)
-        self._aside = 0
-        self._decode()
-
-    # State.
-
-    def clear_faults(self, *names: str) -> tuple[str, ...]:
-        """Clear latched faults, named as in the schema or all, whose cause is gone.
-
-        Returns the names of those that remain.
-        """
-        known = [wire.Fault[name.upper()] for name in names] or list(wire.Fault)
-        mask = sum(fault.mask for fault in known)
-        remaining = self._client.request(wire.ClearFaults(mask)).detail
-        return tuple(fault.key for fault in wire.Fault.from_mask(remaining))
-
-    def raise_faults(self) -> None:
-        """Tell a latched fault, if there is one.
-
-        Raises:
-            RobotFaultError: a fault is latched.
-        """
-        faults = self.status().faults
-        if faults:
-            raise self._watch.fault_error(faults)
-
-    def arm(self, *, body_air: bool = True) -> None:
-        """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
-
-        Without `body_air` the body stays empty, if it has an enable.
-
-        Raises:
-            RobotFaultError: a fault is latched.
-        """
-        self.raise_faults()
-        try:
-            self._request(wire.Arm())
-        except CommandRefusedError as error:
-            if error.reason != "host_silent":
-                raise
-            # While an operator was asked nothing was heard of the board, and the heart held still.
-            self.wait(2.0 * PERIOD_S)
-            self._request(wire.Arm())
-        if body_air:
-            self._request(wire.BodyAir(1))
-
-    def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
-        """Drive one output as it is; the board ends it by itself unless repeated, or at `vent`.
-
-        Args:
-            output: which.
-            level: transducer 0..400 (5 mA), motor -200..200 (a quarter of full).
-            seconds: at most 0.5.
-
-        Raises:
-            CommandRefusedError: not armed, beyond a limit, or a muscle holds pressure (motor).
-        """
-        self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
-
-    def vent(self, *, wait: bool = True) -> None:
-        """Empty both muscles, and wait until they are, by their sensors.
-
-        Do not wait for sensors whose zeros are unknown.
-
-        Raises:
-            CommandTimeoutError: they stay under pressure.
-        """
-        self._request(wire.Vent())
-        if wait:
-            self._wait_vented()
-
-    def _wait_vented(self) -> None:
-        end = self.now() + _VENT_S
-        while "vented" not in self.status().conditions:
-            if self.now() > end:
-                raise CommandTimeoutError(
-                    f"a muscle still holds pressure {_VENT_S:.0f} s after venting",
-                    "check the exhaust of its transducer; if it is empty, its sensor's zero: "
-                    "`thigmo bringup --robot PORT --from pressure`",
-                )
-            self.wait(0.2)

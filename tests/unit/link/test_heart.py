@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import random
 
-from thigmo.link.events import EventLedger
 from thigmo.link.framing import decode
 from thigmo.link.heart import Heart
+from thigmo.link.inbox import EventLedger
 from thigmo.link.protocol import Heartbeat
 from thigmo.link.round_trip import RoundTrip
 

@@ -1,17 +1,18 @@
-"""A sweep while it runs, and the average of its peak that the localizer gets.
+"""What telemetry and events tell while the robot grows or sweeps.
 
 Shared by the live robot and the replay of a record, so that both give the same numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from thigmo.config import SIDES
 from thigmo.link import protocol as wire
+from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
 from thigmo.robot.readings import SENSORS, Floats, SensorTable, mask_of
 from thigmo.robot.standing import StandingWatch
@@ -22,20 +23,40 @@ _IDLE_CPSI = 10
 _PEAK_READINGS = 10  # thesis: ten
 
 
+@dataclass
+class GrowthWatcher:
+    """What the flex sensors say while the tip's fold passes through them: thinned telemetry of one
+    growth or several in a row."""
+
+    length_cm: list[float] = field(default_factory=list)  # everted, by the spool's encoder
+    flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings, left base first
+    _next_s: float = 0.0
+
+    def telemetry(self, frame: TelemetryFrame) -> None:
+        """Take a frame; one in fifty milliseconds is decoded."""
+        if frame.device_s >= self._next_s:
+            self._next_s = frame.device_s + _FRAME_SPACING_S
+            self.length_cm.append(frame.message.length_um / 1e4)
+            self.flex_sum.append(frame.message.flex_sum)
+
+    def profile(self, table: SensorTable) -> tuple[Floats, Floats]:
+        """Lengths (n,) in cm, and what each sensor read there, (n, 10) in 1/cm, without a zero."""
+        sums: Floats = np.asarray(self.flex_sum, dtype=np.float64)
+        return np.asarray(self.length_cm), table.unzeroed(sums.reshape(-1, SENSORS))
+
+
 def peak_frame(reply: wire.Snapshot, t_s: float) -> SweepFrame:
     """A reading that the board captured at a peak, in host units; `t_s` is its unwrapped time."""
     free = reply.free_e5 / 1e5
     excess = reply.base_e5 / 1e5 - free
-    return SweepFrame(
-        SIDES[reply.side], t_s, reply.lagged_cpsi / 100, free, excess, tuple(reply.flex_sum)
-    )
+    return SweepFrame(SIDES[reply.side], t_s, reply.lagged_cpsi / 100, free, excess, reply.flex_sum)
 
 
 @dataclass
 class SweepWatcher:
     """Collects what a sweep tells."""
 
-    table: SensorTable  # constants and zeros of the sensors
+    table: SensorTable
     sensors: int  # mask of those everted, settled and zeroed when it began
     length_cm: float  # everted length
     # mask of those everted and not settled, to be used as far as `standing` knows them
@@ -54,24 +75,23 @@ class SweepWatcher:
         if not self.stopped:
             self.triggers.append(ContactTrigger(SIDES[event.arg], t_s, event.value / 1e5))
 
-    def telemetry(self, t_s: float, decode: Callable[[], wire.Telemetry]) -> None:
-        """Take a telemetry frame of device time `t_s`; one in fifty milliseconds is decoded."""
+    def telemetry(self, frame: TelemetryFrame) -> None:
+        """Take a frame; one in fifty milliseconds is decoded."""
+        t_s = frame.device_s
         if self.stopped or t_s < self._next_s:
             return
         self._next_s = t_s + _FRAME_SPACING_S
-        frame = decode()
-        pressure = max(frame.left_cpsi, frame.right_cpsi)
+        told = frame.message
+        pressure = max(told.left_cpsi, told.right_cpsi)
         if pressure >= _IDLE_CPSI:
-            side = SIDES[frame.left_cpsi < frame.right_cpsi]
-            free, excess = frame.free_e5 / 1e5, (frame.base_e5 - frame.free_e5) / 1e5
-            self.frames.append(
-                SweepFrame(side, t_s, pressure / 100, free, excess, tuple(frame.flex_sum))
-            )
+            side = SIDES[told.left_cpsi < told.right_cpsi]
+            free, excess = told.free_e5 / 1e5, (told.base_e5 - told.free_e5) / 1e5
+            self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, told.flex_sum))
 
     def result(self, truth: Truth | None = None, *, so_far: bool = False) -> SweepResult:
-        """What was collected, in curvature; with what the emulator knew at the peaks.
+        """What was collected, with what the emulator knew at the peaks.
 
-        Where the sweep goes on, its peak so far is taken to be now.
+        `so_far`: the sweep goes on, and its peak is taken to be now.
         """
         cut = self.rising and self.peaks and self.peaks[0]
         end_s = max(reading.t_s for reading in self.peaks[0]) if cut else np.inf
@@ -84,7 +104,7 @@ class SweepWatcher:
         return SweepResult(triggers, peaks, frames, curvature, self.sensors, truth)
 
     def average(self, readings: Sequence[SweepFrame]) -> Peak:
-        """The average of a peak's readings (thesis: ten of them)."""
+        """The average of a peak's readings."""
         sums: Floats = np.asarray([s.flex_sum for s in readings], dtype=np.float64).mean(axis=0)
         at_s = float(np.mean([s.t_s for s in readings]))
         curvature = self.table.curvature(sums)
