@@ -545,43 +545,29 @@ def _py_type(field: Field) -> str:
     return field.enum or field.type.upper()
 
 
-def _short(text: str) -> str:
-    """Its first sentences, as many as a line takes; PROTOCOL.md has the rest."""
-    short, *more = re.split(r"(?<=[.]) (?=[A-Z])", text)
-    for each in more:
-        if len(short) + 1 + len(each) <= COLUMNS - 10:
-            short += f" {each}"
-    return short
+def _py_line(line: str, doc: str, unit: str = "") -> list[str]:
+    """A line of code with as many clauses of its comment as fit, or the first above it.
 
-
-def _py_value(value: Value) -> str:
-    """A member, with as much of its sentence as the line takes; protocol.json has all of it."""
-    line = f"    {value.name.upper()} = {value.value}"
-    for text in (value.doc, value.doc.partition("; ")[0]):
-        if len(line) + len(text) + 4 <= COLUMNS:
-            return f"{line}  # {text}"
-    return line
-
-
-def _py_line(line: str, doc: str) -> list[str]:
-    """A line of code with its comment, above it if need be."""
-    if len(line) + len(doc) + 4 <= COLUMNS:
-        return [f"{line}  # {doc}"]
-    indent = re.match(" *", line)[0]  # type: ignore[index]
-    return [
-        *(f"{indent}# {part}" for part in textwrap.wrap(doc, COLUMNS - 6, break_on_hyphens=False)),
-        line,
-    ]
+    PROTOCOL.md has all of them.
+    """
+    unit = f" [{unit}]" if unit else ""
+    ends = [clause.start() for clause in re.finditer(r"; |(?<=\.) (?=[A-Z])", doc)]
+    for end in (len(doc), *reversed(ends)):
+        if len(line) + end + len(unit) + 4 <= COLUMNS:
+            return [f"{line}  # {doc[:end]}{unit}"]
+    indent = " " * (len(line) - len(line.lstrip()))
+    first = doc[: ends[0] if ends else None] + unit
+    above = textwrap.wrap(first, COLUMNS - 6, break_on_hyphens=False)
+    return [*(f"{indent}# {part}" for part in above), line]
 
 
 def _py_message(m: Message) -> list[str]:
     base = {"command": f"Command[{camel(m.reply)}]", "reply": "Reply"}.get(m.kind, "Message")
     deadline = f", deadline_s={m.deadline_ms / 1000}" if m.deadline_ms != DEADLINE_MS else ""
     head = f"class {m.camel}({base}, number=0x{m.id:02X}{deadline}):{'' if m.fields else ' ...'}"
-    out = _py_line(head, _short(m.doc))
+    out = _py_line(head, m.doc)
     for f in m.fields:
-        doc = f.doc + (f" [{f.unit}]" if f.unit else "")
-        out += _py_line(f"    {f.name}: {_py_type(f)}", doc)
+        out += _py_line(f"    {f.name}: {_py_type(f)}", f.doc, f.unit)
     return [*out, "", ""]
 
 
@@ -615,8 +601,9 @@ def python(schema: Schema) -> str:
         "",
     ]
     for name, (doc, values) in schema.enums.items():
-        out += _py_line(f"class {name}(Documented):", _short(doc))
-        out += [_py_value(v) for v in values]
+        out += _py_line(f"class {name}(Documented):", doc)
+        for value in values:
+            out += _py_line(f"    {value.name.upper()} = {value.value}", value.doc)
         out += ["", ""]
     for m in sorted(schema.messages, key=lambda m: m.kind == "command"):
         out += _py_message(m)

@@ -392,10 +392,10 @@ class Soak:
             self.count["recoveries"] += 1
 
     def _note_clock(self) -> None:
-        """How far the map of the board's clock is off the board's clock, us."""
+        """How far the map of the board's clock to the host's is off the host's clock, us."""
         if self._rig is not None and self.client.clock.synchronised:
-            mapped = self.client.clock.to_device(self.client.now())
-            self._clock.append(mapped - self._rig.now_us)
+            mapped_s = self.client.clock.to_host(self._rig.now_us)
+            self._clock.append((self.client.now() - mapped_s) * 1e6)
 
     # --- what came of it ------------------------------------------------------------------------
     def figures(self) -> list[Figure]:

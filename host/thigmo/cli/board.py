@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -76,7 +76,18 @@ def params(
         note = f"thigmo: {name} is not stored and ends with this connection; keep it with --save"
         typer.echo(note, err=True)
     if as_json:
-        print_json({each: _described(each, held) for each, held in values.items()})
+        entries = {each: (wire.PARAMETERS[each], held) for each, held in values.items()}
+        told = {
+            each: {
+                "value": held if entry.count > 1 else held[0],
+                "unit": entry.unit,
+                "range": [entry.low, entry.high],
+                "default": entry.defaults if entry.count > 1 else entry.defaults[0],
+                "doc": entry.doc,
+            }
+            for each, (entry, held) in entries.items()
+        }
+        print_json(told)
         return
     from rich.console import Console
     from rich.table import Table
@@ -93,19 +104,6 @@ def params(
         shown = " ".join(map(str, same)) + (f" (x{len(held)})" if same is not held else "")
         table.add_row(each, shown, f"{entry.low}.. {entry.high} {entry.unit}", entry.doc)
     Console().print(table)
-
-
-def _described(name: str, held: list[int]) -> dict[str, Any]:
-    from thigmo.link import protocol as wire
-
-    entry = wire.PARAMETERS[name]
-    return {
-        "value": held if entry.count > 1 else held[0],
-        "unit": entry.unit,
-        "range": [entry.low, entry.high],
-        "default": list(entry.defaults) if entry.count > 1 else entry.defaults[0],
-        "doc": entry.doc,
-    }
 
 
 def clear(robot: RobotOption, as_json: JsonOption = False) -> None:

@@ -74,10 +74,9 @@ class Client(Inbox, Closing):
         heartbeat_s: float = PERIOD_S,
         tap: Tap | None = None,
     ) -> None:
-        """Take an open transport, which the client owns from now on, and say hello.
+        """Take an open transport, which the client owns from now on, and `connect` if told so.
 
-        Without `connect` the hello is left to a later `connect()`. `tap` is the first of `taps`,
-        from the first byte on. Raises LinkError as `connect`.
+        `tap` is the first of `taps`, from the first byte on.
         """
         super().__init__()
         self.transport = transport
@@ -181,10 +180,7 @@ class Client(Inbox, Closing):
             if not self._talking:
                 self._resume(command, limit, until_s)
             outstanding = self._begin(command, until_s)
-            while outstanding.answer is None and self._outstanding is outstanding:
-                self._pump(until_s)
-                self._raise_if_broken()
-            reply = outstanding.answer
+            reply = self._settle(outstanding, until_s)
             # An orphan that was sent once was surely not done, and may go again; one that was
             # repeated may have been done before the session was lost.
             if reply is None and not (outstanding.orphaned and outstanding.attempts == 1):
@@ -199,11 +195,8 @@ class Client(Inbox, Closing):
         """Stop the robot, past any command that waits for its answer, and wait for the echo.
 
         Needs no conversation: it stops a board of any schema, in any state. The board's outputs
-        are off then, and its fault `stopped` stays latched until an operator clears it.
-
-        Raises:
-            CommandTimeoutError: no echo in time.
-            LinkError: the connection is gone.
+        are off then, and its fault `stopped` stays latched until an operator clears it. Raises
+        CommandTimeoutError without an echo in time.
         """
         self._check_reentry()
         began_s = self.now()
@@ -265,22 +258,23 @@ class Client(Inbox, Closing):
             self.stats.repeats += 1
         self._write(outstanding.frame)
 
+    def _settle(self, outstanding: _Outstanding, until_s: float) -> wire.Message | None:
+        """Wait for a command's answer; None if it ended without one."""
+        while outstanding.answer is None and self._outstanding is outstanding:
+            self._pump(until_s)
+            self._raise_if_broken()
+        return outstanding.answer
+
     def _say_hello(self, limit_s: float) -> wire.HelloReply | None:
         """Open a session; None if nobody answers in time. Raises SchemaMismatchError."""
         hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, secrets.randbits(32))
         until_s = self.now() + limit_s
         outstanding = self._begin(hello, until_s)
-        while outstanding.answer is None and self._outstanding is outstanding:
-            self._pump(until_s)
+        reply = self._settle(outstanding, until_s)
         if outstanding.refused_by is not None:
             raise failures.other_schema(outstanding.refused_by, self.transport)
-        reply = outstanding.answer
         if not isinstance(reply, wire.HelloReply):
             return None
-        self._open(reply)
-        return reply
-
-    def _open(self, reply: wire.HelloReply) -> None:
         new_boot = self._hello is None or reply.boot_nonce != self._hello.boot_nonce
         self._hello = reply
         if reply.boot_nonce not in self._nonces:
@@ -289,12 +283,12 @@ class Client(Inbox, Closing):
         self._talking = self._connected = True
         self.stats.hellos += 1
         self.transport.start_heartbeat(reply.session, self._heartbeat_s)
+        return reply
 
     def _resume(self, command: wire.Message, limit_s: float, until_s: float) -> None:
         """A new session after a spoilt one, within a command's deadline."""
         before = self.hello
         if self._say_hello(until_s - self.now()) is None:
-            self._raise_if_broken()
             raise failures.timed_out(command, limit_s)
         if self.hello.boot_nonce != before.boot_nonce:
             raise failures.restarted(self.hello.reset_cause)

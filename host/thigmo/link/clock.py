@@ -19,10 +19,10 @@ _MAX_SKEW = 0.02  # a resonator is never so far off; a fit that says so is noise
 _MIN_BASE_S = 5.0  # a slope over less time than this is mostly jitter
 
 
-class Pair(NamedTuple):
-    """One instant by both clocks: host time in the middle of a round trip, device microseconds."""
+class _Pair(NamedTuple):
+    """One instant by both clocks."""
 
-    host_s: float
+    host_s: float  # in the middle of the round trip
     device_us: int
     round_trip_s: float
 
@@ -32,7 +32,7 @@ class DeviceClock:
 
     def __init__(self) -> None:
         self._last: int | None = None
-        self._best: deque[Pair] = deque(maxlen=_STRETCHES)  # of each stretch
+        self._best: deque[_Pair] = deque(maxlen=_STRETCHES)  # of each stretch
         self._until_s = 0.0  # end of the newest stretch
 
     def reset(self) -> None:
@@ -56,7 +56,7 @@ class DeviceClock:
 
     def pair(self, sent_s: float, received_s: float, device_us: int) -> None:
         """Take a round trip: host times around an (unwrapped) device stamp."""
-        pair = Pair((sent_s + received_s) / 2, device_us, received_s - sent_s)
+        pair = _Pair((sent_s + received_s) / 2, device_us, received_s - sent_s)
         if not self._best or received_s >= self._until_s:
             self._best.append(pair)
             self._until_s = received_s + _STRETCH_S
@@ -70,26 +70,17 @@ class DeviceClock:
 
     def to_host(self, device_us: float) -> float:
         """Host seconds of unwrapped device microseconds; raises LookupError before any pair."""
-        host_s, base_us, slope = self._line()
-        return host_s + slope * (device_us - base_us) * 1e-6
-
-    def to_device(self, host_s: float) -> float:
-        """Unwrapped device microseconds of host seconds; raises LookupError before any pair."""
-        base_s, device_us, slope = self._line()
-        return device_us + (host_s - base_s) / slope * 1e6
-
-    def _line(self) -> tuple[float, float, float]:
-        """Host seconds and device microseconds of a point, and the slope through it."""
         if not self._best:
             raise LookupError("the clocks are not synchronised yet")
         limit = 1.5 * min(pair.round_trip_s for pair in self._best) + 0.5e-3
         pairs = [pair for pair in self._best if pair.round_trip_s <= limit]
-        base = pairs[0].device_us  # differences keep the sums small and exact
-        device_us = [float(p.device_us - base) for p in pairs]
-        host_s = [p.host_s - pairs[0].host_s for p in pairs]
+        first = pairs[0]  # differences keep the sums small and exact
+        device_s = [(pair.device_us - first.device_us) * 1e-6 for pair in pairs]
+        host_s = [pair.host_s - first.host_s for pair in pairs]
         slope = 1.0
         if host_s[-1] >= _MIN_BASE_S:
-            fitted = linear_regression(device_us, host_s).slope * 1e6
+            fitted = linear_regression(device_s, host_s).slope
             if abs(fitted - 1.0) <= _MAX_SKEW:
                 slope = fitted
-        return pairs[0].host_s + fmean(host_s), base + fmean(device_us), slope
+        late_s = (device_us - first.device_us) * 1e-6 - fmean(device_s)
+        return first.host_s + fmean(host_s) + slope * late_s

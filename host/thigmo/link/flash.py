@@ -87,15 +87,9 @@ def flash(
 ) -> Flashed:
     """Write an image to the board on a port, verify it, and wait until it says hello.
 
-    Args:
-        port: serial port, as /dev/ttyACM0 or COM3.
-        image: Intel HEX; None: this source tree's, built if need be.
-
-    Raises:
-        ConfigError: the file is no thigmo image.
-        SchemaMismatchError: the image speaks another schema; nothing was written.
-        PortError, NotARobotError, LinkError: the port, the board or the line failed; the message
-            says what to do.
+    `image` is an Intel HEX file; None takes this source tree's, built if need be. Raises
+    ConfigError for a file that is no thigmo image, SchemaMismatchError before it writes one of
+    another schema, and a LinkError where the port, the board or the line fails.
     """
     if "://" in port:
         raise ConfigError(f"{port} cannot be flashed", "give the serial port of a board")

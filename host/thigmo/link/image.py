@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[3]
 BUILD = ROOT / "build" / "mega"
 PACKAGED = Path(__file__).parents[1] / "firmware" / "thigmo.hex"  # in a wheel
 MAGIC = b"thigmo-image"
-_SIGNATURE = struct.Struct("<IBB3B")
+_SIGNATURE = struct.Struct("<IB")  # then board and version
 LARGEST = 253_952  # bytes below the Mega's boot loader
 
 
@@ -32,14 +32,10 @@ class Image:
     size: int  # bytes of program
     schema_hash: int  # of the messages that it speaks
     protocol: int  # their version
-    version: tuple[int, int, int]  # major, minor, patch
 
 
 def read_hex(path: Path) -> list[tuple[int, bytes]]:
-    """Blocks of an Intel HEX file: (address, bytes), in the file's order, merged where they meet.
-
-    Raises ConfigError for an unreadable file, a malformed record or a wrong checksum.
-    """
+    """Blocks of an Intel HEX file, merged where they meet: (address, bytes), in its order."""
     try:
         lines = path.read_text(encoding="ascii").split()
     except OSError as error:
@@ -70,10 +66,7 @@ def read_hex(path: Path) -> list[tuple[int, bytes]]:
 
 
 def read_image(path: Path) -> Image:
-    """Read an image's signature.
-
-    Raises ConfigError: no Intel HEX file, no thigmo image, or too large for the board.
-    """
+    """Read an image's signature; ConfigError if it is none, or too large for the board."""
     blocks = read_hex(path)
     end = max((start + len(data) for start, data in blocks), default=0)
     found = b"".join(data for _, data in blocks).partition(MAGIC)[2]
@@ -85,16 +78,11 @@ def read_image(path: Path) -> Image:
         raise ConfigError(
             f"{path} needs {end} bytes and the board has {LARGEST}", "build it with the Makefile"
         )
-    schema, protocol, _board, *version = _SIGNATURE.unpack_from(found)
-    size = sum(len(data) for _, data in blocks)
-    return Image(path, size, schema, protocol, (version[0], version[1], version[2]))
+    return Image(path, sum(len(data) for _, data in blocks), *_SIGNATURE.unpack_from(found))
 
 
 def build_image(baud: int = 250_000) -> Path:
-    """The image of this source tree, built if need be, or the one that came with an installation.
-
-    Raises PortError: neither sources nor image, no compiler, or the build failed.
-    """
+    """The image of this source tree, built if need be, or the one that an installation has."""
     folder = ROOT / "firmware" / "mega"
     if not (folder / "Makefile").exists():
         if PACKAGED.exists() and baud == 250_000:

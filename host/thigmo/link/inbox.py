@@ -29,7 +29,7 @@ _REPEATS = 10
 class TelemetryFrame:
     """One telemetry frame, decoded when asked."""
 
-    seq: int  # its number; gaps are drops
+    seq: int  # gaps are drops
     t_s: float  # host time of its arrival
     device_us: int  # unwrapped device time of its readings
     payload: bytes  # the undecoded message

@@ -24,7 +24,6 @@ class Kind(Enum):
     OPENED = auto()
     DATA = auto()  # bytes from the port, stamped on arrival
     BEATEN = auto()  # a heartbeat left: its counter, stamped before
-    DROPPED = auto()  # the host did not read for so long that so many bytes were dropped
     FAILED = auto()  # the port cannot be opened, or is gone: the error to raise
 
 

@@ -59,14 +59,14 @@ class Outbox:
     """Packets on their way to the host, written by a thread of their own.
 
     A host that does not read must stop neither the port nor the heart: the oldest packets are
-    dropped, and the bytes in them reported.
+    dropped. Gaps in the numbers of telemetry tell so.
     """
 
     def __init__(self, stream: IO[bytes], backlog_bytes: int = _BACKLOG_BYTES) -> None:
         self._stream = stream
         self._limit = backlog_bytes
         self._packets: deque[Packet] = deque()
-        self._size = self._dropped = 0
+        self._size = 0
         self._closed = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -78,7 +78,7 @@ class Outbox:
             self._packets.append(packet)
             self._size += packet.size
             while self._size > self._limit:
-                self._dropped += self._oldest().size
+                self._oldest()
             self._changed.notify()
 
     def close(self, wait_s: float) -> None:
@@ -99,11 +99,8 @@ class Outbox:
                 self._changed.wait_for(lambda: self._packets or self._closed)
                 if not self._packets:
                     return
-                dropped, self._dropped = self._dropped, 0
                 packet = self._oldest()
             try:
-                if dropped:
-                    write_packet(self._stream, Packet(Kind.DROPPED, dropped))
                 write_packet(self._stream, packet)
             except OSError:
                 return  # the host is gone; the reader of its stream sees that too
@@ -128,7 +125,7 @@ class PortProcess:
         self._touched_um: int | None = None  # length at the last touch, while the body grows
         self._decoder = Decoder()
         self._heard_s = float("-inf")
-        self._state: tuple[float, int] | None = None  # when told, and what
+        self._disarmed_until_s = -math.inf  # as far as its telemetry told
         self._call: StopCall | None = None
         self._call_lock = threading.RLock()  # a signal's handler may come upon itself
         self._leaving = threading.Lock()
@@ -171,9 +168,7 @@ class PortProcess:
     def _may_move(self) -> bool:
         """Whether the board may be armed: one that lately said that it is not need not be stopped,
         and its next host needs no operator."""
-        if self._state is None or time.monotonic() - self._state[0] > _STATE_S:
-            return True
-        return self._state[1] in _ARMED
+        return time.monotonic() > self._disarmed_until_s
 
     def _listen(self) -> None:
         """Thread: stops from outside the host."""
@@ -228,7 +223,8 @@ class PortProcess:
         for frame in self._decoder.feed(data):
             if frame.id == Telemetry.ID and len(frame.payload) == Telemetry.SIZE:
                 row = Telemetry.unpack(frame.payload)
-                self._state = (self._heard_s, row.state_activity >> 4)
+                armed = row.state_activity >> 4 in _ARMED
+                self._disarmed_until_s = -math.inf if armed else self._heard_s + _STATE_S
                 self._watch_growth(row)
             elif call is not None:
                 call.take(frame)

@@ -107,8 +107,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     STOPPED_AGAIN = 24  # The robot was stopped once more since
 
 
-# Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
-class Fault(Documented):
+class Fault(Documented):  # Latched faults, by bit number.
     HOST_SILENT = 0  # No heartbeat from the host while the robot was armed
     OVER_PRESSURE = 1  # A muscle exceeded the pressure limit
     PRESSURE_WIRE = 2  # A pressure sensor reads outside 5..95 % of its supply
@@ -121,9 +120,10 @@ class Fault(Documented):
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
     BAD_CONFIG = 10  # No valid configuration is stored
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
-    INTERLOCK = 12  # The length became unknown or a sensor half everted during a bend
+    INTERLOCK = 12  # The length became unknown or a sensor half everted during a bend; vented.
     PRESSURE_MISMATCH = 14  # Muscle pressure and the transducer's current disagree
     LINK_OVERRUN = 13  # The board's receive buffer overran
+    # The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or died
     STOPPED = 15
 
 
@@ -138,6 +138,7 @@ class Condition(Documented):
     HOST_ALIVE = 6  # A heartbeat arrived within the limit.
     ENERGISED = 7  # A valve carries current or the motor is driven.
     ESTOP = 8  # The emergency stop input is active.
+    # The running configuration came whole from the store, or was set and checked since.
     CONFIG_VALID = 9
     SUPPLY_GOOD = 10  # The supply is within limits.
     CONTACT = 11  # The contact trigger is latched.
@@ -148,6 +149,7 @@ class Condition(Documented):
 
 class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
     FAULT = 1  # A fault latched: arg = bit number, value = channel or detail.
+    # The trigger fired: arg = active Side, value = base curvature minus free curvature, 1e-5/cm.
     CONTACT = 2
     PEAK = 3  # Readings of a sweep's peak are captured: arg = active Side, value = their number.
     ACTIVITY_DONE = 4  # An activity ended: arg = Activity, value = everted length in um.
@@ -199,9 +201,7 @@ class StatusReport(Reply, number=0x82):  # The board's whole state.
     event_number: U16  # Newest event.
     config_generation: U32  # Of the stored configuration; 0 = none.
     supply_mv: U16  # Supply voltage, by reference_mv. [mV]
-    # Illegal transitions of the spool's encoder since boot; wraps. More than a few mean noise, or a
-    # channel that fails.
-    encoder_errors: U16
+    encoder_errors: U16  # Illegal transitions of the spool's encoder since boot; wraps.
     stop_nonce: U32  # Of the latest stop, if fault stopped is latched.
 
 
@@ -267,19 +267,16 @@ class ConfigReport(Reply, number=0x88):
     unknown_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
 
 
-# At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
-# `stopped` latches.
+# At once, in every state, boot included: valves 0 mA, motor braked, activity aborted
 class Stop(Message, number=0x21):
     nonce: U32  # Random; tells this stop from others, and its echo from a replayed one.
 
 
-# The robot is stopped, outputs are off. Sent at once for every stop.
-class Stopped(Message, number=0xA2):
+class Stopped(Message, number=0xA2):  # The robot is stopped, outputs are off.
     nonce: U32  # Echo.
 
 
-# Host is alive; the counter must rise, so that a replayed one keeps nobody alive.
-class Heartbeat(Message, number=0x20):
+class Heartbeat(Message, number=0x20):  # Host is alive
     counter: U32  # Rises by at least 1.
 
 
@@ -315,8 +312,7 @@ class Telemetry(Message, number=0xC0):  # All channels. seq numbers the frames; 
     faults: U16  # Latched Fault bits.
 
 
-# Something happened; repeated until acknowledged. At most 24 bytes on the wire.
-class Event(Message, number=0xE0):
+class Event(Message, number=0xE0):  # Something happened; repeated until acknowledged.
     number: U16  # Rises by 1.
     code: EventCode  # What.
     t_us: U32  # When. [us]
@@ -324,8 +320,7 @@ class Event(Message, number=0xE0):
     value: I32  # As the code's doc says.
 
 
-# Opens a session. The only command accepted with session 0; resets the sequence.
-class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):
+class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):  # Opens a session.
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of this schema.
     host_nonce: U32  # Random; echoed, so that a replayed reply is told apart.
@@ -337,21 +332,18 @@ class GetStatus(Command[StatusReport], number=0x02): ...  # The board's whole st
 class Arm(Command[Ack], number=0x03): ...  # Leave safe for ready.
 
 
-# Both muscles to 0 mA; ends a sweep or a press; state stays ready.
-class Vent(Command[Ack], number=0x04): ...
+class Vent(Command[Ack], number=0x04): ...  # Both muscles to 0 mA; ends a sweep or a press
 
 
 # The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe.
 class Disarm(Command[Ack], number=0x05): ...
 
 
-# Clears latched faults whose cause is gone; detail holds what remains.
-class ClearFaults(Command[Ack], number=0x06):
+class ClearFaults(Command[Ack], number=0x06):  # Clears latched faults whose cause is gone
     mask: U16  # Fault bits to clear.
 
 
-# Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks.
-class SetPressure(Command[Ack], number=0x07):
+class SetPressure(Command[Ack], number=0x07):  # Hold a muscle pressure (calibration, diagnostics).
     left_cpsi: I16  # Left set point; at most one side above zero. [0.01 psi]
     right_cpsi: I16  # Right set point. [0.01 psi]
     ramp_cpsi_s: U16  # Slew rate; 0 = as fast as configured. [0.01 psi/s]
@@ -359,27 +351,22 @@ class SetPressure(Command[Ack], number=0x07):
 
 class GrowTo(Command[Ack], number=0x08):  # Pay out to an everted length.
     length_um: I32  # Target everted length. [um]
-    # Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so that a dead host
-    # costs no more than 2 cm; a heartbeat_ms below the watchdog's 250 ms counts as 250 ms. [um/s]
-    speed_um_s: U32
+    speed_um_s: U32  # Tip speed; 0 = as configured. [um/s]
 
 
-# Wind in to an everted length. Refused unless vented, for a bent body buckles.
-class RetractTo(Command[Ack], number=0x09):
+class RetractTo(Command[Ack], number=0x09):  # Wind in to an everted length.
     length_um: I32  # Target everted length. [um]
     speed_um_s: U32  # Tip speed; 0 = as configured. [um/s]
 
 
-# Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a
-# back-off that the encoder does not see is a spool_stall.
+# Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again
 class Home(Command[Ack], number=0x0A): ...
 
 
 # The operator vouches for the everted length (after a reset, a stall or a slip).
 class ConfirmLength(Command[Ack], number=0x0B):
     length_um: I32  # Measured everted length. [um]
-    # 1: everted sensors have rested long enough already; 0: start their settle clocks now.
-    settled: U8
+    settled: U8  # 1: everted sensors have rested long enough already
 
 
 # Tells which body pressure holds, hence which maps and which critical moment.
@@ -387,8 +374,7 @@ class SelectZone(Command[Ack], number=0x0C):
     zone: U8  # 0..2; 255 = unknown.
 
 
-# One or more half sines of pressure, left then right; side with amplitude 0 is left out.
-class Sweep(Command[Ack], number=0x0D):
+class Sweep(Command[Ack], number=0x0D):  # One or more half sines of pressure, left then right
     left_cpsi: I16  # Amplitude of the left half. [0.01 psi]
     right_cpsi: I16  # Amplitude of the right half. [0.01 psi]
     period_ms: U32  # Period of the whole sine; each half takes half of it. [ms]
@@ -405,12 +391,11 @@ class GetSensor(Command[SensorReport], number=0x0F):  # One flex sensor's state.
     sensor: U8  # 0..9, left base first.
 
 
-# Read a parameter, as set last; what was set runs once it is applied.
-class GetParameter(Command[ParameterValue], number=0x10):
+class GetParameter(Command[ParameterValue], number=0x10):  # Read a parameter, as set last
     index: U16  # Parameter index; array parameters take consecutive ones.
 
 
-# Set a parameter, to be applied with apply_parameters; hello forgets what was not.
+# Set a parameter, to be applied with apply_parameters
 class SetParameter(Command[ParameterValue], number=0x11):
     index: U16  # Parameter index.
     value: I32  # New value, in the parameter's wire unit.
@@ -431,12 +416,11 @@ class GetMap(Command[MapValues], number=0x13):  # Read one free-curvature map.
     branch: Branch  # Inflating or deflating.
 
 
-# Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4 ms);
-# detail = generation.
+# Commit parameters and maps to the store
 class SaveConfig(Command[Ack], number=0x14, deadline_s=15.0): ...
 
 
-# Parameters and maps back to the schema's defaults, in memory. Refused while energised.
+# Parameters and maps back to the schema's defaults, in memory.
 class LoadDefaults(Command[Ack], number=0x15): ...
 
 
@@ -444,13 +428,12 @@ class GetSnapshot(Command[Snapshot], number=0x16):  # A captured reading.
     index: U8  # 0..9 the peak's readings in time order; 255 the one at the trigger.
 
 
-# Acknowledge events up to and including a number; the board then unlatches them.
-class AckEvent(Command[Ack], number=0x17):
+class AckEvent(Command[Ack], number=0x17):  # Acknowledge events up to and including a number
     number: U16  # Event number.
 
 
 # Check the parameters that were set, together with those that stay, and let all of them run, or
-# none; detail of a contradiction = the parameter's index. save_config stores them.
+# none
 class ApplyParameters(Command[Ack], number=0x1B): ...
 
 
@@ -459,7 +442,7 @@ class BodyAir(Command[Ack], number=0x1C):
     open: U8  # 1: air in; 0: empty the body.
 
 
-# Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated.
+# Drive one output as it is for a moment (bring-up, jog).
 class TestOutput(Command[Ack], number=0x1D):
     output: Output  # Which.
     level: I16  # Transducer 0..400 (5 mA), motor -200..200 (a quarter).
@@ -470,8 +453,7 @@ class TestOutput(Command[Ack], number=0x1D):
 class GetLinkStats(Command[LinkStats], number=0x18): ...
 
 
-# An operator lets a stopped robot go. Nothing else clears a stop, but power-on.
-class ClearStop(Command[Ack], number=0x1A):
+class ClearStop(Command[Ack], number=0x1A):  # An operator lets a stopped robot go.
     nonce: U32  # Of the latched stop, as status_report tells it.
 
 

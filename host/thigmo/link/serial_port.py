@@ -6,7 +6,6 @@ the main thread reads or writes, and turns the process's complaints into typed e
 
 from __future__ import annotations
 
-import os
 import queue
 import subprocess
 import sys
@@ -14,7 +13,6 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from pathlib import Path
 from weakref import WeakSet
 
 from thigmo.errors import LinkError, PortError
@@ -24,7 +22,6 @@ from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
 _TOUCH_S = 0.1
 _QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
-_PACKAGES = str(Path(__file__).resolve().parents[2])
 
 
 # A main thread that has not touched its port for a while counts as hung, and the port's process
@@ -48,18 +45,15 @@ class SerialTransport:
         """Open; raises PortError: missing, busy, not allowed, or no serial port."""
         self.name = url
         self.read_s = self.now()
-        self.dropped_bytes = 0
         self._beats: deque[Beat] = deque(maxlen=64)
         self._packets: queue.Queue[Packet | None] = queue.Queue(_QUEUE)
         self._touched_s = self.now()
         self._failure: LinkError | None = None
         self._closing = threading.Event()
-        path = os.pathsep.join(p for p in (_PACKAGES, os.environ.get("PYTHONPATH", "")) if p)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "thigmo.link.port_process", url, str(baud)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": path},
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -106,8 +100,6 @@ class SerialTransport:
                 return data
             if packet.kind == Kind.BEATEN:
                 self._beats.append(Beat(packet.value, packet.t_s))
-            elif packet.kind == Kind.DROPPED:
-                self.dropped_bytes += packet.value
             else:
                 self._failure = packet.value
                 raise packet.value
@@ -121,10 +113,7 @@ class SerialTransport:
         self._tell(Kind.HUSH)
 
     def attend(self) -> None:
-        """The main thread waits for its operator now: no lease runs until it comes back.
-
-        Raises LinkError if the connection is gone.
-        """
+        """The main thread waits for its operator now: no lease runs until it comes back."""
         if not self._closing.is_set() and self._failure is None:
             self._tell(Kind.ATTENDED)
 

@@ -72,9 +72,8 @@ def serve(url: str) -> Listener:
 
 
 def answer(listener: Listener, url: str, stop: Callable[[], bool]) -> None:
-    """Take one call and obey it; returns when it is answered.
+    """Take one call and obey it; `stop` says whether the board confirmed it.
 
-    `stop` stops the robot, and says whether the board confirmed it. The port's address goes back.
     Raises OSError when the listener is closed.
     """
     with listener.accept() as caller:

@@ -58,18 +58,10 @@ DEFAULT_BAUD = 250_000  # exact on the Mega's 16 MHz; 500 k after a soak test
 
 
 def open_transport(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
-    """Open a connection by its URL.
+    """Open a connection by its URL, as `thigmo.connect`; a plain port takes `?baud=500000`.
 
-    Args:
-        url: `emulator://SCENE`, `mega-sim://SCENE`, or whatever pyserial opens: `/dev/ttyACM0`,
-            `COM3`, `socket://host:port`, `rfc2217://host:port`. A plain port takes
-            `?baud=500000`.
-        seed: of a simulated robot's noise.
-        realtime: pace a simulated robot by the clock.
-
-    Raises:
-        PortError: the port is missing, busy or not allowed, or the URL is malformed.
-        ConfigError: a scene that cannot be used.
+    Raises PortError for a port that is missing, busy or not allowed, or a malformed URL,
+    ConfigError for a scene that cannot be used.
     """
     scheme = url.partition("://")[0]
     if scheme in _EMULATORS:

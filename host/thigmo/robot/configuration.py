@@ -22,10 +22,7 @@ _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never 
 
 
 def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
-    """The schema's parameters that robot.toml decides, by name, in wire units.
-
-    Raises ConfigError if there are more sensors than the board has channels for.
-    """
+    """The schema's parameters that robot.toml decides, by name, in wire units."""
     sensors, spool, body = config.sensors, config.spool, config.body
     flex = in_board_order(config)
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
@@ -66,11 +63,10 @@ def map_settings(config: RobotConfig) -> list[wire.SetMap]:
 def send_config(client: Client, config: RobotConfig) -> bool:
     """Make the board's parameters and maps those of robot.toml; whether any of them changed.
 
-    Raises ConfigError for a value that the board cannot hold or does not give back,
-    CommandRefusedError if an output is energised.
+    Raises ConfigError for a value that the board cannot hold or does not give back.
     """
-    wanted_values = parameter_settings(config)
-    differing = {n: v for n, v in wanted_values.items() if get_parameter(client, n) != v}
+    wanted = parameter_settings(config)
+    differing = {name: v for name, v in wanted.items() if get_parameter(client, name) != v}
     if differing:
         set_parameters(client, differing)
         for name, values in differing.items():
@@ -81,17 +77,13 @@ def send_config(client: Client, config: RobotConfig) -> bool:
         if client.request(where).curvature_e5 != setting.curvature_e5:
             changed = True
             client.request(setting)
-            got = client.request(where).curvature_e5
             what = f"the map of zone {setting.zone}, {setting.side.key}"
-            _verify(what, got, setting.curvature_e5)
+            _verify(what, client.request(where).curvature_e5, setting.curvature_e5)
     return changed
 
 
 def get_parameter(client: Client, name: str) -> list[int]:
-    """A parameter as the board holds it, in its wire unit, one value for each element.
-
-    Raises ConfigError if the schema has no such parameter.
-    """
+    """A parameter as the board holds it, in its wire unit, one value for each element."""
     entry = _named(name)
     return [client.request(wire.GetParameter(entry.index + i)).value for i in range(entry.count)]
 
@@ -106,7 +98,22 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
             contradict each other or those that the board holds.
     """
     for name, values in wanted.items():
-        _stage(client, name, values)
+        entry = _named(name)
+        if len(values) not in (1, entry.count):
+            raise ConfigError(
+                f"{name} holds {entry.count} values, and {len(values)} were given",
+                "give one for all, or all of them",
+            )
+        for value in values:
+            if not entry.low <= value <= entry.high:
+                limits = f"{entry.low}..{entry.high} {entry.unit}".rstrip()
+                raise ConfigError(
+                    f"{name} must lie in {limits}, not {value}",
+                    "correct the value that it comes from, in robot.toml or on the command line",
+                )
+        for element in range(entry.count):
+            value = values[element % len(values)]
+            client.request(wire.SetParameter(entry.index + element, value))
     try:
         client.request(wire.ApplyParameters())
     except CommandRefusedError as error:
@@ -119,26 +126,6 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
             f"{name} contradicts other parameters, and nothing was changed",
             f"see what bounds it: {wire.PARAMETERS[name].doc.rstrip('.')}",
         ) from error
-
-
-def _stage(client: Client, name: str, values: list[int]) -> None:
-    """Have the board check and keep a parameter until it is applied."""
-    entry = _named(name)
-    if len(values) not in (1, entry.count):
-        raise ConfigError(
-            f"{name} holds {entry.count} values, and {len(values)} were given",
-            "give one for all, or all of them",
-        )
-    for value in values:
-        if not entry.low <= value <= entry.high:
-            raise ConfigError(
-                f"{name} must lie in {entry.low}..{entry.high} {entry.unit}".rstrip()
-                + f", not {value}",
-                "correct the value that it comes from, in robot.toml or on the command line",
-            )
-    spread = values * entry.count if len(values) == 1 else values
-    for index, value in enumerate(spread, start=entry.index):
-        client.request(wire.SetParameter(index, value))
 
 
 def _named(name: str) -> wire.Parameter:

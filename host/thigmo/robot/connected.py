@@ -34,22 +34,19 @@ _STREAM_S = 0.1
 _UNKNOWN_ZONE = 255
 
 
-class NobodyThere:
+class _Nobody:
     """The operator of a program that named none: every question is a DataError."""
 
     def everted_length_cm(self) -> float:
-        """Refuse."""
         raise DataError("the everted length is unknown", "measure it, and call confirm_length")
 
     def set_body_pressure(self, pressure_psi: float) -> None:
-        """Refuse."""
         raise DataError(
             f"the body pressure must be set to {pressure_psi:g} psi by hand",
             "set the regulator, and call select_zone",
         )
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Refuse."""
         raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")
 
 
@@ -72,7 +69,7 @@ class Connected(Closing):
         self.virtual = client.transport.virtual
         room = client.transport
         self._room: Simulated | None = room if isinstance(room, Simulated) else None
-        self.operator: Operator = self._room.operator if self._room else operator or NobodyThere()
+        self.operator: Operator = self._room.operator if self._room else operator or _Nobody()
         self.known_config: RobotConfig | None = self._room.config if self._room else None
         self.config = RobotConfig()
         self._table = SensorTable.of(self.config)
@@ -125,20 +122,15 @@ class Connected(Closing):
         """At once, whatever is under way: valves 0 mA, motor braked, and so it stays.
 
         The board refuses to arm or to move until an operator clears the stop: `clear_stop`, or
-        `thigmo clear`.
-
-        Raises:
-            CommandTimeoutError: the board did not confirm it.
+        `thigmo clear`. Raises CommandTimeoutError if the board does not confirm it.
         """
         self._client.stop()
 
     def clear_stop(self) -> bool:
         """Let a stopped robot go, for the operator who has looked at it; whether one was stopped.
 
-        No program should call it on its own account. `clear_faults` leaves a stop latched.
-
-        Raises:
-            CommandRefusedError: the robot was stopped once more meanwhile.
+        No program should call it on its own account. `clear_faults` leaves a stop latched. Refused
+        if the robot was stopped once more meanwhile.
         """
         report = self._client.request(wire.GetStatus())
         if not report.faults & wire.Fault.STOPPED.mask:
@@ -175,9 +167,6 @@ class Connected(Closing):
         Args:
             channels: names of `thigmo.stream.CHANNELS`; None gives all.
             size: messages that are kept while nobody takes them; then the oldest are lost.
-
-        Raises:
-            LinkError: the connection is gone.
         """
         end = self.now() + seconds
         with self.hub.subscribe(channels, size) as heard:

@@ -25,7 +25,7 @@ SENSORS = len(SIDES) * SENSORS_A_SIDE
 def in_board_order(config: RobotConfig) -> list[FlexSensor | None]:
     """robot.toml's flex sensors by the board's numbers, left base first; None where one is absent.
 
-    Raises ConfigError if there are more than the board has channels for.
+    Raises ConfigError for more than the board has channels.
     """
     found: list[FlexSensor | None] = []
     for side in SIDES:
@@ -114,10 +114,7 @@ class SensorTable:
         return np.asarray(self.scale_per_ohm * change)
 
     def unzeroed(self, flex_sum: Floats) -> Floats:
-        """Raw readings (..., 10) in 1/cm from no resistance on.
-
-        Only differences mean something. So zeros are compared from one zeroing to the next.
-        """
+        """Raw readings (..., 10) in 1/cm from no resistance on: only differences mean something."""
         return np.asarray(self.scale_per_ohm * self.resistance(flex_sum))
 
     def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
@@ -126,12 +123,8 @@ class SensorTable:
         The inactive side only (the active side wrinkles), healthy, answering to this bending
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
-        size = len(self.healthy)
-        index = np.arange(size)
-        right = index >= size // 2
-        inactive = right if active == "left" else ~right
-        bend = 1 if active == "left" else -1
-        answers = (self.direction == 0) | (self.direction == bend)
-        named = (masks >> index & 1).astype(np.bool_)
-        mask: NDArray[np.bool_] = self.healthy & inactive & answers & named
-        return mask
+        sensor = np.arange(SENSORS)
+        inactive = sensor // SENSORS_A_SIDE != SIDES.index(active)
+        answers = np.isin(self.direction, (0, 1 if active == "left" else -1))
+        named = (masks >> sensor & 1).astype(np.bool_)
+        return np.asarray(self.healthy & inactive & answers & named)

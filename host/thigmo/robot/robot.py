@@ -67,7 +67,11 @@ def connect(
 
 
 class Robot(Supervised):
-    """A connected robot, with all that it can be told to do; what `connect` returns."""
+    """A connected robot, with all that it can be told to do; what `connect` returns.
+
+    Every command raises CommandRefusedError where the board says no (`reason` holds the schema's
+    name for why), RobotFaultError where a fault is latched, and LinkError where the link fails.
+    """
 
     # The everted length.
 
@@ -75,9 +79,6 @@ class Robot(Supervised):
         """Vouch for the everted length, as measured on the robot.
 
         `settled`: the everted sensors have rested long enough already.
-
-        Raises:
-            CommandTimeoutError: a muscle stays under pressure.
         """
         self._wait_vented()
         self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
@@ -89,11 +90,8 @@ class Robot(Supervised):
     def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
 
-        A watcher is given the telemetry meanwhile.
-
-        Raises:
-            CommandRefusedError: the length is unknown, or a muscle is under pressure.
-            RobotFaultError: the spool stalled.
+        A watcher is given the telemetry meanwhile. Refused while the length is unknown or a muscle
+        is under pressure.
         """
         with self._telemetry_to(watcher.telemetry) if watcher else nullcontext():
             self._start(wire.GrowTo(round(length_cm * 1e4), 0))
@@ -102,11 +100,8 @@ class Robot(Supervised):
     def retract_to(self, length_cm: float) -> float:
         """Vent, then wind in to an everted length; returns the length reached, cm.
 
-        A bent body buckles when it is pulled in, so both muscles must be below 0.5 psi.
-
-        Raises:
-            CommandRefusedError: the length is unknown, or a muscle is under pressure.
-            RobotFaultError: the spool stalled.
+        A bent body buckles when it is pulled in, so both muscles must be below 0.5 psi. Refused
+        while the length is unknown as well.
         """
         self.vent()
         status = self.status()
@@ -123,11 +118,8 @@ class Robot(Supervised):
     def home(self) -> None:
         """Vent, then wind in slowly until the spool stalls at the base, twice: length zero.
 
-        After a reset the operator confirms the length, for a jam stalls like the base.
-
-        Raises:
-            DataError: the length was unknown, and there is no operator to measure it.
-            RobotFaultError: nothing turns, or the encoder does not see it.
+        After a reset the operator confirms the length, for a jam stalls like the base; without one
+        that is a DataError.
         """
         self.vent()
         self._start(wire.Home())
@@ -186,12 +178,8 @@ class Robot(Supervised):
     ) -> None:
         """Wait until everted sensors of a mask are past their settling time.
 
-        Args:
-            progress: told the seconds that are left, about once a second.
-
-        Raises:
-            CommandTimeoutError: they do not settle in their time.
-            RobotFaultError: a fault was latched meanwhile.
+        `progress` is told the seconds that are left, about once a second. Raises
+        CommandTimeoutError if they do not settle.
         """
         end = self.now() + self.config.sensors.settle_s + _SETTLE_EXTRA_S
         while waiting := (status := self.status()).everted & ~status.settled & sensors:
@@ -211,8 +199,7 @@ class Robot(Supervised):
     def zero(self) -> int:
         """Average the everted sensors' readings into their zeros; returns the mask of these.
 
-        Raises:
-            CommandRefusedError: not vented, not settled, or drifting (`reason`).
+        Refused unless they are vented, settled and free of drift.
         """
         mask = self.status().everted & mask_of(self._table.healthy) & ~self._aside
         self._before = self._table
@@ -237,11 +224,7 @@ class Robot(Supervised):
         return bool(flags & OPEN), bool(flags & SHORT)
 
     def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
-        """Average telemetry over a while; `despite_faults` as for `wait`.
-
-        Raises:
-            LinkError: no telemetry came.
-        """
+        """Average telemetry over a while; `despite_faults` as for `wait`."""
         frames, flex = self._frames(seconds, despite_faults)
         pressures = [(f.left_cpsi / 100, f.right_cpsi / 100) for f in frames]
         left, right = np.mean(pressures, axis=0)
@@ -257,11 +240,7 @@ class Robot(Supervised):
         )
 
     def record(self, seconds: float) -> Recording:
-        """Keep every telemetry frame of a while.
-
-        Raises:
-            LinkError: no telemetry came.
-        """
+        """Keep every telemetry frame of a while."""
         frames, flex = self._frames(seconds)
         return Recording(
             t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
@@ -288,10 +267,7 @@ class Robot(Supervised):
         """Hold a muscle pressure (at most one side above zero); returns at once.
 
         A set point below the transducer's live zero (about 2.2 psi) vents that muscle; a slew rate
-        of 0 is as configured.
-
-        Raises:
-            CommandRefusedError: a sensor is half everted, or a set point is above the limit.
+        of 0 is as configured. Refused while a sensor is half everted.
         """
         ramp = round(ramp_psi_s * 100)
         self._request(wire.SetPressure(round(left_psi * 100), round(right_psi * 100), ramp))
@@ -317,9 +293,7 @@ class Robot(Supervised):
             enough: with `rising_only`, shown what a side gave so far, twenty times a second once
                 its trigger has fired, with its last half second as its peak; true vents it at once.
 
-        Raises:
-            CommandRefusedError: a sensor is half everted, the length or the zone is unknown.
-            RobotFaultError: the board latched a fault; it is vented.
+        Refused while a sensor is half everted, or the length or the zone is unknown.
         """
         if not rising_only:
             return self._sweep(left_psi, right_psi, period_s)

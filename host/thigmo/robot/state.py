@@ -101,11 +101,11 @@ class Peak:
 
 @dataclass(frozen=True, slots=True)
 class ContactTrigger:
-    """The board's trigger fired: active side, device time, base minus free curvature (1/cm)."""
+    """The board's trigger fired."""
 
-    side: Side
-    t_s: float
-    excess_per_cm: float
+    side: Side  # inflated muscle
+    t_s: float  # device time
+    excess_per_cm: float  # base minus free curvature
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,14 +142,12 @@ class SweepResult:
 
     def half(self, side: Side) -> tuple[list[SweepFrame], Floats]:
         """A side's frames, and what each sensor read in them, (n, 10)."""
-        mine = np.array([frame.side == side for frame in self.frames], dtype=np.bool_)
-        return [frame for frame in self.frames if frame.side == side], self.curvature[mine]
+        mine = [number for number, frame in enumerate(self.frames) if frame.side == side]
+        return [self.frames[number] for number in mine], self.curvature[mine]
 
     @classmethod
     def joined(cls, parts: Sequence[SweepResult]) -> SweepResult:
         """Several sweeps, in their order, as one; `sensors` are those that all of them had."""
-        if len(parts) == 1:
-            return parts[0]
         return cls(
             [trigger for part in parts for trigger in part.triggers],
             [peak for part in parts for peak in part.peaks],
@@ -163,6 +161,5 @@ class SweepResult:
 def together(truths: Iterable[Truth | None]) -> Truth | None:
     """The same emulated room at several moments: all their contacts; None on hardware."""
     known = [truth for truth in truths if truth is not None]
-    if not known:
-        return None
-    return Truth(known[0].pegs, [contact for truth in known for contact in truth.contacts])
+    contacts = [contact for truth in known for contact in truth.contacts]
+    return Truth(known[0].pegs, contacts) if known else None

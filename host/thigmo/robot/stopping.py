@@ -35,18 +35,10 @@ def stop_all() -> list[str]:
     Raises LinkError: nobody owns one, or a board did not confirm (the others are stopped).
     """
     sockets = stop_socket.running()
-    failure: LinkError | None = None
-    stopped: list[str] = []
     with ThreadPoolExecutor(max(1, len(sockets))) as pool:
-        for calling in [pool.submit(stop_socket.call, where) for where in sockets]:
-            try:
-                url = calling.result()
-            except LinkError as error:
-                failure = error
-            else:
-                stopped += [url] if url is not None else []
-    if failure is not None:
-        raise failure
+        calls = [pool.submit(stop_socket.call, where) for where in sockets]
+    # The pool has waited for all of them.
+    stopped = [url for call in calls if (url := call.result()) is not None]
     if not stopped:
         raise LinkError(
             "no program of yours drives a robot",

@@ -36,11 +36,7 @@ class Supervised(Connected):
     # Waiting.
 
     def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
-        """Let time pass, with the link alive; `despite_faults` if a fault is what is looked for.
-
-        Raises:
-            RobotFaultError: a fault was latched meanwhile.
-        """
+        """Let time pass, with the link alive; `despite_faults` if a fault is what is looked for."""
         if despite_faults:
             self._client.wait_for(lambda: False, seconds)
             self._forget()
@@ -93,12 +89,8 @@ class Supervised(Connected):
     ) -> Iterator[wire.Event]:
         """Events of an activity that was started, its last one (done, or zeroed) included.
 
-        Who ends it by `until` has to stop the activity.
-
-        Raises:
-            CommandRefusedError: the board ended it early; `reason` says why.
-            RobotFaultError: the board latched a fault.
-            CommandTimeoutError: it has not ended in time.
+        Who ends it by `until` has to stop the activity. Raises CommandRefusedError if the board
+        ends it early, CommandTimeoutError if it has not ended in time.
         """
         for look in self._looks(within_s, _PROMPT_S if until else _SLICE_S):
             for event in look:
@@ -166,11 +158,7 @@ class Supervised(Connected):
         return tuple(fault.key for fault in wire.Fault.from_mask(remaining))
 
     def raise_faults(self) -> None:
-        """Tell a latched fault, if there is one.
-
-        Raises:
-            RobotFaultError: a fault is latched.
-        """
+        """Raise a latched fault, if there is one."""
         faults = self.status().faults
         if faults:
             raise self._fault_error(faults)
@@ -181,9 +169,6 @@ class Supervised(Connected):
         """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
 
         Without `body_air` the body stays empty, if it has an enable.
-
-        Raises:
-            RobotFaultError: a fault is latched.
         """
         self.raise_faults()
         try:
@@ -200,22 +185,16 @@ class Supervised(Connected):
     def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
         """Drive one output as it is; the board ends it by itself unless repeated, or at `vent`.
 
-        Args:
-            level: transducer 0..400 (5 mA), motor -200..200 (a quarter of full).
-            seconds: at most 0.5.
-
-        Raises:
-            CommandRefusedError: not armed, beyond a limit, or a muscle holds pressure (motor).
+        `level`: of a transducer 0..400 (5 mA), of the motor -200..200 (a quarter of full);
+        `seconds`: at most 0.5. Refused unless armed; the motor's while a muscle holds pressure.
         """
         self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
 
     def vent(self, *, wait: bool = True) -> None:
         """Empty both muscles, and wait until they are, by their sensors.
 
-        Do not wait for sensors whose zeros are unknown.
-
-        Raises:
-            CommandTimeoutError: they stay under pressure.
+        Do not wait for sensors whose zeros are unknown. Raises CommandTimeoutError if they stay
+        under pressure.
         """
         self._request(wire.Vent())
         if wait:
@@ -238,11 +217,8 @@ class Supervised(Connected):
         """Send robot.toml to the board, read it back, and store it there if it changed.
 
         A flex sensor's fault is cleared with it if the sensor is now marked unhealthy. Returns
-        whether the board's configuration changed.
-
-        Raises:
-            ConfigError: a value that the board cannot hold, or does not give back.
-            CommandRefusedError: an output is energised, or a value is out of range.
+        whether the board's configuration changed. Raises ConfigError for a value that the board
+        cannot hold, or does not give back; refused while an output is energised.
         """
         changed = send_config(self._client, config)
         self.config = config
@@ -259,19 +235,14 @@ class Supervised(Connected):
         return changed
 
     def parameter(self, name: str) -> list[int]:
-        """A parameter of the schema as the board holds it, in its wire unit.
-
-        Raises:
-            ConfigError: no such parameter.
-        """
+        """A parameter of the schema as the board holds it, in its wire unit; ConfigError if there
+        is none of that name."""
         return get_parameter(self._client, name)
 
     def set_parameter(self, name: str, values: list[int]) -> None:
         """Set a parameter in the board's memory, in its wire unit; `save` stores it.
 
-        Raises:
-            ConfigError: no such parameter, a wrong number of values, or one out of range or that
-                contradicts another.
+        Raises ConfigError as `configuration.set_parameters`.
         """
         set_parameters(self._client, {name: values})
 

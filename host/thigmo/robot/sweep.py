@@ -42,10 +42,8 @@ def sweep_period_s(
 ) -> float:
     """Period (s) of a whole sweep, both directions, at a body-pressure zone.
 
-    Args:
-        trigger_per_cm: the trigger's threshold, 1/cm.
-        residual_lag: share of the calibrated lag that is not compensated.
-        top_psi: to which it goes; as high as the muscles hold if not given.
+    `residual_lag` is the share of the calibrated lag that is not compensated; a sweep goes to
+    `top_psi`, or as high as the muscles hold.
     """
     worst = share = 0.0
     for side in SIDES:

@@ -53,7 +53,6 @@ def test_the_map_holds_to_a_millisecond_with_a_resonator_half_a_percent_off(
     for ago in (0.0, 30.0, 100.0):
         device = (t - ago - 90.0) / skew * 1e6
         assert clock.to_host(device) == pytest.approx(t - ago, abs=1e-3)
-        assert clock.to_device(t - ago) == pytest.approx(device, abs=1e3)
 
 
 def test_one_pair_is_enough_to_begin_with() -> None:
