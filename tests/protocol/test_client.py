@@ -53,7 +53,9 @@ def test_a_board_that_did_not_reset_is_greeted_after_the_silence(device: Referen
     Client(LoopTransport(device)).close()
     transport = LoopTransport(device)
     sent: list[float] = []
-    Client(transport, tap=lambda way, _, t: sent.append(t) if way == "tx" else None)
+    client = Client(transport, connect=False)
+    client.taps.append(lambda way, _, t: sent.append(t) if way == "tx" else None)
+    client.connect()
     assert sent[0] == pytest.approx(SILENCE_S, abs=0.01)
 
 
@@ -478,9 +480,9 @@ def test_a_callback_must_not_use_the_link(client: Client) -> None:
 
 def test_the_taps_see_every_frame_both_ways(device: ReferenceDevice) -> None:
     seen: list[tuple[str, int]] = []
-    client = Client(
-        LoopTransport(device), tap=lambda way, frame, t: seen.append((way, decode(frame).id))
-    )
+    client = Client(LoopTransport(device), connect=False)
+    client.taps.append(lambda way, frame, t: seen.append((way, decode(frame).id)))
+    client.connect()
     client.request(wire.SetParameter(SETTLE, 4))
     wait(client, 0.3)
     for expected in [

@@ -67,22 +67,14 @@ class Client(Inbox, Closing):
     """A conversation over a transport. A context manager: leaving it closes the transport."""
 
     def __init__(
-        self,
-        transport: Transport,
-        *,
-        connect: bool = True,
-        heartbeat_s: float = PERIOD_S,
-        tap: Tap | None = None,
+        self, transport: Transport, *, connect: bool = True, heartbeat_s: float = PERIOD_S
     ) -> None:
-        """Take an open transport, which the client owns from now on, and `connect` if told so.
-
-        `tap` is the first of `taps`, from the first byte on.
-        """
+        """Take an open transport, which the client owns from now on, and `connect` if told so."""
         super().__init__()
         self.transport = transport
         # Called with every good frame in and every frame out: direction, the bytes on the wire
         # without the closing zero, host time.
-        self.taps: list[Tap] = [tap] if tap else []
+        self.taps: list[Tap] = []
         self._hello: wire.HelloReply | None = None
         self._heartbeat_s = heartbeat_s
         self._decoder = Decoder()
@@ -124,12 +116,8 @@ class Client(Inbox, Closing):
         """Open, or open again after a `BoardResetError`, a conversation.
 
         Listens before it speaks: opening a port may have reset the board, and its boot loader must
-        hear nothing.
-
-        Raises:
-            SchemaMismatchError: a board of another schema.
-            NotARobotError: nothing, or something else, answers.
-            LinkError: the connection is gone.
+        hear nothing. Raises SchemaMismatchError for a board of another schema, NotARobotError if
+        nothing, or something else, answers.
         """
         self._check_reentry()
         self.transport.stop_heartbeat()
@@ -215,7 +203,7 @@ class Client(Inbox, Closing):
     def poll(self, timeout_s: float = 0.0) -> None:
         """Handle what has arrived; wait up to `timeout_s` for the first bytes.
 
-        Raises BoardResetError if the board restarted, LinkError if the connection is gone.
+        Raises BoardResetError if the board restarted.
         """
         self._check_reentry()
         self._raise_if_broken()
@@ -336,7 +324,7 @@ class Client(Inbox, Closing):
 
     def _note_beats(self) -> None:
         for beat in self.transport.beats():
-            self._beat_sent(beat.counter, beat.t_s)
+            self._beat_sent(beat)
             if self.taps:
                 frame = encode(wire.Heartbeat(beat.counter), 0, self.session)[:-1]
                 for tap in self.taps:

@@ -35,11 +35,6 @@ class DeviceClock:
         self._best: deque[_Pair] = deque(maxlen=_STRETCHES)  # of each stretch
         self._until_s = 0.0  # end of the newest stretch
 
-    def reset(self) -> None:
-        """Forget everything: the board restarted."""
-        self._last = None
-        self._best.clear()
-
     def unwrap(self, t_us: int) -> int:
         """Microseconds since the first wrap's start, of a 32-bit stamp.
 

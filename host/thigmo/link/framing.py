@@ -53,10 +53,7 @@ def encode(message: Message, seq: int, session: int) -> bytes:
 
 
 def decode(wire: bytes) -> Frame:
-    """One frame from its stuffed bytes, without the closing zero.
-
-    Raises FrameError for bad stuffing, size or check sequence.
-    """
+    """One frame from its stuffed bytes, without the closing zero; FrameError if they are none."""
     try:
         raw = cobs.decode(wire)
     except cobs.DecodeError as error:
@@ -84,18 +81,17 @@ class Decoder:
         *pieces, rest = data.split(b"\0")
         found: list[Frame] = []
         for piece in pieces:
-            whole = self._rest + piece if self._rest else piece
-            self._rest = b""
-            if self._overlong or len(whole) >= MAX_WIRE:
+            whole = self._rest + piece
+            if self._overlong:
                 self.bad += 1
                 self.bad_bytes += len(whole)
-                self._overlong = False
             elif whole:  # two zeros in a row are no loss
                 try:
                     found.append(decode(whole))
                 except FrameError:
                     self.bad += 1
                     self.bad_bytes += len(whole)
+            self._rest, self._overlong = b"", False
         self._rest += rest
         if len(self._rest) >= MAX_WIRE:  # no frame is so long: drop up to the next zero
             self.bad_bytes += len(self._rest)

@@ -8,7 +8,7 @@ all numbers up to its own, waits until there is no gap below it. `client.Client`
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +17,7 @@ from typing import NamedTuple
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import Frame
+from thigmo.link.heart import Beat
 
 _EVENTS = 1024
 _BEATS = 64
@@ -78,11 +79,6 @@ class EventLedger:
         self._base: int | None = None  # all up to here are known
         self._ahead: dict[int, int] = {}  # above it: number -> times seen
 
-    def reset(self) -> None:
-        """The board restarted: it numbers from 1 again."""
-        self._base = None
-        self._ahead.clear()
-
     def take(self, number: int) -> bool:
         """Note an event that came; whether it is new."""
         if self._base is None and number == 1:
@@ -130,7 +126,7 @@ class Inbox:
         self._telemetry_seq: int | None = None
         self._ledger = EventLedger()
         self._ack_due: int | None = None
-        self._beats: OrderedDict[int, float] = OrderedDict()
+        self._beats: dict[int, float] = {}  # counter and time of those not answered
 
     def device_s(self, t_us: int) -> float:
         """Unwrapped seconds of a 32-bit device stamp."""
@@ -139,17 +135,16 @@ class Inbox:
     def _begin_session(self, session: int, new_boot: bool) -> None:
         """Another conversation: telemetry and heartbeats count anew; a boot restarts all."""
         if new_boot:
-            self.clock.reset()
-            self._ledger.reset()
+            self.clock, self._ledger = DeviceClock(), EventLedger()
         self.session = session
         self._telemetry_seq = None
         self._ack_due = None
         self._beats.clear()
 
-    def _beat_sent(self, counter: int, t_s: float) -> None:
-        self._beats[counter] = t_s
+    def _beat_sent(self, beat: Beat) -> None:
+        self._beats[beat.counter] = beat.t_s
         if len(self._beats) > _BEATS:
-            self._beats.popitem(last=False)
+            del self._beats[next(iter(self._beats))]
 
     def _take_telemetry(self, frame: Frame, t_s: float) -> None:
         payload = frame.payload
@@ -165,10 +160,9 @@ class Inbox:
         self._telemetry_seq = frame.seq
         self.stats.telemetry += 1
         device_us = self.clock.unwrap(int.from_bytes(payload[:4], "little"))
-        received = TelemetryFrame(frame.seq, t_s, device_us, payload)
-        self.telemetry = received
+        self.telemetry = TelemetryFrame(frame.seq, t_s, device_us, payload)
         for callback in self.on_telemetry:
-            callback(received)
+            callback(self.telemetry)
 
     def _take_pulse(self, message: wire.Pulse, t_s: float) -> None:
         sent_s = self._beats.pop(message.counter, None)

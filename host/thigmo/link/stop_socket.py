@@ -28,9 +28,8 @@ _NAME = 40  # of the address in the socket's name; the system allows 107 bytes i
 
 
 def folder() -> Path:
-    """The folder of the sockets, made if need be.
-
-    Raises PortError if others could enter it, so that they could stop or fake a robot.
+    """The folder of the sockets, made if need be; PortError if others could stop or fake a robot
+    there.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(runtime or tempfile.gettempdir()) / ("thigmo" if runtime else f"thigmo-{_user()}")
@@ -93,9 +92,9 @@ def running() -> list[str]:
 
 
 def call(where: str) -> str | None:
-    """Stop the robot of the process behind a socket; returns its port's address.
+    """Stop the robot of the process behind a socket; its port's address, or None if nobody listens.
 
-    None if nobody listens there. Raises LinkError if the board did not confirm the stop.
+    Raises LinkError if the board did not confirm the stop.
     """
     try:
         with Client(where) as owner:
