@@ -59,7 +59,8 @@ class SerialTransport:
         assert self._process.stdout is not None
         self._to, self._from = self._process.stdin, self._process.stdout
         _open.add(self)
-        threading.Thread(target=self._collect, daemon=True).start()
+        self._collector = threading.Thread(target=self._collect, daemon=True)
+        self._collector.start()
         try:
             self._await_open()
         except BaseException:
@@ -136,6 +137,7 @@ class SerialTransport:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._collector.join()  # it has come to the stream's end
         self._from.close()
 
     def _tell(self, kind: Kind, value: object = None) -> None:
