@@ -151,11 +151,11 @@ def painted_stack(rig: Rig) -> Callable[[], int]:
     end = symbols()["_end"]
     chip = rig.chip
     chip.boot_at(0)
-    chip.write_ram(end, bytes([PAINT]) * (SRAM_END + 1 - end))
+    chip.write("ram", end, bytes([PAINT]) * (SRAM_END + 1 - end))
     chip.reset(Cause.EXTERNAL)
 
     def depth() -> int:
-        ram = np.frombuffer(chip.read_ram(end, SRAM_END + 1 - end), np.uint8)
+        ram = np.frombuffer(chip.read("ram", end, SRAM_END + 1 - end), np.uint8)
         return len(ram) - int(np.flatnonzero(ram != PAINT)[0])
 
     return depth

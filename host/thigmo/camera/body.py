@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 BODY_PX_CM = 12  # enough for a tube that is 40 px wide
 _LOW_CM, _HIGH_CM = np.array([-4.0, -58.0]), np.array([60.0, 58.0])  # corners of what is looked at
+_UPPER_LEFT_CM = np.array([_LOW_CM[0], _HIGH_CM[1]])
 _STEP_CM, _LONGEST_CM = 0.5, 200.0
 _WIDTH_CM = 0.05  # a change of width that wrinkles make
 _CLASH = 0.5  # bodyness at a flank
@@ -38,14 +39,12 @@ class Flat:
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
         """Workspace x, y (..., 2) to column, row (..., 2)."""
-        upper_left = np.array([_LOW_CM[0], _HIGH_CM[1]])
-        at = (points_cm - upper_left) * [self.px_per_cm, -self.px_per_cm] - 0.5
+        at = (points_cm - _UPPER_LEFT_CM) * [self.px_per_cm, -self.px_per_cm] - 0.5
         return np.asarray(at, np.float32)
 
     def places(self, pixels: Array) -> Array:
         """Column, row (..., 2) to workspace x, y (..., 2)."""
-        upper_left = np.array([_LOW_CM[0], _HIGH_CM[1]])
-        return np.asarray((pixels + 0.5) / [self.px_per_cm, -self.px_per_cm] + upper_left)
+        return np.asarray((pixels + 0.5) / [self.px_per_cm, -self.px_per_cm] + _UPPER_LEFT_CM)
 
 
 def flatten(

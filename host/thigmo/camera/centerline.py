@@ -7,6 +7,7 @@ so its error is stated with care: neighbouring points of a picture err together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ def fit_centerline(
     Args:
         points_cm: (n, 2) base to tip.
         tip_cm: (2,) where the body ends (default: the last point).
-        constant: fit one curvature (a free bend).
+        constant: whether it is a free bend.
         good: (n,) points to use.
         knot_cm: distance of the spline's knots.
         point_se_cm: least standard error of a point.
@@ -104,11 +105,12 @@ def fit_centerline(
     at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
     last = points[-1] - points[-2]
     total = at[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
-    fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
+    fit = partial(_fit, points, weights, constant, knot_cm, point_se_cm)
+    fitted = fit(at, total)
     for _ in range(2):
         at = _project(points, at, fitted)
         total = float(_project(end[None], np.array([total]), fitted)[0])
-        fitted = _fit(points, at, total, weights, constant, knot_cm, point_se_cm)
+        fitted = fit(at, total)
     return fitted
 
 
@@ -123,17 +125,21 @@ def _project(points: Array, at: Array, line: Centerline) -> Array:
 
 def _fit(
     points: Array,
-    at: Array,
-    total: float,
     weights: Array,
     constant: bool,
     knot_cm: float,
     point_se_cm: float,
+    at: Array,
+    total: float,
 ) -> Centerline:
     """One fit with the points' arcs held."""
     n = 1 if constant else max(4, int(total / knot_cm) + 3)
     fine = np.linspace(0.0, total, max(60, int(total / 0.1)))
-    basis = np.ones((len(fine), 1)) if n == 1 else _spline_basis(fine, total, n)
+    if constant:
+        basis = np.ones((len(fine), 1))
+    else:  # clamped cubic B-splines
+        knots = np.concatenate([[0.0] * 3, np.linspace(0, total, n - 2), [total] * 3])
+        basis = np.asarray(BSpline.design_matrix(fine, knots, 3).toarray(), float)
     step = fine[1] - fine[0]
     integral = np.vstack([np.zeros(n), np.cumsum((basis[1:] + basis[:-1]) / 2 * step, axis=0)])
 
@@ -167,10 +173,3 @@ def _fit(
     covariance = np.linalg.pinv(slopes.T @ slopes) * inflation
     residual_cm = float(np.sqrt(np.mean(errors**2)) * point_se_cm)
     return Centerline(fine, *curve(fit.x), residual_cm, fit.x, covariance, integral, points[used])
-
-
-def _spline_basis(at: Array, total: float, n: int) -> Array:
-    """Clamped cubic B-splines (len(at), n) over 0..total."""
-    inner = np.linspace(0, total, n - 2)
-    knots = np.concatenate([[0.0] * 3, inner, [total] * 3])
-    return np.asarray(BSpline.design_matrix(np.clip(at, 0, total), knots, 3).toarray(), float)

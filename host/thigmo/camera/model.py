@@ -93,11 +93,7 @@ class Lens(Kept):
     version: Literal[1] = 1  # of its file
 
     def require(self, picture: Picture) -> None:
-        """Refuse a picture of another size.
-
-        Raises:
-            CameraError: its pixels are not this lens's.
-        """
+        """Refuse a picture of another size: raises CameraError."""
         height, width = picture.shape[:2]
         if (width, height) != tuple(self.size):
             raise CameraError(
@@ -125,12 +121,9 @@ class CameraModel(Kept):
     def project(self, points_cm: NDArray[np.float64]) -> Points:
         """Workspace points (n, 3) in cm to pixels (n, 2)."""
         seen, _ = cv2.projectPoints(
-            np.asarray(points_cm, float).reshape(-1, 1, 3),
-            self.rotation,
-            self.translation,
-            self.lens.matrix,
+            np.asarray(points_cm, float), self.rotation, self.translation, self.lens.matrix,
             self.lens.distortion,
-        )
+        )  # fmt: skip
         return np.asarray(seen, float).reshape(-1, 2)
 
     def to_plane(self, pixels: NDArray[np.float64], height_cm: float = 0.0) -> Points:
@@ -249,9 +242,7 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
 def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
     """Names of hidden cards, from the markers found, if the camera stands where it was located.
 
-    Raises:
-        SheetHiddenError: no card at all is seen.
-        CameraMovedError: the cards stand elsewhere in the picture.
+    Raises SheetHiddenError where no card at all is seen, CameraMovedError where they moved.
     """
     both = [m for m in model.corners if m in found]
     card_of = sheet.marker_ids()

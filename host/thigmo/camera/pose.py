@@ -62,11 +62,7 @@ def fit_pose(
     lens: Lens | None = None,
     hidden: tuple[str, ...] = (),
 ) -> CameraModel:
-    """`locate` from corners that are already found (or clicked): (4, 2) px by marker id.
-
-    Raises:
-        PlaneFitError: corners and sheet disagree.
-    """
+    """`locate` from corners that are already found: (4, 2) px by marker id."""
     problem = Problem(found, sheet, size, lens)
     fits = []
     for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):

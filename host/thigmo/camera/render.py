@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from thigmo.camera.model import CameraModel, Lens, Picture
 from thigmo.camera.sheet import Decal
-from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]  # blue, green, red, 0..255
@@ -133,21 +132,12 @@ def render(
 ) -> Picture:
     """The picture (height, width, 3), BGR.
 
-    Args:
-        camera: that takes it.
-        view: what stands in the room.
-        look: of room and sensor.
-        rng: draws grain, clutter and light; the same state gives the same room.
-        sensor_rng: draws the sensor's noise (default: `rng`).
-
-    Raises:
-        DataError: a body axis of fewer than two points or of unequal lengths.
+    `rng` draws grain, clutter and light, so that its state makes the room, and the sensor's noise
+    unless `sensor_rng` does.
     """
     look = look or Look()
     rng = rng or np.random.default_rng(0)
     body = view.body
-    if body is not None and (len(body.x_cm) < 2 or len(body.x_cm) != len(body.y_cm)):
-        raise DataError("a body needs two or more points of equal x and y", "pass its whole axis")
     canvas = _table(camera, view, look, rng)
     for patch in view.patches:
         if patch.corners_cm[:, 2].max() < 0.1:
@@ -155,7 +145,7 @@ def render(
     # A body hides the foot of a peg behind it; a peg's upper part hides the body behind that.
     split = 2 * body.radius_cm if body is not None else 0.0
     for peg in view.pegs:
-        _peg(canvas, camera, peg, 0.0, min(split, peg.height_cm), top=False)
+        _peg(canvas, camera, peg, 0.0, min(split, peg.height_cm))
     if view.housing:
         _housing(canvas, camera)
     if body is not None:
@@ -164,7 +154,8 @@ def render(
         if patch.corners_cm[:, 2].max() >= 0.1:
             _paste(canvas, camera, patch)
     for peg in view.pegs:
-        _peg(canvas, camera, peg, min(split, peg.height_cm), peg.height_cm, top=True)
+        top = _peg(canvas, camera, peg, min(split, peg.height_cm), peg.height_cm)
+        _fill(canvas, top, peg.color)
     return _sensor(canvas, look, rng, sensor_rng or rng)
 
 
@@ -174,8 +165,8 @@ def _table(
     """Table with grain, clutter and shadows, warped into the picture."""
     rays, eye = camera.rays, camera.eye_cm.astype(np.float32)
     x, y = (eye[axis] - eye[2] / rays[..., 2] * rays[..., axis] for axis in (0, 1))
-    low = np.maximum(np.array([x.min(), y.min()]) - 2, np.array([-_LIVE_CM, -_LIVE_CM]))
-    high = np.minimum(np.array([x.max(), y.max()]) + 2, np.array([_LIVE_CM, _LIVE_CM]) + 40)
+    low = np.maximum(np.array([x.min(), y.min()]) - 2, -_LIVE_CM)
+    high = np.minimum(np.array([x.max(), y.max()]) + 2, _LIVE_CM + 40)
     px = _TABLE_PX_CM
     shape = (int((high[1] - low[1]) * px), int((high[0] - low[0]) * px))
     flat = np.empty((*shape, 3), np.float32)
@@ -302,14 +293,9 @@ def _scaled(color: Color, by: float) -> Color:
 
 
 def _peg(
-    canvas: NDArray[np.float32],
-    camera: CameraModel,
-    peg: PegShape,
-    low_cm: float,
-    high_cm: float,
-    top: bool,
-) -> None:
-    """A dowel's wall between two heights, and its top face."""
+    canvas: NDArray[np.float32], camera: CameraModel, peg: PegShape, low_cm: float, high_cm: float
+) -> Array:
+    """A dowel's wall between two heights; returns the outline of its top face."""
     around = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     x, y = peg.x_cm + peg.radius_cm * np.cos(around), peg.y_cm + peg.radius_cm * np.sin(around)
     upper, lower = (
@@ -317,8 +303,7 @@ def _peg(
     )
     hull = cv2.convexHull(np.concatenate([upper, lower]).astype(np.float32)).reshape(-1, 2)
     _fill(canvas, hull.astype(float), _scaled(peg.color, 0.55))
-    if top:
-        _fill(canvas, upper, peg.color)
+    return upper
 
 
 def _paste(canvas: NDArray[np.float32], camera: CameraModel, patch: Decal) -> None:

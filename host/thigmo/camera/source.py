@@ -6,7 +6,7 @@ All are asked for one picture at a time; none keeps more than one in memory.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,12 +104,3 @@ def open_source(where: str | os.PathLike[str]) -> PictureSource:
             f"{path} does not exist", "give a picture, a folder, a video, or camera:0"
         )
     return _stills([path]) if path.suffix.lower() in _STILLS else _capture(text)
-
-
-def pictures(source: PictureSource) -> Iterator[Picture]:
-    """All pictures of a recorded source."""
-    while True:
-        try:
-            yield source.read()
-        except PictureError:
-            return

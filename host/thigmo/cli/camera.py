@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,6 +35,7 @@ group = typer.Typer(
 SourceArgument = Annotated[
     str, typer.Argument(help="camera:0, a video, a picture, or a folder of pictures.")
 ]
+_MOST_PICTURES = 200  # of a video or folder, for the lens
 SHEET_FILE, LENS_FILE, CAMERA_FILE = Path("sheet.toml"), Path("lens.json"), Path("camera.json")
 SheetOption = Annotated[
     Path, typer.Option("--sheet", help="Sheet file: where the cards lie (TOML).")
@@ -99,12 +100,11 @@ def lens(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate the lens from pictures of the lens board in several poses."""
-    from thigmo.camera import calibrate_lens, open_source
-    from thigmo.camera.source import pictures
+    from thigmo.camera import PictureError, calibrate_lens, open_source
 
+    shots: list[Picture] = []
     with closing(open_source(source)) as opened:
         if opened.live:
-            shots = []
             for number in range(count):
                 typer.prompt(
                     f"picture {number + 1} of {count}: hold the board in a new pose, press Enter",
@@ -113,7 +113,9 @@ def lens(
                 )
                 shots.append(opened.read())
         else:
-            shots = list(pictures(opened))[:200]
+            with suppress(PictureError):
+                while len(shots) < _MOST_PICTURES:
+                    shots.append(opened.read())
     found = calibrate_lens(shots, load_sheet(sheet_file))
     _keep_old(out)
     found.save(out)
@@ -192,8 +194,6 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Show what the camera sees, drawn over the picture."""
-    import numpy as np
-
     from thigmo.camera import CameraModel, Seen, draw, look
     from thigmo.camera import locate as find
     from thigmo.camera.sight import write_picture
@@ -209,26 +209,25 @@ def check(
     radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
     wanted = Seen(diameter, peg_height, radii, constant=free_bend, length_cm=length)
     empty = None if background is None else _one_picture(background)
-    clicks = _clicks(np.asarray(picture, np.uint8), tip, points, click)
+    clicks = _clicks(picture, tip, points, click)
     seen = look(picture, model, used, wanted, background=empty, clicks=clicks)
     write_picture(out, draw(picture, model, used, seen, wanted))
     show(as_json, {**_facts(seen), "picture": str(out)}, *_lines(seen), f"wrote {out}")
 
 
-def _clicks(picture: Any, tip: str | None, points: Path | None, click: str | None) -> Clicks | None:
+def _clicks(
+    picture: Picture, tip: str | None, points: Path | None, click: str | None
+) -> Clicks | None:
     from thigmo.camera.clicks import Clicks, parse_pixel
     from thigmo.camera.clicks import click as ask
 
-    clicks = None
-    if click is not None:
-        clicks = ask(picture, tuple(click.split(",")))
-        if points is not None:
+    clicks = None if click is None else ask(picture, tuple(click.split(",")))
+    if points is not None:
+        if clicks is None:
+            clicks = Clicks.load(points)
+        else:
             clicks.save(points)
-    elif points is not None:
-        clicks = Clicks.load(points)
-    if tip is not None:
-        clicks = replace(clicks or Clicks(), tip=parse_pixel(tip))
-    return clicks
+    return clicks if tip is None else replace(clicks or Clicks(), tip=parse_pixel(tip))
 
 
 def _facts(seen: Sighting) -> dict[str, Any]:

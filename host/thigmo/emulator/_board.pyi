@@ -22,8 +22,7 @@ class VirtualBoard:
 
     # As `Board` has them.
     def step(self, ticks: int) -> None: ...
-    @property
-    def now_us(self) -> int: ...
+    now_us: int
     def write(self, data: bytes) -> None:
         """Queue bytes from the host; they reach the board one after another, 40 us each."""
 
@@ -43,18 +42,12 @@ class VirtualBoard:
 
     def hang(self) -> None: ...
     def cut_power_after(self, bytes_written: int) -> None: ...
-    @property
-    def drive(self) -> tuple[int, int]: ...
-    @property
-    def drive_enabled(self) -> tuple[bool, bool]: ...
-    @property
-    def motor(self) -> int: ...
-    @property
-    def braked(self) -> bool: ...
-    @property
-    def air(self) -> tuple[bool, bool]: ...
-    @property
-    def eeprom(self) -> bytes: ...
+    drive: tuple[int, int]
+    drive_enabled: tuple[bool, bool]
+    motor: int
+    braked: bool
+    air: tuple[bool, bool]
+    eeprom: bytes
 
     # Its own.
     def stall(self, ticks: int) -> None:

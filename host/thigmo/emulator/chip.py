@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import re
 from ctypes import byref
-from dataclasses import dataclass
 from enum import IntFlag
 from functools import cache, partial
 from typing import Any
@@ -58,18 +57,6 @@ class Pwm(ctypes.Structure):
         ("compare", ctypes.c_uint16 * 3), ("top", ctypes.c_uint16),
         ("period_cycles", ctypes.c_uint32),
     ]  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Port:
-    """A digital port's registers."""
-
-    ddr: int
-    port: int
-
-    def output(self, bit: int) -> bool | None:
-        """Level that the chip drives, or None when the pin is an input."""
-        return bool(self.port >> bit & 1) if self.ddr >> bit & 1 else None
 
 
 MARK = np.dtype([("cycle", "<u8"), ("reg", "u1"), ("value", "u1")], align=True)
@@ -174,40 +161,26 @@ class Chip:
             self._chip = None
 
     # --- memories ---------------------------------------------------------------------------------
-    def write_flash(self, address: int, data: bytes) -> None:
-        """Store program bytes."""
-        self._store("flash", address, data)
-
-    def read_flash(self, address: int, count: int) -> bytes:
-        """Program bytes."""
-        return self._load("flash", address, count)
-
-    @property
-    def eeprom(self) -> bytes:
-        """All of the EEPROM."""
-        return self._load("eeprom", 0, EEPROM_SIZE)
-
-    @eeprom.setter
-    def eeprom(self, data: bytes) -> None:
-        self._store("eeprom", 0, data)
-
-    def write_ram(self, address: int, data: bytes) -> None:
-        """Store data-space bytes (no side effects of device registers)."""
-        self._store("ram", address, data)
-
-    def read_ram(self, address: int, count: int) -> bytes:
-        """Data-space bytes (no side effects of device registers)."""
-        return self._load("ram", address, count)
-
-    def _store(self, memory: str, address: int, data: bytes) -> None:
+    def write(self, memory: str, address: int, data: bytes) -> None:
+        """Store bytes in "flash", "eeprom" or "ram" (no side effects of device registers)."""
         self._check(memory, address, len(data))
         getattr(self._lib, f"bridge_{memory}_write")(self._chip, address, data, len(data))
 
-    def _load(self, memory: str, address: int, count: int) -> bytes:
+    def read(self, memory: str, address: int, count: int) -> bytes:
+        """Bytes of a memory (no side effects of device registers)."""
         self._check(memory, address, count)
         buffer = ctypes.create_string_buffer(count)
         getattr(self._lib, f"bridge_{memory}_read")(self._chip, address, buffer, count)
         return buffer.raw
+
+    @property
+    def eeprom(self) -> bytes:
+        """All of the EEPROM."""
+        return self.read("eeprom", 0, EEPROM_SIZE)
+
+    @eeprom.setter
+    def eeprom(self, data: bytes) -> None:
+        self.write("eeprom", 0, data)
 
     @staticmethod
     def _check(memory: str, address: int, count: int) -> None:
@@ -258,10 +231,10 @@ class Chip:
         """Set an input's level."""
         self._lib.bridge_pin(self._chip, port.encode(), bit, int(level))
 
-    def port(self, letter: str) -> Port:
-        """A port's registers."""
-        state = self._lib.bridge_port(self._chip, letter.encode())
-        return Port(ddr=state >> 8 & 255, port=state & 255)
+    def output(self, port: str, bit: int) -> bool | None:
+        """Level that the chip drives, or None when the pin is an input."""
+        pins = self._lib.bridge_port(self._chip, port.encode())
+        return bool(pins >> bit & 1) if pins >> (8 + bit) & 1 else None
 
     def encoder(
         self, pins: tuple[str, int, int], start: float, end: float, first: int, last: int

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from thigmo.emulator.board import Board
 from thigmo.emulator.faults import FaultInjector
-from thigmo.emulator.plant import STEP_MS, STEP_S, Plant
+from thigmo.emulator.plant import STEP_MS, Plant
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ConfigError
 
@@ -37,7 +37,7 @@ class Lockstep:
     @property
     def t_s(self) -> float:
         """Virtual time since the start."""
-        return self.plant.steps * STEP_S
+        return self.plant.t_s
 
     def advance(self) -> None:
         """One plant step of 10 ms."""

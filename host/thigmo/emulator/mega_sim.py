@@ -57,9 +57,6 @@ class SimulatedMega:
         baud: of the image and of the host's port.
         boot_loader: start through the real boot loader; None: if it is installed.
         usb: the USB bridge in between; None: bytes pass at once.
-
-    Raises:
-        PortError: the simulator or the compiler is not installed.
     """
 
     def __init__(
@@ -90,12 +87,12 @@ class SimulatedMega:
         self._air_edges = [-AIR_HOLD_CYCLES] * 2
         chip = self.chip
         for address, data in read_hex(image or mega_build.firmware_hex(baud)):
-            chip.write_flash(address, data)
+            chip.write("flash", address, data)
         if boot_loader is None:
             boot_loader = mega_build.BOOT_LOADER.exists()
         if boot_loader:
             for address, data in read_hex(mega_build.BOOT_LOADER):
-                chip.write_flash(address, data)
+                chip.write("flash", address, data)
             chip.boot_at(BOOT_SECTION)
         chip.eeprom = eeprom + b"\xff" * (EEPROM_SIZE - len(eeprom))
         chip.line_baud(baud)
@@ -211,7 +208,7 @@ class SimulatedMega:
     # --- outputs ----------------------------------------------------------------------------------
     def _level(self, pin: tuple[str, int]) -> bool:
         """Level of an output pin; inputs are pulled down on the board."""
-        return bool(self.chip.port(pin[0]).output(pin[1]))
+        return bool(self.chip.output(*pin))
 
     @property
     def drive(self) -> tuple[int, int]:
@@ -219,9 +216,9 @@ class SimulatedMega:
         pwm = self.chip.pwm(5)
         left, right = (
             (pwm.compare[n] + 1 if pwm.top else 0)
-            if pwm.connected[n] and self.chip.port(port).ddr >> bit & 1
-            else DRIVE_FULL * self._level((port, bit))
-            for n, (port, bit) in enumerate(DRIVES)
+            if pwm.connected[n] and self.chip.output(*pin) is not None
+            else DRIVE_FULL * self._level(pin)
+            for n, pin in enumerate(DRIVES)
         )
         return left, right
 
@@ -271,8 +268,7 @@ class SimulatedMega:
     def reset(self, cause: int) -> None:
         """Restart, the way it happens to a Mega.
 
-        Power-on and the reset line act at once; a brown-out is a sag of 4 ms; a watchdog reset is
-        a hang that the watchdog ends 0.25 s later.
+        A brown-out is a sag of 4 ms; a watchdog reset is a hang that the watchdog ends in 0.25 s.
         """
         match ResetCause(cause):
             case ResetCause.WATCHDOG:

@@ -58,8 +58,7 @@ class Plant:
 
     def __init__(self, scene: Scene, seed: int | None = None) -> None:
         self.scene = scene
-        self.seed = scene.seed if seed is None else seed
-        rng = np.random.default_rng([self.seed, 0x91A27])
+        rng = np.random.default_rng([scene.seed if seed is None else seed, 0x91A27])
         robot = scene.robot
         self._robot = robot
         self._rng = rng
@@ -116,11 +115,7 @@ class Plant:
         self._ends = self._centers + self._spans / 2
         self._curvature = np.zeros(_SENSORS)
         self.body = Rod(
-            Tube(robot.body.diameter_cm, self._critical()),
-            self.pegs,
-            model=scene.plant.model,
-            tolerance_cm=scene.plant.tolerance_cm,
-            cell_cm=scene.plant.cell_cm,
+            Tube(robot.body.diameter_cm, self._critical()), self.pegs, **scene.plant.model_dump()
         )
         self._solved_g = nan
         self.analog = np.zeros((CHANNELS, 2))
@@ -205,11 +200,7 @@ class Plant:
             self._solve(self.length_cm)
 
     def place_pegs(self, pegs: Sequence[Peg]) -> None:
-        """Clear the room and put these pegs into it.
-
-        Raises:
-            DataError: a peg that overlaps the robot's base, or is no peg.
-        """
+        """Clear the room and put these pegs into it; DataError where one overlaps the base."""
         radius = self._robot.body.radius_cm
         for index, peg in enumerate(pegs):
             if hypot(peg.x, max(abs(peg.y) - radius, 0.0)) < peg.radius:

@@ -181,7 +181,7 @@ FaultKind = Literal[
 class FaultTable(Model):
     """A fault to inject, from a moment or a condition on, for a while or for good.
 
-    The fault begins when all given conditions have been met at once.
+    It begins when all given conditions are met at once.
     """
 
     kind: FaultKind
@@ -192,7 +192,7 @@ class FaultTable(Model):
     duration_s: Positive | None = None  # none = for good
     side: Side = "left"  # of a pressure fault or sensor
     sensor: Annotated[int, Field(ge=0, le=4)] = 0  # base first
-    value: Finite | None = None  # see the scene's documentation
+    value: Finite | None = None  # see faults.py
 
     @model_validator(mode="after")
     def _has_a_beginning(self) -> Self:
@@ -324,9 +324,9 @@ _OWN = ("name", "about", "extends")  # never inherited
 
 
 def _over(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    result = dict(base)
-    for key, value in top.items():
-        old = result.get(key)
-        both = isinstance(old, dict) and isinstance(value, dict)
-        result[key] = _over(old, value) if both else value  # type: ignore[arg-type]
-    return result
+    tables = {
+        key: _over(base[key], value)
+        for key, value in top.items()
+        if isinstance(value, dict) and isinstance(base.get(key), dict)
+    }
+    return base | top | tables

@@ -13,6 +13,7 @@ import os
 import select
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from thigmo.config import RobotConfig
@@ -85,18 +86,13 @@ class PtyServer:
         began = time.monotonic() - self.lockstep.t_s
         while keep_on():
             wait_s = self.lockstep.t_s + STEP_S - (time.monotonic() - began)
-            if wait_s > 0:
-                self._wait(wait_s)
+            if wait_s > 0 and self._opened:
+                self._poll.poll(max(1, round(wait_s * 1000)))
+            elif wait_s > 0:  # a hang-up would end a poll at once
+                time.sleep(wait_s)
             elif wait_s < -_MOST_BEHIND_S:
                 began -= wait_s
             self._exchange()
-
-    def _wait(self, seconds: float) -> None:
-        """Sleep until the next step; a hang-up would end a poll at once, so it is slept through."""
-        if self._opened:
-            self._poll.poll(max(1, round(seconds * 1000)))
-        else:
-            time.sleep(seconds)
 
     def _exchange(self) -> None:
         """Bytes in, one step, bytes out."""
@@ -131,17 +127,13 @@ class PtyServer:
                 self.lockstep.plant.set_body_pressure(zones[zone].pressure_psi)
 
     def _take(self) -> bytes:
-        try:
+        with suppress(OSError):  # closed between poll and read
             return os.read(self._master, 4096)
-        except OSError:  # closed between poll and read
-            return b""
+        return b""
 
     def _give(self) -> None:
-        try:
-            sent = os.write(self._master, self._out)
-        except OSError:  # full: the program does not read
-            sent = 0
-        del self._out[:sent]
+        with suppress(OSError):  # full: the program does not read
+            del self._out[: os.write(self._master, self._out)]
         if len(self._out) > _QUEUE:
             del self._out[: len(self._out) - _QUEUE]
 
@@ -155,7 +147,7 @@ def serve(
     announce: Callable[[str], None] = print,
     keep_on: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Serve a scene until `keep_on()` ends it or the program is interrupted.
+    """Serve a scene until `keep_on()` ends it, asked every 10 ms, or the program is interrupted.
 
     Args:
         scene: a scene's name or the path of its file.
@@ -163,7 +155,6 @@ def serve(
         link: a symbolic link to make to the port.
         config: where to write this robot's constants, as its lab knows them.
         announce: told where the port is, once it can be opened.
-        keep_on: asked every 10 ms.
 
     Raises:
         ConfigError: no such scene, a malformed one, or `config` cannot be written.

@@ -215,9 +215,6 @@ def parse_url(
 
     The scene is a name or a path to a .toml file. The seed given comes first, then the address's,
     then the scene's. An option that is left out takes its first choice.
-
-    Raises:
-        ConfigError: no such scene, a malformed one, or an unknown option or choice.
     """
     place, _, query = url.partition("://")[2].partition("?")
     told = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}

@@ -17,12 +17,10 @@ _REMEMBERED = 128
 
 
 class UsbBridge:
-    """Delays both directions, and corrupts them if told to.
+    """Delays both directions.
 
-    Args:
-        seed: of the corruption.
-        insert: probability that a transfer gains a byte that nobody sent.
-        replay: probability that a transfer is followed by a piece of an earlier one.
+    From the seed, and with the probability `insert`, a transfer gains a byte that nobody sent; with
+    `replay` a piece of an earlier one follows.
     """
 
     def __init__(self, seed: int = 0, *, insert: float = 0.0, replay: float = 0.0) -> None:
@@ -43,15 +41,7 @@ class UsbBridge:
         self._down += data
 
     def exchange(self, now_ms: float, from_board: bytes) -> tuple[bytes, bytes]:
-        """One USB frame.
-
-        Args:
-            now_ms: time; rises from call to call.
-            from_board: what the board sent since the last call.
-
-        Returns:
-            Bytes for the board's UART, and bytes for the host.
-        """
+        """A USB frame, at a time that rises; returns bytes for the board, and for the host."""
         down = self._transfer("down", self._down) if self._down else b""
         self._down.clear()
         self._up += from_board

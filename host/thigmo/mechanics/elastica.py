@@ -48,20 +48,15 @@ class PegContact:
     peg: int  # index into the pegs given
     arc: float  # arc length of the closest centreline point (cm); the everted length at the end
     kind: Kind  # where on the tube
-    # force along the body's left normal at `arc` (1/cm^2, EI = 1): positive adds positive curvature
-    # (the peg is on the right)
+    # Forces at `arc` along the body's left normal (positive adds positive curvature: the peg is on
+    # the right) and along its tangent (negative pushes towards the base; 0 on the side), 1/cm^2.
     normal: float
-    # force along the body's tangent at `arc` (1/cm^2), negative pushes towards the base; 0 on the
-    # side
     tangential: float
-    # moment (1/cm, counter-clockwise positive) of the force about the centreline at `arc`: its
-    # lever is the tube radius at a corner
+    # Moment about the centreline, 1/cm, counter-clockwise; its lever at a corner: the tube radius.
     couple: float
-    # x, y: contact point on the skin (cm)
-    x: float
+    x: float  # contact point on the skin (cm)
     y: float
-    # force_x, force_y: force on the body in the workspace (1/cm^2)
-    force_x: float
+    force_x: float  # force on the body in the workspace (1/cm^2)
     force_y: float
 
 

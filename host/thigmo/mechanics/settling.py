@@ -35,10 +35,9 @@ class Settling:
         return self.amplitude * decay, np.hypot(self.amplitude_sd * decay, by_tau)
 
     def usable_after_s(self, noise: float, period_s: float = 0.25) -> float:
-        """Time since eversion from which a watched reading is known to `noise` (1/cm).
+        """Time since eversion, 60 s at most, from which a watched reading is known to `noise`.
 
-        Watched means: readings of that noise every `period_s` from 1 s on, given to `observe`.
-        At most 60 s.
+        Watched means: readings of that noise (1/cm) every `period_s` from 1 s on, by `observe`.
         """
         for end in np.arange(2.0, 60.0, 0.5):
             t = np.arange(1.0, end, period_s)

@@ -32,7 +32,7 @@ from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camer
 from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.camera.sight import write_picture
 from thigmo.cli.camera import group
-from thigmo.errors import ConfigError, DataError
+from thigmo.errors import ConfigError
 from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
 
 pytestmark = pytest.mark.ci
@@ -301,8 +301,3 @@ def test_pictures_come_from_stills_and_videos(tmp_path, picture):
     source.close()
     assert np.abs(first.astype(int) - picture).mean() < 12
     assert locate(first, SHEET).accuracy_cm < 0.2
-
-
-def test_a_body_without_an_axis_cannot_be_painted():
-    with pytest.raises(DataError, match="two or more points"):
-        render(overhead_camera(None), View(BodyShape(np.zeros(1), np.zeros(1))))

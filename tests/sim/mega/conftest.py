@@ -53,7 +53,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Programs:
             compile_program(text, image)
         chip = Chip()
         for address, data in read_hex(image):
-            chip.write_flash(address, data)
+            chip.write("flash", address, data)
         chip.reset(Cause.POWER_ON)
         return chip
 

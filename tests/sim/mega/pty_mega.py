@@ -30,7 +30,7 @@ class PtyMega:
         if chip is None:
             chip = Chip()
             for address, data in read_hex(mega_build.BOOT_LOADER):
-                chip.write_flash(address, data)
+                chip.write("flash", address, data)
             chip.boot_at(BOOT_SECTION)
             chip.drive_pin(*ESTOP, False)
             chip.reset(Cause.POWER_ON)

@@ -14,7 +14,7 @@ OUT = 0x1000
 
 
 def words(chip: Chip, count: int) -> list[int]:
-    return np.frombuffer(chip.read_ram(OUT, 2 * count), "<u2").tolist()
+    return np.frombuffer(chip.read("ram", OUT, 2 * count), "<u2").tolist()
 
 
 # --- analog inputs --------------------------------------------------------------------------------
@@ -159,9 +159,9 @@ def test_receiver_holds_three_bytes_and_counts_what_it_loses(program: Programs) 
     chip.run_ms(0.1)
     chip.send(b"abcdefg")
     chip.run_ms(3)
-    assert chip.read_ram(OUT, 3) == b"abg"  # the shift register keeps the newest
-    assert chip.read_ram(OUT + 32, 1) == b"\3"
-    assert chip.read_ram(OUT + 16, 1)[0] & 0x08, "DOR tells the program"
+    assert chip.read("ram", OUT, 3) == b"abg"  # the shift register keeps the newest
+    assert chip.read("ram", OUT + 32, 1) == b"\3"
+    assert chip.read("ram", OUT + 16, 1)[0] & 0x08, "DOR tells the program"
     assert chip.line_overruns == 4
 
 
@@ -170,7 +170,7 @@ def test_receiver_loses_nothing_that_it_can_hold(program: Programs) -> None:
     chip.run_ms(0.1)
     chip.send(b"abc")
     chip.run_ms(3)
-    assert chip.read_ram(OUT, 3) == b"abc"
+    assert chip.read("ram", OUT, 3) == b"abc"
     assert chip.line_overruns == 0
 
 
@@ -294,10 +294,10 @@ def test_true_zero_is_a_disconnected_output_and_a_low_pin(program: Programs) -> 
         }
     """)
     chip.run_ms(1)
-    pwm, port = chip.pwm(5), chip.port("L")
+    pwm = chip.pwm(5)
     assert pwm.connected[:] == [True, False, False]
     assert (pwm.compare[0], pwm.top, pwm.period_cycles) == (800, 1599, 1600)
-    assert port.output(4) is False
+    assert chip.output("L", 4) is False
 
 
 def test_a_sixteen_bit_timer_counts_every_cycle(program: Programs) -> None:
@@ -328,9 +328,9 @@ def test_an_interrupt_between_the_two_bytes_of_a_timer_register_corrupts_it(
           for (;;) {}
         }
     """)
-    chip.write_ram(OUT, b"\0")
+    chip.write("ram", OUT, b"\0")
     chip.run_ms(20)
-    assert chip.read_ram(OUT, 1) == b"\1"
+    assert chip.read("ram", OUT, 1) == b"\1"
 
 
 # --- EEPROM ---------------------------------------------------------------------------------------
@@ -418,7 +418,7 @@ def test_encoder_edges_are_scheduled_exactly(program: Programs) -> None:
         chip.encoder(("E", 4, 5), position, target, start, start + 5 * CYCLES_PER_MS)
         chip.run_ms(5.1)
         position = target
-        got = int.from_bytes(chip.read_ram(OUT, 4), "little", signed=True)
+        got = int.from_bytes(chip.read("ram", OUT, 4), "little", signed=True)
         assert got == np.floor(target)
 
 
@@ -428,19 +428,19 @@ def test_input_levels_survive_a_reset(program: Programs) -> None:
     chip.drive_pin("A", 0, True)
     for cause in (Cause.EXTERNAL, Cause.POWER_ON):
         chip.reset(cause)
-        chip.write_ram(OUT, b"\0\0")
+        chip.write("ram", OUT, b"\0\0")
         chip.run_ms(1)
-        assert chip.read_ram(OUT, 2) == bytes([0x20, 0x01])
+        assert chip.read("ram", OUT, 2) == bytes([0x20, 0x01])
 
 
 def test_a_driven_input_wins_over_the_pull_up(program: Programs) -> None:
     chip = program("int main(void) { PORTA = 3; for (;;) OUT[0] = PINA & 3; }")
     chip.drive_pin("A", 0, False)
     chip.run_ms(1)
-    assert chip.read_ram(OUT, 1) == b"\x02"
+    assert chip.read("ram", OUT, 1) == b"\x02"
     chip.drive_pin("A", 0, True)
     chip.run_ms(1)
-    assert chip.read_ram(OUT, 1) == b"\x03"
+    assert chip.read("ram", OUT, 1) == b"\x03"
 
 
 def test_watchdog_restarts_a_hung_program(program: Programs) -> None:
@@ -452,29 +452,29 @@ def test_watchdog_restarts_a_hung_program(program: Programs) -> None:
           for (;;) wdt_reset();
         }
     """)
-    chip.write_ram(OUT, b"\0\0")
+    chip.write("ram", OUT, b"\0\0")
     chip.run_ms(500)
-    assert chip.read_ram(OUT, 2) == bytes([Cause.POWER_ON, 1])
+    assert chip.read("ram", OUT, 2) == bytes([Cause.POWER_ON, 1])
     chip.hang()
     before = chip.cycle
     while chip.resets(Cause.WATCHDOG) == 0:
         chip.run_ms(1)
     assert (chip.cycle - before) / CYCLES_PER_MS == pytest.approx(128, abs=2)
     chip.run_ms(1)
-    assert chip.read_ram(OUT, 2) == bytes([Cause.WATCHDOG, 2])
+    assert chip.read("ram", OUT, 2) == bytes([Cause.WATCHDOG, 2])
 
 
 def test_brown_out_holds_the_chip_until_the_supply_recovers(program: Programs) -> None:
     chip = program("int main(void) { OUT[0] = MCUSR; MCUSR = 0; DDRA = 1; PORTA = 1; for (;;) {} }")
     chip.run_ms(1)
-    assert chip.port("A").output(0) is True
+    assert chip.output("A", 0) is True
     chip.supply_mv(2400)
     chip.run_ms(50)
-    assert chip.port("A").output(0) is None
+    assert chip.output("A", 0) is None
     chip.supply_mv(5000)
     chip.run_ms(1)
-    assert chip.read_ram(OUT, 1) == bytes([Cause.BROWN_OUT])
-    assert chip.port("A").output(0) is True
+    assert chip.read("ram", OUT, 1) == bytes([Cause.BROWN_OUT])
+    assert chip.output("A", 0) is True
 
 
 @pytest.mark.parametrize("step", [160, 16_000, 12_345])

@@ -83,7 +83,7 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
         assert told["schema_hash"] == f"{wire.SCHEMA_HASH:08x}"
         assert mega.opened == 2, "once by avrdude, once for the hello"
         for start, data in read_hex(image):
-            assert mega.chip.read_flash(start, len(data)) == data
+            assert mega.chip.read("flash", start, len(data)) == data
 
 
 @pytest.mark.realtime
@@ -91,18 +91,18 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
 def test_another_board_is_told_by_its_signature_and_left_as_it_was(image: Path) -> None:
     with PtyMega() as mega:
         # Where the boot loader answers with its signature: `ldi r24, 0x98` becomes 0x95.
-        assert mega.chip.read_flash(0x3F330, 2) == b"\x88\xe9"
-        mega.chip.write_flash(0x3F330, b"\x85\xe9")
+        assert mega.chip.read("flash", 0x3F330, 2) == b"\x88\xe9"
+        mega.chip.write("flash", 0x3F330, b"\x85\xe9")
         with pytest.raises(NotARobotError, match=r"no Mega 2560 \(signature 1e9501\); connect"):
             flasher.flash(mega.path, image)
-        assert mega.chip.read_flash(0, 1024) == b"\xff" * 1024
+        assert mega.chip.read("flash", 0, 1024) == b"\xff" * 1024
 
 
 @pytest.mark.realtime
 @needs_avrdude
 def test_a_board_without_boot_loader_is_told_apart(image: Path) -> None:
     chip = Chip()
-    chip.write_flash(0, b"\xff\xcf")  # `rjmp .-2`: it runs, and says nothing
+    chip.write("flash", 0, b"\xff\xcf")  # `rjmp .-2`: it runs, and says nothing
     chip.reset(Cause.POWER_ON)
     with PtyMega(chip) as mega, pytest.raises(NotARobotError, match="reset button"):
         flasher.flash(mega.path, image)

@@ -121,7 +121,7 @@ def test_a_vented_valve_is_disconnected_not_at_duty_zero(
     rig.robot.vent()
     assert rig.mega.chip.pwm(5).connected[:] == [False, False, False]
     for port, bit in (*DRIVES, MOTOR_PWM):
-        assert rig.mega.chip.port(port).output(bit) is False
+        assert rig.mega.chip.output(port, bit) is False
 
 
 def test_the_emergency_stop_acts_within_two_ticks(full_length: Scene, stored_config: bytes) -> None:
@@ -193,4 +193,4 @@ def encoder(mega: SimulatedMega) -> int:
         for line in listing.splitlines()
         if line.endswith("Encoder::count_")
     )
-    return int.from_bytes(mega.chip.read_ram(address, 2), "little", signed=True)
+    return int.from_bytes(mega.chip.read("ram", address, 2), "little", signed=True)

@@ -18,10 +18,10 @@ def test_pins_toggle_only_while_air_is_wanted(full_length: Scene, stored_config:
     rig.client.request(wire.BodyAir(1))
     rig.pass_ms(50)
     assert rig.mega.air == (True, True)
-    edges, before = 0, rig.mega.chip.port("A").output(4)
+    edges, before = 0, rig.mega.chip.output("A", 4)
     for _ in range(20):
         rig.mega.step(1)
-        level = rig.mega.chip.port("A").output(4)
+        level = rig.mega.chip.output("A", 4)
         edges, before = edges + (level != before), level
     assert edges >= 10  # one a tick; a look a millisecond misses pairs of them
     rig.mega.hang()
