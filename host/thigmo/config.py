@@ -220,13 +220,9 @@ class RobotConfig(Model):
             backup = target.with_name(f"{target.name}.{number}.bak")
             shutil.copy2(target, backup)
         partial = target.with_name(target.name + ".partial")
-        try:
+        with ConfigError.from_os(f"cannot write {target}", "choose a folder that you may write to"):
             partial.write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
             partial.replace(target)
-        except OSError as error:
-            raise ConfigError(
-                f"cannot write {target}: {error.strerror}", "choose a folder that you may write to"
-            ) from error
         return backup
 
 

@@ -6,6 +6,9 @@ Raised by every layer, printed by the command line, caught by programs that driv
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class ThigmoError(Exception):
     """Base of all errors that an operator can act on.
@@ -19,6 +22,15 @@ class ThigmoError(Exception):
         self.what = what
         self.next_step = next_step
         super().__init__(f"{what}; {next_step}" if next_step else what)
+
+    @classmethod
+    @contextmanager
+    def from_os(cls, what: str, next_step: str) -> Iterator[None]:
+        """Raise this error, with its reason, where the operating system refuses something."""
+        try:
+            yield
+        except OSError as error:
+            raise cls(f"{what}: {error.strerror}", next_step) from error
 
 
 class LinkError(ThigmoError):

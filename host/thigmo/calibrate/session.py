@@ -31,12 +31,8 @@ class Session:
 
     def __init__(self, folder: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
         self.folder = Path(folder)
-        try:
+        with DataError.from_os(f"cannot make {self.folder}", "choose another folder"):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(
-                f"cannot make {self.folder}: {error.strerror}", "choose another folder"
-            ) from error
         self.robot_file = self.folder / "robot.toml"
         if self.robot_file.exists():
             self.config = RobotConfig.load(self.robot_file)
@@ -83,15 +79,11 @@ class Session:
             text = path.read_bytes()
             if text and not text.endswith(b"\n"):
                 path.write_bytes(text[: text.rfind(b"\n") + 1])
-        try:
-            with path.open("a") as file:
-                file.write(json.dumps(plain(row)) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise DataError(
-                f"cannot write {path}: {error.strerror}", "free some space, then run it again"
-            ) from error
+        cure = "free some space, then run it again"
+        with DataError.from_os(f"cannot write {path}", cure), path.open("a") as file:
+            file.write(json.dumps(plain(row)) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
 
     def forget(self, procedure: str) -> None:
         """Set readings aside (kept as `.old`), to take them anew."""

@@ -52,12 +52,8 @@ class Kept:
             CameraError: the folder cannot be written.
         """
         data = TypeAdapter(type(self)).dump_python(self, by_alias=True)
-        try:
+        with CameraError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
             Path(path).write_text(json.dumps(data.pop("lens", {}) | data, indent=1))
-        except OSError as error:
-            raise CameraError(
-                f"cannot write {path}: {error.strerror}", "choose a folder that you may write to"
-            ) from error
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

@@ -298,7 +298,7 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
         figures.append(Figure(figsize=(width / 2.54, height / 2.54), dpi=PX_CM * 2.54))
         figures[-1].figimage(picture, cmap="gray", vmin=0, vmax=255)
     names = [target]
-    try:
+    with CameraError.from_os(f"cannot write {target}", "choose a folder that you may write to"):
         if target.suffix == ".pdf":
             with PdfPages(target) as book:
                 for figure in figures:
@@ -307,8 +307,4 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
             names = [target.with_name(f"{target.stem}-{n + 1}.png") for n in range(len(figures))]
             for name, figure in zip(names, figures, strict=True):
                 figure.savefig(name)
-    except OSError as error:
-        raise CameraError(
-            f"cannot write {target}: {error.strerror}", "choose a folder that you may write to"
-        ) from error
     return names

@@ -28,12 +28,8 @@ _LOGGED = ("growing", "sweeping", "mapping", "drawing")
 class Console:
     """What a command shows, and the person beside the robot whom it asks (an `Operator`).
 
-    Everything but results goes to stderr; with `quiet`, prompts only.
-
-    Args:
-        quiet: show nothing but prompts and results.
-        piped: prompts are for the program that started this one: a JSON line on stdout for each
-            question, a line on stdin for its answer.
+    Everything but results goes to stderr; with `quiet`, prompts only. Those that are `piped` are
+    for the program that started this one: a JSON line on stdout each, and on stdin the answer.
     """
 
     def __init__(self, *, quiet: bool, piped: bool = False) -> None:
@@ -98,11 +94,7 @@ class Console:
         return show
 
     def ask(self, question: str) -> str:
-        """Ask the operator; the bar stands still meanwhile.
-
-        Raises:
-            DataError: nobody is there to answer.
-        """
+        """Ask the operator; the bar stands still meanwhile. Raises DataError if nobody is there."""
         if not self._piped and not sys.stdin.isatty():
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
@@ -146,9 +138,8 @@ class Console:
                 f"Against the room's truth: |x error| {document.error_x_cm:.2f} cm, in the plane "
                 f"{document.error_cm:.2f} cm."
             )
-        for missed in document.missed or []:
-            place = f"x {missed.x_cm:.1f} cm, y {missed.y_cm:.1f} cm"
-            say(f"Missed: {place} ({missed.source}): {missed.reason}.")
+        for m in document.missed or []:
+            say(f"Missed: x {m.x_cm:.1f} cm, y {m.y_cm:.1f} cm ({m.source}): {m.reason}.")
         for false in document.false or []:
             say(f"False: x {false.x_cm:.1f} cm, y {false.y_cm:.1f} cm: {false.reason}.")
         ratio = document.robot_time_s / max(document.wall_time_s, 1e-9)

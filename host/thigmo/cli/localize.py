@@ -103,11 +103,7 @@ def localize(
 def _calibrated(
     path: Path, side: str | None, table: ReadingsTable, length_cm: float
 ) -> dict[str, Any]:
-    """The errors of robot.toml, reading by reading: each is that of the sensor at its place.
-
-    Raises:
-        ConfigError, DataError: robot.toml is not valid, or has no sensor there.
-    """
+    """The errors of robot.toml, reading by reading: each is that of the sensor at its place."""
     from thigmo.config import SIDES, RobotConfig, Side
     from thigmo.errors import DataError
     from thigmo.reading_errors import reading_errors

@@ -13,11 +13,7 @@ import typer
 
 @contextmanager
 def extra(name: str, package: str, what: str) -> Iterator[None]:
-    """Import within: what a package of `thigmo[name]` is missing for is said, and how to get it.
-
-    Raises:
-        DataError: it is not installed.
-    """
+    """Import within. Raises DataError, with the cure, if a package of `thigmo[name]` is missing."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -93,9 +93,6 @@ def _run_info(path: Path) -> dict[str, Any]:
     facts: dict[str, Any] = {"run": str(path)}
     try:
         document = folder.read_document()
-    except RunFolderError as error:
-        facts["document"] = str(error)
-    else:
         facts |= {
             **{each: getattr(document, each) for each in _OF_THE_RUN},
             "stages_cm": [stage.everted_length_cm for stage in document.stages],
@@ -103,6 +100,8 @@ def _run_info(path: Path) -> dict[str, Any]:
             "robot_time_s": document.robot_time_s,
             "wall_time_s": document.wall_time_s,
         }
+    except RunFolderError as error:
+        facts["document"] = str(error)
     log = folder.read_log()
     if log.missing:
         facts["missing"] = log.missing

@@ -83,8 +83,7 @@ def _exploring(out: Path, config: Path | None) -> tuple[str, ...]:
 def finished_run(target: str | None) -> Path | None:
     """The run folder that is meant; None for a robot's address, and for whatever run is under way.
 
-    Raises:
-        RunFolderError: there is no such folder and no such port.
+    Raises RunFolderError if there is no such folder and no such port.
     """
     from thigmo.errors import RunFolderError
 
@@ -117,8 +116,7 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
 
 
 def open_page(url: str, out: Path, config: Path | None) -> None:
-    """Serve the page of a robot's runs beside this command, and open it. It stays until the run is
-    over and nobody looks any more."""
+    """Serve and open the page of a robot's runs beside this command, as long as it is of use."""
     import subprocess
     import threading
 

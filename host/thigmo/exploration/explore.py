@@ -25,6 +25,11 @@ from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.stream import Event, Hello, Server, recording
 
+_ENDINGS: dict[type[BaseException], str] = {
+    KeyboardInterrupt: "interrupted by the operator",
+    SystemExit: "terminated",  # by SIGTERM
+}
+
 
 def explore(
     url: str = "emulator://default",
@@ -75,7 +80,14 @@ def explore(
     ):
         used = config or robot.known_config
         if used is None:
-            raise _unknown_robot(url)
+            made = Path("calibration") / "robot.toml"
+            raise ConfigError(
+                f"the constants of the robot at {url} are not known",
+                f"give them: --config {made}"
+                if made.with_name("actuator.json").exists()
+                else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` "
+                "makes one",
+            )
         folder = RunFolder.create(out, label, started.astimezone())
         used.save(folder.path / "robot.toml")
         if prior is not None:
@@ -124,9 +136,12 @@ def _walk(run: Exploration) -> None:
         run.run()
     except BaseException as error:
         interrupted = isinstance(error, KeyboardInterrupt | SystemExit | StoppedByViewerError)
-        why = _why(error)
+        if isinstance(error, ThigmoError):
+            why, told = str(error), (error.what, error.next_step)
+        else:
+            why = _ENDINGS.get(type(error), f"{type(error).__name__}: {error}")
+            told = (why, "")
         run.document = replace(run.document, outcome=f"aborted: {why}")
-        told = (error.what, error.next_step) if isinstance(error, ThigmoError) else (why, "")
         run.live.tell(Event, "aborted", "fault", *told)
         error.add_note(f"run folder: {run.folder.path}")
         raise
@@ -143,27 +158,6 @@ def _walk(run: Exploration) -> None:
         )
         run.keep()
         run.tell()
-
-
-def _unknown_robot(url: str) -> ConfigError:
-    """What to do about a robot whose constants nobody gave."""
-    made = Path("calibration") / "robot.toml"
-    return ConfigError(
-        f"the constants of the robot at {url} are not known",
-        f"give them: --config {made}"
-        if made.with_name("actuator.json").exists()
-        else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` makes one",
-    )
-
-
-def _why(error: BaseException) -> str:
-    if isinstance(error, ThigmoError):
-        return str(error)
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted by the operator"
-    if isinstance(error, SystemExit):
-        return "terminated"
-    return f"{type(error).__name__}: {error}"
 
 
 @contextmanager

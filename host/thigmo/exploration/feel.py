@@ -63,8 +63,8 @@ def feel(
 ) -> Feeling:
     """Localize the contacts behind a peak's readings, at a body-pressure zone.
 
-    No contact lies nearer to the base than `nearest_arc` (cm, by `SweptSpace`); `prior` are
-    obstacles that are expected. Raises DataError if no sensor is usable.
+    No contact lies nearer to the base than `nearest_arc` (cm); `prior` are obstacles that are
+    expected. Raises DataError if no sensor is usable.
     """
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)

@@ -36,23 +36,28 @@ def judged(
     document: RunDocument, config: RobotConfig, prior: Sequence[Obstacle] = ()
 ) -> RunDocument:
     """The document with its errors, and with what was missed and what is false."""
-    truth = document.truth
-    error_x, error = errors(document.contacts, truth.contacts if truth else [])
+    known = document.truth.contacts if document.truth else []
+    error_x, error = errors(document.contacts, known)
     missed: list[MissedContact] | None = None
     false = None
-    if truth is not None:
-        pegs = {true.peg: true for true in truth.contacts}  # as touched last
-        away = sorted(pegs.keys() - felt_pegs(document))
-        missed = [_missed(document, pegs[peg], truth.contacts, config) for peg in away]
+    if document.truth is not None:
+        pegs = {true.peg: true for true in known}  # as touched last
+        missed = [
+            MissedContact(
+                "truth", t.x_cm, t.y_cm, _why_missed(document, t, known, config),
+                t.arc_cm, t.everted_length_cm, t.side,
+            )
+            for t in (pegs[peg] for peg in sorted(pegs.keys() - felt_pegs(document)))
+        ]  # fmt: skip
         false = [
-            FalseContact(index, contact.x_cm, contact.y_cm, _why_false(contact, truth.contacts))
+            FalseContact(index, contact.x_cm, contact.y_cm, _why_false(contact, known))
             for index, contact in enumerate(document.contacts)
-            if not any(_same(contact, true) for true in truth.contacts)
+            if not any(_same(contact, true) for true in known)
         ]
     if prior:
         why = "its place was swept without being felt: it is gone, or the map given is wrong"
-        _, known = occupancy(document, config.body.radius_cm, prior)
-        gone = [each for each in known if each.source == GONE]
+        _, obstacles = occupancy(document, config.body.radius_cm, prior)
+        gone = [each for each in obstacles if each.source == GONE]
         missed = (missed or []) + [MissedContact("prior", o.x_cm, o.y_cm, why) for o in gone]
     return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
 
@@ -85,14 +90,6 @@ def _same(contact: MapContact, true: TrueContact) -> bool:
     low, high = contact.interval_cm
     held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM
     return held and of_stage(true, contact.everted_length_cm, contact.side)
-
-
-def _missed(
-    document: RunDocument, last: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
-) -> MissedContact:
-    """The entry of a peg that some sweep's peak touched and that is not on the map."""
-    why, at_cm = _why_missed(document, last, truth, config), last.everted_length_cm
-    return MissedContact("truth", last.x_cm, last.y_cm, why, last.arc_cm, at_cm, last.side)
 
 
 def _why_missed(

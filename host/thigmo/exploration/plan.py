@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import count
+from itertools import count, takewhile
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import ConfigError
@@ -34,23 +34,15 @@ def stage_lengths(config: RobotConfig) -> list[float]:
             f"sensors.{sensor} lies in the tip's fold at the full length",
             "mark it unhealthy, or correct its centre and span in robot.toml",
         )
-    pitch = config.sensors.pitch_cm
-    lengths: list[float] = []
-    for number in count(1):
-        length = number * pitch
-        if length > full - _SAME_CM:
-            return [*lengths, full]
-        if not half_everted(config, length):
-            lengths.append(length)
-    raise AssertionError
+    pitches = (number * config.sensors.pitch_cm for number in count(1))
+    whole = takewhile(lambda length: length <= full - _SAME_CM, pitches)
+    return [*(length for length in whole if not half_everted(config, length)), full]
 
 
 def next_stage(config: RobotConfig, length_cm: float, *, swept: bool) -> float | None:
     """The stage to go to from a length that was `swept` or not, or None at the end."""
-    for stage in stage_lengths(config):
-        if stage > length_cm + _SAME_CM or (abs(stage - length_cm) <= _SAME_CM and not swept):
-            return stage
-    return None
+    reached_cm = length_cm + (_SAME_CM if swept else -_SAME_CM)
+    return next((stage for stage in stage_lengths(config) if stage > reached_cm), None)
 
 
 def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
@@ -64,7 +56,6 @@ def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
 
 def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> float:
     """How far to grow before the stage or the next body-pressure boundary, whichever is nearer."""
-    for zone in config.body.zones:
-        if length_cm + _SAME_CM < zone.until_cm < stage_cm - _SAME_CM:
-            return zone.until_cm
-    return stage_cm
+    ends = (zone.until_cm for zone in config.body.zones)
+    between = (end for end in ends if length_cm + _SAME_CM < end < stage_cm - _SAME_CM)
+    return next(between, stage_cm)

@@ -275,13 +275,8 @@ def _document(folder: RunFolder, log: Log, stages: list[Stage]) -> RunDocument:
     try:
         known = folder.read_document()
     except RunFolderError:
-        known = RunDocument(
-            thigmo=__version__,
-            name=folder.path.name,
-            url=log.metadata.get("url", ""),
-            started=log.metadata.get("started", ""),
-            outcome="cut short",
-        )
+        url, started = (log.metadata.get(name, "") for name in ("url", "started"))
+        known = RunDocument(__version__, folder.path.name, url, started, "cut short")
     return replace(
         known,
         thigmo=__version__,

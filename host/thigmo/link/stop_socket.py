@@ -33,13 +33,9 @@ def folder() -> Path:
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(runtime or tempfile.gettempdir()) / ("thigmo" if runtime else f"thigmo-{_user()}")
-    try:
+    with PortError.from_os(f"cannot make {path}", "make it, yours and with mode 700"):
         path.mkdir(mode=0o700, exist_ok=True)
         found = path.lstat()
-    except OSError as error:
-        raise PortError(
-            f"cannot make {path}: {error.strerror}", "make it, yours and with mode 700"
-        ) from error
     if sys.platform != "win32" and (found.st_uid != os.getuid() or found.st_mode & 0o077):
         raise PortError(f"others can enter {path}", "remove it, or make it yours with mode 700")
     return path
@@ -60,14 +56,10 @@ def address(url: str) -> str:
 def serve(url: str) -> Listener:
     """Listen for stops of a port, which the caller owns; raises PortError if it cannot."""
     where = address(url)
-    try:
+    with PortError.from_os(f"cannot listen for `thigmo stop` at {where}", "remove it"):
         if sys.platform != "win32":
             Path(where).unlink(missing_ok=True)  # of an owner that was killed
         return Listener(where, backlog=8)
-    except OSError as error:
-        raise PortError(
-            f"cannot listen for `thigmo stop` at {where}: {error.strerror}", "remove it"
-        ) from error
 
 
 def answer(listener: Listener, url: str, stop: Callable[[], bool]) -> None:

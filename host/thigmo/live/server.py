@@ -156,13 +156,8 @@ class PageServer:
         if readings:
             self._pass_readings(readings)
         shapes = [each for each in messages if isinstance(each, BodyShape)]
-        for shape in shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)]:
-            text = self._run.held[BodyShape.CHANNEL] = to_json(shape).decode()
-            for viewer in self._viewers:
-                viewer.add_shape(text)
-        for message in messages:
-            if isinstance(message, Telemetry | BodyShape):
-                continue
+        others = [each for each in messages if not isinstance(each, Telemetry | BodyShape)]
+        for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
             channel, text = message.CHANNEL, to_json(message).decode()
@@ -273,24 +268,21 @@ class PageServer:
             command = told.get("command")
         except (ValueError, AttributeError):
             return
+        operates = viewer is self._operator
         if "ack" in told:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = viewer
-        elif viewer is self._operator:
-            await self._operate(command, told)
+        elif command == "start" and operates:
+            await self._start(realtime=told.get("realtime") is not False)
+        elif command == "answer" and operates and self._started is not None:
+            await asyncio.to_thread(self._started.answer, str(told.get("text", "")))
+        elif command in ("pause", "resume") and operates and self._watched is not None:
+            with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
+                self._watched.send(command)
+                self._run.pausing = command == "pause"
         if command:
             self._tell()
-
-    async def _operate(self, command: object, told: dict[str, Any]) -> None:
-        if command == "start":
-            await self._start(realtime=told.get("realtime") is not False)
-        elif command == "answer" and self._started is not None:
-            await asyncio.to_thread(self._started.answer, str(told.get("text", "")))
-        elif command in ("pause", "resume") and self._watched is not None:
-            with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
-                self._watched.send("pause" if command == "pause" else "resume")
-                self._run.pausing = command == "pause"
 
     async def _start(self, *, realtime: bool) -> None:
         url, explore = self.options.url, self.options.explore
@@ -369,12 +361,13 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
 
 async def _listen(runner: web.AppRunner, options: WatchOptions) -> int:
     """Listen; the port that it is."""
-    for port in (PORT, 0) if options.port is None else (options.port,):
+    ports = (PORT, 0) if options.port is None else (options.port,)
+    for port in ports:
         try:
             await web.TCPSite(runner, options.host, port).start()
             break
         except OSError as error:
-            if error.errno != errno.EADDRINUSE or port != PORT or options.port is not None:
+            if error.errno != errno.EADDRINUSE or port == ports[-1]:
                 raise ThigmoError(
                     f"cannot serve the page at {options.host}: {error.strerror}",
                     "choose another place with --host or --port",

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 from aiohttp import web
 
-from thigmo.stream import RETAINED
+from thigmo.stream import RETAINED, BodyShape
 
 _PAGE = "page"  # channel of what the server says of itself
 _UNANSWERED = 4  # batches under way
@@ -48,17 +48,14 @@ class Viewer:
         self._due.set()
 
     def add(self, channel: str, text: str) -> None:
-        """Queue a message; of a channel that is retained, only the last one counts."""
-        if channel in RETAINED or channel == _PAGE:
+        """Queue a message; of most channels that are retained, only the last one counts."""
+        if channel == BodyShape.CHANNEL:
+            self._shapes.append(text)
+        elif channel in RETAINED or channel == _PAGE:
             self._last.pop(channel, None)
             self._last[channel] = text
         else:
             self._once.append(text)
-        self._due.set()
-
-    def add_shape(self, text: str) -> None:
-        """Queue a shape of the body."""
-        self._shapes.append(text)
         self._due.set()
 
     def forget(self) -> None:

@@ -82,12 +82,8 @@ class LogWriter(Closing):
     ) -> None:
         from mcap.writer import IndexType, Writer
 
-        try:
+        with RunFolderError.from_os(f"cannot write {path}", "choose another folder with --out"):
             self._stream = path.open("xb")
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot write {path}: {error.strerror}", "choose another folder with --out"
-            ) from error
         self._writer: Any = Writer(
             self._stream,
             chunk_size=chunk_bytes,

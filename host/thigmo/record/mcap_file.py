@@ -50,12 +50,8 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
 
     Raises RunFolderError if there is no such file, or it is no MCAP file.
     """
-    try:
+    with RunFolderError.from_os(f"cannot read {path}", "give a run folder that holds run.mcap"):
         data = path.read_bytes()
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot read {path}: {error.strerror}", "give a run folder that holds run.mcap"
-        ) from error
     truncated = not data.endswith(_MAGIC) or len(data) < 2 * len(_MAGIC)
     found: list[McapRecord] = []
     place: int | None = len(_MAGIC)

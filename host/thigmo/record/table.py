@@ -163,16 +163,12 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[obj
             return ""
         return f"{value:.9g}" if isinstance(value, float) else str(value)
 
-    try:
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            for row in zip(*columns.values(), strict=True):
-                writer.writerow([cell(value) for value in row])
-    except OSError as error:
-        raise DataError(
-            f"cannot write {path}: {error.strerror}", "choose another folder"
-        ) from error
+    refused = DataError.from_os(f"cannot write {path}", "choose another folder")
+    with refused, Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([cell(value) for value in row])
 
 
 def _short(cell: str) -> str:

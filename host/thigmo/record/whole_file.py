@@ -20,16 +20,12 @@ T = TypeVar("T")
 def write_whole(path: Path, data: bytes) -> None:
     """Replace a file's content; on disk on return. Raises RunFolderError if that fails."""
     partial = path.with_name(f"{path.name}.partial")
-    try:
+    with RunFolderError.from_os(f"cannot write {path}", "free some space, or check permissions"):
         with partial.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
-        ) from error
 
 
 def read_json(

@@ -55,12 +55,8 @@ def draw_map(
 
     figure = Figure(figsize=_SIZE_IN, layout="constrained", facecolor="white")
     plot_map(document, figure.add_subplot(), radius_cm=radius_cm, prior=prior)
-    try:
+    with RunFolderError.from_os(f"cannot write {path}", "free some space, or check permissions"):
         figure.savefig(path, dpi=160)
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot write {path}: {error.strerror}", "free some space, or check permissions"
-        ) from error
 
 
 def plot_map(

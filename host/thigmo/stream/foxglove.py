@@ -39,7 +39,6 @@ VIEWS: dict[str, type[Proto]] = {
 ROOM, TIP = "room", "tip"
 
 _M = 0.01  # per cm
-_SHOWN = (BodyShape, Contacts, Grid, Event, Log)
 _BODY, _SURE, _UNSURE = (
     Color(r=0.30, g=0.55, b=0.85, a=0.8),
     Color(r=0.85, g=0.15, b=0.10, a=1.0),
@@ -54,8 +53,6 @@ _UINT8, _INT8 = PackedElementField.UINT8, PackedElementField.INT8
 
 def views(message: Message) -> list[tuple[str, Proto]]:
     """What a message is in Foxglove's schemas: topics and messages; none for many."""
-    if not isinstance(message, _SHOWN):
-        return []
     stamp = Timestamp()
     stamp.FromNanoseconds(round(message.epoch_s * 1e9))
     match message:
@@ -68,8 +65,10 @@ def views(message: Message) -> list[tuple[str, Proto]]:
         case Event():
             text = "; ".join(filter(None, (message.message, message.next)))
             name, level = message.name, message.severity
-        case _:
+        case Log():
             name, level, text = "thigmo", message.level, message.text
+        case _:
+            return []
     return [(LOG, LogView(timestamp=stamp, level=_LEVELS[level], name=name, message=text))]
 
 

@@ -26,8 +26,7 @@ class Subscription(Closing):
 
     def __init__(self, hub: Hub, channels: Iterable[str], size: int) -> None:
         self._hub = hub
-        self._waiting: deque[Message] = deque()
-        self._size = size
+        self._waiting: deque[Message] = deque(maxlen=size)
         self._changed = threading.Condition()
         self._ended = threading.Event()
         self.dropped = 0  # messages lost so far
@@ -35,13 +34,10 @@ class Subscription(Closing):
 
     def _put(self, message: Message) -> None:
         with self._changed:
-            if self._ended.is_set():
-                return
-            if len(self._waiting) >= self._size:
-                self._waiting.popleft()
-                self.dropped += 1
-            self._waiting.append(message)
-            self._changed.notify()
+            if not self._ended.is_set():
+                self.dropped += len(self._waiting) == self._waiting.maxlen
+                self._waiting.append(message)
+                self._changed.notify()
 
     def _wait(self, timeout_s: float | None = None) -> None:
         self._changed.wait_for(lambda: self._waiting or self._ended.is_set(), timeout_s)

@@ -81,12 +81,8 @@ class Server(Closing):
         self._lock = threading.Lock()
         self._closed = False
         self.address = _new_address(hello.name)
-        try:
+        with PortError.from_os(f"cannot serve the run at {self.address}", "remove it"):
             self._listener = Listener(self.address, backlog=8)
-        except OSError as error:
-            raise PortError(
-                f"cannot serve the run at {self.address}: {error.strerror}", "remove it"
-            ) from error
         self._accepting = _thread(self._accept)
 
     def close(self) -> None:

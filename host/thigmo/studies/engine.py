@@ -204,7 +204,7 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
         RunFolderError: the folder cannot be written.
     """
     paths: list[Path] = []
-    try:
+    with RunFolderError.from_os(f"cannot write to {folder}", "choose another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         for label, rows in outcome.tables.items():
             path = folder / f"{name}-{label}.csv"
@@ -225,8 +225,4 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
         path = folder / f"{name}-claims.json"
         path.write_text(json.dumps(claims, indent=1))
         paths.append(path)
-    except OSError as error:
-        raise RunFolderError(
-            f"cannot write to {folder}: {error.strerror}", "choose another --out"
-        ) from error
     return paths
