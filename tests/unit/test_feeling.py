@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig, Side
-from thigmo.exploration.feel import Felt, arc_grid
-from thigmo.exploration.known import fused
+from thigmo.exploration.feel import Felt, arc_grid, fused
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     fold_moment,

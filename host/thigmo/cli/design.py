@@ -53,25 +53,18 @@ def design(
     )
     one = [
         {
-            "arc": float(arc),
-            "moment": float(moment),
-            "force": float(moment / arc) if arc > 0.0 else 0.0,
-            "bound": float(found.bound[m, a]),
-            "signal": float(found.signal[m, a]),
-            "detected": bool(found.detected[m, a]),
+            "arc": arc,
+            "moment": moment,
+            "force": moment / arc if arc > 0.0 else 0.0,
+            **{name: getattr(found, name)[m, a].item() for name in ("bound", "signal", "detected")},
         }
-        for m, moment in enumerate(found.moment)
-        for a, arc in enumerate(found.arc)
+        for m, moment in enumerate(found.moment.tolist())
+        for a, arc in enumerate(found.arc.tolist())
     ]
     two = [
-        {
-            "separation": float(gap),
-            "moment": float(moment),
-            "proximal_bound": float(found.pair_bound[m, s, 0]),
-            "distal_bound": float(found.pair_bound[m, s, 1]),
-        }
-        for m, moment in enumerate(found.moment)
-        for s, gap in enumerate(found.separation)
+        {"separation": gap, "moment": moment, "proximal_bound": near, "distal_bound": far}
+        for moment, bounds in zip(found.moment.tolist(), found.pair_bound.tolist(), strict=True)
+        for gap, (near, far) in zip(found.separation.tolist(), bounds, strict=True)
     ]
     outcome = Outcome({"one-contact": one, "two-contacts": two})
     outcome.figures["bounds"] = draw_design(found, position, span)

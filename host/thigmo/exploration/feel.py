@@ -2,7 +2,8 @@
 
 Averages of the ten peak readings of the inactive side's sensors that were everted, settled and
 zeroed go to the localizer with the free curvature of the map at the lag-filtered pressure, as the
-free response corrects it, and with what earlier sweeps rule out.
+free response corrects it, and with what earlier sweeps rule out. Its posterior over the arc is then
+multiplied with what else is known: what a map shows, or that several stages felt the same peg.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.exploration.known import WIDEST_CM, cell_masses, expected
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
@@ -29,6 +29,13 @@ _LEAST_FOLD_ERROR = 0.1
 _PLACED = ("localized", "ambiguous")
 _GRID_CM = 0.25
 LIKELY = 0.5  # probability from which a contact that the localizer lists goes on the map
+_LEVEL = 0.95
+WIDEST_CM = 10.0  # an interval wider than this is no place: the localizer's own limit
+_FLAT = 0.01  # a prior that varies by less says nothing
+_SAME_CM = 1.0  # a contact on the end that moves by more is on the side
+# A peg stands still, and the body slides along it by so much between stages (one sigma, cm).
+_SLIDE_CM = 0.7
+_FLOOR = 1e-3  # share of a posterior that stays open, for a stage that was wrong altogether
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +110,7 @@ def feel(
             skin_point(curve, float(arc), -bend.free_curvature, body.radius_cm)[:2] for arc in arcs
         ]
         likelier = boost(prior, np.array(skin), bend.length_cm)
-        found[0], masses[0] = expected(found[0], result.bend, arcs, masses[0], likelier)
+        found[0], masses[0] = _expected(found[0], result.bend, arcs, masses[0], likelier)
         result = replace(result, status=found[0].status, contacts=tuple(found))
     felt = [
         Felt(peak.side, peak.length_cm, bend, contact, mass, result.hypothesis, int(use.sum()))
@@ -120,7 +127,7 @@ def arc_grid(full_cm: float) -> Floats:
 def _mass(result: LocalizeResult, contact: Contact, arcs: Floats) -> Floats:
     """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
     if len(result.contacts) == 1:
-        mass = cell_masses(result, arcs)
+        mass = _cell_masses(result, arcs)
     else:
         low, high = contact.interval
         deviation = max((high - low) / 3.92, _GRID_CM)
@@ -129,3 +136,72 @@ def _mass(result: LocalizeResult, contact: Contact, arcs: Floats) -> Floats:
         mass = np.ones(len(arcs))
     normalised: Floats = mass / mass.sum()
     return normalised
+
+
+def _cell_masses(result: LocalizeResult, grid: Floats) -> Floats:
+    """Posterior mass in the cell around each node of an evenly spaced grid."""
+    step = grid[1] - grid[0]
+    edges = np.concatenate((grid - 0.5 * step, [grid[-1] + 0.5 * step]))
+    below = np.concatenate(([0.0], np.cumsum(result.probability)))
+    return np.diff(np.interp(edges, result.edges, below))
+
+
+def median(arcs: Floats, mass: Floats) -> float:
+    """Arc with half of the mass on either side: it errs least on average."""
+    half = 0.5 * float(mass.sum())
+    return float(np.interp(half, np.cumsum(mass) - 0.5 * mass, arcs))
+
+
+def _expected(
+    contact: Contact, bend: Floats, arcs: Floats, mass: Floats, boost: Floats
+) -> tuple[Contact, Floats]:
+    """A single contact and its posterior, multiplied with a prior over its arc.
+
+    It causes `bend` (K, 2), curvature over arc. The posterior `mass` (n,), of sum one, and the
+    prior's density `boost` (n,), of any scale, lie on `arcs` (n,), evenly spaced.
+    """
+    product = mass * boost
+    if float(np.ptp(boost)) < _FLAT * float(boost.max()) or not product.sum() > 0:
+        return contact, mass
+    product = product / product.sum()
+    arc = median(arcs, product)
+    low, high = shortest(arcs, product)
+    # Few sensors see the difference, so what stays is the moment at the body's base.
+    force, offset = contact.force * contact.arc / arc, contact.end_offset
+    if offset is not None and arc < contact.arc - _SAME_CM:
+        force, offset = float(bend[0, 1]) / arc, None
+    certain = contact.status == "localized" or contact.probability > _LEVEL
+    placed = replace(
+        contact,
+        arc=arc,
+        force=force,
+        interval=(low, high),
+        intervals=((low, high),),
+        status="localized" if certain and high - low <= WIDEST_CM else "ambiguous",
+        end_offset=offset,
+    )
+    return placed, product
+
+
+def shortest(arcs: Floats, mass: Floats) -> tuple[float, float]:
+    """Hull of the highest-density set that holds 95 % of the mass; all of it where it is flat."""
+    falling = np.sort(mass)[::-1]
+    least = falling[min(int(np.searchsorted(np.cumsum(falling), _LEVEL)), len(mass) - 1)]
+    inside = arcs[mass >= least * (1 - 1e-9)]
+    return float(inside[0]), float(inside[-1])
+
+
+def fused(grid: Floats, masses: list[Floats]) -> Floats:
+    """Posterior over evenly spaced arcs (cm) of stages that felt the same peg, each of sum 1."""
+    step = grid[1] - grid[0]
+    reach = np.arange(-3 * _SLIDE_CM, 3 * _SLIDE_CM + step / 2, step)
+    kernel = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)
+    kernel /= kernel.sum()
+    product = np.zeros(len(grid))
+    for mass in masses:
+        blurred = np.convolve(mass, kernel, mode="same")
+        product += np.log(blurred / blurred.sum() * (1 - _FLOOR) + _FLOOR / len(grid))
+    # Errors of map and scales are the same at every stage: n of them count as the root of n.
+    product = np.exp((product - product.max()) / np.sqrt(len(masses)))
+    result: Floats = product / product.sum()
+    return result

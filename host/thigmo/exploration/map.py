@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.feel import Felt, arc_grid
-from thigmo.exploration.known import WIDEST_CM, fused, median, shortest
+from thigmo.exploration.feel import WIDEST_CM, Felt, arc_grid, fused, median, shortest
 from thigmo.exploration.met import Lean, Met
 from thigmo.exploration.prior import match
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots

@@ -2,17 +2,8 @@
 
 Cyclone DDS speaks to every ROS 2 middleware on DDS without an installation of ROS. Of ROS's own
 conventions the topics' and types' names and the qualities of service are all that is needed;
-services do not interoperate between the vendors' layers, so stop is a topic.
-
-| topic | type | |
-| --- | --- | --- |
-| map | nav_msgs/OccupancyGrid | latched |
-| contacts | geometry_msgs/PoseWithCovarianceStamped | latched; those with the newest stamp |
-| body | nav_msgs/Path | latched; the centreline |
-| joint_states | sensor_msgs/JointState | everted length and the turn of each tenth |
-| /tf, /tf_static | tf2_msgs/TFMessage | thigmo_base to thigmo_tip; map to thigmo_base |
-| /diagnostics | diagnostic_msgs/DiagnosticArray | each second |
-| stop | std_msgs/Empty | any message stops the robot, also one that was latched before |
+services do not interoperate between the vendors' layers, so stop is a topic. docs/ros.md lists the
+topics.
 
 Contacts are poses with covariances because that is what estimators and planners take; markers are
 for eyes and carry no covariance.

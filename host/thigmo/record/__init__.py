@@ -19,7 +19,7 @@ from thigmo.record.document import (
     TruePeg,
     Truth,
 )
-from thigmo.record.folder import RunFolder
+from thigmo.record.folder import RunFolder, write_whole
 from thigmo.record.log import Entry, Log, LogWriter, read_log
 from thigmo.record.obstacles import (
     OBSTACLES_FILE,
@@ -34,7 +34,6 @@ from thigmo.record.obstacles import (
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.swept_shapes import outline, passed
 from thigmo.record.table import ReadingsTable, read_readings
-from thigmo.record.whole_file import write_whole
 
 __all__ = [
     "OBSTACLES_FILE",

@@ -1,4 +1,7 @@
-"""The run folder on disk: made, filled while the run goes on, closed, found again."""
+"""The run folder on disk: made, filled while the run goes on, closed, found again.
+
+Its files are on disk whole or not at all: a crash leaves the one of before.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,16 @@ import os
 import re
 from datetime import datetime
 from pathlib import Path
+from typing import TypeVar
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
-from thigmo.config import RobotConfig
+from thigmo.config import RobotConfig, invalid_entry
 from thigmo.errors import RunFolderError
 from thigmo.record.document import RunDocument
 from thigmo.record.log import Log, LogWriter, read_log
-from thigmo.record.whole_file import read_json, write_whole
 
+T = TypeVar("T")
 _CHUNK_BYTES = 65_536  # half a second of frames and decoded channels
 _DOCUMENT = TypeAdapter(RunDocument)
 
@@ -76,3 +80,26 @@ class RunFolder:
     def read_config(self) -> RobotConfig:
         """Read robot.toml as it was used. Raises ConfigError if it is missing or malformed."""
         return RobotConfig.load(self.path / "robot.toml")
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Replace a file's content; on disk on return. Raises RunFolderError if that fails."""
+    partial = path.with_name(f"{path.name}.partial")
+    with RunFolderError.from_os(f"cannot write {path}", "free some space, or check permissions"):
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+
+
+def read_json(
+    kind: TypeAdapter[T], path: str | os.PathLike[str], *, missing: str, invalid: str
+) -> T:
+    """Read a JSON file of a kind. Raises RunFolderError, which says what to do where it is so."""
+    try:
+        return kind.validate_json(Path(path).read_bytes())
+    except OSError as error:
+        raise RunFolderError(f"cannot read {path}: {error.strerror}", missing) from error
+    except ValidationError as error:
+        raise RunFolderError(invalid_entry(path, error), invalid) from error

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from thigmo.record.whole_file import read_json, write_whole
+from thigmo.record.folder import read_json, write_whole
 
 OBSTACLES_FILE = "obstacles.json"
 PRIOR_FILE = "prior.json"  # the map that an exploration was given, in its run folder

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ValidationError
 from thigmo.config import Finite, Positive, invalid_entry
 from thigmo.display import draw, html_card, html_table
 from thigmo.errors import RunFolderError
-from thigmo.record.whole_file import write_whole
+from thigmo.record.folder import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
