@@ -77,7 +77,7 @@ class ExplorationResult:
 
     @property
     def map(self) -> OccupancyGrid:
-        """The map as a grid: free, occupied, unknown. Raises RunFolderError without one."""
+        """The map as a grid of free, occupied and unknown. Raises RunFolderError without one."""
         return read_ros_map(self.folder / "map.yaml")
 
     @property

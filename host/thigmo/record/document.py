@@ -46,7 +46,7 @@ class MapContact:
     interval_cm: tuple[float, float]  #: 95 % interval of the arc
     status: str  #: "localized" or "ambiguous"
     everted_length_cm: float  #: stage at which it was felt
-    #: active muscle; empty for a peg that growth met: it stopped the tip, or bent it aside
+    #: active muscle; empty for a peg that growth met, which stopped the tip or bent it aside
     side: str
     normal_rad: float  #: direction from the centreline to the contact point
     #: of (x, y), from the interval along the body and the shape's uncertainty
@@ -145,7 +145,8 @@ class RunDocument:
     name: str
     url: str
     started: str
-    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or "aborted: why"
+    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or, with the
+    #: reason, "aborted"
     outcome: str = "running"
     seed: int | None = None
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery

@@ -31,8 +31,7 @@ class Message:
 
     CHANNEL: ClassVar[str]
 
-    #: the robot's time base, as in run.mcap: the host's monotonic clock, or an emulator's virtual
-    #: time
+    #: the robot's time base, as in run.mcap; the host's monotonic clock or an emulator's own time
     t_s: float
     epoch_s: float  #: since 1970, UTC; in the emulator the start of the run plus virtual time
 
@@ -120,7 +119,7 @@ class BodyShape(Message):
 
     CHANNEL = "shape"
 
-    poses: tuple[Pose, ...]  #: centreline from base to tip: x, y, heading
+    poses: tuple[Pose, ...]  #: x, y and heading along the centreline, base to tip
     radius_cm: float  #: of the tube
 
 
@@ -163,7 +162,7 @@ class Grid(Message):
     origin: Pose  #: x, y, yaw of the outer corner of the first cell
     width: int  #: in cells
     height: int  #: in cells
-    cells: tuple[int, ...]  #: row by row from the lowest y: 0 free, 100 occupied, -1 unknown
+    cells: tuple[int, ...]  #: 0 free, 100 occupied, -1 unknown; row by row from the lowest y
 
     @classmethod
     def of(cls, grid: OccupancyGrid, t_s: float, epoch_s: float) -> Self:
