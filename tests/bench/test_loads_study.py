@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thigmo.studies import loads, misfit
+from thigmo.studies import loads
 from thigmo.studies.loads import FEW, GROUPS, ROD_CM, SEEN_KINK, STANDS_OUT, Seen
 from thigmo.studies.scenes import BOTH, LENGTH, SIGMA
+from thigmo.studies.touches import misfit_of_one_contact
 
 PLAIN = Seen(
     found=1, likely=1, localized=True, ambiguous=False, none=0.0, held=1, wrong=False, off_cm=0.5,
@@ -21,13 +22,13 @@ PLAIN = Seen(
 def test_one_contact_explains_its_own_readings_and_noise_only() -> None:
     rng = np.random.default_rng(1)
     scenes = loads.one(rng, 200)
-    clean = misfit.of_one_contact(scenes.curvature, BOTH, scenes.free)
+    clean = misfit_of_one_contact(scenes.curvature, BOTH, scenes.free)
     assert clean.max() < 1.0  # places a centimetre apart
     frames = scenes.curvature + SIGMA * rng.standard_normal(scenes.curvature.shape)
-    left = misfit.of_one_contact(frames, BOTH, scenes.free)
+    left = misfit_of_one_contact(frames, BOTH, scenes.free)
     assert left.mean() == pytest.approx(8.0, abs=1.0)  # ten readings less place and force
     opposed = GROUPS["two opposed, straight"].draw(rng, 50)
-    assert np.median(misfit.of_one_contact(opposed.curvature, BOTH, opposed.free)) > chi2.isf(
+    assert np.median(misfit_of_one_contact(opposed.curvature, BOTH, opposed.free)) > chi2.isf(
         0.01, 8
     )
 

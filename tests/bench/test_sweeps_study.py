@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo.studies import sweeps
-from thigmo.studies.sweeps import ERRORS, FRAMES, Inflation, judge, score
+from thigmo.studies.sweeps import ERRORS, FRAMES, judge, score
 
 
 def test_readings_are_those_of_the_free_body_until_the_touch() -> None:
@@ -22,12 +22,13 @@ def test_readings_are_those_of_the_free_body_until_the_touch() -> None:
 @pytest.mark.parametrize("error", ERRORS)
 def test_errors_stay_the_same_through_an_inflation(error: str) -> None:
     free = np.linspace(0.01, 0.04, FRAMES)
-    clean = Inflation(np.repeat(free[:, None], 5, axis=1), free, {})
-    spoilt = ERRORS[error](np.random.default_rng(1), clean)
+    clean = np.repeat(free[:, None], 5, axis=1)
+    spoil, told = ERRORS[error]
+    curvature, _ = spoil(np.random.default_rng(1), clean, free)
     if error != sweeps.OTHER_NOISE:
-        steps = np.diff(spoilt.curvature, axis=0)
+        steps = np.diff(curvature, axis=0)
         assert np.allclose(steps, steps[0])
-    assert (spoilt.told != {}) == (error in sweeps.TOLD and error != "none")
+    assert (told != {}) == (error in sweeps.TOLD and error != "none")
 
 
 def test_all_frames_are_judged_as_the_last_one_is() -> None:

@@ -9,14 +9,14 @@ import pytest
 
 from thigmo.emulator.board import FLEX_RIGHT
 from thigmo.studies.trigger import (
+    DEFAULT,
+    SETTINGS,
     THRESHOLD,
     allowed,
     chosen,
-    default_setting,
     hum_borne,
     quantile,
     room,
-    settings,
 )
 from thigmo.studies.trigger_sessions import (
     Session,
@@ -55,7 +55,7 @@ def test_hum_alarms_a_long_average_and_what_is_borne_grows_as_the_rule_says() ->
     long, short = Setting(5, 1, 500), Setting(4, 6, 500)
     assert alarms(long, 0) == 0
     assert alarms(long, 20) == 2
-    assert alarms(default_setting(), 20) == 0
+    assert alarms(DEFAULT, 20) == 0
     counts = np.arange(2, 40)
     borne = [
         counts[max(np.flatnonzero([alarms(each, n) == 0 for n in counts]))]
@@ -88,7 +88,7 @@ def test_a_step_below_the_threshold_is_not_reported() -> None:
     session = record(
         room("white", 0.0), 1, halves_of([0], [2000]), step=0.5 * THRESHOLD, threshold=THRESHOLD
     )
-    assert latencies(session, replay(session, default_setting())).tolist() == [np.inf]
+    assert latencies(session, replay(session, DEFAULT)).tolist() == [np.inf]
 
 
 def test_the_rule_takes_the_shortest_latency_of_what_is_allowed() -> None:
@@ -110,5 +110,5 @@ def test_a_missed_contact_is_infinitely_late_and_an_alarm_before_a_step_is_none(
 
 
 def test_the_default_is_among_the_settings_tried() -> None:
-    assert default_setting() in settings()
-    assert len(set(settings())) == len(settings())
+    assert DEFAULT in SETTINGS
+    assert len(set(SETTINGS)) == len(SETTINGS)

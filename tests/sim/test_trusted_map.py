@@ -19,7 +19,7 @@ def test_no_cell_inside_a_felt_peg_is_free(tmp_path: Path, scene: str) -> None:
         room(seed).save(tmp_path / "room.toml")
         url = f"emulator://{tmp_path / 'room.toml'}"
     document = explored(url, tmp_path, seed).document
-    judged, bold = judge(document, seed), judge(document, seed, sigmas=0.0)
+    judged, bold = judge(document), judge(document, sigmas=0.0)
     print(judged)
     assert judged.felt_cells > 0
     assert judged.felt_free == 0

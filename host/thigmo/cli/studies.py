@@ -26,14 +26,7 @@ LINE_EVERY_S = 10.0
 
 
 def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: bool) -> None:
-    """Run studies one after the other, write and print what each found.
-
-    Args:
-        studies: by name.
-        context: seed, size and processes.
-        out: folder for tables and figures.
-        as_json: whether programs read the output.
-    """
+    """Run studies by name, one after the other; write to `out` and print what each found."""
     from dataclasses import replace
 
     from thigmo.studies.engine import write
@@ -96,21 +89,20 @@ def study_progress(name: str) -> Iterator[Tell]:
         told = lines(lambda text: console.print(text, highlight=False, soft_wrap=True), monotonic)
         yield lambda part, done, total: told(f"{name}, {part}", done, total)
         return
-    bar = progress.Progress(
+    tasks: dict[str, Any] = {}
+    with progress.Progress(
         progress.TextColumn("{task.description}"), progress.BarColumn(24),
         progress.MofNCompleteColumn(), progress.TimeElapsedColumn(),
         progress.TimeRemainingColumn(), console=console,
-    )  # fmt: skip
-    tasks: dict[str, Any] = {}
+    ) as bar:  # fmt: skip
 
-    def tell(part: str, done: int, total: int) -> None:
-        if part not in tasks:
-            tasks[part] = bar.add_task(f"{name}, {part}", total=total)
-        if done == 0:
-            bar.reset(tasks[part], total=total)
-        bar.update(tasks[part], completed=done)
+        def tell(part: str, done: int, total: int) -> None:
+            if part not in tasks:
+                tasks[part] = bar.add_task(f"{name}, {part}", total=total)
+            if done == 0:
+                bar.reset(tasks[part], total=total)
+            bar.update(tasks[part], completed=done)
 
-    with bar:
         yield tell
 
 

@@ -12,19 +12,16 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from thigmo.report.axes import BLUE, RED
 from thigmo.studies.charts import curves, legend_below, panels
 from thigmo.studies.engine import Claim, Context, Outcome, parts, share
-from thigmo.studies.misfit import of_one_contact
 from thigmo.studies.reading_errors import BAD, ERRORS, OTHER_NOISE, Frame, ask
 from thigmo.studies.rod import Floats
-from thigmo.studies.touches import GROUPS, TOUCHED, Scenes, holds
-
-Bools = npt.NDArray[np.bool_]
+from thigmo.studies.touches import GROUPS, TOUCHED, Scenes, holds, misfit_of_one_contact
 
 BATCH = 250  # scenes that a process takes at a time: many are drawn faster than few
 RESOLVABLE = 5.0  # cm: errors are held against the Cramer-Rao bound where that is smaller
@@ -51,19 +48,16 @@ Row = dict[str, Any]
 """
 
 
-def other_readings_tell(frames: list[Frame]) -> Bools:
-    """(F,) whether no contact on the side explains the readings, a bad one among them.
+def other_readings_tell(frames: list[Frame]) -> NDArray[np.bool_]:
+    """(F,) whether the best fit of one contact to all readings, a bad one among them, is poor.
 
-    The best fit of one contact to all of them then has a misfit that noise passes in less than one
-    frame in a hundred. All frames are of the same sensors.
+    That is where its misfit is one that noise passes in less than one frame in a hundred. All
+    frames are of the same sensors.
     """
-    least = of_one_contact(
-        np.array([frame.curvature for frame in frames]),
-        frames[0].position,
-        np.array([frame.free for frame in frames]),
-    )
-    told: Bools = least > chi2.isf(0.01, frames[0].position.size - 2)
-    return told
+    position = frames[0].position
+    curvature, free = [frame.curvature for frame in frames], [frame.free for frame in frames]
+    least = misfit_of_one_contact(np.array(curvature), position, np.array(free))
+    return np.greater(least, chi2.isf(0.01, position.size - 2))
 
 
 @cache
@@ -84,8 +78,7 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
         whether `other_readings_tell` of a bad one.
     """
     case, seed, number, size = task
-    scenes = _scenes(seed, case.group, number, size)
-    error = ERRORS[case.error]
+    scenes, error = _scenes(seed, case.group, number, size), ERRORS[case.error]
     # The same errors, told or not.
     key = [seed, tuple(GROUPS).index(case.group), number, tuple(ERRORS).index(case.error)]
     rng = np.random.default_rng(key)
@@ -158,9 +151,8 @@ def _told_figure(rows: list[Row]) -> Figure:
     pairs = [(e, g) for e, g, told in lines if told and not g.startswith("free")]
     figure, (left, right) = panels(1, 2, size=(5.5, 0.3 * len(pairs) + 1.4), share=True)
     at = np.arange(len(pairs))
-    for told, color in ((False, RED), (True, BLUE)):
-        some = [lines[*pair, told] for pair in pairs]
-        place, label = at + (0.2 if told else -0.2), "told" if told else "not told"
+    for label, color, place in (("not told", RED, at - 0.2), ("told", BLUE, at + 0.2)):
+        some = [lines[*pair, label == "told"] for pair in pairs]
         left.barh(place, [100 * row["covered"] for row in some], 0.4, color=color)
         right.barh(place, [100 * row["wrong"] for row in some], 0.4, color=color, label=label)
     left.axvline(95.0, color="black", linewidth=0.8)
@@ -180,18 +172,11 @@ def _odds_figure(prices: list[Row]) -> Figure:
         (axes[0], "none", "all readings good", "found", "contacts found (%)"),
         (axes[1], BAD[0], BAD[0], "wrong", "localized where nothing is (%)"),
     ):
-        lines = {
-            group: [
-                (price["odds"], 100 * price[what])
-                for price in prices
-                if (price["group"], price["error"]) == (group, error)
-            ]
-            for group in TOUCHED
-        }
-        curves(
-            axis, lines, legend=False, xscale="log", xlabel="odds of a bad reading", ylabel=label,
-            title=title,
-        )  # fmt: skip
+        lines: dict[str, list[tuple[float, float]]] = {group: [] for group in TOUCHED}
+        for price in prices:
+            if price["error"] == error:
+                lines[price["group"]].append((price["odds"], 100 * price[what]))
+        curves(axis, lines, xscale="log", xlabel="odds of a bad reading", ylabel=label, title=title)
     legend_below(figure)
     return figure
 
@@ -213,11 +198,11 @@ def run(context: Context) -> Outcome:
         rows += scored(name, batches, [Case(g, name, told) for g in error.groups for told in ways])
         outcome.tables["rows"] = rows
         context.save(outcome)
-    outcome.claims += _claims(rows)
     cases = [Case(g, e, odds=o) for o in ODDS for g in TOUCHED for e in ("none", *BAD)]
     priced = zip(cases, scored("odds of a bad reading", few, cases), strict=True)
     kept = ("group", "error", "found", "wrong", "covered")
     prices = [{"odds": case.odds} | {what: row[what] for what in kept} for case, row in priced]
     outcome.tables["odds"] = prices
-    outcome.figures |= {"told": _told_figure(rows), "odds": _odds_figure(prices)}
+    outcome.claims = _claims(rows)
+    outcome.figures = {"told": _told_figure(rows), "odds": _odds_figure(prices)}
     return outcome

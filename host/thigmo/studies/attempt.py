@@ -31,27 +31,16 @@ def attempt(
     try:
         if method in METHODS:
             result = localize(
-                case.curvature,
-                case.position,
-                length=LENGTH,
-                span=SPAN,
-                free_curvature=case.free,
-                noise=noise,
-                contacts=count,
-                method=method,
-            )
+                case.curvature, case.position, length=LENGTH, span=SPAN, free_curvature=case.free,
+                noise=noise, contacts=count, method=method,
+            )  # fmt: skip
             found = [contact.arc for contact in result.contacts]
         else:
             read = np.isfinite(case.curvature)
-            problem = Problem(
-                case.curvature[read] - case.free,
-                case.position[read],
-                np.full(int(read.sum()), SPAN),
-                LENGTH,
-                count,
-                noise,
-                start=None if start is None else np.full(count, start),
-            )
+            excess, position = case.curvature[read] - case.free, case.position[read]
+            span = np.full(position.size, SPAN)
+            begin = None if start is None else np.full(count, start)
+            problem = Problem(excess, position, span, LENGTH, count, noise, start=begin)
             found = BASELINES[method](problem)[0].tolist()
     except ThigmoError:
         found = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -48,21 +48,14 @@ def panels(
     return figure, axes
 
 
-def curves(
-    axis: Axes,
-    series: Mapping[str, Iterable[tuple[float, float]]],
-    *,
-    strong: Sequence[str] = (),
-    legend: bool = True,
-    **settings: Any,
-) -> None:
-    """Marked lines of (x, y) points by name, `strong` ones thicker, and settings of the axis."""
+Series = Mapping[str, Iterable[tuple[float, float]]]
+
+
+def curves(axis: Axes, series: Series, **settings: Any) -> None:
+    """Marked lines of (x, y) points by name, and settings of the axis."""
     for name, points in series.items():
-        x, y = np.array(list(points), dtype=np.float64).reshape(-1, 2).T
-        axis.plot(x, y, "o-", markersize=4, linewidth=2.4 if name in strong else 1.1, label=name)
+        axis.plot(*np.array(list(points)).T, "o-", markersize=4, linewidth=1.1, label=name)
     axis.set(**settings)
-    if legend:
-        axis.legend(fontsize=7)
 
 
 def cells(
@@ -99,41 +92,30 @@ def named(
 ) -> None:
     """Write each point's name beside it, where it covers no point, no other name and no stairs.
 
-    The panel's limits and scales must be set. A name that finds no room stands at the right. Stairs
-    are points of a line that is drawn in steps, each after its point.
+    The figure must be drawn. A name that finds no room stands at the right. Stairs are points of a
+    line that is drawn in steps, each after its point.
     """
-    figure = axis.get_figure(root=True)
-    if figure is None:
-        return
-    figure.draw_without_rendering()
-    pixels_per_point = figure.dpi / 72.0
-    spots = axis.transData.transform(np.asarray(points, dtype=np.float64))
     frame = axis.get_window_extent()
-    taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in spots]
-    steps = axis.transData.transform(np.asarray(stairs, dtype=np.float64).reshape(-1, 2))
-    for (x0, y0), (x1, y1) in pairwise(steps):
+    taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in axis.transData.transform(points)]
+    for (x0, y0), (x1, y1) in pairwise(axis.transData.transform(np.reshape(stairs, (-1, 2)))):
         taken += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
-    for name, (x, y), point in zip(names, spots, points, strict=True):
-        width, height = 3.7 * len(name) * pixels_per_point, 7.5 * pixels_per_point
-        places = [
-            (side, rise)
-            for rise in sorted(range(-44, 45, 4), key=abs)
-            for side in ("left", "right")
-        ]
-        for side, rise in places:
-            left = x + 7 if side == "left" else x - 7 - width
-            box = Bbox.from_bounds(left, y + rise * pixels_per_point - height / 2, width, height)
-            free = frame.x0 < box.x0 and box.x1 < frame.x1 and frame.y0 < box.y0 < frame.y1 - height
-            if free and box.count_overlaps(taken) == 0:
+    for name, point in zip(names, points, strict=True):
+        text = axis.annotate(name, point, textcoords="offset points", fontsize=7, va="center")
+        for rise, side in product(sorted(range(-44, 45, 4), key=abs), (1, -1)):
+            text.set(position=(5 * side, rise), ha="left" if side > 0 else "right")
+            box = text.get_window_extent()
+            inside = frame.contains(*box.min) and frame.contains(*box.max)
+            if inside and not box.count_overlaps(taken):
                 break
         else:
-            side, rise = "left" if x < (frame.x0 + frame.x1) / 2 else "right", 0
-        taken.append(box)
-        axis.annotate(
-            name, point, textcoords="offset points", fontsize=7, ha=side, va="center",
-            xytext=(5 if side == "left" else -5, rise),
-            arrowprops={"arrowstyle": "-", "color": "0.6", "lw": 0.5} if rise else None,
-        )  # fmt: skip
+            rise = 0
+            text.set(position=(5, rise), ha="left")
+        taken.append(text.get_window_extent())
+        if rise:
+            axis.annotate(
+                "", point, text.get_position(), textcoords="offset points",
+                arrowprops={"arrowstyle": "-", "color": "0.6", "lw": 0.5},
+            )  # fmt: skip
 
 
 def legend_below(figure: Figure, *, panel: int = 0, title: str | None = None) -> None:

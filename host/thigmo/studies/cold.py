@@ -29,14 +29,10 @@ def first_run_s(arguments: list[str], folder: Path) -> float:
     """
     folder.mkdir()
     homes = dict.fromkeys(("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA"), str(folder))
+    command, environment = [sys.executable, "-m", "thigmo", *arguments], {**os.environ, **homes}
     start = perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "thigmo", *arguments],
-        cwd=folder,
-        env={**os.environ, **homes},
-        check=False,
-        capture_output=True,
-        text=True,
+        command, cwd=folder, env=environment, check=False, capture_output=True, text=True
     )
     elapsed = perf_counter() - start
     if done.returncode != 0:
@@ -53,20 +49,17 @@ def run(context: Context) -> Outcome:
         table = folder / "readings.csv"
         lines = [f"{x},{k}" for x, k in zip(case.position, case.curvature, strict=True)]
         table.write_text("\n".join(["position,curvature", *lines, ""]))
-        localize = ["localize", str(table), "--length", f"{LENGTH}", "--span", f"{SPAN}"]
-        commands = {
-            "localize": [*localize, "--noise", f"{SIGMA}"],
-            "explore": ["explore", "--seed", "1", "--out", str(folder / "runs")],
-        }
-        context.progress("first commands", 0, len(commands))
-        for what, command in commands.items():
-            times[what] = first_run_s(command, folder / what)
-            context.progress("first commands", len(times), len(commands))
-    return Outcome(
-        {"cold": [{"command": what, "time_s": time} for what, time in times.items()]},
-        claims=[
-            Claim(f"first `thigmo {what}`, nothing cached, one core", time, PROMISED_S[what],
-                  unit="s")
-            for what, time in times.items()
-        ],
-    )  # fmt: skip
+        known = ["--length", f"{LENGTH}", "--span", f"{SPAN}", "--noise", f"{SIGMA}"]
+        commands = (
+            ["localize", str(table), *known],
+            ["explore", "--seed", "1", "--out", str(folder / "runs")],
+        )
+        for done, command in enumerate(commands):
+            context.progress("first commands", done, len(commands))
+            times[command[0]] = first_run_s(command, folder / command[0])
+        context.progress("first commands", len(commands), len(commands))
+    claims = [
+        Claim(f"first `thigmo {what}`, nothing cached, one core", time, PROMISED_S[what], unit="s")
+        for what, time in times.items()
+    ]
+    return Outcome(claims=claims)

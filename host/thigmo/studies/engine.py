@@ -27,18 +27,11 @@ if TYPE_CHECKING:
 Scale = Literal["quick", "full"]
 Item = TypeVar("Item")
 Value = TypeVar("Value")
-Cell = float | int | str | bool
 
 WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
 
-
-Record = Mapping[str, Cell]
+Record = Mapping[str, float | int | str | bool]
 """A line of a table; units stand in the names of its columns."""
-
-
-def records(found: Iterable[Any]) -> list[Record]:
-    """Lines of objects whose attributes are cells."""
-    return [dict(vars(one)) for one in found]
 
 
 def share(flags: Sequence[Any] | NDArray[Any]) -> float:
@@ -64,18 +57,13 @@ class Claim:
     @property
     def holds(self) -> bool:
         """Whether the value keeps the promise."""
-        return self.value <= self.limit if self.at_most else self.value >= self.limit
+        return bool(self.value <= self.limit if self.at_most else self.value >= self.limit)
 
     def record(self) -> dict[str, Any]:
         """As plain data, for JSON."""
-        return {
-            "claim": self.text,
-            "value": float(self.value),  # numpy's own types are none of JSON's
-            "limit": float(self.limit),
-            "at_most": self.at_most,
-            "unit": self.unit,
-            "holds": bool(self.holds),
-        }
+        numbers = {"value": float(self.value), "limit": float(self.limit)}
+        plain = {"claim": self.text, **numbers, "at_most": self.at_most, "unit": self.unit}
+        return {**plain, "holds": self.holds}
 
     def __str__(self) -> str:
         sign = "<=" if self.at_most else ">="
@@ -98,11 +86,8 @@ class Outcome:
 
     def record(self) -> dict[str, Any]:
         """What programs are told: the rows of the comparison, if there is one, claims and notes."""
-        return {
-            "rows": self.tables.get("rows", []),
-            "claims": [claim.record() for claim in self.claims],
-            "notes": self.notes,
-        }
+        claims = [claim.record() for claim in self.claims]
+        return {"rows": self.tables.get("rows", []), "claims": claims, "notes": self.notes}
 
 
 @dataclass(frozen=True)
@@ -131,23 +116,17 @@ class Context:
         self, function: Callable[[Item], Value], items: Iterable[Item], part: str
     ) -> list[Value]:
         """Run a picklable function over items, in order of the items; progress names the part."""
-        todo: Sequence[Item] = list(items)
-        self.progress(part, 0, len(todo))
-        results: list[Value] = []
-        if self.jobs == 1 and self.backend == "loky":
-            for item in todo:
-                results.append(function(item))
-                self.progress(part, len(results), len(todo))
-            return results
         from joblib import Parallel, delayed, parallel_config
 
+        calls = [delayed(function)(item) for item in items]
+        self.progress(part, 0, len(calls))
+        results: list[Value] = []
         # Ctrl-C reaches every process of a terminal; workers leave it to this one.
         deaf = {"initializer": _ignore_interrupts} if self.backend == "loky" else {}
         with parallel_config(backend=self.backend, n_jobs=self.jobs, **deaf):
-            calls = (delayed(function)(item) for item in todo)
             for value in Parallel(return_as="generator")(calls):
                 results.append(value)
-                self.progress(part, len(results), len(todo))
+                self.progress(part, len(results), len(calls))
         return results
 
 
@@ -179,9 +158,8 @@ def connect_cluster(address: str) -> Any:
     Raises:
         DataError: dask is not installed, nobody answers at the address, or nobody works for it.
     """
-    distributed = extra("distributed")
     try:
-        client = distributed.Client(address, timeout="5s")
+        client = extra("distributed").Client(address, timeout="5s")
     except (OSError, TimeoutError, ValueError) as error:
         raise DataError(
             f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"
@@ -204,25 +182,23 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
         RunFolderError: the folder cannot be written.
     """
     paths: list[Path] = []
+
+    def path(label: str, kind: str) -> Path:
+        paths.append(folder / f"{name}-{label}.{kind}")
+        return paths[-1]
+
     with RunFolderError.from_os(f"cannot write to {folder}", "choose another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         for label, rows in outcome.tables.items():
-            path = folder / f"{name}-{label}.csv"
-            with path.open("w", newline="") as file:
+            with path(label, "csv").open("w", newline="") as file:
                 writer = csv.DictWriter(file, list(rows[0]))
                 writer.writeheader()
                 writer.writerows(rows)
-            as_json = path.with_suffix(".json")
-            as_json.write_text(json.dumps(rows, indent=1, default=lambda number: number.item()))
-            paths += [path, as_json]
+            text = json.dumps(rows, indent=1, default=lambda number: number.item())
+            path(label, "json").write_text(text)
         for label, figure in outcome.figures.items():
-            path = folder / f"{name}-{label}.png"
             for axis in figure.axes:
                 axis.title.set_fontsize(9)  # `set_title` goes back to matplotlib's
-            figure.savefig(path, dpi=200)
-            paths.append(path)
-        claims = [claim.record() for claim in outcome.claims]
-        path = folder / f"{name}-claims.json"
-        path.write_text(json.dumps(claims, indent=1))
-        paths.append(path)
+            figure.savefig(path(label, "png"), dpi=200)
+        path("claims", "json").write_text(json.dumps(outcome.record()["claims"], indent=1))
     return paths

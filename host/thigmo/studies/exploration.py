@@ -9,7 +9,7 @@ is a false contact. The map for planners of every room with pegs is held against
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from thigmo.exploration.map import best_contact
 from thigmo.record import RunDocument
 from thigmo.report.axes import GREEN, ORANGE, RED
 from thigmo.studies import charts, maps
-from thigmo.studies.engine import Claim, Context, Outcome, Record, records, share
+from thigmo.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo.studies.rooms import explored
 
 ROUND = 3  # rooms of each kind, after which all that is known is written
@@ -62,7 +62,7 @@ KINDS: dict[str, Kind] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class Explored:
     """What an exploration of a room came to."""
 
@@ -84,11 +84,32 @@ class Explored:
     width_cm: float = nan
     robot_time_s: float = 0.0  # of the run
 
+    def judge(self, document: RunDocument) -> None:
+        """Hold the run's best contact against the room."""
+        self.robot_time_s = document.robot_time_s
+        best = best_contact(document.contacts)
+        if best is None:
+            return
+        near = [
+            contact.arc_cm
+            for contact in (document.truth.contacts if document.truth else ())
+            if abs(contact.everted_length_cm - best.everted_length_cm) < 0.5
+        ]
+        low, high = best.interval_cm
+        held = any(low - _LENGTH_CM <= arc <= high + _LENGTH_CM for arc in near)
+        self.status = best.status
+        self.false = len(document.false or [])
+        self.missed = len(document.contacts) == self.false
+        self.wrong = best.status == "localized" and not held
+        self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
+        self.error_cm = nan if document.error_cm is None else document.error_cm
+        self.width_cm = high - low
+
 
 def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
     """Explore a room of a kind and seed, and judge its map at every level."""
     name, seed = room
-    kind = KINDS[name]
+    kind, found = KINDS[name], Explored(name, seed)
     scene = Scene.load(kind.scene)
     for part in (scene.noise, scene.belief):
         for what, value in part.model_dump().items():
@@ -102,13 +123,10 @@ def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
             zone.deflate.amplitude *= kind.bend
         for sensor in scene.robot.sensors.column(side):
             sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
-    scene.pegs = []
-    found = Explored(name, seed)
-    if kind.more:
-        scene.pegs = maps.room(seed).pegs
-    elif kind.peg:
+    scene.pegs = maps.room(seed).pegs if kind.more else []
+    if kind.peg and not kind.more:
         peg, _ = random_peg(scene.robot, rng, radius=maps.RADII_CM)
-        found = replace(found, x_cm=peg.x, y_cm=peg.y, radius_cm=peg.radius)
+        found.x_cm, found.y_cm, found.radius_cm = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "room.toml"
@@ -116,32 +134,10 @@ def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
         try:
             document = explored(f"emulator://{file}", folder, seed, config=known).document
         except ThigmoError as error:
-            return replace(found, status=f"aborted: {error.what}"), []
-    levels = maps.LEVELS if kind.peg else ()
-    mapped = [maps.judge(document, seed, sigmas) for sigmas in levels]
-    return _judged(found, document), mapped
-
-
-def _judged(found: Explored, document: RunDocument) -> Explored:
-    found = replace(found, robot_time_s=document.robot_time_s)
-    best = best_contact(document.contacts)
-    if best is None:
-        return found
-    truth = document.truth.contacts if document.truth else []
-    false = len(document.false or [])
-    arcs = [t.arc_cm for t in truth if abs(t.everted_length_cm - best.everted_length_cm) < 0.5]
-    low, high = best.interval_cm
-    held = any(low - _LENGTH_CM <= arc <= high + _LENGTH_CM for arc in arcs)
-    return replace(
-        found,
-        status=best.status,
-        missed=len(document.contacts) == false,
-        false=false,
-        wrong=best.status == "localized" and not held,
-        error_x_cm=nan if document.error_x_cm is None else document.error_x_cm,
-        error_cm=nan if document.error_cm is None else document.error_cm,
-        width_cm=high - low,
-    )
+            found.status = f"aborted: {error.what}"
+            return found, []
+    found.judge(document)
+    return found, [maps.judge(document, sigmas) for sigmas in maps.LEVELS if kind.peg]
 
 
 def run(context: Context) -> Outcome:
@@ -160,18 +156,18 @@ def run(context: Context) -> Outcome:
 
 def _outcome(runs: list[tuple[Explored, list[maps.Mapped]]]) -> Outcome:
     found = [one for one, _ in runs]
-    right, wrong = (
-        [level for one, levels in runs if (one.kind in CALIBRATED) is known for level in levels]
+    levels, others = (
+        maps.summary([m for one, of in runs if (one.kind in CALIBRATED) is known for m in of])
         for known in (True, False)
     )
-    levels, rows = maps.summary(right), _by_kind(found)
+    rows = _by_kind(found)
     return Outcome(
-        {"runs": records(found), "rows": rows, "levels": levels},
+        {"runs": [vars(one) for one in found], "rows": rows, "levels": levels},
         {"explorations": _figure(found), "map": maps.figure(levels)},
         [*_claims(found), maps.claim(levels)],
         [
             *maps.notes("maps of robots as calibrated", levels)[1:],  # the first is promised
-            *maps.notes("maps of other robots", maps.summary(wrong)),
+            *maps.notes("maps of other robots", others),
         ],
         rows,
     )
@@ -186,8 +182,7 @@ def _by_kind(found: list[Explored]) -> list[Record]:
     by_kind = {kind: [one for one in found if one.kind == kind] for kind in KINDS}
     return [
         {
-            "kind": kind,
-            "rooms": len(mine),
+            "kind": kind, "rooms": len(mine),
             "missed": sum(one.missed for one in mine) if KINDS[kind].peg else 0,
             "with_false_contacts": sum(one.false > 0 for one in mine),
             "localized": sum(one.status == "localized" for one in mine),
@@ -196,7 +191,7 @@ def _by_kind(found: list[Explored]) -> list[Record]:
             "median_error_x_cm": _median_x(mine),
         }
         for kind, mine in by_kind.items()
-    ]
+    ]  # fmt: skip
 
 
 def _claims(found: list[Explored]) -> list[Claim]:
@@ -208,13 +203,13 @@ def _claims(found: list[Explored]) -> list[Claim]:
         ("not as calibrated, or empty", off, (0.06, 0.1, 0.03)),
     ):
         pegs = [one for one in some if KINDS[one.kind].peg]
+        localized = share([one.wrong for one in pegs])
+        phantoms = share([one.false > 0 for one in some])
         claims += [
-            Claim(f"{text}: localized and wrong, of rooms with a peg",
-                  share([one.wrong for one in pegs]), wrong),
+            Claim(f"{text}: localized and wrong, of rooms with a peg", localized, wrong),
             Claim(f"{text}: pegs missed", share([one.missed for one in pegs]), missed),
-            Claim(f"{text}: runs with false contacts", share([one.false > 0 for one in some]),
-                  false),
-        ]  # fmt: skip
+            Claim(f"{text}: runs with false contacts", phantoms, false),
+        ]
     return claims
 
 

@@ -8,10 +8,12 @@ covers it. The same visits run on the real image (tests/sim/mega).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
+
+import numpy as np
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.board import Board
@@ -164,39 +166,30 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
         client.request(command)
     begins = transport.now() + lead_s
     for failure in filter(None, (case.failure, case.second)):
-        lockstep.faults.inject(
-            FaultTable.model_validate(
-                {"kind": failure.kind, "at_s": begins, "duration_s": LASTS_S} | failure.options
-            )
-        )
+        table = {"kind": failure.kind, "at_s": begins, "duration_s": LASTS_S} | failure.options
+        lockstep.faults.inject(FaultTable.model_validate(table))
     transport.pass_time(lead_s)
-    decoder = Decoder()
-    length, board = plant.length_cm, lockstep.board
-    faults = announced = 0
-    last_unsafe, peak, steady, moved = begins, 0.0, 0.0, 0.0
-    while (t_s := transport.now()) < begins + LASTS_S - 0.02:
+    decoder, board, length = Decoder(), lockstep.board, plant.length_cm
+    faults, announced = 0, False
+    rows = []
+    while transport.now() < begins + LASTS_S - 0.02:
+        t_s = transport.now()
         for frame in decoder.feed(transport.read(0.01)):
-            if frame.id == wire.Telemetry.ID:
-                row = frame.message()
-                assert isinstance(row, wire.Telemetry)
-                faults |= row.faults
-            announced += frame.id == wire.Announce.ID
-        if board.motor != 0 or any(board.drive_enabled):
-            last_unsafe = t_s
-        psi = max(plant.muscle_psi)
-        peak = max(peak, psi)
-        if t_s > begins + LASTS_S - STEADY_S:
-            steady = max(steady, psi)
-        moved = max(moved, plant.length_cm - length)
+            message = frame.message()
+            announced |= isinstance(message, wire.Announce)
+            faults |= message.faults if isinstance(message, wire.Telemetry) else 0
+        unsafe = board.motor != 0 or any(board.drive_enabled)
+        rows.append((t_s - begins, unsafe, max(plant.muscle_psi), plant.length_cm - length))
+    after_s, on, psi, moved_cm = np.array(rows).T
+    last_s = float(after_s[on > 0].max(initial=0.0))
     noticed = ", ".join(f.key for f in wire.Fault.from_mask(faults))
     noticed = noticed or ("reset" if announced else "")
-    safe = last_unsafe < begins + LASTS_S - QUIET_S
     return Visit(
         noticed=noticed,
-        safe_s=round(last_unsafe - begins, 2) if noticed and safe else None,
-        peak_psi=peak,
-        steady_psi=steady,
-        moved_cm=moved,
+        safe_s=round(last_s, 2) if noticed and last_s < LASTS_S - QUIET_S else None,
+        peak_psi=float(psi.max()),
+        steady_psi=float(psi[after_s > LASTS_S - STEADY_S].max()),
+        moved_cm=float(moved_cm.max(initial=0.0)),
         recovers=_recovers(transport),
     )
 
@@ -226,32 +219,27 @@ def run(context: Context) -> Outcome:
     states, fitted = (QUICK, ("growing",)) if quick else (tuple(STATES), tuple(STATES))
     cases = [Case(failure, state) for failure in FAILURES for state in states]
     cases += [Case(failure, state, True) for failure in FAILURES for state in fitted]
-    visits = context.map(visit, cases, "failures")
-    return outcome(cases, visits)
+    return outcome(cases, context.map(visit, cases, "failures"))
 
 
 def _line(case: Case, one: Visit) -> Record:
     failure = case.failure
     bare = not one.noticed or failure.valve or failure.spool
     return {
-        "failure": failure.name,
-        "state": case.state,
-        "noticed_as": one.noticed or "not noticed",
-        "safe_s": "" if one.safe_s is None else one.safe_s,
-        "peak_psi": round(one.peak_psi, 1),
-        "steady_psi": round(one.steady_psi, 1),
-        "grown_cm": round(one.moved_cm, 2),
+        "failure": failure.name, "state": case.state, "noticed_as": one.noticed or "not noticed",
+        "safe_s": "" if one.safe_s is None else one.safe_s, "peak_psi": round(one.peak_psi, 1),
+        "steady_psi": round(one.steady_psi, 1), "grown_cm": round(one.moved_cm, 2),
         "covered_by": failure.covered if bare else "",
-    }
+    }  # fmt: skip
 
 
 def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     """Tables and claims of visits."""
     pairs = list(zip(cases, visits, strict=True))
-    lines = {
-        name: [_line(c, v) for c, v in pairs if c.fitted is has]
-        for name, has in (("failures", False), ("failures_with_valves", True))
-    }
+    tables: dict[str, Sequence[Record]] = {}
+    for case, one in pairs:
+        name = "failures_with_valves" if case.fitted else "failures"
+        tables[name] = [*tables.get(name, ()), _line(case, one)]
     seen = [(c, v) for c, v in pairs if v.noticed]
     air = [v for c, v in seen if not c.failure.valve or c.fitted]
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
@@ -276,9 +264,5 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
          [sum(not v.recovers for v in visits)], 0, ""),
     )  # fmt: skip
     return Outcome(
-        {name: some for name, some in lines.items() if some},
-        claims=[
-            Claim(text, max(values, default=0.0), limit, unit=unit)
-            for text, values, limit, unit in claims
-        ],
+        tables, claims=[Claim(t, max(of, default=0.0), most, unit=u) for t, of, most, u in claims]
     )

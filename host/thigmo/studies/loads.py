@@ -3,7 +3,7 @@
 How many contacts there are (none, read by few sensors or of unknown noise; one; two, opposed or on
 one side), touches near the base that one or two sensors see, rods that are held at their end, and
 bodies with a kink. Truth is the large-deflection rod. What a frame can tell is decided by that rod
-too (`misfit`), so that a promise counts only the frames that it speaks of.
+too (`misfit_of_one_contact`), so that a promise counts only the frames that it speaks of.
 """
 
 from __future__ import annotations
@@ -17,11 +17,18 @@ import numpy as np
 from scipy.stats import chi2
 
 from thigmo.localization import arc_bounds, localize
-from thigmo.studies import misfit
 from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import MOST_FREE, Draw, Scenes, holds, signs, straight
+from thigmo.studies.touches import (
+    MOST_FREE,
+    Draw,
+    Scenes,
+    holds,
+    misfit_of_one_contact,
+    signs,
+    straight,
+)
 
 BATCH = 50  # frames of one group that a process takes at a time
 FEW = (2, 3, 5, 10)  # readings
@@ -162,7 +169,7 @@ def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> S
     order = np.argsort(places, axis=1)
     arcs, kinks, forces = (np.take_along_axis(v, order, 1) for v in (places, kinks, forces))
     scenes = _read(arcs, forces, COLUMN if bent else BOTH, free, kinks)
-    seen = misfit.of_one_contact(scenes.curvature, scenes.position, free)
+    seen = misfit_of_one_contact(scenes.curvature, scenes.position, free)
     return replace(scenes, arcs=places[:, 1 : 1 + touched], stands_out=seen)
 
 
@@ -217,7 +224,7 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
     stands_out = np.zeros(size) if scenes.stands_out is None else scenes.stands_out
     least = np.full(size, np.inf)
     if group.against_free or scenes.arcs.shape[1] == 2:
-        least = misfit.of_one_contact(frames, scenes.position, scenes.free)
+        least = misfit_of_one_contact(frames, scenes.position, scenes.free)
     if group.against_free:
         free = np.square((frames - scenes.free[:, None]) / SIGMA).sum(axis=1)
         stands_out = free - least

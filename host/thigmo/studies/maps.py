@@ -8,8 +8,8 @@ the study of explorations.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -31,11 +31,9 @@ _MOST_PEGS = 3
 _BETWEEN_CM = 0.5  # pegs stand at least so far apart
 
 
-@dataclass(frozen=True)
-class Mapped:
+class Mapped(NamedTuple):
     """A room's map at one level."""
 
-    seed: int  # of the room
     sigmas: float  # standard errors that free cells keep from what is not
     # felt_cells, felt_free: cells inside pegs that were felt, and those of them that are free
     felt_cells: int
@@ -59,7 +57,7 @@ def room(seed: int) -> Scene:
     return scene
 
 
-def judge(document: RunDocument, seed: int, sigmas: float = SIGMAS) -> Mapped:
+def judge(document: RunDocument, sigmas: float = SIGMAS) -> Mapped:
     """Compare a run's map with the room that the emulator knows."""
     grid, _ = occupancy(document, RADIUS, sigmas=sigmas)
     free = grid.cells == FREE
@@ -69,9 +67,8 @@ def judge(document: RunDocument, seed: int, sigmas: float = SIGMAS) -> Mapped:
     for index, peg in enumerate(document.truth.pegs if document.truth else ()):
         inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
         counts[int(index not in felt)] += inside.sum(), (inside & free).sum()
-    area = float(free.sum()) * grid.resolution_cm**2
-    (felt_all, felt_free), (missed_all, missed_free) = counts.tolist()
-    return Mapped(seed, sigmas, felt_all, felt_free, missed_all, missed_free, area)
+    area_cm2 = float(free.sum()) * grid.resolution_cm**2
+    return Mapped._make((sigmas, *counts.ravel().tolist(), area_cm2))
 
 
 def summary(found: Sequence[Mapped]) -> list[Record]:
@@ -80,16 +77,16 @@ def summary(found: Sequence[Mapped]) -> list[Record]:
     rows: list[Record] = []
     for sigmas in LEVELS:
         mine = [one for one in found if one.sigmas == sigmas]
-        felt, missed = sum(one.felt_cells for one in mine), sum(one.missed_cells for one in mine)
+        total = Mapped._make(sum(one[n] for one in mine) for n in range(len(Mapped._fields)))
         rows.append({
             "sigmas": sigmas,
             "rooms": len(mine),
-            "felt_cells": felt,
-            "felt_free_%": 100 * sum(one.felt_free for one in mine) / max(felt, 1),
+            "felt_cells": total.felt_cells,
+            "felt_free_%": 100 * total.felt_free / max(total.felt_cells, 1),
             "rooms_with_one": sum(one.felt_free > 0 for one in mine),
-            "missed_cells": missed,
-            "missed_free_%": 100 * sum(one.missed_free for one in mine) / max(missed, 1),
-            "kept_%": 100 * sum(one.free_cm2 for one in mine) / max(seen, 1e-9),
+            "missed_cells": total.missed_cells,
+            "missed_free_%": 100 * total.missed_free / max(total.missed_cells, 1),
+            "kept_%": 100 * total.free_cm2 / max(seen, 1e-9),
         })  # fmt: skip
     return rows
 
@@ -101,16 +98,12 @@ def _written(levels: list[Record]) -> Record:
 
 def claim(levels: list[Record]) -> Claim:
     """What is promised of the maps that a run of a calibrated robot writes."""
-    row = _written(levels)
-    text = (
-        f"maps of robots as calibrated, {row['rooms']} rooms: of {row['felt_cells']} cells inside "
-        "pegs that were felt, free"
-    )
-    return Claim(text, float(row["felt_free_%"]), 0.1, unit="%")
+    text, _ = notes("maps of robots as calibrated", levels)[0].rsplit(":", 1)
+    return Claim(text, float(_written(levels)["felt_free_%"]), 0.1, unit="%")
 
 
 def notes(whose: str, levels: list[Record]) -> list[str]:
-    """What maps cost, and what is not promised."""
+    """What maps cost: the first is promised of robots as calibrated."""
     row = _written(levels)
     return [
         f"{whose}, {row['rooms']} rooms: of {row['felt_cells']} cells inside pegs that were "

@@ -209,5 +209,4 @@ def any_peg(rng: np.random.Generator) -> Case:
     room = rooms(rng, 1, length=LENGTH, most=FULL_CURVATURE, moment=(0.3, 1.0))
     (clean,) = room.bodies(0).readings(COLUMN, SPAN)
     noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
-    (free,), (arc,), (push,) = room.free[0], room.arc[0], room.push[0]
-    return Case(noisy, COLUMN, float(free), (float(arc),), (-float(push),))
+    return Case(noisy, COLUMN, float(room.free[0, 0]), (float(room.arc[0, 0]),))

@@ -13,20 +13,19 @@ from time import perf_counter
 import numpy as np
 
 from thigmo.mechanics import ModelChoice, Peg, Rod, Tube
-from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Record
 
 LENGTH = 53.0
 _STEPS = 200
 _KINDS = ("free", "touched gently", "swept into a peg")
-_WAYS: tuple[tuple[str, ModelChoice, float], ...] = (
-    ("arc", "arc", 0.05),
-    ("beam", "beam", 0.05),
-    ("elastica", "elastica", 0.05),
-    ("auto, 1 cm", "auto", 1.0),
-    ("auto, 0.2 cm", "auto", 0.2),
-    ("auto, 0.05 cm", "auto", 0.05),
-)
+_WAYS: dict[str, tuple[ModelChoice, float]] = {
+    "arc": ("arc", 0.05),
+    "beam": ("beam", 0.05),
+    "elastica": ("elastica", 0.05),
+    "auto, 1 cm": ("auto", 1.0),
+    "auto, 0.2 cm": ("auto", 0.2),
+    "auto, 0.05 cm": ("auto", 0.05),
+}
 
 
 def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
@@ -43,63 +42,52 @@ def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
 
 def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell: float) -> Rod:
     """Sweep from straight to g in equal steps."""
-    tube = Tube(3.5, 0.01108)
-    body = Rod(tube, pegs, model=model, tolerance_cm=tolerance, cell_cm=cell)
-    body.step(0.0, LENGTH)
-    for k in range(1, _STEPS + 1):
+    body = Rod(Tube(3.5, 0.01108), pegs, model=model, tolerance_cm=tolerance, cell_cm=cell)
+    for k in range(_STEPS + 1):
         body.step(g * k / _STEPS, LENGTH)
     return body
 
 
-def compare(seed: int, kind: str) -> list[tuple[str, float, float, str]]:
+def compare(seed: int, kind: str) -> list[tuple[float, float, str]]:
     """Every way on one scene: time of a step (us), error (cm), and the models used."""
     pegs, g = scene(kind, seed)
+    arcs = np.linspace(0.0, LENGTH, 107)[1:].tolist()
     exact = follow(pegs, g, "elastica", 0.05, 0.25)
-    arcs = np.linspace(0.0, LENGTH, 107)[1:]
-    truth = np.array([exact.pose(float(s))[:2] for s in arcs])
     runs = []
-    for way, model, tolerance in _WAYS:
+    for model, tolerance in _WAYS.values():
         began = perf_counter()
         body = follow(pegs, g, model, tolerance, 1.0)
         step_us = (perf_counter() - began) / _STEPS * 1e6
-        found = np.array([body.pose(float(s))[:2] for s in arcs])
-        error = float(np.hypot(*(found - truth).T).max())
-        runs.append((way, step_us, error, "+".join(sorted(body.counts))))
+        off = [np.subtract(body.pose(s)[:2], exact.pose(s)[:2]) for s in arcs]
+        error = float(np.hypot(*np.transpose(off)).max())
+        runs.append((step_us, error, "+".join(sorted(body.counts))))
     return runs
 
 
 def run(context: Context) -> Outcome:
     """Time against error of the plant's models."""
     count = context.count(5, 40)
-    figure, (axis,) = charts.panels(size=(7, 5), title="Models of the body, on the same scenes")
     rows: list[Record] = []
-    points: dict[str, list[tuple[float, float]]] = {way: [] for way, _, _ in _WAYS}
     touched: list[float] = []
     excess: list[float] = []
     for number, kind in enumerate(_KINDS):
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
         runs = context.map(partial(compare, kind=kind), seeds, kind)
-        for way, model, tolerance in _WAYS:
-            mine = [found for some in runs for found in some if found[0] == way]
-            _, times, errors, models = zip(*mine, strict=True)
+        for way, *mine in zip(_WAYS, *runs, strict=True):
+            model, tolerance = _WAYS[way]
+            times, errors, models = zip(*mine, strict=True)
             rows.append({
                 "scene": kind, "model": way, "step_us": round(float(np.median(times)), 2),
                 "median_cm": float(np.median(errors)), "worst_cm": max(errors),
                 "used": "; ".join(sorted(set(models))),
             })  # fmt: skip
-            points[way] += [(time, max(error, 1e-8)) for _, time, error, _ in mine]
             if model == "auto":
-                excess += [error - tolerance for _, _, error, used in mine if used != "arc"]
+                excess += [error - tolerance for _, error, used in mine if used != "arc"]
             if model == "elastica" and kind != "free":
                 touched += times
-    for (way, at), marker in zip(points.items(), "os^Dvx", strict=True):
-        axis.loglog(*np.array(at).T, marker, alpha=0.5, label=way)
-    axis.set(xlabel="time of a step (us)", ylabel="largest error of position (cm)")
-    axis.legend()
     return Outcome(
         {"models": rows},
-        {"time-error": figure},
-        [
+        claims=[
             Claim("error above the stated tolerance, worst scene", max(excess), 0.0, unit="cm"),
             Claim("a warm elastica step among pegs", float(np.median(touched)), 150.0, unit="us"),
         ],

@@ -14,7 +14,7 @@ import numpy as np
 from thigmo.localization import LocalizeResult, localize
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import BENT, FRICTION, GROUPS, SOFTNESS, TOUCHED, WAVES
+from thigmo.studies.touches import BENT, FRICTION, GROUPS, SOFTNESS, TOUCHED, WAVES, rubbing
 
 OFFSET = 5e-4  # 1/cm: 2 % of the actuator map's full scale
 STEP = 1.6e-3  # 1/cm: one count of the converter
@@ -92,14 +92,11 @@ def _tell_friction(frame: Frame) -> dict[str, Any]:
         return {}
     (contact,) = plain.contacts
     arc, force = np.array([[contact.arc]]), np.array([[contact.force]])
-    along = np.sqrt(np.mean(np.square(FRICTION))) * np.abs(force)
-    loads = {"tangential": along, "couple": np.sign(force) * RADIUS * along}
     smooth, rough = (
-        solve(arc, force, length=LENGTH, free_curvature=frame.free, **some).readings(
-            frame.position, SPAN
-        )
-        for some in ({}, loads)
-    )
+        solve(arc, force, length=LENGTH, free_curvature=frame.free, **rubbing(force, friction))
+        .readings(frame.position, SPAN)
+        for friction in (0.0, np.sqrt(np.mean(np.square(FRICTION))))
+    )  # fmt: skip
     return {"shared_errors": (rough - smooth).T}
 
 
@@ -132,13 +129,6 @@ OTHER_NOISE = ("Student's noise", "noise twice stated", "noise half stated", "co
 def ask(frame: Frame, told: dict[str, Any]) -> LocalizeResult:
     """What `localize` answers, told so much beside what it is always told."""
     return localize(
-        frame.curvature,
-        frame.position,
-        length=LENGTH,
-        span=SPAN,
-        free_curvature=frame.free,
-        noise=SIGMA,
-        tube_radius=RADIUS,
-        **frame.told,
-        **told,
-    )
+        frame.curvature, frame.position, length=LENGTH, span=SPAN, free_curvature=frame.free,
+        noise=SIGMA, tube_radius=RADIUS, **frame.told, **told,
+    )  # fmt: skip

@@ -13,36 +13,24 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from time import process_time
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from thigmo.localization import localize, localize_batch
-from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.scenes import (
-    BOTH,
-    LENGTH,
-    SIGMA,
-    SPAN,
-    Case,
-    actuated,
-    one_contact,
-    three_contacts,
-    two_contacts,
-)
+from thigmo.studies import scenes
+from thigmo.studies.engine import Claim, Context, Outcome, Record
+from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, three_contacts
 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 BATCHES = (1, 10, 100, 1000, 10_000)
 # What is drawn, and what is promised (microseconds); with the noise unknown three times that.
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Case], float]] = {
     "one contact, straight": (one_contact, 40.0),
-    "one contact, bent": (partial(actuated, position=BOTH), 150.0),
-    "two contacts": (two_contacts, 600.0),
+    "one contact, bent": (partial(scenes.actuated, position=BOTH), 150.0),
+    "two contacts": (scenes.two_contacts, 600.0),
     "three contacts": (three_contacts, 20_000.0),
 }
-GRATINGS, GRATINGS_MS = 1000, 50.0
+GRATINGS, GRATINGS_MS = SENSORS[-1], 50.0
 ROW_US = 20.0
 
 
@@ -78,76 +66,44 @@ def answer_us(
     cases: Iterable[Case], repeats: int, *, noise: float | None = SIGMA, span: float = SPAN
 ) -> float:
     """Time of `localize`, median over frames."""
-
-    def answer(case: Case) -> object:
-        return localize(
-            case.curvature,
-            case.position,
-            length=LENGTH,
-            span=span,
-            free_curvature=case.free,
-            noise=noise,
+    answers = (
+        partial(
+            localize, case.curvature, case.position, length=LENGTH, span=span,
+            free_curvature=case.free, noise=noise,
         )
-
-    return float(np.median([least_us(partial(answer, case), repeats) for case in cases]))
+        for case in cases
+    )  # fmt: skip
+    return float(np.median([least_us(answer, repeats) for answer in answers]))
 
 
 @one_core()
 def run(context: Context) -> Outcome:
     """The promises, time over the number of sensors, and time of a row over the batch."""
     frames, repeats = context.count(5, 60), context.count(3, 20)
-    outcome = Outcome()
-    times: dict[str, float] = {}
+    claims: list[Claim] = []
     for kind, (draw, promised_us) in KINDS.items():
         cases = [draw(context.rng(1, i)) for i in range(frames)]
         ways = (("", SIGMA, 1), (", noise unknown", None, 3))
-        for way, noise, share in ways if kind.startswith("one") else ways[:1]:
-            name = f"{kind}{way}"
-            times[name] = answer_us(cases, repeats, noise=noise)
-            text = f"{name}, 10 readings"
-            outcome.claims.append(Claim(text, times[name], share * promised_us, unit="us"))
-        context.progress("promises", len(times), len(KINDS) + 2)
-    by_sensors: dict[str, list[tuple[float, float]]] = {}
-    for name, draw in (("one contact", one_contact), ("three contacts", three_contacts)):
-        by_sensors[name] = []
-        for done, sensors in enumerate(SENSORS, 1):
-            where = np.linspace(0.5, LENGTH - 0.5, sensors)
-            some = [draw(context.rng(2, i), where, 0.0) for i in range(3)]
-            time = answer_us(some, max(repeats // 5, 2), span=0.0)
-            by_sensors[name].append((sensors, time))
+        for way, noise, slower in ways if kind.startswith("one") else ways[:1]:
+            time = answer_us(cases, repeats, noise=noise)
+            text = f"{kind}{way}, 10 readings"
+            claims.append(Claim(text, time, slower * promised_us, unit="us"))
+        context.progress("promises", len(claims), len(KINDS) + 2)
+    sensors: list[Record] = []
+    for name, some in (("one contact", one_contact), ("three contacts", three_contacts)):
+        for done, count in enumerate(SENSORS, 1):
+            where = np.linspace(0.5, LENGTH - 0.5, count)
+            cases = [some(context.rng(2, i), where, 0.0) for i in range(3)]
+            time = answer_us(cases, max(repeats // 5, 2), span=0.0)
+            sensors.append({"contacts": name, "sensors": count, "time_us": time})
             context.progress(f"sensors, {name}", done, len(SENSORS))
-    most = by_sensors["three contacts"][SENSORS.index(GRATINGS)][1]
-    outcome.claims.append(
-        Claim(f"three contacts, {GRATINGS} gratings", most / 1e3, GRATINGS_MS, unit="ms")
-    )
+    # The last time is of three contacts on all gratings.
+    claims.append(Claim(f"three contacts, {GRATINGS} gratings", time / 1e3, GRATINGS_MS, unit="ms"))
     rows = np.array([one_contact(context.rng(3, i)).curvature for i in range(BATCHES[-1])])
-    by_batch = [(size, _row_us(rows[:size], max(repeats // 10, 1))) for size in BATCHES]
-    outcome.claims.append(Claim("localize_batch, a row", by_batch[-1][1], ROW_US, unit="us"))
-    outcome.tables = {
-        "promises": [{"what": what, "time_us": time} for what, time in times.items()],
-        "sensors": [
-            {"contacts": name, "sensors": sensors, "time_us": time}
-            for name, points in by_sensors.items()
-            for sensors, time in points
-        ],
-        "batch": [{"rows": size, "row_us": time} for size, time in by_batch],
-    }
-    outcome.figures["scaling"] = _figure(by_sensors, by_batch)
-    return outcome
-
-
-def _row_us(rows: np.ndarray, repeats: int) -> float:
-    call = partial(localize_batch, rows, BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
-    return least_us(call, repeats) / len(rows)
-
-
-def _figure(
-    by_sensors: dict[str, list[tuple[float, float]]], by_batch: list[tuple[int, float]]
-) -> Figure:
-    figure, (left, right) = charts.panels(1, 2, title="Time of all that is answered, one core")
-    both: dict[str, Any] = {"xscale": "log", "yscale": "log"}
-    charts.curves(left, by_sensors, xlabel="number of sensors", ylabel="localize (us)", **both)
-    charts.curves(
-        right, {"localize_batch": by_batch}, xlabel="rows", ylabel="time of a row (us)", **both
-    )
-    return figure
+    batch: list[Record] = []
+    for size in BATCHES:
+        call = partial(localize_batch, rows[:size], BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
+        row_us = least_us(call, max(repeats // 10, 1)) / size
+        batch.append({"rows": size, "row_us": row_us})
+    claims.append(Claim("localize_batch, a row", row_us, ROW_US, unit="us"))
+    return Outcome({"sensors": sensors, "batch": batch}, claims=claims)

@@ -32,7 +32,6 @@ class Case:
     position: Floats
     free: float
     arcs: tuple[float, ...]
-    forces: tuple[float, ...]
 
 
 def read(
@@ -46,15 +45,14 @@ def read(
     sigma: float = SIGMA,
 ) -> Case:
     """Readings of normal contact forces, with Gaussian noise."""
-    clean = readings(
-        np.array(arcs),
-        np.array(forces),
-        position,
-        length=LENGTH,
-        span=span,
-        free_curvature=free,
-    )
-    return Case(clean + sigma * rng.standard_normal(position.size), position, free, arcs, forces)
+    body = {"length": LENGTH, "span": span, "free_curvature": free}
+    clean = readings(np.array(arcs), np.array(forces), position, **body)
+    return Case(clean + sigma * rng.standard_normal(position.size), position, free, arcs)
+
+
+def side_of(rng: np.random.Generator) -> float:
+    """Left or right."""
+    return float(rng.choice([-1.0, 1.0]))
 
 
 def _moment(rng: np.random.Generator) -> float:
@@ -64,7 +62,7 @@ def _moment(rng: np.random.Generator) -> float:
 def one_contact(rng: np.random.Generator, position: Floats = BOTH, span: float = SPAN) -> Case:
     """One contact on the straight robot, ten readings."""
     arc = float(rng.uniform(20.0, LENGTH))
-    force = float(rng.choice([-1.0, 1.0])) * _moment(rng) / arc
+    force = side_of(rng) * _moment(rng) / arc
     return read(rng, (arc,), (force,), position=position, span=span)
 
 
@@ -72,16 +70,15 @@ def two_contacts(rng: np.random.Generator) -> Case:
     """Two opposed contacts at least 18.5 cm apart, the distal one near the tip, ten readings."""
     distal = float(rng.uniform(45.0, LENGTH))
     proximal = float(rng.uniform(18.0, distal - 18.5))
-    sign = float(rng.choice([-1.0, 1.0]))
-    force = _moment(rng) / distal
+    force = side_of(rng) * (_moment(rng) / distal)
     # The forces' moments at the base partly cancel; equal sizes keep both contacts visible.
-    return read(rng, (proximal, distal), (-sign * force * distal / proximal, sign * 1.5 * force))
+    return read(rng, (proximal, distal), (-force * distal / proximal, 1.5 * force))
 
 
 def three_contacts(rng: np.random.Generator, position: Floats = BOTH, span: float = SPAN) -> Case:
     """Three contacts of alternating forces, near 20, 35 and 50 cm, at sensors as given."""
     arcs = np.array([20.0, 35.0, 50.0]) + rng.uniform(-1.5, 1.5, 3)
-    forces = float(rng.choice([-1.0, 1.0])) * np.array([2.4, -1.6, 1.0]) * 0.6 * CRITICAL / LENGTH
+    forces = side_of(rng) * np.array([2.4, -1.6, 1.0]) * 0.6 * CRITICAL / LENGTH
     return read(rng, tuple(arcs.tolist()), tuple(forces.tolist()), position=position, span=span)
 
 

@@ -72,7 +72,7 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
     scores = []
     for column, method in enumerate(COMPARED):
         seen = ~np.isnan(table[:, column, 1])
-        errors, times = table[seen, column, 0], table[seen, column, 1]
+        errors, times = table[seen, column].T
         mean, failures = mean_and_failures(errors)
         some = errors[np.isfinite(errors)] if np.isfinite(mean) else np.array([nan])
         time_us = float(np.median(times))
@@ -89,10 +89,15 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
 def pareto(scores: list[Row]) -> list[Row]:
     """Methods that no other one beats in both time and mean error, fastest first."""
     front: list[Row] = []
-    for one in sorted(scores, key=lambda s: (s["time_us"], s["mean_cm"])):
+    for one in sorted(scores, key=_at):
         if np.isfinite(one["mean_cm"]) and (not front or one["mean_cm"] < front[-1]["mean_cm"]):
             front.append(one)
     return front
+
+
+def _at(score: Row) -> tuple[float, float]:
+    """Where a method stands in a panel."""
+    return score["time_us"], score["mean_cm"]
 
 
 def chart(scores: list[Row]) -> Figure:
@@ -117,30 +122,25 @@ def chart(scores: list[Row]) -> Figure:
         )  # fmt: skip
     charts.legend_below(figure)
     # Last: numbers keep their places only if nothing moves any more.
+    figure.draw_without_rendering()
     for axis, here in zip(axes, shown, strict=False):
-        points, front = (list(zip(*_at(some), strict=True)) for some in (here, pareto(here)))
+        points, front = list(map(_at, here)), list(map(_at, pareto(here)))
         charts.named(axis, points, [number[s["method"]] for s in here], front)
     return figure
 
 
-def _at(scores: list[Row]) -> tuple[list[float], list[float]]:
-    """Where methods stand in a panel."""
-    return [s["time_us"] for s in scores], [s["mean_cm"] for s in scores]
-
-
 def _draw(axis: Axes, scene: str, here: list[Row]) -> None:
-    front = pareto(here)
+    front, (times, errors) = pareto(here), np.array(list(map(_at, here))).T
     axis.plot(
-        *_at(front), color=GREEN, linewidth=1.2, drawstyle="steps-post", zorder=1,
-        label="Pareto front",
+        *zip(*map(_at, front), strict=True), color=GREEN, linewidth=1.2, drawstyle="steps-post",
+        zorder=1, label="Pareto front",
     )  # fmt: skip
-    for one in here:
-        dot = GREEN if one in front else "0.5"
-        axis.scatter(*_at([one]), s=15 + 100 * one["failures"], color=dot, zorder=2)
-    times, _ = _at(here)
+    colors = [GREEN if one in front else "0.5" for one in here]
+    sizes = [15 + 100 * one["failures"] for one in here]
+    axis.scatter(times, errors, s=sizes, color=colors, zorder=2)
     axis.set(
         xscale="log", yscale="log", title=scene, xlabel="median time of one call (µs)",
-        ylabel="mean error of the arc (cm)", xlim=(min(times) / 3, max(times) * 3),
+        ylabel="mean error of the arc (cm)", xlim=(times.min() / 3, times.max() * 3),
     )  # fmt: skip
     axis.yaxis.set_major_formatter("{x:g}")
     axis.yaxis.set_minor_formatter("{x:g}")
@@ -158,27 +158,18 @@ def run(context: Context) -> Outcome:
     outcome.figures["chart"] = chart(scores)
     here = {s["method"]: s for s in scores if s["scene"] == CLAIMED}
     mine, thesis = here[DEFAULT], here["alternating-trust-constr"]
-    outcome.claims = [
-        Claim(
-            "one contact: default method, times faster than the thesis's alternation with a "
-            "general interior point", thesis["time_us"] / mine["time_us"], 1000.0, at_most=False,
-        ),
-        *(
-            Claim(
-                f"one contact: default method's mean error over the thesis's ({text})",
-                mine["mean_cm"] / other["mean_cm"], 0.5,
-            )
-            for other, text in (
-                (thesis, "general interior point"), (here["alternating"], "barrier path"),
-            )
-        ),
-    ]  # fmt: skip
+    faster = thesis["time_us"] / mine["time_us"]
+    text = "times faster than the thesis's alternation with a general interior point"
+    outcome.claims = [Claim(f"one contact: default method, {text}", faster, 1000.0, at_most=False)]
+    others = {"general interior point": thesis, "barrier path": here["alternating"]}
+    for name, other in others.items():
+        text = f"one contact: default method's mean error over the thesis's ({name})"
+        outcome.claims.append(Claim(text, mine["mean_cm"] / other["mean_cm"], 0.5))
     on_front = 0
     for scene in SCENES:
-        some = [s for s in scores if s["scene"] == scene]
-        on_front += DEFAULT in [s["method"] for s in pareto(some)]
-        others = [s for s in some if s["method"] != DEFAULT]
-        best = max(others, key=lambda s: np.nan_to_num(s["default_over_it"]))
+        ours, *rest = some = [s for s in scores if s["scene"] == scene]
+        on_front += ours in pareto(some)
+        best = max(rest, key=lambda s: np.nan_to_num(s["default_over_it"]))
         text = f"default method's mean error over that of the best other ({best['method']})"
         outcome.claims.append(Claim(f"{scene}: {text}", best["default_over_it"], 1.0))
     text = "panels where the default method is on the Pareto front"

@@ -1,7 +1,7 @@
 """Where methods fail: mean error and failure rate as one thing after another gets harder.
 
 Maps over two conditions (force x place, noise x number of sensors, separation x force, starting
-point x place) and curves over one (sensor layout, lost sensors). Every method sees the same
+point x place) and over one (sensor layout, lost sensors). Every method sees the same
 readings; the map over starting points has the same readings in every row, and the methods that need
 a starting point. The thesis's sensitivity study (`experiments/sensitivity.py`) is one more such
 map; errors of sensors and maps are the accuracy study's.
@@ -22,7 +22,7 @@ from thigmo.studies import charts
 from thigmo.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
 from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read
+from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read, side_of
 
 Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 """Case and the noise that the method is told, for a row and a column condition."""
@@ -36,19 +36,14 @@ STARTED = (*STARTLESS, "alternating", "clamped", "coupled", "slsqp", "nelder-mea
 FOLD_CM = 3.5  # the fold at the base is spread over one body diameter
 
 
-def sign_of(rng: np.random.Generator) -> float:
-    """Left or right."""
-    return float(rng.choice([-1.0, 1.0]))
-
-
 def _pressed(rng: np.random.Generator, **options: Floats | float) -> Case:
     """One contact anywhere, at 0.7 of the critical moment."""
     arc = float(rng.uniform(20.0, LENGTH))
-    return read(rng, (arc,), (sign_of(rng) * 0.7 * CRITICAL / arc,), **options)  # type: ignore[arg-type]
+    return read(rng, (arc,), (side_of(rng) * 0.7 * CRITICAL / arc,), **options)  # type: ignore[arg-type]
 
 
 def _force_place(rng: np.random.Generator, moment: float, arc: float) -> tuple[Case, float]:
-    return read(rng, (arc,), (sign_of(rng) * moment * CRITICAL / arc,)), SIGMA
+    return read(rng, (arc,), (side_of(rng) * moment * CRITICAL / arc,)), SIGMA
 
 
 def _noise_sensors(rng: np.random.Generator, sigma: float, sensors: float) -> tuple[Case, float]:
@@ -57,7 +52,7 @@ def _noise_sensors(rng: np.random.Generator, sigma: float, sensors: float) -> tu
 
 def _separation_force(rng: np.random.Generator, gap: float, moment: float) -> tuple[Case, float]:
     proximal = LENGTH - gap
-    force = sign_of(rng) * moment * CRITICAL / LENGTH
+    force = side_of(rng) * moment * CRITICAL / LENGTH
     return read(rng, (proximal, LENGTH), (-force * LENGTH / proximal, 1.5 * force)), SIGMA
 
 
@@ -74,7 +69,7 @@ def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]
 def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:
     """Half of the cases are folded at the base, which is what `clamped` and `coupled` are for."""
     folded = rng.random() < 0.5
-    sign = sign_of(rng)
+    sign = side_of(rng)
     case = read(rng, (arc,), (sign * (1.0 if folded else 0.7) * CRITICAL / arc,))
     if folded:
         near = np.clip(case.position - SPAN / 2, 0.0, FOLD_CM)
@@ -95,7 +90,7 @@ class Stress:
     draw: Draw
     row_label: str
     rows: tuple[float, ...]
-    column_label: str = ""
+    column_label: str = "-"
     columns: tuple[float, ...] = (0.0,)
     methods: tuple[str, ...] = MAPPED
     starts: bool = False
@@ -132,13 +127,12 @@ def _cell(task: tuple[Stress, int, int, int, int]) -> Floats:
     key = [seed, zlib.crc32(stress.name.encode()), c if stress.starts else r * 1000 + c]
     rng = np.random.default_rng(key)
     row, column = stress.rows[r], stress.columns[c]
-    errors = []
-    for _ in range(cases):
-        case, noise = stress.draw(rng, row, column)
-        start = row if stress.starts else None
-        told = max(noise, 1e-6)
-        errors.append([attempt(case, m, noise=told, start=start)[0] for m in stress.methods])
-    return np.array(errors)
+    start = row if stress.starts else None
+    drawn = (stress.draw(rng, row, column) for _ in range(cases))
+    return np.array([
+        [attempt(case, m, noise=max(noise, 1e-6), start=start)[0] for m in stress.methods]
+        for case, noise in drawn
+    ])  # fmt: skip
 
 
 def errors_of(context: Context, stress: Stress, cases: int) -> Floats:
@@ -149,44 +143,42 @@ def errors_of(context: Context, stress: Stress, cases: int) -> Floats:
     return found.reshape(*shape, cases, len(stress.methods))
 
 
+def _scores(errors: Floats) -> dict[str, float]:
+    mean, failures = mean_and_failures(errors)
+    return {"mean_cm": mean, "failures": failures}
+
+
 def tabulate(stress: Stress, errors: Floats) -> list[Record]:
     """A line a method and cell."""
-    lines: list[Record] = []
-    for (r, row), (c, column) in product(enumerate(stress.rows), enumerate(stress.columns)):
-        for m, method in enumerate(stress.methods):
-            mean, failures = mean_and_failures(errors[r, c, :, m])
-            conditions = {stress.row_label: row, stress.column_label or "-": column}
-            lines.append({"method": method, **conditions, "mean_cm": mean, "failures": failures})
-    return lines
+    cells = product(enumerate(stress.rows), enumerate(stress.columns))
+    return [
+        {"method": method, stress.row_label: row, stress.column_label: column,
+         **_scores(errors[r, c, :, m])}
+        for (r, row), (c, column) in cells
+        for m, method in enumerate(stress.methods)
+    ]  # fmt: skip
 
 
 def pooled(stress: Stress, errors: Floats) -> list[Record]:
     """A line a method: over all cells."""
     flat = errors.reshape(-1, len(stress.methods))
-    lines: list[Record] = []
-    for m, method in enumerate(stress.methods):
-        mean, failures = mean_and_failures(flat[:, m])
-        lines.append({
-            "stress": stress.name, "method": method, "cases": len(flat), "mean_cm": mean,
-            "failures": failures, "default_over_it": mean_over(flat[:, 0], flat[:, m]),
-        })  # fmt: skip
-    return lines
+    return [
+        {"stress": stress.name, "method": method, "cases": len(flat), **_scores(mine),
+         "default_over_it": mean_over(flat[:, 0], mine)}
+        for method, mine in zip(stress.methods, flat.T, strict=True)
+    ]  # fmt: skip
 
 
-_MEASURES = (
-    ("mean error (cm)", 0, 15.0),
-    (f"no answer, or > {FAILURE_CM:g} cm (%)", 1, 100.0),
-)
-
+_MEASURES = (("mean error (cm)", 15.0), (f"no answer, or > {FAILURE_CM:g} cm (%)", 100.0))
 _ABREAST = 4  # panels in a row, so that the numbers in the cells can be read in print
 
 
-def _maps(stress: Stress, errors: Floats) -> Figure:
+def _figure(stress: Stress, errors: Floats) -> Figure:
     """A map of the cells for each method: mean error above, failures below."""
     methods = stress.methods
     figure, axes = charts.panels(
         2 * -(-len(methods) // _ABREAST), _ABREAST, size=(1.9, 1.8), share="all",
-        title=f"{stress.row_label} and {stress.column_label}",
+        title=f"{stress.row_label} and {stress.column_label}".removesuffix(" and -"),
     )  # fmt: skip
     rows = np.reshape(np.array(axes), (-1, _ABREAST))
     for axis in axes:
@@ -194,7 +186,7 @@ def _maps(stress: Stress, errors: Floats) -> Figure:
     for m, method in enumerate(methods):
         block, column = divmod(m, _ABREAST)
         rows[2 * block, column].set_title(method)
-        for measure, (label, _, top) in enumerate(_MEASURES):
+        for measure, (label, top) in enumerate(_MEASURES):
             row = rows[2 * block + measure]
             axis = row[column]
             axis.set_axis_on()
@@ -222,22 +214,6 @@ def _short(value: float, measure: int) -> str:
     return f"{value:.0f}" if measure or value >= 9.95 else f"{value:.1f}"
 
 
-def _lines(stress: Stress, errors: Floats) -> Figure:
-    """Mean error and failures over the rows."""
-    figure, axes = charts.panels(1, 2, size=(5.0, 4.0), title=stress.row_label)
-    for axis, (label, measure, top) in zip(axes, _MEASURES, strict=True):
-        series = {
-            method: [
-                (row, mean_and_failures(errors[r, ..., m].ravel())[measure] * (100.0**measure))
-                for r, row in enumerate(stress.rows)
-            ]
-            for m, method in enumerate(stress.methods)
-        }
-        charts.curves(axis, series, strong=STARTLESS, xlabel=stress.row_label, ylabel=label)
-        axis.set_ylim(0, top if measure else None)
-    return figure
-
-
 def run(context: Context) -> Outcome:
     """The study: all stresses, all mapped methods."""
     cases = context.count(2, 20)
@@ -252,8 +228,7 @@ def run(context: Context) -> Outcome:
         most, best = max((float(line["default_over_it"]), line["method"]) for line in others)
         text = f"{stress.name}: default method's mean error over that of the best other ({best})"
         outcome.claims.append(Claim(text, most, 1.0))
+        outcome.figures[stress.name] = _figure(stress, errors)
         context.save(Outcome({stress.name: outcome.tables[stress.name]}, claims=outcome.claims))
-        draw = _maps if len(stress.columns) > 1 else _lines
-        outcome.figures[stress.name] = draw(stress, errors)
     outcome.tables["rows"] = lines
     return outcome

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,85 +26,72 @@ GAIN, MAP, ZERO = 0.05, 0.05, 1e-3  # standard errors that are told
 BODY: dict[str, Any] = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS}
 
 
-class Inflation(NamedTuple):
-    """Readings (T, N) of one body, free curvatures (T,) as believed, and what is told of errors."""
-
-    curvature: Floats
-    free: Floats
-    told: dict[str, float]
+Told = dict[str, float]
+Spoil = Callable[[np.random.Generator, Floats, Floats], tuple[Floats, Floats]]
+"""What an error does to readings (T, N) of one body and to free curvatures (T,) as believed."""
 
 
-def _gains(rng: np.random.Generator, seen: Inflation) -> Inflation:
-    gains = 1.0 + GAIN * rng.standard_normal(COLUMN.size)
-    return Inflation(seen.curvature * gains, seen.free, {"gain_error": GAIN})
+def _gains(rng: np.random.Generator, curvature: Floats, free: Floats) -> tuple[Floats, Floats]:
+    return curvature * (1.0 + GAIN * rng.standard_normal(COLUMN.size)), free
 
 
-def _map(rng: np.random.Generator, seen: Inflation) -> Inflation:
-    return Inflation(
-        seen.curvature, seen.free * (1.0 + MAP * rng.standard_normal()), {"map_error": MAP}
-    )
+def _map(rng: np.random.Generator, curvature: Floats, free: Floats) -> tuple[Floats, Floats]:
+    return curvature, free * (1.0 + MAP * rng.standard_normal())
 
 
-def _zeros(rng: np.random.Generator, seen: Inflation) -> Inflation:
-    zeros = ZERO * rng.standard_normal(COLUMN.size)
-    return Inflation(seen.curvature + zeros, seen.free, {"zero_error": ZERO})
+def _zeros(rng: np.random.Generator, curvature: Floats, free: Floats) -> tuple[Floats, Floats]:
+    return curvature + ZERO * rng.standard_normal(COLUMN.size), free
 
 
-def _bad(offset: float | None) -> Callable[[np.random.Generator, Inflation], Inflation]:
+def _bad(offset: float | None) -> Spoil:
     """One sensor is off by `offset`, or says nothing but zero."""
 
-    def spoil(rng: np.random.Generator, seen: Inflation) -> Inflation:
-        curvature = seen.curvature.copy()
-        sensor = curvature[:, rng.integers(COLUMN.size)]
+    def spoil(rng: np.random.Generator, curvature: Floats, free: Floats) -> tuple[Floats, Floats]:
+        sensor = np.arange(COLUMN.size) == rng.integers(COLUMN.size)
         if offset is None:
-            sensor[:] = 0.0
-        else:
-            sensor += offset * rng.choice([-1.0, 1.0])
-        return seen._replace(curvature=curvature)
+            return np.where(sensor, 0.0, curvature), free
+        return curvature + sensor * offset * rng.choice([-1.0, 1.0]), free
 
     return spoil
 
 
-def _more_noise(rng: np.random.Generator, seen: Inflation) -> Inflation:
-    more = np.sqrt(3.0) * SIGMA * rng.standard_normal(seen.curvature.shape)
-    return seen._replace(curvature=seen.curvature + more)
+def _more(rng: np.random.Generator, curvature: Floats, free: Floats) -> tuple[Floats, Floats]:
+    return curvature + np.sqrt(3.0) * SIGMA * rng.standard_normal(curvature.shape), free
 
 
-BAD = {
-    "a sensor off by 2e-3 1/cm": _bad(2e-3),
-    "a sensor off by 8e-3 1/cm": _bad(8e-3),
-    "a sensor stuck at zero": _bad(None),
-}
 OTHER_NOISE = "twice the noise, not told"
-TOLD: dict[str, Callable[[np.random.Generator, Inflation], Inflation]] = {
-    "none": lambda rng, seen: seen,
-    "gains 5 % off": _gains,
-    "map 5 % off": _map,
-    "zeros 1e-3 1/cm off": _zeros,
+ERRORS: dict[str, tuple[Spoil, Told]] = {
+    "none": (lambda rng, curvature, free: (curvature, free), {}),
+    "gains 5 % off": (_gains, {"gain_error": GAIN}),
+    "map 5 % off": (_map, {"map_error": MAP}),
+    "zeros 1e-3 1/cm off": (_zeros, {"zero_error": ZERO}),
+    "a sensor off by 2e-3 1/cm": (_bad(2e-3), {}),
+    "a sensor off by 8e-3 1/cm": (_bad(8e-3), {}),
+    "a sensor stuck at zero": (_bad(None), {}),
+    OTHER_NOISE: (_more, {}),
 }
-ERRORS = {**TOLD, **BAD, OTHER_NOISE: _more_noise}
+TOLD, BAD = tuple(ERRORS)[:4], tuple(ERRORS)[4:7]
 
 
 @cache
 def _rooms(seed: int, number: int, size: int) -> tuple[Rooms, Floats]:
     """Pegs, and (S, T, N) what the sensors read without noise: the same for every error."""
-    there = rooms(
-        np.random.default_rng([seed, 0x5E, number]), size, length=LENGTH, most=MOST, frames=FRAMES
-    )
+    rng = np.random.default_rng([seed, 0x5E, number])
+    there = rooms(rng, size, length=LENGTH, most=MOST, frames=FRAMES)
     read = [there.bodies(frame).readings(COLUMN, SPAN) for frame in range(FRAMES)]
     return there, np.stack(read, axis=1)
 
 
-def _last(seen: Inflation) -> LocalizeResult:
-    told: dict[str, Any] = {k: error for k, error in seen.told.items() if k != "zero_error"}
-    if "zero_error" in seen.told:
-        told["shared_errors"] = seen.told["zero_error"] * np.eye(COLUMN.size)
-    return localize(seen.curvature[-1], COLUMN, free_curvature=seen.free[-1], **BODY, **told)
+def _last(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
+    known: dict[str, Any] = {**told}
+    if "zero_error" in told:
+        known["shared_errors"] = known.pop("zero_error") * np.eye(COLUMN.size)
+    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY, **known)
 
 
-def _all(seen: Inflation) -> LocalizeResult:
-    felt = ContactFilter(COLUMN, most_curvature=1.25 * MOST, **BODY, **seen.told)
-    felt.update(seen.curvature, seen.free)
+def _all(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
+    felt = ContactFilter(COLUMN, most_curvature=1.25 * MOST, **BODY, **told)
+    felt.update(curvature, free)
     return felt.result()
 
 
@@ -120,14 +107,13 @@ def judge(task: tuple[str, int, int, int]) -> dict[str, Floats]:
     error, seed, number, size = task
     there, clean = _rooms(seed, number, size)
     rng = np.random.default_rng([seed, 0x5F, list(ERRORS).index(error), number])
+    spoil, told = ERRORS[error]
     rows = {name: np.full((size, 5), np.nan) for name in METHODS}
-    for room in range(size):
+    for room, arc in enumerate(there.arc[-1]):
         noise = SIGMA * rng.standard_normal(clean[room].shape)
-        seen = ERRORS[error](rng, Inflation(clean[room], there.free[:, room], {}))
-        seen = seen._replace(curvature=seen.curvature + noise)
-        arc = there.arc[-1, room]
+        curvature, free = spoil(rng, clean[room], there.free[:, room])
         for name, method in METHODS.items():
-            result = method(seen)
+            result = method(curvature + noise, free, told)
             rows[name][room, [0, 2]] = bool(result.contacts), False
             if result.contacts:
                 best = min(result.contacts, key=lambda contact: abs(contact.arc - arc))

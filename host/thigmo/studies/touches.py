@@ -1,7 +1,8 @@
 """Bodies in groups, that touch something or nothing, and what sensors read on them without noise.
 
 Truth is the independent rod (`rod`, `pegs`). With each place of contact comes the Cramer-Rao bound
-of an estimator that knows all but place and force. Used by the studies of accuracy and of loads.
+of an estimator that knows all but place and force. The rod also says whether one contact explains
+readings. Used by the studies of accuracy and of loads.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +52,12 @@ def signs(rng: np.random.Generator, count: int) -> Floats:
     return rng.choice([-1.0, 1.0], count)
 
 
+def rubbing(force: Floats, friction: Floats | float) -> dict[str, Any]:
+    """What friction adds to a force: it acts on the skin, on the side that the push comes from."""
+    along = friction * np.abs(force)
+    return {"tangential": along, "couple": np.sign(force) * RADIUS * along}
+
+
 def one_contact(
     arc: Floats,
     force: Floats,
@@ -61,18 +69,9 @@ def one_contact(
     """One contact on the side of each body, with the bound of its place where force is unknown."""
 
     def read(arc: Floats, force: Floats) -> Floats:
-        along = friction * np.abs(force)
-        bodies = solve(
-            arc[:, None],
-            force[:, None],
-            length=LENGTH,
-            free_curvature=free[:, None],
-            tangential=along[:, None],
-            # Friction acts on the skin, on the side that the push comes from.
-            couple=(np.sign(force) * RADIUS * along)[:, None],
-            stiffness=stiffness,
-        )
-        return bodies.readings(position, SPAN)
+        load = rubbing(force[:, None], np.reshape(friction, (-1, 1)))
+        load |= {"free_curvature": free[:, None], "stiffness": stiffness}
+        return solve(arc[:, None], force[:, None], length=LENGTH, **load).readings(position, SPAN)
 
     clean = read(arc, force)
     by_arc = (clean - read(arc - 1e-3, force)) / 1e-3
@@ -89,22 +88,17 @@ def pressed(rng: np.random.Generator, count: int) -> Scenes:
     return one_contact(arc, force, np.zeros(count), BOTH)
 
 
-def bent(
-    rng: np.random.Generator,
-    count: int,
-    friction: Floats | float = 0.0,
-    stiffness: Profile | None = None,
-) -> Scenes:
+def bent(rng: np.random.Generator, count: int, **options: Any) -> Scenes:
     """A bent body against something on its side; the inactive side's five sensors read."""
     free = signs(rng, count) * rng.uniform(0.005, MOST_FREE, count)
     arc = rng.uniform(8.0, LENGTH, count)
     moment = rng.uniform(0.2, 1.0, count) * np.minimum(CRITICAL, 0.9 * np.abs(free))
-    return one_contact(arc, -np.sign(free) * moment / arc, free, COLUMN, friction, stiffness)
+    return one_contact(arc, -np.sign(free) * moment / arc, free, COLUMN, **options)
 
 
 def rubbed(rng: np.random.Generator, count: int) -> Scenes:
     """As `bent`, with friction at the contact."""
-    return bent(rng, count, signs(rng, count) * rng.uniform(*FRICTION, count))
+    return bent(rng, count, friction=signs(rng, count) * rng.uniform(*FRICTION, count))
 
 
 def uneven(rng: np.random.Generator, count: int) -> Scenes:
@@ -154,3 +148,29 @@ GROUPS: dict[str, Draw] = {
 }
 TOUCHED = ("pressed", "bent", "peg", "corner")
 BENT = ("bent", "peg", "corner")
+
+
+def misfit_of_one_contact(curvature: Floats, position: Floats, free: Floats) -> Floats:
+    """(F,) least misfit that a contact on the side leaves of each frame's readings (F, N).
+
+    Misfits are sums of squares over the noise's variance. All frames are of the same sensors, at
+    `position` (N,), on bodies of free curvature (F,).
+    """
+    places = np.linspace(1.0, LENGTH, 53)
+    arcs = np.tile(places, len(curvature))[:, None]
+    bend = np.repeat(free, len(places))[:, None]
+    read = np.repeat(curvature, len(places), axis=0)
+
+    def left(force: Floats) -> Floats:
+        bodies = solve(arcs, force, length=LENGTH, free_curvature=bend)
+        return read - bodies.readings(position, SPAN)
+
+    force, step = np.zeros_like(arcs), 1e-6  # 1/cm^2
+    for _ in range(2):  # Gauss and Newton: the body is all but linear in the force
+        rest = left(force)
+        slope = (rest - left(force + step)) / step
+        power = np.maximum((slope**2).sum(axis=1), 1e-12)
+        force = force + ((slope * rest).sum(axis=1) / power)[:, None]
+    each = np.square(left(force) / SIGMA).sum(axis=1).reshape(len(curvature), -1)
+    least: Floats = each.min(axis=1)
+    return least

@@ -5,7 +5,12 @@ hysteresis, offset at each eversion), alone and together, at multiples of the de
 report there is a false alarm. Latency is measured three ways, under all three parts at their
 default: from a step of base curvature of 1.5 and of 2 times the threshold, and from the moment at
 which the true base contact curvature of a sweep into a peg passes the threshold. The firmware's own
-trigger is measured, on the virtual board; `RULE` chooses the defaults in protocol/schema.yaml.
+trigger is measured, on the virtual board.
+
+The defaults in protocol/schema.yaml are chosen by this rule. 50 Hz hum of ten thresholds must not
+alarm, and at most 1 of 100 empty sweeps with all three noise parts at twice their default. Of the
+settings left, those within 10 ms of the shortest latency in 90 % of sweeps into pegs count as
+equal, and the shortest latency for 95 % of the steps of 1.5 times the threshold decides.
 
 No scene has mains hum: nobody knows its size before the wires lie. But how much of it a setting
 bears is known (`hum_borne`), and the rule demands ten thresholds: neither an average of 32 samples
@@ -15,9 +20,9 @@ nor a debounce of 9 ms bears that alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thigmo.config import SIDES
@@ -27,7 +32,7 @@ from thigmo.emulator.scene import PegTable, Scene
 from thigmo.link.protocol import PARAMETERS
 from thigmo.report.axes import CYCLE
 from thigmo.studies import charts
-from thigmo.studies.engine import Cell, Claim, Context, Outcome, Record
+from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.trigger_sessions import (
     RISE_MS,
     Setting,
@@ -55,30 +60,15 @@ ALLOWED_PER_100 = 1.0
 HUM_PER_MS = 0.05  # 50 Hz; no setting here bears less of 60 Hz
 LEAST_HUM = 10.0  # thresholds
 EQUAL_MS = 10.0
-RULE = (
-    "50 Hz hum of ten thresholds must not alarm, and"
-    " at most 1 false alarm in 100 empty sweeps with all three noise parts at twice their default;"
-    " of those the shortest latency in 90 % of sweeps into pegs; where these differ by less than"
-    " 10 ms, the shortest latency for 95 % of the steps of 1.5 times the threshold"
-)
-_SWEEPS = 10  # both sides each, a session
 DEAD_TIME_MS = 63.0  # of valve and muscle: a faster trigger stops the muscle no sooner
+_SWEEPS = 10  # both sides each, a session
 
-
-def default_setting() -> Setting:
-    """The schema's."""
-    names = ("filter_log2", "debounce_ms", "e5")
-    return Setting(*(PARAMETERS[f"trigger_{name}"].defaults[0] for name in names))
-
-
-THRESHOLD = default_setting().threshold_e5 * 1e-5
-
-
-def settings() -> list[Setting]:
-    """All that are tried; the schema's is among them."""
-    e5 = default_setting().threshold_e5
-    tried = [Setting(f, d, e5) for f in FILTERS for d in DEBOUNCES_MS]
-    return tried if default_setting() in tried else [*tried, default_setting()]
+DEFAULT = Setting(
+    *(PARAMETERS[f"trigger_{name}"].defaults[0] for name in ("filter_log2", "debounce_ms", "e5"))
+)
+THRESHOLD = DEFAULT.threshold_e5 * 1e-5
+_TRIED = (Setting(f, d, DEFAULT.threshold_e5) for f, d in product(FILTERS, DEBOUNCES_MS))
+SETTINGS = tuple(dict.fromkeys((*_TRIED, DEFAULT)))
 
 
 def room(part: str, level: float) -> Scene:
@@ -97,10 +87,8 @@ def room(part: str, level: float) -> Scene:
 def sweep_empty(task: tuple[str, float, int]) -> Floats:
     """False alarms (settings,) in empty sweeps under so much of a part of the noise."""
     part, level, seed = task
-    halves = halves_of([0, 1] * _SWEEPS)
-    session = record(room(part, level), seed, halves, threshold=THRESHOLD)
-    counts = [false_alarms(session, replay(session, setting)) for setting in settings()]
-    return np.array(counts, dtype=np.float64)
+    session = record(room(part, level), seed, halves_of([0, 1] * _SWEEPS), threshold=THRESHOLD)
+    return np.array([false_alarms(session, replay(session, one)) for one in SETTINGS], dtype=float)
 
 
 def touch(task: tuple[float, int]) -> Floats:
@@ -117,7 +105,7 @@ def touch(task: tuple[float, int]) -> Floats:
         scene.start_length_cm = felt.length_cm
         halves = halves_of([SIDES.index(felt.side)])
     session = record(scene, seed, halves, step=step * THRESHOLD, threshold=THRESHOLD)
-    return np.array([latencies(session, replay(session, setting)) for setting in settings()])
+    return np.array([latencies(session, replay(session, one)) for one in SETTINGS])
 
 
 def run(context: Context) -> Outcome:
@@ -137,10 +125,11 @@ def run(context: Context) -> Outcome:
         step: np.concatenate([next(timed) for _ in range(count)], axis=1)
         for step, count in touches.items()
     }
+    swept = {noise: _SWEEPS * count for noise, count in sessions.items()}
     return Outcome(
-        tables={"alarms": _alarm_table(alarms, sessions), "latency": _latency_table(late)},
-        figures={"chart": _figure(alarms, late)},
-        claims=_claims(alarms, late),
+        {"alarms": _alarm_table(alarms, swept), "latency": _latency_table(late)},
+        {"chart": _figure(alarms, late)},
+        _claims(alarms[DECIDING].tolist(), late),
     )
 
 
@@ -155,14 +144,12 @@ def quantile(values: Floats, share: float, *, early: bool) -> float:
     return float(good[min(int(np.ceil(share * len(good))), len(good)) - 1]) if len(good) else np.nan
 
 
-def step_ms(late: dict[float, Floats]) -> list[float]:
-    """Latency of 95 % of the steps of 1.5 thresholds, for each setting."""
-    return [quantile(row, 0.95, early=False) for row in late[STEPS[0]]]
-
-
-def peg_ms(late: dict[float, Floats]) -> list[float]:
-    """Latency of 90 % of the sweeps into pegs, for each setting."""
-    return [quantile(row, 0.9, early=True) for row in late[PEGS]]
+def _deciding_ms(late: dict[float, Floats]) -> tuple[list[float], list[float]]:
+    """Latencies of each setting: 95 % of steps of 1.5 thresholds, 90 % of sweeps into pegs."""
+    return (
+        [quantile(row, 0.95, early=False) for row in late[STEPS[0]]],
+        [quantile(row, 0.9, early=True) for row in late[PEGS]],
+    )
 
 
 def hum_borne(setting: Setting) -> float:
@@ -178,7 +165,7 @@ def hum_borne(setting: Setting) -> float:
 
 
 def allowed(tried: Sequence[Setting], alarms: Sequence[float]) -> list[int]:
-    """Indices of the settings among which `RULE` chooses."""
+    """Indices of the settings among which the rule chooses."""
     return [
         n
         for n, (setting, rate) in enumerate(zip(tried, alarms, strict=True))
@@ -187,51 +174,49 @@ def allowed(tried: Sequence[Setting], alarms: Sequence[float]) -> list[int]:
 
 
 def chosen(candidates: Sequence[int], steps: Sequence[float], pegs: Sequence[float]) -> int:
-    """Index of the setting that `RULE` chooses of those that it allows, from their latencies."""
+    """Index of the setting that the rule chooses of those that it allows, from their latencies."""
     shortest = min(pegs[n] for n in candidates)
     return min((n for n in candidates if pegs[n] < shortest + EQUAL_MS), key=lambda n: steps[n])
 
 
+def _named(setting: Setting) -> Record:
+    return {"samples_averaged": 2**setting.filter_log2, "debounce_ms": setting.debounce_ms}
+
+
 def _alarm_table(
-    alarms: dict[tuple[str, float], Floats], sessions: dict[tuple[str, float], int]
+    alarms: dict[tuple[str, float], Floats], swept: dict[tuple[str, float], int]
 ) -> list[Record]:
     hours = 2 * RISE_MS / 3.6e6  # of sweeping, a sweep
     return [
         {
-            "noise_part": part,
-            "times_default": level,
-            "samples_averaged": 2**setting.filter_log2,
-            "debounce_ms": setting.debounce_ms,
-            "empty_sweeps": _SWEEPS * sessions[part, level],
-            "false_alarms_per_100_sweeps": round(float(rate), 2),
-            "false_alarms_per_hour_of_sweeping": round(float(rate) / 100 / hours, 1),
+            "noise_part": part, "times_default": level, **_named(setting),
+            "empty_sweeps": swept[part, level],
+            "false_alarms_per_100_sweeps": round(rate, 2),
+            "false_alarms_per_hour_of_sweeping": round(rate / 100 / hours, 1),
         }
         for (part, level), rates in alarms.items()
-        for setting, rate in zip(settings(), rates, strict=True)
-    ]
+        for setting, rate in zip(SETTINGS, rates.tolist(), strict=True)
+    ]  # fmt: skip
 
 
 def _latency_table(late: dict[float, Floats]) -> list[Record]:
     rows: list[Record] = []
-    for n, setting in enumerate(settings()):
-        row: dict[str, Cell] = {
-            "samples_averaged": 2**setting.filter_log2,
-            "debounce_ms": setting.debounce_ms,
-        }
-        for step in (*STEPS, PEGS):
-            values, early = late[step][n], step == PEGS
-            name = "peg" if early else f"step_{step:g}_threshold"
+    for n, setting in enumerate(SETTINGS):
+        row = {**_named(setting)}
+        for step, values in late.items():
+            name = "peg" if step == PEGS else f"step_{step:g}_threshold"
             for what, share in (("median", 0.5), ("90", 0.9), ("95", 0.95)):
-                row[f"{name}_{what}_ms"] = round(quantile(values, share, early=early), 1)
-            row[f"{name}_missed"] = int(np.isinf(values).sum())
+                late_ms = quantile(values[n], share, early=step == PEGS)
+                row[f"{name}_{what}_ms"] = round(late_ms, 1)
+            row[f"{name}_missed"] = int(np.isinf(values[n]).sum())
         rows.append(row)
     return rows
 
 
-def _claims(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> list[Claim]:
-    steps, pegs, rates = step_ms(late), peg_ms(late), alarms[DECIDING].tolist()
-    candidates = allowed(settings(), rates)
-    ours, best = settings().index(default_setting()), chosen(candidates, steps, pegs)
+def _claims(rates: list[float], late: dict[float, Floats]) -> list[Claim]:
+    steps, pegs = _deciding_ms(late)
+    candidates = allowed(SETTINGS, rates)
+    ours, best = SETTINGS.index(DEFAULT), chosen(candidates, steps, pegs)
     fastest = min(pegs[n] for n in candidates)
     return [
         Claim(f"default trigger: {text}", value, limit, unit=unit)
@@ -249,6 +234,7 @@ def _claims(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) 
 
 
 def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> Figure:
+    """A row of panels a kind of touch, a column a part of the noise that ever alarms."""
     loud = [part for part in PARTS if any(alarms[part, level].any() for level in LEVELS)]
     silent = [part for part in PARTS if part not in loud]
     figure, axes = charts.panels(
@@ -258,36 +244,31 @@ def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) 
         f"{', '.join(map(str, DEBOUNCES_MS))} ms. Star: the board's default. Grey: at most "
         f"{ALLOWED_PER_100:g} in 100.\nNever a false alarm: {', '.join(silent) or 'nowhere'}.",
     )  # fmt: skip
-    kinds = (
-        (step_ms(late), "latency of 95 % of steps of 1.5 thresholds (ms)", (0.0, 70.0)),
-        (peg_ms(late), "latency of 90 % of sweeps into pegs (ms)", (-60.0, 150.0)),
+    labels = (
+        ("latency of 95 % of steps of 1.5 thresholds (ms)", (0.0, 70.0)),
+        ("latency of 90 % of sweeps into pegs (ms)", (-60.0, 150.0)),
     )
-    for panel, axis in enumerate(axes):
-        (latency, label, limits), part = kinds[panel // len(loud)], loud[panel % len(loud)]
-        _draw(axis, latency, [(level, alarms[part, level]) for level in LEVELS])
-        axis.set(xlim=limits, xlabel=label, title=part if panel < len(loud) else "")
-        if panel % len(loud) == 0:
-            axis.set_ylabel("false alarms in 100 empty sweeps")
+    kinds = zip(_deciding_ms(late), labels, ("{}", ""), strict=True)
+    for axis, ((latency, (label, limits), title), part) in zip(
+        axes, product(kinds, loud), strict=True
+    ):
+        points = np.array(latency)
+        axis.axhspan(-0.4, ALLOWED_PER_100, color="0.9", zorder=0)
+        for level, line, size, star in zip(LEVELS, ("o-", "o:"), (5, 3), (15, 9), strict=True):
+            rates, first = alarms[part, level], level == LEVELS[0]
+            for color, log2 in zip(CYCLE, FILTERS, strict=False):
+                those = [setting.filter_log2 == log2 for setting in SETTINGS]
+                axis.plot(
+                    points[those], rates[those], line, color=color, markersize=size,
+                    markerfacecolor=color if first else "white",
+                    label=f"{2**log2}" if first else None,
+                )  # fmt: skip
+            ours = SETTINGS.index(DEFAULT)
+            axis.plot(points[ours], rates[ours], "*", color="black", markersize=star, zorder=5)
+        axis.set_yscale("symlog", linthresh=1.0)
+        axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
+        axis.set(ylim=(-0.4, 300), xlim=limits, xlabel=label, title=title.format(part))
+    for axis in axes[:: len(loud)]:
+        axis.set_ylabel("false alarms in 100 empty sweeps")
     charts.legend_below(figure, title="samples averaged")
     return figure
-
-
-def _draw(axis: Axes, latency: list[float], levels: list[tuple[float, Floats]]) -> None:
-    tried = settings()
-    ours = tried.index(default_setting())
-    axis.axhspan(-0.4, ALLOWED_PER_100, color="0.9", zorder=0)
-    for level, rates in levels:
-        first = level == LEVELS[0]
-        for color, log2 in enumerate(FILTERS):
-            those = [n for n, setting in enumerate(tried) if setting.filter_log2 == log2]
-            axis.plot(
-                [latency[n] for n in those], [rates[n] for n in those], "o-" if first else "o:",
-                color=CYCLE[color], markersize=5 if first else 3,
-                markerfacecolor=CYCLE[color] if first else "white",
-                label=f"{2**log2}" if first else None,
-            )  # fmt: skip
-        size = 15 if first else 9
-        axis.plot(latency[ours], rates[ours], "*", color="black", markersize=size, zorder=5)
-    axis.set_yscale("symlog", linthresh=1.0)
-    axis.set_ylim(-0.4, 300)
-    axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])

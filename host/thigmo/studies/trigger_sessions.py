@@ -2,13 +2,15 @@
 
 What the trigger's settings are does not change what the sensors see, so the plant runs once a
 session and its conversions are kept by tick; the firmware then meets the same conversions on a
-virtual board once for each setting, with the same host at the same milliseconds. The simulated Mega
-can be fed the same way (tests/sim/mega/test_trigger_on_the_image.py).
+virtual board once for each setting, with the same host at the same milliseconds. That host is a
+script, for the full client waits for answers. The simulated Mega can be fed the same way
+(tests/sim/mega/test_trigger_on_the_image.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -18,20 +20,25 @@ import numpy.typing as npt
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.board import CHANNELS, FLEX_RIGHT, PRESSURE, Floats
+from thigmo.emulator.board import CHANNELS, FLEX_RIGHT, PRESSURE, Board, Floats
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
+from thigmo.link.framing import Decoder, encode
+from thigmo.link.heart import Heart
 from thigmo.robot.robot import Robot
 from thigmo.robot.sweep import rising_period_s
-from thigmo.studies.scripted_host import Script, ScriptedHost
 
-BEGIN_MS = 8000  # of the first sweep: by then the sensors are zeroed
-HALF_MS = 5500  # one side's rise, vent and rest
+Script = Sequence[tuple[int, wire.Message]]
+"""Commands with the milliseconds at which they are said, from 100 on, in order of time."""
+
 RISE_MS = 4050  # vented then: a quarter of the shortest period and half of its peak's readings
+_HELLO_MS = 50
+_BEGIN_MS = 8000  # of the first sweep: by then the sensors are zeroed
+_HALF_MS = 5500  # one side's rise, vent and rest
 _REPLAY_MS = 50  # between exchanges of a replay: what is said, is said at multiples of it
 _BASES = (0, FLEX_RIGHT)
 _LOOKED_AT = (*_BASES, PRESSURE, PRESSURE + 1)
@@ -48,14 +55,18 @@ class Setting(NamedTuple):
 
 
 class Half(NamedTuple):
-    """One side's part of a sweep: the side (0 left), when it starts and is vented, in ms."""
+    """One side's part of a sweep: the side (0 left), and when it starts."""
 
     side: int
     start_ms: int
-    vent_ms: int
     # when a contact begins (steps), or the base contact curvature passes the default threshold
     # (pegs); NaN without one
     touch_ms: float = np.nan
+
+    @property
+    def vent_ms(self) -> int:
+        """When it is vented."""
+        return self.start_ms + RISE_MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,36 +98,92 @@ class TouchedBoard(VirtualBoard):
 
     def set_analog(self, counts: Floats) -> None:
         """Ideal counts as the plant says, and the touch on top."""
-        if any(self.touch):
-            counts = counts.copy()
-            for side, channel in enumerate(_BASES):
-                ohm = self._divider * (1024.0 / counts[channel] - 1.0)
-                ohm += self.touch[side] / self._scale[side]
+        counts = counts.copy()
+        for channel, touch, scale in zip(_BASES, self.touch, self._scale, strict=True):
+            if touch:
+                ohm = self._divider * (1024.0 / counts[channel] - 1.0) + touch / scale
                 counts[channel] = 1024.0 * self._divider / (self._divider + ohm)
         super().set_analog(counts)
 
 
-def start(board: VirtualBoard) -> None:
+def _start(board: VirtualBoard) -> None:
     """Run a board that was just made until its firmware has begun; 1 ms of its time is over."""
     while not board.running:
         board.step(1)
 
 
 @cache
-def stored(robot_json: str) -> bytes:
+def _stored(robot_json: str) -> bytes:
     """The EEPROM of a board that was configured for a robot."""
     robot = RobotConfig.model_validate_json(robot_json)
     scene = Scene.load("default").model_copy(update={"robot": robot, "pegs": []})
     board = VirtualBoard(0)
-    transport = EmulatorTransport(scene, board, seed=0)
-    Robot(Client(transport)).configure(robot)
+    Robot(Client(EmulatorTransport(scene, board, seed=0))).configure(robot)
     return board.eeprom
 
 
-def script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> Script:
+def converse(
+    board: Board,
+    script: Script,
+    end_ms: int,
+    advance: Callable[[int], None],
+    step_ms: int = STEP_MS,
+) -> Floats:
+    """Say a script to a board that has just started, beat its heart, acknowledge its events.
+
+    `advance` runs the board by `step_ms` after each exchange, and is told the ms since the first.
+
+    Returns:
+        Times of the contacts reported since the sensors were zeroed, ms by the board's clock.
+
+    Raises:
+        RuntimeError: a command was refused, or the sensors not zeroed; the session is worth
+            nothing.
+    """
+    decoder, waiting, heart = Decoder(), deque(script), None
+    said: list[wire.Message] = []
+    events: list[wire.Event] = []
+
+    def say(message: wire.Message) -> None:
+        assert heart is not None
+        said.append(message)
+        board.write(encode(message, len(said), heart.session))
+
+    for now in range(0, end_ms, step_ms):
+        for frame in decoder.feed(board.read()):
+            message = frame.message()
+            if isinstance(message, wire.HelloReply):
+                heart = Heart(message.session)
+            elif isinstance(message, wire.Ack) and message.status is wire.Status.REFUSED:
+                raise RuntimeError(f"{said[frame.seq - 1]} was refused: {message.reason.key}")
+            elif isinstance(message, wire.Event):
+                if not events or events[-1].number != message.number:
+                    events.append(message)
+                say(wire.AckEvent(message.number))
+        if now == _HELLO_MS:
+            board.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1), 0, 0))
+        if heart is not None:
+            while waiting and waiting[0][0] <= now:
+                say(waiting.popleft()[1])
+            board.write(heart.beat(now / 1000) or b"")
+        advance(now)
+    if not any(event.code is wire.EventCode.ZEROED for event in events):
+        raise RuntimeError("the sensors were not zeroed")
+    return np.array([e.t_us / 1e3 for e in events if e.code is wire.EventCode.CONTACT])
+
+
+def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> Script:
     """Make ready, zero the sensors, and sweep as the default protocol does: up, and vent."""
     zone = robot.body.zone_at(length_cm)
     period_ms = round(rising_period_s(robot, zone) * 1e3)
+    # With the keep-out around the tip's fold.
+    reach = length_cm - wire.PARAMETERS["fold_margin_um"].defaults[0] * 1e-4
+    everted = sum(
+        1 << s * FLEX_RIGHT + n
+        for s, side in enumerate(SIDES)
+        for n, sensor in enumerate(robot.sensors.column(side))
+        if sensor.center_cm + sensor.span_cm / 2 <= reach
+    )
     says: list[tuple[int, wire.Message]] = [
         (50, wire.SetParameter(wire.PARAMETERS["telemetry_ms"].index, 0)),
         # The study is of the trigger: noise must not keep the zero from being taken.
@@ -125,37 +192,20 @@ def script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> S
         (400, wire.ConfirmLength(round(length_cm * 1e4), 1)),
         (400, wire.SelectZone(zone)),
         (450, wire.Arm()),
-        (1000, wire.ZeroSensors(_everted(robot, length_cm))),
+        (1000, wire.ZeroSensors(everted)),
     ]
     for half in halves:
         top = round(robot.actuators.side(SIDES[half.side]).max_pressure_psi * 100)
         sides = (top, 0) if half.side == 0 else (0, top)
-        says += [
-            (half.start_ms, wire.Sweep(*sides, period_ms, 1, 0)),
-            (half.vent_ms, wire.Vent()),
-        ]
+        says.append((half.start_ms, wire.Sweep(*sides, period_ms, 1, 0)))
+        says.append((half.vent_ms, wire.Vent()))
     return says
 
 
-def _everted(robot: RobotConfig, length_cm: float) -> int:
-    """Mask of the sensors that are out, with the keep-out around the tip's fold."""
-    margin = wire.PARAMETERS["fold_margin_um"].defaults[0] * 1e-4
-    mask = 0
-    for s, side in enumerate(SIDES):
-        for n, sensor in enumerate(robot.sensors.column(side)):
-            if sensor.center_cm + sensor.span_cm / 2 + margin <= length_cm:
-                mask |= 1 << s * FLEX_RIGHT + n
-    return mask
-
-
-def halves_of(sides: Sequence[int], touches: Sequence[float] | None = None) -> tuple[Half, ...]:
+def halves_of(sides: Sequence[int], touches: Sequence[float] = ()) -> tuple[Half, ...]:
     """Sweeps of these sides one after another; `touches`: ms after each one's start."""
-    halves = []
-    for n, side in enumerate(sides):
-        at = BEGIN_MS + n * HALF_MS
-        touch = np.nan if touches is None else at + touches[n]
-        halves.append(Half(side, at, at + RISE_MS, touch))
-    return tuple(halves)
+    starts = [_BEGIN_MS + n * _HALF_MS for n in range(len(sides))]
+    return tuple(map(Half, sides, starts, np.add(starts, touches or np.nan).tolist()))
 
 
 def record(
@@ -172,54 +222,56 @@ def record(
             they pass the threshold.
         threshold: 1/cm.
     """
-    eeprom = stored(scene.believed(seed).model_dump_json())
+    eeprom = _stored(scene.believed(seed).model_dump_json())
     board = TouchedBoard(seed, eeprom, scene.robot)
-    start(board)
+    _start(board)
     board.record_trace(True)
     lockstep = Lockstep(scene, board, seed=seed)
-    script = script_of(scene.robot, scene.start_length_cm, halves)
-    host = ScriptedHost(board, script)
-    end_ms = halves[-1].start_ms + HALF_MS
-    excess = np.zeros(end_ms // STEP_MS + 1)
-    while host.t_ms < end_ms:
-        now, host_side = host.t_ms, 1
+    script = _script_of(scene.robot, scene.start_length_cm, halves)
+    end_ms = halves[-1].start_ms + _HALF_MS
+    excess = np.zeros(end_ms // STEP_MS + 1)  # contact curvature at the base of the inactive side
+
+    def advance(now: int) -> None:
+        inactive, bend = FLEX_RIGHT, 1  # sign of the free curvature
         board.touch = [0.0, 0.0]
         for half in halves:
             if half.start_ms <= now < half.vent_ms:
-                host_side = 1 if half.side == 0 else -1  # sign of the free curvature
+                inactive, bend = _BASES[1 - half.side], 1 - 2 * half.side
                 if step and now >= half.touch_ms:
-                    # The side that is not inflated counts; a contact takes curvature from the bend.
-                    board.touch[1 - half.side] = -host_side * step
-        host.exchange()
+                    board.touch[1 - half.side] = -bend * step  # a contact takes from the bend
         lockstep.advance()
         plant = lockstep.plant
-        base = plant.sensor_curvature[_BASES[1] if host_side > 0 else _BASES[0]]
-        excess[host.t_ms // STEP_MS] = host_side * (plant.free_curvature - base)
-    if not step:
-        halves = [_passed(half, excess, threshold) for half in halves]
+        base = plant.sensor_curvature[inactive]
+        excess[now // STEP_MS + 1] = bend * (plant.free_curvature - base)
+
+    converse(board, script, end_ms, advance)
     # By the firmware's clock, 1 ms of which was over when the host began.
-    timed = tuple(Half(h.side, h.start_ms + 1, h.vent_ms + 1, h.touch_ms + 1) for h in halves)
+    timed = tuple(
+        Half(h.side, h.start_ms + 1, (h.touch_ms if step else _passed(h, excess, threshold)) + 1)
+        for h in halves
+    )
     trace = board.recorded_trace()
     return Session(seed, eeprom, script, timed, trace[np.isin(trace[:, 1], _LOOKED_AT)], end_ms)
 
 
-def _passed(half: Half, excess: Floats, threshold: float) -> Half:
-    """The half with the moment at which the true contact curvature first passes the threshold."""
+def _passed(half: Half, excess: Floats, threshold: float) -> float:
+    """When the true contact curvature of a half first passes the threshold (ms), or NaN."""
     first, last = half.start_ms // STEP_MS, half.vent_ms // STEP_MS
     over = np.flatnonzero(excess[first : last + 1] >= threshold)
     if not len(over) or over[0] == 0:
-        return half._replace(touch_ms=np.nan)
+        return np.nan
     after = first + int(over[0])
     part = (threshold - excess[after - 1]) / (excess[after] - excess[after - 1])
-    return half._replace(touch_ms=(after - 1 + part) * STEP_MS)
+    return float(after - 1 + part) * STEP_MS
 
 
 def with_setting(script: Script, setting: Setting) -> Script:
     """The script of a session with the trigger's parameters set first."""
-    names = ("trigger_filter_log2", "trigger_debounce_ms", "trigger_e5")
     first = [
-        (150 + 50 * n, wire.SetParameter(wire.PARAMETERS[name].index, value))
-        for n, (name, value) in enumerate(zip(names, setting, strict=True))
+        (150 + 50 * n, wire.SetParameter(wire.PARAMETERS[f"trigger_{name}"].index, value))
+        for n, (name, value) in enumerate(
+            zip(("filter_log2", "debounce_ms", "e5"), setting, strict=True)
+        )
     ]
     return sorted([*script, *first], key=lambda said: said[0])
 
@@ -229,32 +281,19 @@ def replay(session: Session, setting: Setting) -> Floats:
     board = VirtualBoard(session.seed, session.eeprom)
     board.feed_trace(session.conversions)
     board.set_analog(OTHERS)
-    start(board)
-    host = ScriptedHost(board, with_setting(session.script, setting), _REPLAY_MS)
-    while host.t_ms < session.end_ms:
-        host.exchange()
-        board.step(_REPLAY_MS)
-    return contacts(host)
+    _start(board)
+    script = with_setting(session.script, setting)
+    return converse(board, script, session.end_ms, lambda now: board.step(_REPLAY_MS), _REPLAY_MS)
 
 
-def contacts(host: ScriptedHost) -> Floats:
-    """Times of the contacts reported since the sensors were zeroed, ms by the board's clock.
-
-    Raises:
-        RuntimeError: they were not zeroed; the session is worth nothing.
-    """
-    if not any(event.code is wire.EventCode.ZEROED for event in host.events):
-        raise RuntimeError("the sensors were not zeroed")
-    times = [e.t_us / 1e3 for e in host.events if e.code is wire.EventCode.CONTACT]
-    return np.array(times)
+def _inside(half: Half, times: Floats) -> Floats:
+    """Contacts reported before the vent: no host takes the swing after it for one of the sweep."""
+    return times[(times >= half.start_ms) & (times < half.vent_ms)]
 
 
 def false_alarms(session: Session, times: Floats) -> int:
-    """Sides swept with a contact reported before the vent, in a session in which nothing touches.
-
-    What the swing after a vent reports does not count: no host takes it for a contact of the sweep.
-    """
-    return sum(bool(np.any((times >= h.start_ms) & (times < h.vent_ms))) for h in session.halves)
+    """Sides swept with a contact reported, in a session in which nothing touches."""
+    return sum(len(_inside(half, times)) > 0 for half in session.halves)
 
 
 def latencies(session: Session, times: Floats) -> Floats:
@@ -263,8 +302,5 @@ def latencies(session: Session, times: Floats) -> Floats:
     Infinite when it was not reported before the vent; negative when the trigger, which fires once
     a half, fired before.
     """
-    found = []
-    for half in (half for half in session.halves if not np.isnan(half.touch_ms)):
-        inside = times[(times >= half.start_ms) & (times < half.vent_ms)]
-        found.append(inside[0] - half.touch_ms if len(inside) else np.inf)
-    return np.array(found)
+    felt = [half for half in session.halves if not np.isnan(half.touch_ms)]
+    return np.array([min(_inside(half, times), default=np.inf) - half.touch_ms for half in felt])

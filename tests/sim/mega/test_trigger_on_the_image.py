@@ -6,13 +6,12 @@ import pytest
 
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.emulator.plant import STEP_MS
-from thigmo.studies.scripted_host import ScriptedHost
-from thigmo.studies.trigger import THRESHOLD, default_setting, room
+from thigmo.studies.trigger import DEFAULT, THRESHOLD, room
 from thigmo.studies.trigger_sessions import (
     OTHERS,
     Session,
     Setting,
-    contacts,
+    converse,
     halves_of,
     latencies,
     record,
@@ -28,7 +27,7 @@ def stepped() -> Session:
     return record(room("all three", 1.0), 5, halves, step=1.5 * THRESHOLD, threshold=THRESHOLD)
 
 
-@pytest.mark.parametrize("setting", [default_setting(), Setting(2, 12, 500)])
+@pytest.mark.parametrize("setting", [DEFAULT, Setting(2, 12, 500)])
 def test_the_image_reports_the_contacts_of_the_virtual_board_at_its_times(
     stepped: Session, setting: Setting
 ) -> None:
@@ -37,11 +36,9 @@ def test_the_image_reports_the_contacts_of_the_virtual_board_at_its_times(
     mega.feed_trace(stepped.conversions)
     mega.run_to_tick()
     mega.step(1)
-    host = ScriptedHost(mega, with_setting(stepped.script, setting))
-    while host.t_ms < stepped.end_ms:
-        host.exchange()
-        mega.step(STEP_MS)
-    here, there = contacts(host), replay(stepped, setting)
+    script = with_setting(stepped.script, setting)
+    here = converse(mega, script, stepped.end_ms, lambda now: mega.step(STEP_MS))
+    there = replay(stepped, setting)
     assert len(here) >= 2
     assert here.tolist() == there.tolist()
     assert all(0 < ms < 30 for ms in latencies(stepped, here))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.studies.engine import Context, Outcome, records
+from thigmo.studies.engine import Context, Outcome
 from thigmo.studies.experiments import conditions, thesis
 from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
 from thigmo.studies.experiments.fit import frozen
@@ -91,7 +91,7 @@ def run(robots: int, trials: int, context: Context) -> Outcome:
     """Every setting, over robots built anew for it from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
     found = [cell for some in context.map(_rows, items, "changed constants") for cell in some]
-    return Outcome({"cells": records(found)}, notes=remarks(found))
+    return Outcome({"cells": [vars(one) for one in found]}, notes=remarks(found))
 
 
 def remarks(found: list[Cell]) -> list[str]:

@@ -15,8 +15,8 @@ from thigmo.studies import charts
 from thigmo.studies.attempt import mean_and_failures
 from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import CRITICAL, LENGTH, Case, read
-from thigmo.studies.stability import DEFAULT, Stress, errors_of, sign_of, tabulate
+from thigmo.studies.scenes import CRITICAL, LENGTH, Case, read, side_of
+from thigmo.studies.stability import DEFAULT, Stress, errors_of, tabulate
 
 _OURS = "posterior (default)"
 METHODS = {
@@ -40,7 +40,7 @@ def _draw(rng: np.random.Generator, noise: float, sensors: float) -> tuple[Case,
     where = np.linspace(5.0, 45.0, int(sensors)) * (
         min(1.0, (arc - 4.0) / 45.0) if sensors < 4 else 1.0
     )
-    force = 0.7 * CRITICAL / arc * sign_of(rng)
+    force = 0.7 * CRITICAL / arc * side_of(rng)
     return read(rng, (arc,), (force,), position=where, sigma=noise), max(noise, 1e-5)
 
 
@@ -96,7 +96,7 @@ def _figure(means: dict[str, Floats]) -> Figure:
             for name, mean in means.items()
         }
         charts.curves(
-            axis, series, legend=False, yscale="log", xlabel="number of sensors",
+            axis, series, yscale="log", xlabel="number of sensors",
             title=f"noise {noise:g} 1/cm",
         )  # fmt: skip
         axis.axvline(5, color="gray", linestyle=":", linewidth=1)
