@@ -14,6 +14,7 @@ from math import nan
 
 import cv2
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from thigmo.camera import CameraModel, Lens, Seen, Sheet, calibrate_lens, locate, look
 from thigmo.camera.model import Picture
@@ -27,7 +28,7 @@ from thigmo.camera.render import (
 )
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
 from thigmo.mechanics import traced
-from thigmo.studies.engine import Claim, Context, Outcome
+from thigmo.studies.engine import Claim, Context, Outcome, share
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import COLUMN, RADIUS, SPAN
 
@@ -35,7 +36,7 @@ _BOX_CM = 8.0  # one card stands on a box of that height
 
 
 # What is known of the camera beside the cards: nothing; one of them stands on a box; its height by
-# tape measure (0.7 cm); its lens, for the board was shown (then it is that of `lens_camera`).
+# tape measure (0.7 cm); its lens, for the board was shown (then it is the default one).
 CARDS, BOX, TAPE, LENS = WAYS = (
     "cards only", "a card on a box", "height measured", "lens board",
 )  # fmt: skip
@@ -47,13 +48,11 @@ class Glimpse:
     """One rendering: its truth against what the camera made of it (nan = not seen)."""
 
     place_cm: float  # largest error of a place at the robot's height, over the workspace
-    tip_cm: float  # of the tip by its marker
-    free: bool  # whether it was a free bend
     accuracy_cm: float  # what the camera model said of its own places
+    free: bool  # whether it was a free bend
+    tip_cm: float = nan  # of the tip by its marker
     end_cm: float = nan  # of the fitted axis's end
-    length_cm: float = nan  # of the length along the axis, signed
-    # error of each dowel's place and of its radius, cm; nan = missed
-    pegs: list[tuple[float, float]] = field(default_factory=list)
+    pegs_cm: list[float] = field(default_factory=list)  # error of each dowel's place; nan = missed
     false_pegs: int = 0  # circles that are no dowels
     # error of curvature and its stated error, 1/cm: of the one of a free bend, or of each span
     bend: list[tuple[float, float]] = field(default_factory=list)
@@ -62,9 +61,8 @@ class Glimpse:
 def axis_of(curvature: Floats, length: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Arc, heading, x and y of a body with that curvature, evenly spaced over its length."""
     s = np.linspace(0.0, length, len(curvature))
-    step = np.diff(s)
-    heading = np.concatenate([[0.0], np.cumsum((curvature[1:] + curvature[:-1]) / 2 * step)])
-    return s, heading, *traced(heading, step)
+    heading = cumulative_trapezoid(curvature, s, initial=0.0)
+    return s, heading, *traced(heading, np.diff(s))
 
 
 def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
@@ -72,7 +70,7 @@ def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
     rng = np.random.default_rng([seed, 0x6115])
     camera = overhead_camera(rng)
     if way == LENS:
-        camera = lens_camera(camera)
+        camera = replace(camera, lens=overhead_camera(None).lens)
     sheet = Sheet()
     tape = float(camera.eye_cm[2] + rng.normal(0, 0.7))
     if way == TAPE:
@@ -92,33 +90,25 @@ def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
     model = locate(picture, sheet, lens)
     seen = look(picture, model, sheet, Seen(constant=free, obstacles=way in _DOWELS))
     grid = np.array([[gx, gy, RADIUS] for gx in (0, 14, 27, 40, 54) for gy in range(-40, 41, 20)])
-    back = model.to_plane(camera.project(grid), RADIUS)
-    tip, axis = seen.tip, seen.axis
-    found = Glimpse(
-        place_cm=float(np.linalg.norm(back - grid[:, :2], axis=1).max()),
-        tip_cm=nan if tip is None else float(np.hypot(tip.x_cm - x[-1], tip.y_cm - y[-1])),
-        free=free,
-        accuracy_cm=model.accuracy_cm,
-    )
-    if axis is not None:
+    off = model.to_plane(camera.project(grid), RADIUS) - grid[:, :2]
+    found = Glimpse(float(np.linalg.norm(off, axis=1).max()), model.accuracy_cm, free)
+    if seen.tip is not None:
+        found.tip_cm = float(np.hypot(seen.tip.x_cm - x[-1], seen.tip.y_cm - y[-1]))
+    if seen.axis is not None:
+        axis = seen.axis
         found.end_cm = float(np.hypot(axis.tip_cm[0] - x[-1], axis.tip_cm[1] - y[-1]))
-        found.length_cm = axis.length_cm - float(s[-1])
-    if axis is not None and free:
-        off = float(axis.coefficients[2] - heading[-1] / s[-1])
-        found.bend = [(off, float(np.sqrt(axis.covariance[2, 2])))]
-    elif axis is not None:
-        for centre in (c for c in COLUMN if c + SPAN / 2 < s[-1] - 2):
-            mean, error = axis.mean_curvature(centre, SPAN)
-            turn = np.diff(np.interp([centre - SPAN / 2, centre + SPAN / 2], s, heading))[0]
-            found.bend.append((mean - float(turn) / SPAN, error))
+        if free:
+            bend = float(axis.coefficients[2] - heading[-1] / s[-1])
+            found.bend = [(bend, float(np.sqrt(axis.covariance[2, 2])))]
+        else:
+            for centre in (c for c in COLUMN if c + SPAN / 2 < s[-1] - 2):
+                mean, error = axis.mean_curvature(centre, SPAN)
+                turn = np.diff(np.interp([centre - SPAN / 2, centre + SPAN / 2], s, heading))[0]
+                found.bend.append((mean - float(turn) / SPAN, error))
     for peg in pegs if way in _DOWELS else ():
-        near = sorted(
-            (float(np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm)), o.radius_cm)
-            for o in seen.obstacles
-        )
-        gap, radius = near[0] if near and near[0][0] < 1.0 else (nan, nan)
-        found.pegs.append((gap, radius - peg.radius_cm))
-    found.false_pegs = len(seen.obstacles) - int(np.isfinite([gap for gap, _ in found.pegs]).sum())
+        gaps = (float(np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm)) for o in seen.obstacles)
+        found.pegs_cm.append(min((gap for gap in gaps if gap < 1.0), default=nan))
+    found.false_pegs = len(seen.obstacles) - int(np.isfinite(found.pegs_cm).sum())
     return found
 
 
@@ -151,11 +141,6 @@ def _pegs(rng: np.random.Generator, heading: Floats, x: Floats, y: Floats) -> li
             return [touching, other]
 
 
-def lens_camera(camera: CameraModel) -> CameraModel:
-    """The same place with the default camera's lens."""
-    return replace(camera, lens=overhead_camera(None).lens)
-
-
 def board_lens(poses: int = 10) -> Lens:
     """Lens of the default camera, calibrated from painted pictures of the board."""
     sheet = Sheet()
@@ -183,42 +168,33 @@ def board_picture(camera: CameraModel, sheet: Sheet, rng: np.random.Generator) -
 
 
 def summarise(glimpses: list[Glimpse]) -> dict[str, float]:
-    """Means, 95th percentiles and worst values over renderings."""
-    names = ("place_cm", "tip_cm", "end_cm", "length_cm", "accuracy_cm")
-    place, tip, end, length, stated = np.array([[getattr(g, n) for n in names] for g in glimpses]).T
-    pegs, radii = np.array([peg for g in glimpses for peg in g.pegs]).reshape(-1, 2).T
+    """95th percentiles, worst values and errors over those stated, over renderings."""
+    names = ("place_cm", "tip_cm", "end_cm", "accuracy_cm")
+    place, tip, end, stated = np.array([[getattr(g, n) for n in names] for g in glimpses]).T
+    pegs = np.array([gap for g in glimpses for gap in g.pegs_cm])
     free, spans = (
         np.array([bend for g in glimpses if g.free == kind for bend in g.bend]).reshape(-1, 2).T
         for kind in (True, False)
     )
 
     def rms(values: Floats) -> float:
-        seen = values[np.isfinite(values)]
-        return float(np.sqrt(np.mean(np.square(seen)))) if len(seen) else nan
-
-    def mean(values: Floats) -> float:
-        return float(np.nanmean(values)) if len(values) else nan
+        return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else nan
 
     def high(values: Floats) -> float:
         return float(np.nanquantile(values, 0.95)) if len(values) else nan
 
     return {
         "renderings": float(len(glimpses)),
-        "place_mean_cm": mean(place),
         "place_p95_cm": high(place),
         "place_worst_cm": float(place.max()),
         "place_chi": rms(place / stated),
-        "tip_mean_cm": mean(tip),
         "tip_p95_cm": high(tip),
-        "tip_missed": mean(np.isnan(tip)),
+        "tip_missed": share(np.isnan(tip)),
         "axis_end_p95_cm": high(end),
-        "axis_missed": mean(np.isnan(end)),
-        "length_rms_cm": rms(length),
-        "peg_mean_cm": mean(pegs),
+        "axis_missed": share(np.isnan(end)),
         "peg_p95_cm": high(pegs),
-        "peg_missed": mean(np.isnan(pegs)),
-        "peg_false_per_picture": float(np.mean([g.false_pegs for g in glimpses])),
-        "peg_radius_rms_cm": rms(radii),
+        "peg_missed": share(np.isnan(pegs)),
+        "peg_false_per_picture": share([g.false_pegs for g in glimpses]),
         "free_bend_rms_per_cm": rms(free[0]),
         "free_bend_chi": rms(free[0] / free[1]),
         "span_rms_per_cm": rms(spans[0]),

@@ -13,17 +13,9 @@ from typing import Literal
 
 import numpy as np
 
+from thigmo.studies import scenes
 from thigmo.studies.rod import Bodies, Floats, solve
-from thigmo.studies.scenes import (
-    COLUMN,
-    CRITICAL,
-    FULL_CURVATURE,
-    LENGTH,
-    RADIUS,
-    SIGMA,
-    SPAN,
-    Case,
-)
+from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SPAN
 
 Part = Literal["side", "corner", "anywhere"]
 
@@ -59,13 +51,9 @@ def press(
     """Bodies (S,) pushed at `u` on their outlines, and the pegs' places (2, S) in the room."""
     arc, offset, away, centre = outline(u, peg_radius, length)
     along, across = -push * away
+    loads = {"tangential": along[:, None], "couple": (-offset * along)[:, None]}
     bodies = solve(
-        arc[:, None],
-        across[:, None],
-        length=length,
-        free_curvature=free[:, None],
-        tangential=along[:, None],
-        couple=(-offset * along)[:, None],
+        arc[:, None], across[:, None], length=length, free_curvature=free[:, None], **loads
     )
     turn, x, y = bodies.base
     cosine, sine = np.cos(turn), np.sin(turn)
@@ -157,14 +145,9 @@ def rooms(
 ) -> Rooms:
     """Pegs even over the room, each felt at the end of an inflation to a random free curvature.
 
-    Args:
-        rng, count: so many rooms are drawn from it.
-        length: everted length.
-        most: largest free curvature.
-        frames: of the inflation, evenly spaced.
-        radius: range of the pegs' radii.
-        moment: range of the contact's moment at the base at the end, over the critical one.
-        part: of the outline that bears in the last frame.
+    Free curvatures reach at most `most`, in so many even `frames`. `radius` is the range of the
+    pegs', `moment` that of the contact's moment at the base at the end, over the critical one.
+    `part` is that of the outline which bears then.
     """
     some: list[Floats] = []
     while sum(kept.shape[1] for kept in some) < count:
@@ -204,9 +187,9 @@ def rooms(
     return Rooms(free, place, push, peg, peg_radius[0], length)
 
 
-def any_peg(rng: np.random.Generator) -> Case:
+def any_peg(rng: np.random.Generator) -> scenes.Case:
     """One contact of the bent robot with a peg anywhere in the room, read as `scenes.actuated`."""
-    room = rooms(rng, 1, length=LENGTH, most=FULL_CURVATURE, moment=(0.3, 1.0))
+    room = rooms(rng, 1, length=LENGTH, most=scenes.FULL_CURVATURE, moment=(0.3, 1.0))
     (clean,) = room.bodies(0).readings(COLUMN, SPAN)
-    noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
-    return Case(noisy, COLUMN, float(room.free[0, 0]), (float(room.arc[0, 0]),))
+    noisy = clean + scenes.SIGMA * rng.standard_normal(COLUMN.size)
+    return scenes.Case(noisy, COLUMN, float(room.free[0, 0]), (float(room.arc[0, 0]),))

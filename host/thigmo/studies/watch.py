@@ -13,8 +13,9 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,69 +43,53 @@ with connect(sys.argv[1]) as robot:
 """
 
 
-@contextmanager
-def _own_sockets() -> Iterator[None]:
-    """Let no other run of this user be watched meanwhile."""
-    before = os.environ.copy()
-    with tempfile.TemporaryDirectory(prefix="tg") as folder:
-        os.environ["XDG_RUNTIME_DIR"] = folder
-        try:
-            yield
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
+Start = Callable[..., "subprocess.Popen[str]"]
+"""Starts a command where no other run of this user is watched; what it says is piped."""
 
 
-@_own_sockets()
 def run(context: Context) -> Outcome:
     """Age of readings on the screen; explorations watched and not."""
-    seconds = 15.0 if context.scale == "quick" else 60.0
-    context.progress("readings to the screen", 0, 3)
-    ages_s, rate_hz = _ages(seconds)
-    context.progress("an exploration alone", 1, 3)
-    alone = _explored(0)
-    context.progress("an exploration with three pages", 2, 3)
-    watched = _explored(_VIEWERS)
+    with tempfile.TemporaryDirectory(prefix="tg") as folder:
+        sockets = {**os.environ, "XDG_RUNTIME_DIR": folder}
+        start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
+        context.progress("readings to the screen", 0, 3)
+        ages_s, rate_hz = _ages(start, 15.0 if context.scale == "quick" else 60.0)
+        context.progress("an exploration alone", 1, 3)
+        alone = _explored(start, 0)
+        context.progress("an exploration with three pages", 2, 3)
+        watched = _explored(start, _VIEWERS)
     context.progress("an exploration with three pages", 3, 3)
-    late = {
-        name: float(np.quantile(ages_s, share)) for name, share in (("p50", 0.5), ("p95", 0.95))
-    }
+    times = ("robot_time_s", "wall_time_s")
+    late = zip(_PROMISED_S.items(), np.quantile(ages_s, [0.5, 0.95]).tolist(), strict=True)
+    claims = [
+        Claim(f"age of a reading on the screen, {name}", value, promised, unit="s")
+        for (name, promised), value in late
+    ]
+    cost_s = watched["robot_time_s"] - alone["robot_time_s"]
     same = alone["contacts"] == watched["contacts"] and alone["stages"] == watched["stages"]
-    return Outcome(
-        {
-            "late": [{"drawn": len(ages_s), **late}],
-            "explorations": [
-                {"pages": pages, **{what: found[what] for what in ("robot_time_s", "wall_time_s")}}
-                for pages, found in ((0, alone), (_VIEWERS, watched))
-            ],
-        },
-        claims=[
-            *(
-                Claim(f"age of a reading on the screen, {name}", value, _PROMISED_S[name], unit="s")
-                for name, value in late.items()
-            ),
-            Claim("readings drawn", rate_hz, 0.98 * _RATE_HZ, at_most=False, unit="1/s"),
-            Claim(
-                f"robot time that {_VIEWERS} pages cost",
-                watched["robot_time_s"] - alone["robot_time_s"], 0.0, unit="s",
-            ),
-            Claim(f"results that differ with {_VIEWERS} pages", float(not same), 0.0),
-        ],
-    )  # fmt: skip
+    claims += [
+        Claim("readings drawn", rate_hz, 0.98 * _RATE_HZ, at_most=False, unit="1/s"),
+        Claim(f"robot time that {_VIEWERS} pages cost", cost_s, 0.0, unit="s"),
+        Claim(f"results that differ with {_VIEWERS} pages", float(not same), 0.0),
+    ]
+    explorations = [
+        {"pages": pages} | {what: found[what] for what in times}
+        for pages, found in ((0, alone), (_VIEWERS, watched))
+    ]
+    return Outcome({"explorations": explorations}, claims=claims)
 
 
-def _ages(seconds: float) -> tuple[list[float], float]:
+def _ages(start: Start, seconds: float) -> tuple[list[float], float]:
     """How old the newest reading was each time that the page was drawn; readings a second."""
     with ExitStack() as stack:
         config = f"{stack.enter_context(tempfile.TemporaryDirectory())}/robot.toml"
-        served = _process("emulate", "empty", "--config", config, says="open ")
+        served = _thigmo(start, "emulate", "empty", "--config", config, says="open ")
         robot = stack.enter_context(served)
         port = robot.partition("open ")[2].partition(";")[0]
-        browser, address = stack.enter_context(_page())
+        browser, address = stack.enter_context(_page(start))
         page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
         page.goto(address)
-        command = [sys.executable, "-c", _STREAM, port, str(seconds)]
-        streaming = stack.enter_context(subprocess.Popen(command))
+        streaming = stack.enter_context(start([sys.executable, "-c", _STREAM, port, str(seconds)]))
         stack.callback(streaming.terminate)
         page.wait_for_function("() => thigmo.store.columns[0].length > 200", timeout=_EVER_MS)
         page.evaluate("thigmo.keep = true")
@@ -114,22 +99,22 @@ def _ages(seconds: float) -> tuple[list[float], float]:
     return ages, (len(times) - 1) / (times[-1] - times[0])
 
 
-def _explored(pages: int) -> dict[str, Any]:
+def _explored(start: Start, pages: int) -> dict[str, Any]:
     """The default exploration, with so many pages open."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         if pages:
-            browser, address = stack.enter_context(_page())
+            browser, address = stack.enter_context(_page(start))
             for _ in range(pages):
                 browser.new_context().new_page().goto(address)
         command = [sys.executable, "-m", "thigmo", "explore", "--seed", "1", "--out", folder]
-        done = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE)
-        found: dict[str, Any] = json.loads(done.stdout)
+        said, _ = stack.enter_context(start([*command, "--json"])).communicate()
+        found: dict[str, Any] = json.loads(said)
     return found
 
 
 @contextmanager
-def _page() -> Iterator[tuple[Any, str]]:
+def _page(start: Start) -> Iterator[tuple[Any, str]]:
     """A browser, and the address of the page of whatever runs.
 
     Raises:
@@ -149,20 +134,18 @@ def _page() -> Iterator[tuple[Any, str]]:
                 f"no browser at {chromium}", "install chromium, or name one in CHROMIUM"
             ) from error
         stack.callback(browser.close)
-        said = stack.enter_context(_process("watch", "--no-browser", "--port", "0", says="http://"))
+        watch = _thigmo(start, "watch", "--no-browser", "--port", "0", says="http://")
+        said = stack.enter_context(watch)
         yield browser, "http://" + said.partition("http://")[2].partition(" ")[0]
 
 
 @contextmanager
-def _process(*arguments: str, says: str) -> Iterator[str]:
+def _thigmo(start: Start, *arguments: str, says: str) -> Iterator[str]:
     """A `thigmo` command beside this one: the first line that holds `says`."""
     command = [sys.executable, "-m", "thigmo", *arguments]
-    with subprocess.Popen(
-        command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    ) as started:
-        assert started.stdout is not None
+    with start(command, stderr=subprocess.STDOUT) as started:
         try:
-            said = next((line for line in started.stdout if says in line), None)
+            said = next((line for line in started.stdout or () if says in line), None)
             if said is None:
                 raise DataError(f"thigmo {arguments[0]} has ended", "run it by hand to see why")
             yield said.strip()
