@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from thigmo.studies import accuracy
-from thigmo.studies.accuracy import Case, judge, score
+from thigmo.studies.accuracy import BAD, ERRORS, OFFSET, STEP, Case, Frame, judge, score
 from thigmo.studies.engine import Context
-from thigmo.studies.reading_errors import BAD, ERRORS, OFFSET, STEP, Frame
 from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
 from thigmo.studies.touches import GROUPS, TOUCHED, one_contact
 

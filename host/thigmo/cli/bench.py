@@ -34,6 +34,7 @@ def bench(
 ) -> None:
     """Chart speed against accuracy, and show where each method fails."""
     import os
+    from contextlib import nullcontext
 
     # Single calls are timed on one core; idle threads of a linear-algebra library only disturb.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -44,11 +45,11 @@ def bench(
     from thigmo.studies import STUDIES, Context, load
     from thigmo.studies.engine import connect_cluster
 
-    names = list(studies or STUDIES)
-    if names == ["list"]:
+    if studies == ["list"]:
         for name, text in STUDIES.items():
             typer.echo(f"{name:18} {text}")
         return
+    names = studies or list(STUDIES)
     for name in names:
         if name not in STUDIES:
             raise DataError(f"there is no study {name!r}", f"choose from {', '.join(STUDIES)}")
@@ -58,10 +59,6 @@ def bench(
         raise DataError(f"--backend is {backend!r}", "choose loky or dask")
     if backend == "dask" and not scheduler:
         raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
-    cluster = connect_cluster(scheduler) if backend == "dask" and scheduler else None
-    context = Context(
-        seed=seed, scale="quick" if scale == "quick" else "full", jobs=jobs, backend=backend
-    )
-    conduct({name: load(name) for name in names}, context, out, as_json)
-    if cluster is not None:
-        cluster.close()
+    context = Context(seed, "quick" if scale == "quick" else "full", jobs, backend)
+    with connect_cluster(scheduler) if backend == "dask" and scheduler else nullcontext():
+        conduct({name: load(name) for name in names}, context, out, as_json)

@@ -61,7 +61,7 @@ class Glimpse:
 def axis_of(curvature: Floats, length: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Arc, heading, x and y of a body with that curvature, evenly spaced over its length."""
     s = np.linspace(0.0, length, len(curvature))
-    heading = cumulative_trapezoid(curvature, s, initial=0.0)
+    heading = cumulative_trapezoid(curvature, s, initial=0)
     return s, heading, *traced(heading, np.diff(s))
 
 

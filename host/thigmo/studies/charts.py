@@ -27,13 +27,9 @@ def panels(
     title: str = "",
     share: bool | str = False,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure and its panels, row by row.
+    """A figure and its panels, row by row; `share` is "all" where they share both axes, not only y.
 
-    Args:
-        rows, columns: how many.
-        size: of a panel, inches; all are narrowed to fit a page.
-        title: over all of them.
-        share: whether panels share their y axis; "all": both axes.
+    A panel has that size in inches; all are narrowed to fit a page.
     """
     width = min(size[0] * columns, _PAGE_IN)
     height = size[1] * rows * max(width / (size[0] * columns), _FLATTEST)

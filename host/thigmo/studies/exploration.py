@@ -78,15 +78,10 @@ class Explored:
     false: int = 0  # contacts on the map that are not in the room
     # the best contact is localized, and its interval does not hold the true arc
     wrong: bool = False
-    # error_x_cm, error_cm, width_cm: of the best contact; NaN without one
-    error_x_cm: float = nan
-    error_cm: float = nan
-    width_cm: float = nan
-    robot_time_s: float = 0.0  # of the run
+    error_x_cm: float = nan  # of the best contact; NaN without one
 
     def judge(self, document: RunDocument) -> None:
         """Hold the run's best contact against the room."""
-        self.robot_time_s = document.robot_time_s
         best = best_contact(document.contacts)
         if best is None:
             return
@@ -102,8 +97,6 @@ class Explored:
         self.missed = len(document.contacts) == self.false
         self.wrong = best.status == "localized" and not held
         self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
-        self.error_cm = nan if document.error_cm is None else document.error_cm
-        self.width_cm = high - low
 
 
 def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:

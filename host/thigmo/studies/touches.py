@@ -20,8 +20,8 @@ from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA,
 
 MOST_FREE = 0.05  # 1/cm, of bent bodies
 FRICTION = (0.3, 0.6)  # coefficients, of either sign
-SOFTNESS = 0.2  # relative standard deviation of EI along the body
 WAVES = np.arange(1.0, 5.0)[:, None] * np.pi / LENGTH  # of the stiffness along the body, 1/cm
+SOFTNESS = 0.2 / np.sqrt(len(WAVES))  # of each: the relative standard deviation of EI is 0.2
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def rubbed(rng: np.random.Generator, count: int) -> Scenes:
 
 def uneven(rng: np.random.Generator, count: int) -> Scenes:
     """As `bent`, of a stiffness that varies smoothly along the body."""
-    size = SOFTNESS / np.sqrt(len(WAVES)) * rng.standard_normal((2, len(WAVES), count))
+    size = SOFTNESS * rng.standard_normal((2, len(WAVES), count))
 
     def stiffness(arc: Floats) -> Floats:
         phase = WAVES * arc

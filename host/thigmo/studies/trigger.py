@@ -34,7 +34,6 @@ from thigmo.report.axes import CYCLE
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.trigger_sessions import (
-    RISE_MS,
     Setting,
     false_alarms,
     halves_of,
@@ -125,12 +124,8 @@ def run(context: Context) -> Outcome:
         step: np.concatenate([next(timed) for _ in range(count)], axis=1)
         for step, count in touches.items()
     }
-    swept = {noise: _SWEEPS * count for noise, count in sessions.items()}
-    return Outcome(
-        {"alarms": _alarm_table(alarms, swept), "latency": _latency_table(late)},
-        {"chart": _figure(alarms, late)},
-        _claims(alarms[DECIDING].tolist(), late),
-    )
+    claims = _claims(alarms[DECIDING].tolist(), late)
+    return Outcome({"settings": _table(alarms, late)}, {"chart": _figure(alarms, late)}, claims)
 
 
 def quantile(values: Floats, share: float, *, early: bool) -> float:
@@ -179,30 +174,13 @@ def chosen(candidates: Sequence[int], steps: Sequence[float], pegs: Sequence[flo
     return min((n for n in candidates if pegs[n] < shortest + EQUAL_MS), key=lambda n: steps[n])
 
 
-def _named(setting: Setting) -> Record:
-    return {"samples_averaged": 2**setting.filter_log2, "debounce_ms": setting.debounce_ms}
-
-
-def _alarm_table(
-    alarms: dict[tuple[str, float], Floats], swept: dict[tuple[str, float], int]
-) -> list[Record]:
-    hours = 2 * RISE_MS / 3.6e6  # of sweeping, a sweep
-    return [
-        {
-            "noise_part": part, "times_default": level, **_named(setting),
-            "empty_sweeps": swept[part, level],
-            "false_alarms_per_100_sweeps": round(rate, 2),
-            "false_alarms_per_hour_of_sweeping": round(rate / 100 / hours, 1),
-        }
-        for (part, level), rates in alarms.items()
-        for setting, rate in zip(SETTINGS, rates.tolist(), strict=True)
-    ]  # fmt: skip
-
-
-def _latency_table(late: dict[float, Floats]) -> list[Record]:
+def _table(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -> list[Record]:
+    """A line a setting: false alarms in 100 empty sweeps, and latencies."""
     rows: list[Record] = []
     for n, setting in enumerate(SETTINGS):
-        row = {**_named(setting)}
+        row: dict[str, float] = setting._asdict()
+        for (part, level), rates in alarms.items():
+            row[f"alarms_per_100, {part}, {level:g} times"] = round(float(rates[n]), 2)
         for step, values in late.items():
             name = "peg" if step == PEGS else f"step_{step:g}_threshold"
             for what, share in (("median", 0.5), ("90", 0.9), ("95", 0.95)):

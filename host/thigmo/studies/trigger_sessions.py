@@ -35,7 +35,7 @@ from thigmo.robot.sweep import rising_period_s
 Script = Sequence[tuple[int, wire.Message]]
 """Commands with the milliseconds at which they are said, from 100 on, in order of time."""
 
-RISE_MS = 4050  # vented then: a quarter of the shortest period and half of its peak's readings
+_RISE_MS = 4050  # vented then: a quarter of the shortest period and half of its peak's readings
 _HELLO_MS = 50
 _BEGIN_MS = 8000  # of the first sweep: by then the sensors are zeroed
 _HALF_MS = 5500  # one side's rise, vent and rest
@@ -66,7 +66,7 @@ class Half(NamedTuple):
     @property
     def vent_ms(self) -> int:
         """When it is vented."""
-        return self.start_ms + RISE_MS
+        return self.start_ms + _RISE_MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +84,11 @@ class Session:
 
 
 class TouchedBoard(VirtualBoard):
-    """A virtual board whose base sensors can be bent at once, in the middle of what the plant does.
-
-    Attributes:
-        touch: curvature added to what the left and the right base sensor read, 1/cm.
-    """
+    """A virtual board whose base sensors can be bent at once, whatever the plant does."""
 
     def __init__(self, seed: int, eeprom: bytes, robot: RobotConfig) -> None:
         super().__init__(seed, eeprom)
-        self.touch = [0.0, 0.0]
+        self.touch = [0.0, 0.0]  # 1/cm, added to what the left and the right base sensor read
         self._divider = robot.sensors.divider_ohm
         self._scale = [robot.sensors.column(side)[0].scale_per_ohm for side in SIDES]
 
@@ -132,9 +128,7 @@ def converse(
     """Say a script to a board that has just started, beat its heart, acknowledge its events.
 
     `advance` runs the board by `step_ms` after each exchange, and is told the ms since the first.
-
-    Returns:
-        Times of the contacts reported since the sensors were zeroed, ms by the board's clock.
+    Returns the times of the contacts that the board reports, ms by its own clock.
 
     Raises:
         RuntimeError: a command was refused, or the sensors not zeroed; the session is worth
@@ -211,16 +205,11 @@ def halves_of(sides: Sequence[int], touches: Sequence[float] = ()) -> tuple[Half
 def record(
     scene: Scene, seed: int, halves: Sequence[Half], *, step: float = 0.0, threshold: float
 ) -> Session:
-    """Sweep with the plant.
+    """Sweep with the plant, at the scene's `start_length_cm`.
 
-    Args:
-        scene: robot, room and noise; sweeps are at its `start_length_cm`.
-        seed: of all noise.
-        halves: of the sweeps.
-        step: contact curvature (1/cm) that holds the base back from each half's `touch_ms` until
-            its vent; 0: what the room's pegs do, and `touch_ms` becomes the first moment at which
-            they pass the threshold.
-        threshold: 1/cm.
+    A `step` of contact curvature (1/cm) holds the base back from each half's `touch_ms` until its
+    vent. Without one the room's pegs do, and `touch_ms` becomes the first moment at which they
+    pass the threshold (1/cm).
     """
     eeprom = _stored(scene.believed(seed).model_dump_json())
     board = TouchedBoard(seed, eeprom, scene.robot)
