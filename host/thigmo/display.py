@@ -17,9 +17,9 @@ COLORS = {"localized": "#d55e00", "ambiguous": "#e69f00"}
 OTHER_COLOR = "#5b6b7a"
 
 
-def draw(result: object, axes: Axes | None, **options: Any) -> Axes:
-    """Have the report draw a result of a layer below it, which reaches it by its name."""
-    drawn: Axes = import_module("thigmo.report").plot(result, axes, **options)
+def draw(function: str, result: object, axes: Axes | None, **options: Any) -> Axes:
+    """Have a function of the report draw a result of a layer below, which reaches it by name."""
+    drawn: Axes = getattr(import_module("thigmo.report"), function)(result, axes, **options)
     return drawn
 
 

@@ -10,20 +10,20 @@ import pytest
 
 from thigmo.mechanics import push
 from thigmo.studies.engine import Context, Outcome, write
-from thigmo.studies.experiments import EXPERIMENTS, conditions, schematics, sensitivity, thesis
+from thigmo.studies.experiments import EXPERIMENTS, figures, sensitivity, thesis
 from thigmo.studies.experiments.compare import (
     Answer,
+    Solved,
     alone,
     assigned_errors,
-    bound_cm,
     camera_errors,
-    folded,
     ours,
     thesis_method,
     workspace_errors,
 )
-from thigmo.studies.experiments.fit import frozen, misfit, table
-from thigmo.studies.experiments.specimen import Constants, Specimen
+from thigmo.studies.experiments.evaluate import errors, folded
+from thigmo.studies.experiments.fit import misfit, remarks, table
+from thigmo.studies.experiments.specimen import Constants, Specimen, frozen
 from thigmo.studies.experiments.trial import Trial
 
 PERFECT = Constants(noise=0.0, gain_spread=0.0, position_cm=0.0, fold_rad=0.0)
@@ -50,7 +50,7 @@ def test_what_a_robot_was_built_with_stays_from_trial_to_trial() -> None:
 
 
 def test_two_opposed_contacts_are_opposed_and_a_gap_apart() -> None:
-    for trial in conditions.simulated("two-contacts", specimen(), 1, np.random.default_rng(0)):
+    for trial in specimen().trials("two-contacts", 1):
         assert trial.forces[0] * trial.forces[1] < 0
         gap = trial.arcs_cm[1] - trial.arcs_cm[0]
         assert trial.place == f"{gap:g} cm apart"
@@ -60,7 +60,7 @@ def test_two_opposed_contacts_are_opposed_and_a_gap_apart() -> None:
 
 
 def test_actuated_contacts_start_where_the_dowel_just_touches() -> None:
-    trials = conditions.actuated(specimen(), 1)
+    trials = specimen().trials("actuated", 1)
     assert len(trials) == 6
     for trial in trials:
         assert trial.curvature.size == 5
@@ -73,7 +73,7 @@ def test_readings_on_the_way_tell_the_end_from_the_side() -> None:
     """And the intervals hold the truth, for robots with noise, gains and places of their own."""
     together, last, held = [], [], []
     for seed in range(3):
-        for trial in conditions.actuated(specimen(frozen(), seed), 1):
+        for trial in specimen(frozen(), seed).trials("actuated", 1):
             answer = ours(trial)
             together.append(workspace_errors(trial, answer)[0])
             last.append(workspace_errors(trial, alone(trial))[0])
@@ -85,8 +85,10 @@ def test_readings_on_the_way_tell_the_end_from_the_side() -> None:
 
 
 def case(arcs: tuple[float, ...], obstacles: tuple[float, ...]) -> Trial:
-    n = np.zeros(2)
-    return Trial("", "", n, n, n, 0.0, 0.0, n, n, n, arcs, (0.0,) * len(arcs), obstacles, obstacles)
+    n, zero = np.zeros(2), (0.0,) * len(arcs)
+    return Trial(
+        "", "", n, n, n[None, :], np.zeros(1), 0.0, n, n, arcs, zero, obstacles, obstacles, zero
+    )
 
 
 def test_errors_are_ordered_along_the_arc_or_closest_pair_first() -> None:
@@ -95,8 +97,12 @@ def test_errors_are_ordered_along_the_arc_or_closest_pair_first() -> None:
     answer = Answer((12.0, 34.3), (1.0, 1.0))
     assert camera_errors(trial, answer) == pytest.approx([22.4, 18.8])
     assert assigned_errors(trial, answer) == pytest.approx([0.1, 41.1])
-    assert np.isinf(camera_errors(trial, Answer((1.0,), (1.0,)))).all()
-    assert np.isinf(assigned_errors(trial, Answer((1.0,), (1.0,)))).all()
+    # A trial without an answer for each contact is left out.
+    solved = [Solved(trial, {"it": answer}), Solved(trial, {"it": Answer((1.0,), (1.0,))})]
+    found = errors(solved, "it")
+    assert found["mean"] == pytest.approx(20.6)
+    assert (found["nearest_mean"], found["other_mean"]) == pytest.approx((0.1, 41.1))
+    assert np.isnan(errors(solved[1:], "it")["mean"])
 
 
 def test_a_perfect_answer_has_no_workspace_error() -> None:
@@ -109,9 +115,9 @@ def test_the_bound_is_infinite_where_the_information_is_singular() -> None:
     noisy = specimen(Constants(6e-4, 0.0, 0.0, 0.0))
     clear = noisy.press("test", "", (14.0, 53.0), (-1e-3, 2e-4))
     blind = noisy.press("test", "", (40.0, 53.0), (-1e-3, 6e-4))
-    assert np.isfinite(bound_cm(clear)).all()
+    assert np.isfinite(clear.bound_cm).all()
     # Only one sensor sees the region between the contacts.
-    assert bound_cm(blind).max() > 20.0
+    assert max(blind.bound_cm) > 20.0
 
 
 def test_the_bound_in_the_thesis_measure_holds_the_foreshortening() -> None:
@@ -129,7 +135,7 @@ def test_the_bound_is_reached_by_an_efficient_fit() -> None:
     for _ in range(80):
         trial = noisy.press("test", "", (40.0,), (2.5e-4,))
         errors.append(camera_errors(trial, ours(trial))[0])
-        bounds.append(bound_cm(trial)[0])
+        bounds.append(trial.bound_cm[0])
     assert 0.6 < np.mean(errors) / np.mean(bounds) < 1.3
 
 
@@ -139,11 +145,8 @@ def test_the_frozen_constants_still_agree_with_section_3_2_better_than_a_perfect
 
 
 def test_the_thesis_cannot_tell_close_contacts_apart_and_we_can() -> None:
-    rng = np.random.default_rng(4)
-    robot = Specimen(frozen(), rng)
-    trials = [
-        t for t in conditions.simulated("two-contacts", robot, 6, rng) if t.place == "18.5 cm apart"
-    ]
+    robot = specimen(frozen(), 4)
+    trials = [t for t in robot.trials("two-contacts", 6) if t.place == "18.5 cm apart"]
     theirs = np.mean([camera_errors(t, thesis_method(t)).mean() for t in trials])
     mine = np.mean([camera_errors(t, ours(t)).mean() for t in trials])
     assert theirs > 8.0
@@ -197,27 +200,27 @@ def entries(table: Path) -> list[str]:
 def test_the_bound_counts_gains_and_places() -> None:
     plain = specimen(Constants(3e-4, 0.0, 0.0, 0.0)).press("test", "", (40.0,), (2.5e-4,))
     crooked = specimen(Constants(3e-4, 0.05, 1.0, 0.0)).press("test", "", (40.0,), (2.5e-4,))
-    assert crooked.spread.min() >= plain.spread.max()
-    assert bound_cm(crooked)[0] > 1.1 * bound_cm(plain)[0]
+    assert crooked.sigma.min() >= plain.sigma.max()
+    assert crooked.bound_cm[0] > 1.1 * plain.bound_cm[0]
 
 
 def test_the_flow_chart_shows_every_state_and_outcome() -> None:
     from thigmo.exploration.states import TRANSITIONS, State
 
-    texts = [text.get_text() for text in schematics.flow().axes[0].texts]
+    texts = [text.get_text() for text in figures.flow().axes[0].texts]
     assert all(state.value in texts for state in State)
     assert all(any(step.outcome in text for text in texts) for step in TRANSITIONS)
 
 
 def test_predictions_say_what_holds_and_what_fails() -> None:
-    from thigmo.studies.experiments.predictions import Cell, remarks
-
-    cells = [
-        Cell("as fitted", "two-contacts", "far", 4.0, 4.4, 4.0),
-        Cell("noise + 50 %", "two-contacts", "far", 4.0, 5.9, 4.0),
-        Cell("as fitted", "actuated", "high", 4.0, 9.0, 4.0),
-        Cell("noise + 50 %", "actuated", "high", 4.0, 9.5, 4.0),
-    ]
+    columns = "changed", "experiment", "condition", "thesis_cm", "camera_cm", "workspace_cm"
+    lines = (
+        ("as fitted", "two-contacts", "far", 4.0, 4.4, 4.0),
+        ("noise + 50 %", "two-contacts", "far", 4.0, 5.9, 4.0),
+        ("as fitted", "actuated", "high", 4.0, 9.0, 4.0),
+        ("noise + 50 %", "actuated", "high", 4.0, 9.5, 4.0),
+    )
+    cells = [dict(zip(columns, line, strict=True)) for line in lines]
     near, far = remarks(cells)
     assert "holds" in near
     assert "noise + 50 %: 5.90" in near
@@ -232,7 +235,8 @@ def test_the_untouched_robot_shows_its_gains() -> None:
         robot = Specimen(Constants(5e-4, 0.03, 0.0, 0.0), rng)
         free = push(np.zeros(0), np.zeros(0), free_curvature=0.012, length=thesis.LENGTH_CM)
         robot.learn_gains(np.array([robot.read(free) for _ in range(30)]), 0.012)
-        trial = robot.press("", "", (40.0,), (1e-9,), free=0.025)
+        more = push(np.zeros(0), np.zeros(0), free_curvature=0.025, length=thesis.LENGTH_CM)
+        trial = robot.observe("", "", more, robot.read(more)[None, :], np.array([0.025]), ())
         clean = trial.curvature / 0.025  # the gain, and noise of 2 %
         off.append((clean / trial.gain - 1) / np.hypot(5e-4 / 0.025, 0.0075))
     assert 0.8 < np.std(off) < 1.2

@@ -17,9 +17,8 @@ from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
-from thigmo.studies.experiments.attendant import Attendant, Place, Verdict
 from thigmo.studies.experiments.explorations import evaluate, run_explorations
-from thigmo.studies.experiments.folder import Folder
+from thigmo.studies.experiments.session import Attendant, Folder, Place, Verdict
 
 pytestmark = pytest.mark.ci
 

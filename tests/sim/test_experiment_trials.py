@@ -21,11 +21,10 @@ import pytest
 from thigmo.errors import DataError
 from thigmo.record.log import read_log
 from thigmo.robot import Robot, connect
-from thigmo.studies.experiments.attendant import Attendant, Verdict
 from thigmo.studies.experiments.evaluate import evaluate
-from thigmo.studies.experiments.folder import Folder
-from thigmo.studies.experiments.plan import plan
 from thigmo.studies.experiments.recorded import run_trials, trials
+from thigmo.studies.experiments.session import Attendant, Folder, Verdict
+from thigmo.studies.experiments.trial import plan
 
 pytestmark = pytest.mark.ci
 

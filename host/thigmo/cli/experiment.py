@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from thigmo.studies.engine import Outcome
-    from thigmo.studies.experiments.attendant import Place
+    from thigmo.studies.experiments.session import Place
 
 
 def experiment(
@@ -72,7 +71,7 @@ def experiment(
     from thigmo.errors import DataError
     from thigmo.studies.engine import Context
     from thigmo.studies.experiments import EXPERIMENTS
-    from thigmo.studies.experiments.plan import STATIC
+    from thigmo.studies.experiments.trial import STATIC
 
     names = list(EXPERIMENTS) if name == "all" else [name]
     if name not in (*EXPERIMENTS, "all", "fit"):
@@ -94,7 +93,7 @@ def experiment(
         folder = recorded or out / name
         if robot is not None:
             look = None if camera is None else _look(camera, sheet_file, camera_file)
-            _Desk(robot, folder, trials, seed, config, look, rehearse, as_json).take(name)
+            _take(name, robot, folder, trials, seed, config, look, rehearse, as_json)
         found = report(name, _evaluated(name, folder, jobs), folder, as_json)
         if as_json:
             print_json([found])
@@ -110,7 +109,7 @@ def _fit(seed: int, out: Path) -> None:
     from thigmo.studies.experiments.fit import fit
 
     with study_progress("fit to section 3.2") as tell:
-        found = json.dumps(fit(seed=seed, progress=tell), indent=1)
+        found = json.dumps(fit(seed, tell), indent=1)
     out.mkdir(parents=True, exist_ok=True)
     (out / "constants.json").write_text(f"{found}\n")
     typer.echo(found)
@@ -132,71 +131,62 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
     return look
 
 
-@dataclass(frozen=True)
-class _Desk:
-    """Where trials are taken with a robot."""
+def _take(
+    name: str,
+    url: str,
+    out: Path,
+    trials: int,
+    seed: int,
+    config: Path | None,
+    look: Callable[[float], list[Place]] | None,
+    rehearse: bool,
+    quiet: bool,
+) -> None:
+    """Take the experiment's trials that are not in `out` yet, until they are or a person stops.
 
-    robot: str
-    out: Path
-    trials: int
-    seed: int
-    config: Path | None
-    look: Callable[[float], list[Place]] | None
-    rehearse: bool
-    quiet: bool
+    An exploration opens the robot by itself.
+    """
+    from thigmo.cli.console import Console
+    from thigmo.config import RobotConfig
+    from thigmo.errors import DataError
+    from thigmo.robot import connect
+    from thigmo.studies.experiments.explorations import run_explorations
+    from thigmo.studies.experiments.recorded import run_trials
+    from thigmo.studies.experiments.session import Attendant, Folder
 
-    def say(self, text: str) -> None:
-        """To the operator, not into JSON."""
-        if not self.quiet:
+    def say(text: str) -> None:
+        if not quiet:
             typer.echo(text)
 
-    def take(self, name: str) -> None:
-        """Take the experiment's trials that are not in `out` yet, until they are or a person stops.
-
-        An exploration opens the robot by itself.
-        """
-        from thigmo.cli.console import Console
-        from thigmo.config import RobotConfig
-        from thigmo.errors import DataError
-        from thigmo.robot import connect
-        from thigmo.studies.experiments.attendant import Attendant
-        from thigmo.studies.experiments.explorations import run_explorations
-        from thigmo.studies.experiments.folder import Folder
-        from thigmo.studies.experiments.recorded import run_trials
-
-        console = Console(quiet=self.quiet)
-        given = RobotConfig.load(self.config) if self.config else None
-        exploration = name == "exploration"
-        with console.interruptible():
-            with connect(self.robot, seed=self.seed, operator=console) as machine:
-                known = given or machine.known_config
-                emulated = machine.scenery() is not None
-                if known is None:
-                    raise DataError(
-                        "the robot's constants are not known", "give --config robot.toml"
-                    )
-                if self.rehearse and not emulated:
-                    raise DataError(
-                        "--rehearse is for the emulator", "give --robot emulator://default"
-                    )
-                if self.look and emulated:
-                    raise DataError("--camera is for a real robot", "the emulator knows its dowels")
-                attendant = Attendant(
-                    None if emulated and not self.rehearse else console.ask,
-                    partial(self.look, known.body.diameter_cm) if self.look else None,
-                    machine if emulated and not exploration else None,
-                )
-                folder = Folder(self.out, known, "explorations" if exploration else "trials")
-                if not exploration:
-                    done = run_trials(machine, attendant, folder, name, self.trials, self.say)
-            if exploration:
-                with console.progress() as show:
-                    done = run_explorations(
-                        self.robot, attendant, folder, self.trials, seed=self.seed,
-                        operator=console, progress=show, say=self.say,
-                    )  # fmt: skip
-            if not done:
-                self.say("stopped; the same command goes on")
+    console = Console(quiet=quiet)
+    given = RobotConfig.load(config) if config else None
+    exploration = name == "exploration"
+    with console.interruptible():
+        with connect(url, seed=seed, operator=console) as machine:
+            known = given or machine.known_config
+            emulated = machine.scenery() is not None
+            if known is None:
+                raise DataError("the robot's constants are not known", "give --config robot.toml")
+            if rehearse and not emulated:
+                raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
+            if look and emulated:
+                raise DataError("--camera is for a real robot", "the emulator knows its dowels")
+            attendant = Attendant(
+                None if emulated and not rehearse else console.ask,
+                partial(look, known.body.diameter_cm) if look else None,
+                machine if emulated and not exploration else None,
+            )
+            folder = Folder(out, known, "explorations" if exploration else "trials")
+            if not exploration:
+                done = run_trials(machine, attendant, folder, name, trials, say)
+        if exploration:
+            with console.progress() as show:
+                done = run_explorations(
+                    url, attendant, folder, trials, seed=seed, operator=console, progress=show,
+                    say=say,
+                )  # fmt: skip
+        if not done:
+            say("stopped; the same command goes on")
 
 
 def _evaluated(name: str, folder: Path, jobs: int) -> Outcome:
@@ -204,7 +194,7 @@ def _evaluated(name: str, folder: Path, jobs: int) -> Outcome:
     from thigmo.studies.engine import Context
     from thigmo.studies.experiments import explorations, recorded
     from thigmo.studies.experiments.evaluate import evaluate
-    from thigmo.studies.experiments.folder import Folder
+    from thigmo.studies.experiments.session import Folder
 
     if name == "exploration":
         return explorations.evaluate(Folder(folder))

@@ -139,7 +139,7 @@ class LocalizeResult:
         Returns:
             The axes, for limits, titles or `axes.figure.savefig`.
         """
-        return draw(self, axes, unit=unit)
+        return draw("draw_posterior", self, axes, unit=unit)
 
     @property
     def edges(self) -> Array:

@@ -62,7 +62,7 @@ class OccupancyGrid:
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the cells in the robot's frame; without axes on a new figure of pyplot."""
-        return draw(self, axes)
+        return draw("draw_grid", self, axes)
 
     def _size(self) -> str:
         rows, columns = self.cells.shape

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.ArrayLike) -> Figure:
     """Bound of one contact over place and moment, with the sensors; bounds of two over distance.
 
-    Args:
-        found: the bounds, lengths in cm.
-        position: (N,) sensor centres, cm.
-        span: scalar or (N,) active lengths, cm.
+    Sensors have centres (N,) and spans, one or (N,), in cm.
     """
     from matplotlib import colormaps
     from matplotlib.figure import Figure
@@ -44,11 +41,9 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
     limit = found.length * 10 / 53 / 3.92
     one.axhline(limit, color=MUTED, linewidth=1, linestyle=(0, (1, 1)))
     one.set(
-        xlabel="arc of the contact (cm)",
+        xlabel="arc of the contact (cm)", xlim=(0, found.length), title="One contact",
         ylabel="bound of its arc, one standard deviation (cm)",
-        xlim=(0, found.length),
-        title="One contact",
-    )
+    )  # fmt: skip
     two.set(
         xlabel="separation of two opposed contacts (cm)",
         title="Two opposed contacts (no line: not told apart)",

@@ -40,13 +40,7 @@ def draw_map(
     radius_cm: float,
     prior: Sequence[Obstacle] = (),
 ) -> None:
-    """Draw a run's map into a file.
-
-    Args:
-        document: the run.
-        path: the PNG to write.
-        radius_cm: of the tube, for its outline.
-        prior: obstacles of the map that the run was given.
+    """Draw a run's map into a PNG file, as `plot_map` does.
 
     Raises:
         RunFolderError: the picture cannot be written.
@@ -66,26 +60,19 @@ def plot_map(
     radius_cm: float,
     prior: Sequence[Obstacle] = (),
 ) -> Axes:
-    """Draw a run's map on axes.
+    """Draw a run's map on axes; None makes a new figure with matplotlib's pyplot.
 
-    Args:
-        document: the run.
-        axes: where to; None makes a new figure with matplotlib's pyplot.
-        radius_cm: of the tube, for its outline.
-        prior: obstacles of the map that the run was given.
+    The radius is the tube's, `prior` the obstacles of the map that the run was given.
     """
     axes = axes or new_axes(*_SIZE_IN)
-    swept = [
-        polygon
+    sides = [
+        [shape for shape in stage.shapes if shape.side == side]
         for stage in document.stages
         for side in ("left", "right")
-        for polygon in outline(
-            passed(shape for shape in stage.shapes if shape.side == side), radius_cm
-        )
     ]
+    swept = [polygon for shapes in sides for polygon in outline(passed(shapes), radius_cm)]
 
     def room(on: Axes) -> None:
-        """All that is in the room."""
         _robot(on, document.stages, swept, radius_cm)
         for obstacle in prior:
             on.plot(
@@ -189,14 +176,12 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
             solid_capstyle="round", label="95 % interval along the body",
         )  # fmt: skip
     around = Spread.of(contact.covariance_cm2)
-    axes.add_patch(
-        Ellipse(
-            (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
-            angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color,
-            lw=1.0, ls=(0, (4, 2)), zorder=5,
-            label="95 % ellipse in the plane",
-        )
+    ellipse = Ellipse(
+        (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
+        angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color, lw=1.0,
+        ls=(0, (4, 2)), zorder=5, label="95 % ellipse in the plane",
     )  # fmt: skip
+    axes.add_patch(ellipse)
     low, high = contact.interval_cm
     named = "contact" if number is None else f"{number}"
     axes.plot(
@@ -217,17 +202,14 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
 
 
 def _truth(axes: Axes, truth: Truth) -> None:
-    """What the emulated room knows, in its own colour."""
     from matplotlib.patches import Circle
 
     for peg in truth.pegs:
-        axes.add_patch(
-            Circle(
-                (peg.x_cm, peg.y_cm), peg.radius_cm,
-                facecolor="#d5eadf", edgecolor=_TRUTH, lw=1.3, zorder=4,
-                label="peg (truth)",
-            )
+        circle = Circle(
+            (peg.x_cm, peg.y_cm), peg.radius_cm, facecolor="#d5eadf", edgecolor=_TRUTH, lw=1.3,
+            zorder=4, label="peg (truth)",
         )  # fmt: skip
+        axes.add_patch(circle)
     for touch in truth.contacts:
         axes.plot(
             touch.x_cm, touch.y_cm, "x", color=_TRUTH, ms=8, mew=2, zorder=6,
@@ -236,14 +218,12 @@ def _truth(axes: Axes, truth: Truth) -> None:
 
 
 def _frame(axes: Axes, document: RunDocument) -> None:
-    """Axes and title."""
     axes.set_aspect("equal", adjustable="box")
     axes.margins(0.06)
     # A run cut short still gets a picture of a readable size.
     axes.update_datalim([(-4.0, -18.0), (30.0, 18.0)])
     axes.autoscale_view()
-    axes.set_xlabel("x, along the straight robot (cm)")
-    axes.set_ylabel("y, to its left (cm)")
+    axes.set(xlabel="x, along the straight robot (cm)", ylabel="y, to its left (cm)")
     plain(axes)
     count = len(document.contacts)
     found = "no contact" if count == 0 else f"{count} contact{'s' if count > 1 else ''}"

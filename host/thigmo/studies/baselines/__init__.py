@@ -9,30 +9,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from thigmo.studies.baselines import changepoint, general, trees
-from thigmo.studies.baselines.alternating import (
-    alternating,
-    alternating_trust_constr,
-    clamped,
-    coupled,
-)
+from thigmo.studies.baselines import alternating, general
 from thigmo.studies.baselines.problem import Array, Problem
 
 Baseline = Callable[[Problem], tuple[Array, Array]]
 
 BASELINES: dict[str, Baseline] = {
-    "alternating": alternating,
-    "alternating-2-norm": partial(alternating, norm=2),
-    "alternating-trust-constr": alternating_trust_constr,
-    "coordinate": partial(alternating, barriers=()),
-    "clamped": clamped,
-    "coupled": coupled,
+    "alternating": alternating.alternating,
+    "alternating-2-norm": partial(alternating.alternating, norm=2),
+    "alternating-trust-constr": alternating.alternating_trust_constr,
+    "coordinate": partial(alternating.alternating, barriers=()),
+    "clamped": alternating.clamped,
+    "coupled": alternating.coupled,
     "grid": general.grid,
     **{name: partial(general.optimised, name) for name in general.OPTIMISERS},
-    "pwlf": changepoint.pwlf,
-    "ruptures": changepoint.ruptures,
-    "trees": trees.trees,
-    "trees-mechanics": partial(trees.trees, mechanics=True),
+    "pwlf": general.pwlf,
+    "ruptures": general.ruptures,
+    "trees": general.trees,
+    "trees-mechanics": partial(general.trees, mechanics=True),
 }
 
-__all__ = ["BASELINES", "Baseline", "Problem", "alternating"]
+__all__ = ["BASELINES", "Baseline", "Problem"]

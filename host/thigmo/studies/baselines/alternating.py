@@ -16,6 +16,7 @@ for a folded base (section 3.2).
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -41,9 +42,21 @@ _STEPS = (32, 16, 8, 4, 2, 1)  # nodes; the first is 2 % of the length
 _SWEEPS = 8
 
 
-def at_centres(problem: Problem) -> Problem:
+def _at_centres(problem: Problem) -> Problem:
     """The same readings as the thesis takes them: of the curvature at each sensor's centre."""
     return replace(problem, span=np.zeros_like(problem.span))
+
+
+def _alternate(
+    arcs: Array, forces_at: Callable[[Array], Array], moved: Callable[[Array, Array], Array]
+) -> tuple[Array, Array]:
+    """Forces with the arcs fixed, then arcs with the forces fixed, until these stay."""
+    for _ in range(_MOST_ROUNDS):
+        forces = forces_at(arcs)
+        before, arcs = arcs, moved(arcs, forces)
+        if np.max(np.abs(arcs - before)) <= _TOLERANCE_CM:
+            break
+    return in_order(arcs, forces)
 
 
 def alternating(
@@ -54,53 +67,40 @@ def alternating(
     Its norm is the 1-norm. Barriers are followed one after the other; without any it is exact
     coordinate descent.
     """
-    problem = at_centres(problem)
+    problem = _at_centres(problem)
     nodes = problem.length * np.arange(1, _NODES) / _NODES
-    barrier = np.log(nodes) + np.log(problem.length - nodes)
     levers = influence(problem, nodes)
-    at = np.abs(nodes - starting_arcs(problem)[:, None]).argmin(axis=1)
-    forces = np.zeros(at.size)
-    for _ in range(_MOST_ROUNDS):
+    walls = np.outer(barriers, np.log(nodes) + np.log(problem.length - nodes))
+
+    def forces_at(arcs: Array) -> Array:
         if norm == 1:
-            forces = best_forces(problem, nodes[at])
-        else:
-            forces = np.asarray(np.linalg.pinv(levers[:, at]) @ problem.curvature)
-        before = nodes[at]
-        if barriers:
-            path = np.outer(barriers, barrier)
-            _follow(problem.curvature, levers, forces, at, path, norm)
-        else:
-            for j in range(at.size):
-                at[j] = _misfits(problem.curvature, levers, forces, at, j, norm).argmin()
-        if np.max(np.abs(nodes[at] - before)) <= _TOLERANCE_CM:
-            break
-    return in_order(nodes[at], forces)
+            return best_forces(problem, arcs)
+        return np.asarray(np.linalg.pinv(influence(problem, arcs)) @ problem.curvature)
 
+    def moved(arcs: Array, forces: Array) -> Array:
+        at = np.searchsorted(nodes, arcs)
 
-def _misfits(
-    curvature: Array, levers: Array, forces: Array, at: Array, j: int, norm: Literal[1, 2]
-) -> Array:
-    """The objective for contact j at every node, the others where they are."""
-    others = levers[:, at] @ forces - forces[j] * levers[:, at[j]]
-    left = (curvature - others)[:, None] - forces[j] * levers
-    return np.asarray(np.linalg.norm(left, norm, axis=0))
+        def misfits(j: int) -> Array:
+            """The objective for contact j at every node, the others where they are."""
+            others = levers[:, at] @ forces - forces[j] * levers[:, at[j]]
+            left = (problem.curvature - others)[:, None] - forces[j] * levers
+            return np.asarray(np.linalg.norm(left, norm, axis=0))
 
+        alone = misfits(0) if at.size == 1 else None
+        for wall in walls:
+            for _ in range(_SWEEPS):
+                before = at.copy()
+                for j in range(at.size):
+                    values = (misfits(j) if alone is None else alone) - wall
+                    at[j] = _downhill(values.tolist(), int(at[j]))
+                if alone is not None or (at == before).all():
+                    break
+        for j in range(0 if barriers else at.size):
+            at[j] = misfits(j).argmin()
+        return np.asarray(nodes[at])
 
-def _follow(
-    curvature: Array, levers: Array, forces: Array, at: Array, barriers: Array, norm: Literal[1, 2]
-) -> None:
-    """Follow the barrier path downhill from the nodes `at` (changed in place), forces fixed."""
-    alone = _misfits(curvature, levers, forces, at, 0, norm) if len(forces) == 1 else None
-    for barrier in barriers:
-        for _ in range(_SWEEPS):
-            before = at.copy()
-            for j in range(len(forces)):
-                misfits = (
-                    _misfits(curvature, levers, forces, at, j, norm) if alone is None else alone
-                )
-                at[j] = _downhill((misfits - barrier).tolist(), int(at[j]))
-            if alone is not None or (at == before).all():
-                break
+    start = np.abs(nodes - starting_arcs(problem)[:, None]).argmin(axis=1)
+    return _alternate(nodes[start], forces_at, moved)
 
 
 def _downhill(values: list[float], at: int) -> int:
@@ -119,29 +119,24 @@ def _downhill(values: list[float], at: int) -> int:
 def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
 
-    The same alternation as `alternating`, in a general solver's hands: the speed that users of the
-    thesis's method see. In cm, where it takes half as long as in mm with the same error. Source:
-    scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J. Optim. 9, 1999).
+    The speed that users of the thesis's method see. In cm, where it takes half as long as in mm
+    with the same error. Source: scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J.
+    Optim. 9, 1999).
     """
-    problem = at_centres(problem)
-    arcs = starting_arcs(problem)
-    forces = np.zeros(arcs.size)
-    bounds = Bounds(np.zeros(arcs.size), np.full(arcs.size, problem.length))
+    cut = _at_centres(problem)
+    bounds = Bounds(np.zeros(cut.contacts), np.full(cut.contacts, cut.length))
 
     def cost(arcs: Array, forces: Array) -> float:
-        return objective(problem, arcs, forces)
+        return objective(cut, arcs, forces)
 
-    for _ in range(_MOST_ROUNDS):
-        forces = best_forces(problem, arcs)
-        before = arcs.copy()
+    def moved(arcs: Array, forces: Array) -> Array:
         with warnings.catch_warnings():
             # The objective has kinks; SciPy warns of the flat quasi-Newton updates they cause.
             warnings.simplefilter("ignore", UserWarning)
             found = minimize(cost, arcs, args=(forces,), method="trust-constr", bounds=bounds)
-        arcs = np.clip(found.x, 0.0, problem.length)
-        if np.max(np.abs(arcs - before)) <= _TOLERANCE_CM:
-            break
-    return in_order(arcs, forces)
+        return np.asarray(np.clip(found.x, 0.0, cut.length))
+
+    return _alternate(starting_arcs(cut), lambda arcs: best_forces(cut, arcs), moved)
 
 
 def _clamp_base(problem: Problem) -> tuple[Problem, float]:
@@ -166,17 +161,14 @@ def coupled(problem: Problem) -> tuple[Array, Array]:
     held, base = _clamp_base(problem)
     if problem.contacts != 1 or abs(base) <= problem.critical_curvature:
         return alternating(held)
-    cut = at_centres(held)
+    cut = _at_centres(held)
     moment = np.sign(base) * problem.critical_curvature
 
     def cost(x: Array) -> float:
-        arc = float(x[0])
-        if not 0.0 < arc <= problem.length:
-            return 1e3
-        return objective(cut, np.array([arc]), np.array([moment / arc]))
+        inside = 0.0 < x[0] <= problem.length
+        return objective(cut, x, moment / x) if inside else 1e3
 
     first = float(starting_arcs(problem)[0])
     simplex = [[0.999 * first], [0.9 * first]]
-    found = minimize(cost, simplex[0], method="Nelder-Mead", options={"initial_simplex": simplex})
-    arc = float(found.x[0])
-    return np.array([arc]), np.array([moment / arc])
+    arc = minimize(cost, simplex[0], method="Nelder-Mead", options={"initial_simplex": simplex}).x
+    return arc, moment / arc

@@ -1,21 +1,25 @@
-"""What a user would reach for first: general optimisers on the thesis's objective, and a grid.
+"""What a user would reach for first: general optimisers, a grid, kinks in a line, and trees.
 
-Variables are scaled as a competent user would (a / L, f L^2 over the readings' size); the joint
-optimisers start where the problem says (by default where the thesis does, at the tip), with the
-best force there.
+Variables of the optimisers are scaled as a competent user would (a / L, f L^2 over the readings'
+size); they start where the problem says (by default where the thesis does, at the tip), with the
+best force there. `pwlf` and `ruptures` know neither the zero curvature beyond the last contact nor
+the sensors' spans. Trees are the thesis's wish.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
+from functools import lru_cache, partial
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution, dual_annealing, minimize
 
+from thigmo.errors import DataError
+from thigmo.localization import localize
 from thigmo.studies.baselines.problem import (
     Array,
     Problem,
@@ -26,16 +30,16 @@ from thigmo.studies.baselines.problem import (
     single_forces,
     starting_arcs,
 )
+from thigmo.studies.engine import extra
 
 _GRID_CM = 0.1
 _PAIR_GRID_CM = 1.0
-
-Optimiser = Callable[..., Any]
-"""Of a cost, bounds of its variables and `x0`; the result has the best in `x`."""
+_SEGMENT = 3  # the least that ruptures' continuous linear cost takes
+_EXAMPLES = 6000
 
 # Kraft 1988 (SLSQP); Byrd, Hribar and Nocedal 1999 (trust-constr); Nelder and Mead 1965; Storn and
 # Price 1997, with SciPy's defaults; Xiang et al. 1997, of 200 iterations. Seeds are fixed.
-OPTIMISERS: dict[str, Optimiser] = {
+OPTIMISERS: dict[str, Callable[..., Any]] = {
     "slsqp": partial(minimize, method="SLSQP"),
     "trust-constr": partial(minimize, method="trust-constr"),
     "nelder-mead": partial(minimize, method="Nelder-Mead"),
@@ -83,3 +87,111 @@ def grid(problem: Problem) -> tuple[Array, Array]:
     left = problem.curvature - (forces[:, None, :] @ phi)[:, 0, :]
     arcs = nodes[chosen[np.abs(left).sum(axis=1).argmin()]]
     return arcs, best_forces(problem, arcs)
+
+
+def pwlf(problem: Problem) -> tuple[Array, Array]:
+    """pwlf's continuous piecewise-linear fit; its inner breaks are the contacts.
+
+    Readings at one place are averaged first, for a line has one value there. Source: Jekel and
+    Venter, pwlf: A Python Library for Fitting 1D Continuous Piecewise Linear Functions, 2019.
+
+    Raises:
+        DataError: the package is missing, or there are too few places for its free parameters.
+    """
+    fitter = extra("pwlf")
+    places = np.unique(problem.position)
+    least = 2 * problem.contacts + 2
+    if places.size < least:
+        raise DataError(
+            f"pwlf needs readings at {least} places, there are {places.size}",
+            "use the localizer",
+        )
+    means = np.array([problem.curvature[problem.position == x].mean() for x in places])
+    fit = fitter.PiecewiseLinFit(places, means, seed=0)
+    breaks = np.asarray(fit.fit(problem.contacts + 1), dtype=np.float64)
+    arcs = np.clip(np.sort(breaks[1:-1]), 0.0, problem.length)
+    return arcs, best_forces(problem, arcs)
+
+
+def ruptures(problem: Problem) -> tuple[Array, Array]:
+    """ruptures' exact dynamic programme with the continuous linear cost.
+
+    It sees a series of samples, not their places, and needs three in a segment: readings at one
+    place follow each other in it, because averaged there would be too few. A change at a sample is
+    a contact at its place. Source: Truong, Oudre and Vayatis, Selective review of offline change
+    point detection methods, Signal Processing 167, 2020.
+
+    Raises:
+        DataError: the package is missing, or there are too few places for its segments.
+    """
+    finder = extra("ruptures")
+    order = np.argsort(problem.position, kind="stable")
+    least = _SEGMENT * (problem.contacts + 1)
+    if order.size < least:
+        raise DataError(
+            f"ruptures needs {least} readings, there are {order.size}", "use the localizer"
+        )
+    fit = finder.Dynp(model="clinear", min_size=_SEGMENT, jump=1)
+    fit.fit(problem.curvature[order][:, None])
+    ends = np.asarray(fit.predict(n_bkps=problem.contacts)[:-1], dtype=int)
+    arcs = problem.position[order][ends]
+    return arcs, best_forces(problem, arcs)
+
+
+def trees(problem: Problem, mechanics: bool = False) -> tuple[Array, Array]:
+    """Extremely randomised trees on the readings, alone or with the exact 1-norm fit beside them.
+
+    Source: Geurts, Ernst and Wehenkel, Extremely randomized trees, Machine Learning 63, 2006
+    (scikit-learn); the thesis's outlook asks for an ensemble of trees together with mechanics.
+    """
+    forest = _ensemble(
+        tuple(problem.position.tolist()), tuple(problem.span.tolist()), problem.length,
+        problem.contacts, problem.noise, mechanics,
+    )  # fmt: skip
+    arcs = np.sort(np.atleast_1d(forest.predict(_features(problem, mechanics)[None, :])[0]))
+    return arcs, best_forces(problem, arcs)
+
+
+@lru_cache(maxsize=16)
+def _ensemble(
+    position: tuple[float, ...],
+    span: tuple[float, ...],
+    length: float,
+    contacts: int,
+    noise: float,
+    mechanics: bool,
+) -> Any:
+    """Trees trained on the beam model with random contacts, and kept for the process."""
+    layout = Problem(
+        np.zeros(len(position)), np.array(position), np.array(span), length, contacts, noise
+    )
+    rng = np.random.default_rng(0)
+    examples = [_example(layout, rng) for _ in range(_EXAMPLES)]
+    inputs = np.array([_features(problem, mechanics) for problem, _ in examples])
+    arcs = np.array([target for _, target in examples])
+    forest = extra("sklearn.ensemble").ExtraTreesRegressor(
+        n_estimators=100, min_samples_leaf=3, random_state=0
+    )
+    return forest.fit(inputs, arcs if contacts > 1 else arcs[:, 0])
+
+
+def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]:
+    arcs = np.sort(rng.uniform(0.2, 1.0, layout.contacts)) * layout.length
+    moments = rng.uniform(0.1, 1.2, layout.contacts) * layout.critical_curvature
+    forces = moments * rng.choice([-1.0, 1.0], layout.contacts) / arcs
+    clean = influence(layout, arcs) @ forces
+    return replace(layout, curvature=clean + layout.noise * rng.standard_normal(clean.size)), arcs
+
+
+def _features(problem: Problem, mechanics: bool) -> Array:
+    """The readings; with mechanics also the exact fit, and what that leaves over."""
+    plain = problem.curvature * problem.length
+    if not mechanics:
+        return plain
+    fit = localize(
+        problem.curvature, problem.position, length=problem.length, span=problem.span,
+        contacts=problem.contacts, method="l1",
+    ).contacts  # fmt: skip
+    arcs, forces = (np.array([getattr(c, what) for c in fit]) for what in ("arc", "force"))
+    left = problem.curvature - influence(problem, arcs) @ forces
+    return np.concatenate([plain, arcs, forces * problem.length**2, left * problem.length])

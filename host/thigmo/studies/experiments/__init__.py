@@ -1,24 +1,23 @@
 """The thesis's experiments, repeated: the same conditions, three columns, and the bound.
 
-Robots are simulated with the frozen constants: `plan.py` says what is pressed where,
-`specimen.py` what an imperfect robot then reads, `fit.py` how imperfect. `procedure.py` and
-`recorded.py` do the same trials with a robot on the bench or the whole emulator. `compare.py` sets
-the methods against each other on either. Called by `thigmo experiment`.
+`trial.py` says what is pressed where, `specimen.py` what a simulated robot then reads, with the
+constants that `fit.py` found once. `recorded.py` takes the same trials with a robot on the bench or
+the whole emulator. `evaluate.py` sets the methods against each other on either. Called by
+`thigmo experiment`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.experiments import conditions, explored, figures, predictions, sensitivity
+from thigmo.studies.experiments import explorations, figures, fit, sensitivity
 from thigmo.studies.experiments.evaluate import evaluate
-from thigmo.studies.experiments.fit import frozen
-from thigmo.studies.experiments.plan import STATIC
-from thigmo.studies.experiments.specimen import Specimen
-from thigmo.studies.experiments.trial import Trial
+from thigmo.studies.experiments.specimen import Specimen, frozen
+from thigmo.studies.experiments.trial import STATIC, Trial
 
 __all__ = ["EXPERIMENTS", "Experiment"]
 
@@ -28,28 +27,23 @@ Experiment = Callable[[int, int, Context], Outcome]
 
 def _of_robot(item: tuple[str, int, int, int]) -> list[Trial]:
     name, trials, seed, robot = item
-    rng = np.random.default_rng([seed, robot])
-    return conditions.simulated(name, Specimen(frozen(), rng), trials, rng)
+    return Specimen(frozen(), np.random.default_rng([seed, robot])).trials(name, trials)
 
 
-def _static(name: str) -> Experiment:
+def _static(name: str, robots: int, trials: int, context: Context) -> Outcome:
     """Sections 3.2 to 3.4: trials over freshly drawn robots."""
-
-    def experiment(robots: int, trials: int, context: Context) -> Outcome:
-        items = [(name, trials, context.seed, robot) for robot in range(robots)]
-        found = [trial for some in context.map(_of_robot, items, "robots") for trial in some]
-        outcome = evaluate(name, found, context)
-        if name == "actuated":
-            outcome.figures["muscle-map"] = figures.muscle_map(context.seed)
-        return outcome
-
-    return experiment
+    items = [(name, trials, context.seed, robot) for robot in range(robots)]
+    found = [trial for some in context.map(_of_robot, items, "robots") for trial in some]
+    outcome = evaluate(name, found, context)
+    if name == "actuated":
+        outcome.figures["muscle-map"] = figures.muscle_map(context.seed)
+    return outcome
 
 
 EXPERIMENTS: dict[str, Experiment] = {
-    **{name: _static(name) for name in STATIC},
-    "predictions": predictions.run,
+    **{name: partial(_static, name) for name in STATIC},
+    "predictions": fit.predictions,
     # The emulator's own scene says how imperfect its robot is: one run of each protocol a robot.
-    "exploration": lambda robots, trials, context: explored.run(robots, context),
+    "exploration": lambda robots, trials, context: explorations.run(robots, context),
     "sensitivity": lambda robots, trials, context: sensitivity.run(robots * trials, context),
 }

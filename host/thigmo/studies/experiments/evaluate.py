@@ -1,19 +1,40 @@
-"""From trials to rows and figures: the same for simulated and for recorded ones."""
+"""From trials to the three columns: the thesis, the thesis's method here, ours; and the bound.
+
+The same for simulated and for recorded trials.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import nan
+from typing import Any
 
 import numpy as np
+from scipy import special
 
 from thigmo.errors import DataError
 from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.experiments import figures, thesis
-from thigmo.studies.experiments.compare import THEIRS, Row, Solved, row, shown, solve
+from thigmo.studies.experiments import compare, figures, thesis
+from thigmo.studies.experiments.compare import ALONE, OURS, THEIRS, Solved
 from thigmo.studies.experiments.trial import Trial
+from thigmo.studies.rod import Floats
 
 # The thesis's remedies for a folded base (section 3.2) beside its solver.
 _REMEDIES = {"base clamped": "clamped", "coupled": "coupled"}
+
+Row = dict[str, Any]
+"""One line of the three-column table (cm), for CSV, JSON and the table of docs/figures.md.
+
+    here_*, ours_*, alone_*: errors (`errors`) of the thesis's method here, of ours, and of ours
+        without the readings on the way (NaN where there are none).
+    perfect_arc_mean: the thesis's measure of a perfect arc: the foreshortening that it contains.
+    bound_mean: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
+    bound_measured_mean: the same estimator's error in the thesis's measure.
+    unbounded: number of contacts without a finite bound: nothing fixes their place.
+    ambiguous: number of our answers that say so.
+    allowed_mean, allowed: what ours may be in the thesis's measure and in the workspace: the larger
+        of half the thesis's method's error and 1.2 bounds; mean_beaten, beaten: whether it is.
+"""
 
 
 def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None) -> Outcome:
@@ -29,17 +50,17 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
     rows: list[Row] = []
     every: list[Solved] = []
     for condition in dict.fromkeys(trial.condition for trial in trials):
-        mine = [trial for trial in trials if trial.condition == condition]
         high = name == "single-contact" and condition == thesis.LEVELS[0]
         remedies = _REMEDIES if high else {}
-        items = [(trial, (THEIRS, *remedies.values())) for trial in mine]
-        solved = (context or Context()).map(solve, items, condition)
-        rows.append(row(name, condition, solved, THEIRS))
-        rows += [row(name, f"{condition}, {n}", solved, m) for n, m in remedies.items()]
+        methods = (THEIRS, *remedies.values())
+        items = [(trial, methods) for trial in trials if trial.condition == condition]
+        solved = (context or Context()).map(compare.solve, items, condition)
+        rows.append(_row(name, condition, solved, THEIRS))
+        rows += [_row(name, f"{condition}, {n}", solved, m) for n, m in remedies.items()]
         every += solved
     return Outcome(
         {"answers": _answers(every), "rows": rows},
-        figures.FIGURES[name](every, rows),
+        figures.FIGURES[name](every),
         [
             Claim(f"{name}, {r['condition']}: {measure}", r[value], r[allowed], unit="cm")
             for r in rows
@@ -49,8 +70,93 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
             )
         ],
         [f"{name}, {r['condition']}{note}" for r in rows for note in _remarks(r)],
-        [shown(r) for r in rows],
+        [_shown(r) for r in rows],
     )
+
+
+def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
+    """A method's errors over trials, cm; trials without an answer are left out.
+
+    Mean and std are in the thesis's measure, contacts ordered along the arc; nearest_mean and
+    other_mean with the closest pair of contact and obstacle matched first: of that pair, and of the
+    others (equal for one contact); workspace_mean is of the x in the workspace.
+    """
+    measures = compare.camera_errors, compare.assigned_errors, compare.workspace_errors
+    pairs = compare.answered(solved, method)
+    names = "mean", "std", "nearest_mean", "other_mean", "workspace_mean"
+    if not pairs:
+        return dict.fromkeys(names, nan)
+    camera, assigned, room = (np.array([measure(*pair) for pair in pairs]) for measure in measures)
+    nearest, other = assigned[:, 0].mean(), assigned[:, -1].mean()
+    values = camera.mean(), camera.std(), nearest, other, room.mean()
+    return dict(zip(names, map(float, values), strict=True))
+
+
+def folded(offset: Floats, spread: Floats) -> Floats:
+    """Mean absolute values (K,) of Gaussians of means `offset` >= 0 and mean deviations `spread`.
+
+    Both are (K,); a mean deviation is sqrt(2 / pi) standard deviations.
+    """
+    share = offset / np.maximum(np.sqrt(np.pi / 2) * spread, 1e-9)
+    return np.asarray(spread * np.exp(-0.5 * share**2) + offset * special.erf(share / np.sqrt(2.0)))
+
+
+def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -> Row:
+    """The line of one condition: the baseline `here` and ours over its trials."""
+    thesis_mean, thesis_std = thesis.RESULTS[experiment, condition]
+    bounds = np.concatenate([trial.bound_cm for trial, _ in solved])
+    finite = np.isfinite(bounds)
+    ahead = np.concatenate([np.abs(np.subtract(t.arcs_cm, t.obstacle_x_cm)) for t, _ in solved])
+    bound, measured = (
+        float(values[finite].mean()) if finite.any() else float("inf")
+        for values in (bounds, folded(ahead, bounds))
+    )
+    every = {
+        f"{who}_{what}": value
+        for who, method in (("here", here), ("ours", OURS), ("alone", ALONE))
+        for what, value in errors(solved, method).items()
+    }
+    allowed_mean, allowed = (
+        max(0.5 * every[f"here_{what}"], 1.2 * (least if np.isfinite(least) else 0.0))
+        for what, least in (("mean", measured), ("workspace_mean", bound))
+    )
+    return {
+        "experiment": experiment,
+        "condition": condition,
+        "trials": len(solved),
+        "thesis_mean": thesis_mean,
+        "thesis_std": thesis_std,
+        **every,
+        "perfect_arc_mean": float(ahead.mean()),
+        "bound_mean": bound,
+        "bound_measured_mean": measured,
+        "unbounded": int(bounds.size - finite.sum()),
+        "ambiguous": sum(answers[OURS].status == "ambiguous" for _, answers in solved),
+        "allowed_mean": allowed_mean,
+        "mean_beaten": bool(every["ours_mean"] <= allowed_mean),
+        "allowed": allowed,
+        "beaten": bool(every["ours_workspace_mean"] <= allowed),
+    }
+
+
+def _shown(r: Row) -> Row:
+    """The columns that people look at first."""
+
+    def spread(who: str) -> str:
+        return f"{r[f'{who}_mean']:.2f} +- {r[f'{who}_std']:.2f}"
+
+    return {
+        "|a - x of the obstacle|, cm": f"{r['experiment']}, {r['condition']}",
+        "trials": r["trials"],
+        "thesis": spread("thesis"),
+        "its method, here": spread("here"),
+        "ours": spread("ours"),
+        "perfect arc": r["perfect_arc_mean"],
+        "at the bound": r["bound_measured_mean"],
+        "x in the room: its": r["here_workspace_mean"],
+        "ours, x": r["ours_workspace_mean"],
+        "bound": r["bound_mean"],
+    }
 
 
 def _remarks(r: Row) -> list[str]:
@@ -81,19 +187,16 @@ def _remarks(r: Row) -> list[str]:
 
 def _answers(solved: Sequence[Solved]) -> list[dict[str, str]]:
     """One line a trial and method: what `figures.py` draws, for other tools."""
-
-    def listed(values: Sequence[float]) -> str:
-        return ";".join(f"{value:.6g}" for value in values)
-
     return [
-        {
-            "condition": one.trial.condition,
-            "place": one.trial.place,
-            "method": method,
-            "obstacle_x_cm": listed(one.trial.obstacle_x_cm),
-            "arcs_cm": listed(answer.arcs_cm),
-            "forces_per_cm2": listed(answer.forces),
+        {"condition": trial.condition, "place": trial.place, "method": method}
+        | {
+            what: ";".join(f"{value:.6g}" for value in values)
+            for what, values in (
+                ("obstacle_x_cm", trial.obstacle_x_cm),
+                ("arcs_cm", answer.arcs_cm),
+                ("forces_per_cm2", answer.forces),
+            )
         }
-        for one in solved
-        for method, answer in one.answers.items()
+        for trial, answers in solved
+        for method, answer in answers.items()
     ]

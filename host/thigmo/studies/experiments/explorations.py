@@ -1,46 +1,210 @@
-"""Section 3.5 with a robot: explorations one by one, labelled, resumed, evaluated again.
+"""Section 3.5: whole explorations, by the thesis's protocol and by ours, emulated or with a robot.
+
+The thesis's column here is its solver on the full sweep's peak readings of its own protocol, at the
+first stage with a contact; ours is the exploration's answer. Robot time is device time.
+
+With a robot they are made one by one, labelled, resumed, evaluated again:
 
     OUT/exploration/
-      robot.toml, trials.jsonl    as `folder.py` says
+      robot.toml, trials.jsonl    as `session.py` says
       DATE-...                    run folders, as those of `thigmo explore`
 
-Each trial is two explorations of the same room, by our protocol and by the thesis's. Before each
-the robot is wound in; a dowel that the robot leans on when it is vented must be taken away for
-that, and put back.
+Each trial is two explorations of the same room. Before each the robot is wound in; a dowel that the
+robot leans on when it is vented must be taken away for that, and put back.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration import explore
+from thigmo.exploration.map import best_contact
+from thigmo.exploration.replay import recorded_sweeps
 from thigmo.exploration.run import Progress
 from thigmo.exploration.run import Protocol as Way
-from thigmo.record import RunFolder
-from thigmo.robot import Operator, connect
-from thigmo.studies.engine import Outcome
-from thigmo.studies.experiments import explored
-from thigmo.studies.experiments.attendant import Attendant
-from thigmo.studies.experiments.folder import Folder, Row, Say
+from thigmo.record import RunDocument, RunFolder
+from thigmo.report.axes import BLUE, ORANGE, RED
+from thigmo.robot import Operator, SensorTable, connect
+from thigmo.studies import charts
+from thigmo.studies.baselines import BASELINES, Problem
+from thigmo.studies.engine import Claim, Context, Outcome, Record
+from thigmo.studies.experiments import figures, thesis
+from thigmo.studies.experiments.session import Attendant, Folder, Place, Row, Say
+from thigmo.studies.rooms import explored
 
-WAYS: dict[Way, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
+_URL = "emulator://default"
 _BASE_CM = 0.2
+_WAYS: dict[Way, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
+
+Made = dict[str, float]
+"""An exploration's |x error| "x_cm", error in the plane "cm" and robot time "s"; "solver_cm" of the
+thesis's solver where its protocol was followed. Errors are infinite where no contact was mapped."""
+
+Trials = Mapping[int, Mapping[Way, Made]]
+"""By seed of the room, or number of the trial."""
 
 
-@dataclass(frozen=True)
-class PlannedRun:
-    """One exploration by our protocol ("measure") or the thesis's; trials count from 1."""
+def run(robots: int, context: Context) -> Outcome:
+    """One run of each protocol a seed, in the emulator's default room."""
+    seeds = [context.seed + robot for robot in range(robots)]
+    trials = dict(zip(seeds, context.map(_both, seeds, "explorations"), strict=True))
+    outcome = _compared(trials)
+    outcome.figures |= {"stages": _stages(context.seed), "flow": figures.flow()}
+    return outcome
 
-    protocol: Way
-    number: int
 
-    @property
-    def key(self) -> str:
-        """What names it in a folder."""
-        return f"{WAYS[self.protocol]} | {self.number}"
+def _both(seed: int) -> dict[Way, Made]:
+    """Explore the default room by both protocols."""
+    with tempfile.TemporaryDirectory() as folder:
+        theirs = explored(_URL, folder, seed, protocol="thesis", frames=True)
+        assert theirs.document.truth is not None  # the emulator's room knows itself
+        (peg,) = theirs.document.truth.pegs
+        dowel = peg.x_cm, peg.y_cm
+        return {
+            "thesis": _made(theirs.document, dowel, RunFolder(theirs.folder)),
+            "measure": _made(explored(_URL, folder, seed).document, dowel),
+        }
+
+
+def _made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None) -> Made:
+    """What an exploration came to; its folder is needed if it followed the thesis's protocol.
+
+    On a real robot nobody knows the point of contact: there the dowel that touches it at the
+    mapped point is compared with the one that was measured.
+    """
+    best = best_contact(document.contacts)
+    x = plane = float("inf")
+    if document.error_x_cm is not None and document.error_cm is not None:
+        x, plane = document.error_x_cm, document.error_cm
+    elif document.truth is None and best is not None:
+        # Centre of a dowel that touches the skin there.
+        off_x = best.x_cm + thesis.DOWEL_CM * float(np.cos(best.normal_rad)) - dowel[0]
+        off_y = best.y_cm + thesis.DOWEL_CM * float(np.sin(best.normal_rad)) - dowel[1]
+        x, plane = abs(off_x), float(np.hypot(off_x, off_y))
+    found = {"x_cm": x, "cm": plane, "s": document.robot_time_s}
+    return found | ({"solver_cm": _thesis_solver(thesis_run, dowel[0])} if thesis_run else {})
+
+
+def _in_words(made: Made) -> str:
+    return f"|x error| {made['x_cm']:.2f} cm, in the plane {made['cm']:.2f} cm"
+
+
+def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
+    """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm.
+
+    Stages with fewer readings than the thesis's solver needs are passed over, as the thesis does.
+    """
+    table = SensorTable.of(run.read_config())
+    for sweep in recorded_sweeps(run.path):
+        for trigger in sweep.triggers:
+            peak = next((p for p in sweep.peaks if p.side == trigger.side), None)
+            if peak is None:
+                continue
+            use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+            if use.sum() < thesis.LEAST_READINGS:
+                continue
+            read = peak.curvature[use] - peak.free_curvature
+            problem = Problem(read, table.center_cm[use], table.span_cm[use], peak.length_cm)
+            arcs, _ = BASELINES["alternating"](problem)
+            return abs(float(arcs[0]) - obstacle_x_cm)
+    return float("inf")
+
+
+def _compared(trials: Trials) -> Outcome:
+    """What explorations promise over all rooms that were explored by both protocols."""
+    runs: list[Record] = [
+        {
+            "seed": number,
+            "thesis_solver_cm": ways["thesis"]["solver_cm"],
+            **{f"thesis_protocol_{what}": ways["thesis"][what] for what in ("x_cm", "cm", "s")},
+            **{f"ours_{what}": value for what, value in ways["measure"].items()},
+        }
+        for number, ways in trials.items()
+        if len(ways) == len(_WAYS)
+    ]
+    if not runs:
+        return Outcome()
+    ours, times, theirs = (
+        np.array([run[what] for run in runs], dtype=np.float64)
+        for what in ("ours_x_cm", "ours_s", "thesis_protocol_s")
+    )
+    return Outcome(
+        {"runs": runs},
+        {"errors": _figure(runs)},
+        [
+            Claim("exploration: mean |x error| over the seeds", ours.mean(), 1.5, unit="cm"),
+            Claim("exploration: robot time over the thesis's protocol's",
+                  times.sum() / theirs.sum(), 0.5),
+            Claim("exploration: worst |x error| over the seeds", ours.max(), 3.0, unit="cm"),
+        ],
+    )  # fmt: skip
+
+
+def _figure(runs: list[Record]) -> Figure:
+    """Error on the map against robot time, both protocols."""
+    figure, (axis,) = charts.panels(
+        size=(7, 4.4), title=f"Exploration of the default room, {len(runs)} seeds"
+    )
+    for label, color, time, error in (
+        ("thesis's protocol and solver", RED, "thesis_protocol_s", "thesis_solver_cm"),
+        ("thesis's protocol, our localizer", ORANGE, "thesis_protocol_s",
+         "thesis_protocol_x_cm"),
+        ("ours", BLUE, "ours_s", "ours_x_cm"),
+    ):  # fmt: skip
+        points = np.array([(run[time], run[error]) for run in runs], dtype=np.float64)
+        mapped = points[np.isfinite(points[:, 1])]
+        count = f"{len(mapped)} of {len(runs)} mapped"
+        axis.plot(*mapped.T, "o", color=color, alpha=0.7, label=f"{label} ({count})")
+    told, _ = thesis.RESULTS["exploration", "obstacle at the farthest place"]
+    axis.axhline(told, color="gray", linestyle="--", label=f"thesis, one run: {told} cm")
+    axis.set(
+        xlabel="robot time (s)", ylabel="|x error| of the mapped contact (cm)", xlim=(0, None),
+        ylim=(0, None),
+    )  # fmt: skip
+    axis.legend(fontsize=8)
+    return figure
+
+
+def _stages(seed: int) -> Figure:
+    """The robot growing and bending until it meets the peg, stage by stage (figure 3.9)."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = explored(_URL, folder, seed, protocol="thesis").document
+    shown = [stage for stage in found.stages if stage.shapes]
+    error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
+    figure, axes = charts.panels(
+        -(-len(shown) // 3), 3, size=(3.6, 4.2), share="all",
+        title=f"Exploring with an obstacle at an unknown place (thesis, figure 3.9); |x error| "
+        f"{error}",
+    )  # fmt: skip
+    for axis in axes[len(shown) :]:
+        axis.axis("off")
+    for letter, axis, stage in zip("abcdefghij", axes, shown, strict=False):
+        for shape in stage.shapes:
+            x, y, _ = np.array(shape.poses).T
+            axis.plot(x, y, color=BLUE if shape.side == "left" else ORANGE, linewidth=1)
+        for peg in found.truth.pegs if found.truth else ():
+            axis.add_patch(Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k"))
+        felt = [c for c in found.contacts if c.everted_length_cm == stage.everted_length_cm]
+        axis.plot([c.x_cm for c in felt], [c.y_cm for c in felt], "rx", markersize=9)
+        title = f"({letter}) {stage.everted_length_cm:.0f} cm out"
+        axis.set(title=title + (", contact" if felt else ""), aspect="equal", xlabel="x (cm)")
+    for color, label in (
+        (BLUE, "left muscle, 0 to 18 psi"),
+        (ORANGE, "right muscle, 0 to 18 psi"),
+        ("k", "dowel"),
+        (RED, "contact, localized"),
+    ):
+        axes[0].plot([], [], color=color, label=label)
+    charts.legend_below(figure)
+    return figure
 
 
 class _Remembers:
@@ -75,20 +239,18 @@ def run_explorations(
 ) -> bool:
     """Make the planned explorations, of both protocols, that the folder does not hold yet.
 
-    The emulator's seed differs from trial to trial. What was kept stays in every case.
-
-    Returns:
-        Whether all are done; False if the attendant stopped.
+    The emulator's seed differs from trial to trial. What was kept stays in every case. Returns
+    whether all are done; False if the attendant stopped.
     """
     person = _Remembers(operator) if operator else None
 
-    def one(run: PlannedRun) -> tuple[Row, str]:
+    def one(planned: Row) -> tuple[Row, str]:
+        protocol, number = planned["protocol"], planned["number"]
         _wind_in(url, folder.config, person, say)
-        attendant.set_dowel(run.key)
+        attendant.set_dowel(f"{_WAYS[protocol]} | {number}")
         found = explore(
-            url, config=folder.config, seed=seed + run.number, out=folder.path,
-            name=f"{run.protocol}-{run.number}", protocol=run.protocol, operator=person,
-            progress=progress,
+            url, config=folder.config, seed=seed + number, out=folder.path,
+            name=f"{protocol}-{number}", protocol=protocol, operator=person, progress=progress,
         )  # fmt: skip
         if person:
             # The encoder may show a hair more than the whole body, which the board refuses.
@@ -96,16 +258,19 @@ def run_explorations(
         document = found.document
         pegs = document.truth.pegs if document.truth else ()
         (dowel,) = attendant.dowels(1, [(peg.x_cm, peg.y_cm) for peg in pegs])
-        errors = explored.in_words(explored.made(document, dowel))
+        errors = _in_words(_made(document, dowel)) if document.contacts else "no contact"
         summary = (
-            f"{document.outcome}; {errors if document.contacts else 'no contact'}. "
+            f"{document.outcome}; {errors}. "
             "Take the dowel away if the robot leans on it: it is wound in next"
         )
         return {"run": found.folder.name, "dowel_cm": dowel}, summary
 
-    planned = [PlannedRun(way, number) for number in range(1, trials + 1) for way in WAYS]
-    todo = folder.missing(planned, say, "exploration")
-    return folder.take(todo, one, attendant.verdict, say)
+    planned: dict[str, Row] = {
+        f"{words} | {number}": {"protocol": way, "number": number}
+        for number in range(1, trials + 1)
+        for way, words in _WAYS.items()
+    }
+    return folder.take(folder.missing(planned, say, "exploration"), one, attendant.verdict, say)
 
 
 def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say) -> None:
@@ -130,32 +295,22 @@ def evaluate(folder: Folder) -> Outcome:
     Raises:
         DataError: none was kept.
     """
-    trials: dict[int, dict[str, explored.Made]] = defaultdict(dict)
-    for line in folder.kept():
+    trials: dict[int, dict[Way, Made]] = defaultdict(dict)
+    for line in sorted(folder.kept(), key=lambda line: int(line["number"])):
         run, way = RunFolder(folder.path / line["run"]), line["protocol"]
-        made = explored.made(
-            run.read_document(), line["dowel_cm"], run if way == "thesis" else None
-        )
-        trials[line["number"]][way] = made
+        thesis_run = run if way == "thesis" else None
+        trials[line["number"]][way] = _made(run.read_document(), line["dowel_cm"], thesis_run)
     if not trials:
         raise DataError("there are no explorations to evaluate", "make some first")
-    runs = [
-        explored.row(number, ways["thesis"], ways["measure"])
-        for number, ways in sorted(trials.items())
-        if len(ways) == len(WAYS)
-    ]
-    outcome = explored.compared(runs) if runs else Outcome()
-    each = [
-        (number, way, ways[way]) for number, ways in sorted(trials.items()) for way in WAYS
-        if way in ways
-    ]  # fmt: skip
+    outcome = _compared(trials)
+    each = [(n, way, ways[way]) for n, ways in trials.items() for way in _WAYS if way in ways]
     outcome.tables["each"] = [
         {"number": number, "protocol": way, "error_x_cm": made["x_cm"], "error_cm": made["cm"],
          "robot_time_s": made["s"]}
         for number, way, made in each
     ]  # fmt: skip
     outcome.notes += [
-        f"trial {number}, {WAYS[way]}: {explored.in_words(made)}, {made['s']:.0f} s"
+        f"trial {number}, {_WAYS[way]}: {_in_words(made)}, {made['s']:.0f} s"
         for number, way, made in each
     ]
     return outcome

@@ -1,8 +1,13 @@
-"""Trials taken with a robot: kept in a folder, resumed, evaluated again.
+"""The thesis's static trials with a robot: how each is taken, kept, resumed and evaluated again.
 
 OUT/EXPERIMENT/
-  robot.toml, trials.jsonl  as `folder.py` says
+  robot.toml, trials.jsonl  as `session.py` says
   run-1.mcap                every frame of the first session's link, run-2.mcap of the next
+
+The same steps for a robot on the bench, whose operator answers prompts, and for the emulator, whose
+operator is code (`session.py`). Each trial starts with the robot straight, vented and zeroed, as
+in the thesis; one second of readings is averaged while the dowels press, and at every pressure that
+an actuated robot passes on its way (`thesis.PASSED_PSI`).
 """
 
 from __future__ import annotations
@@ -13,19 +18,145 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.config import RobotConfig, Side
-from thigmo.errors import DataError
+from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
-from thigmo.robot import Robot, SensorTable
-from thigmo.studies.experiments.attendant import Attendant
-from thigmo.studies.experiments.folder import Folder, Row, Say
-from thigmo.studies.experiments.plan import Planned, plan
-from thigmo.studies.experiments.procedure import prepare, take
-from thigmo.studies.experiments.trial import Passed, Trial
+from thigmo.robot import Reading, Robot, SensorTable
+from thigmo.studies.experiments import thesis
+from thigmo.studies.experiments.session import Attendant, Folder, Row, Say
+from thigmo.studies.experiments.specimen import frozen, pushed
+from thigmo.studies.experiments.trial import Planned, Trial, arc_bound_cm, plan
 from thigmo.studies.rod import Floats
 
+_STEADY_S = 2.5  # from a new load to a body at rest
+_READ_S = 1.0
+_QUIET_S = 5.0  # after venting, before zeros are taken
+_RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
+_ZERO_TRIES = 3
+_SAME_CM = 0.2
 _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not state it
 _LEAST_GAIN_SE = 1e-3
+
+
+def run_trials(
+    robot: Robot,
+    attendant: Attendant,
+    folder: Folder,
+    experiment: str,
+    count: int,
+    say: Say = lambda text: None,
+) -> bool:
+    """Take so many trials of each place and condition, but for those that the folder holds.
+
+    Returns whether all are done; False if the attendant stopped.
+    """
+    config, body = folder.config, folder.config.body
+    planned = plan(experiment, count, body.length_cm, body.critical_curvature)
+    todo = folder.missing({one.key: one for one in planned}, say, experiment)
+    if not todo:
+        return True
+    session = 1 + len(list(folder.path.glob("run-*.mcap")))
+    facts = {"thigmo": __version__, "url": robot.url, **robot.identity}
+    with LogWriter(folder.path / f"run-{session}.mcap", facts) as log:
+        robot.record_frames(log.frame)
+
+        def one(trial: Planned) -> tuple[Row, str]:
+            log.note("trial", robot.now(), key=trial.key)
+            row = _take(robot, config, attendant, trial)
+            read = row["curvature"]
+            left, right = read[0], read[len(read) // 2]
+            return row, f"base sensors read {left:+.4f} (left) and {right:+.4f} 1/cm (right)"
+
+        _prepare(robot, config, say)
+        done = folder.take(todo, one, attendant.verdict, say)
+        if done:
+            attendant.clear()
+    return done
+
+
+def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
+    """Configure, arm, grow to the full length stage by stage, and let every sensor settle."""
+    robot.configure(config)
+    length = robot.status().length_cm
+    if length is None:
+        length = robot.operator.everted_length_cm()
+        robot.confirm_length(length)
+    if robot.status().state == "safe":
+        robot.arm()
+    robot.vent()
+    body, pitch = config.body, config.sensors.pitch_cm
+    stops = {*np.arange(pitch, body.length_cm, pitch).tolist(), body.length_cm}
+    stops |= {zone.until_cm for zone in body.zones if zone.until_cm < body.length_cm}
+    way = [(stop, body.zone_at(stop)) for stop in sorted(stops) if stop > length + _SAME_CM]
+    pressed = -1
+    for stop, zone in (*way, (None, len(body.zones) - 1)):
+        if zone != pressed:
+            robot.operator.set_body_pressure(body.zones[zone].pressure_psi)
+            robot.select_zone(zone)
+            pressed = zone
+        if stop is not None:
+            say(f"growing to {stop:.1f} cm")
+            robot.grow_to(stop)
+    say("waiting for the sensors to settle")
+    robot.wait_settled()
+
+
+def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
+    """Take one trial, vent the robot, and return what is kept of it beside its plan."""
+    attendant.clear()
+    _zero(robot)
+    passed: list[Reading] = []
+    if trial.pressure_psi > 0:
+        now = 0.0
+        for psi in thesis.passed_psi(trial.pressure_psi):
+            _press(robot, trial.side, psi, since_psi=now)
+            if psi == thesis.TOUCH_PSI:
+                attendant.touch(trial)
+            passed.append(robot.read(_READ_S))
+            now = psi
+        _press(robot, trial.side, trial.pressure_psi, since_psi=now)
+    else:
+        shape = pushed(
+            trial.arcs_cm, trial.forces, length_cm=config.body.length_cm,
+            fold_rad=trial.sign * frozen().fold_rad if trial.folds else 0.0,
+            diameter_cm=config.body.diameter_cm,
+        )  # fmt: skip
+        attendant.push_aside(trial, [round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm])
+        robot.wait(_STEADY_S)
+    reading = robot.read(_READ_S)
+    dowels = attendant.dowels(len(trial.arcs_cm))
+    truth = attendant.truth()
+    robot.vent()
+    return {
+        **{name: getattr(reading, name) for name in ("t_s", "length_cm", "left_psi", "right_psi")},
+        "zeroed": robot.status().zeroed,
+        "curvature": reading.curvature.tolist(),
+        "dowel_x_cm": [x for x, _ in dowels],
+        "dowel_y_cm": [y for _, y in dowels],
+        **truth,
+        "passed_psi": [getattr(r, f"{trial.side}_psi") for r in passed],
+        "passed_curvature": [r.curvature.tolist() for r in passed],
+    }
+
+
+def _press(robot: Robot, side: Side, psi: float, *, since_psi: float) -> None:
+    left, right = (psi, 0.0) if side == "left" else (0.0, psi)
+    robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
+    robot.wait((psi - since_psi) / _RAMP_PSI_S + _STEADY_S)
+
+
+def _zero(robot: Robot) -> None:
+    """Zero the straight, vented robot; once more if its readings still drift."""
+    robot.vent()
+    for attempt in range(1, _ZERO_TRIES + 1):
+        robot.wait(_QUIET_S)
+        try:
+            robot.zero()
+        except CommandRefusedError as error:
+            if error.reason != "drifting" or attempt == _ZERO_TRIES:
+                raise
+        else:
+            return
 
 
 def trials(folder: Folder) -> list[Trial]:
@@ -43,43 +174,36 @@ def trials(folder: Folder) -> list[Trial]:
         ) from error
 
 
-def run_trials(
-    robot: Robot,
-    attendant: Attendant,
-    folder: Folder,
-    experiment: str,
-    count: int,
-    say: Say = lambda text: None,
-) -> bool:
-    """Take so many trials of each place and condition, but for those that the folder holds.
-
-    What was taken is kept in every case.
-
-    Returns:
-        Whether all are done; False if the attendant stopped.
-    """
-    config, body = folder.config, folder.config.body
-    planned = plan(experiment, count, body.length_cm, body.critical_curvature)
-    todo = folder.missing(planned, say, experiment)
-    if not todo:
-        return True
-    session = 1 + len(list(folder.path.glob("run-*.mcap")))
-    facts = {"thigmo": __version__, "url": robot.url, **robot.identity}
-    with LogWriter(folder.path / f"run-{session}.mcap", facts) as log:
-        robot.record_frames(log.frame)
-
-        def one(trial: Planned) -> tuple[Row, str]:
-            log.note("trial", robot.now(), key=trial.key)
-            row = take(robot, config, attendant, trial)
-            read = row["curvature"]
-            left, right = read[0], read[len(read) // 2]
-            return row, f"base sensors read {left:+.4f} (left) and {right:+.4f} 1/cm (right)"
-
-        prepare(robot, config, say)
-        done = folder.take(todo, one, attendant.verdict, say)
-        if done:
-            attendant.clear()
-    return done
+def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
+    """A line of the table as a trial: usable sensors only, free curvature by the map."""
+    table, scale_se = SensorTable.of(config), scale_errors(config)
+    side: Side = row["side"]
+    muscle, sign = config.actuators.side(side), 1 if side == "left" else -1
+    zone = muscle.maps[-1]
+    frames, psi = np.array([*row["passed_curvature"], row["curvature"]]), row["passed_psi"]
+    gain, gain_se = np.ones(frames.shape[1]), np.zeros(frames.shape[1])
+    free = np.zeros(1)
+    if psi:
+        free = np.array([sign * zone.inflate.curvature(p) for p in (*psi, row[f"{side}_psi"])])
+        gain, gain_se = _shown_gains(rows, config, side)
+        use = table.usable(side, row["zeroed"]) & np.isfinite(frames[-1])
+        # The zero, and what scale and map may be off by.
+        more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free[-1]) ** 2
+    else:
+        use, more = table.healthy & (table.direction * frames[-1] >= 0), 0.0
+    sigma = np.sqrt(table.noise**2 + (scale_se * (frames[-1] - free[-1])) ** 2 + more)[use]
+    position, span = table.center_cm[use], table.span_cm[use]
+    arcs, forces = tuple(row["true_arcs_cm"] or row["arcs_cm"]), tuple(row["true_forces"])
+    unknown = (float("nan"),) * len(arcs)
+    length = row["length_cm"]
+    bound = arc_bound_cm(arcs, forces, position, span, sigma, length) if forces else unknown
+    return Trial(
+        row["condition"], row["place"], position, span, frames[:, use], free,
+        float(np.median(table.noise[use])), gain[use], sigma, arcs, forces or unknown,
+        tuple(row["dowel_x_cm"]), tuple(row["true_contact_x_cm"]) or unknown,
+        unknown if psi else bound, float(np.median(gain_se[use])), _PLACE_SE_CM, muscle.offset_se,
+        length, config.body.critical_curvature, config.body.radius_cm,
+    )  # fmt: skip
 
 
 def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> tuple[Floats, Floats]:
@@ -97,52 +221,3 @@ def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> tuple[
     variance = table.noise**2 + muscle.offset_se**2
     precision = 1 / spread**2 + believed**2 / variance
     return 1 + np.nan_to_num(believed * departure / variance / precision), precision**-0.5
-
-
-def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
-    """A line of the table as a trial: usable sensors only, free curvature by the map."""
-    table = SensorTable.of(config)
-    curvature = np.array(row["curvature"])
-    side: Side = row["side"]
-    muscle, sign = config.actuators.side(side), 1 if side == "left" else -1
-    zone = muscle.maps[-1]
-    scale_se = scale_errors(config)
-    if row["passed_psi"]:
-        free = sign * zone.inflate.curvature(row[f"{side}_psi"])
-        gain, gain_se = _shown_gains(rows, config, side)
-        use = table.usable(side, row["zeroed"]) & np.isfinite(curvature)
-        passed = Passed(
-            np.array(row["passed_curvature"])[:, use],
-            np.array([sign * zone.inflate.curvature(psi) for psi in row["passed_psi"]]),
-            float(np.median(gain_se[use])),
-            _PLACE_SE_CM,
-        )
-        # The zero, and what scale and map may be off by.
-        more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
-    else:
-        free, gain, passed, more = 0.0, np.ones(curvature.size), None, np.zeros(curvature.size)
-        use = table.healthy & (table.direction * curvature >= 0)
-    sigma = np.sqrt(table.noise**2 + (scale_se * (curvature - free)) ** 2 + more)
-    arcs = tuple(row["true_arcs_cm"] or row["arcs_cm"])
-    unknown = (float("nan"),) * len(arcs)
-    return Trial(
-        row["condition"],
-        row["place"],
-        curvature[use],
-        table.center_cm[use],
-        table.span_cm[use],
-        free,
-        float(np.median(table.noise[use])),
-        gain[use],
-        sigma[use],
-        sigma[use],
-        arcs,
-        tuple(row["true_forces"]) or unknown,
-        tuple(row["dowel_x_cm"]),
-        tuple(row["true_contact_x_cm"]) or unknown,
-        offset_sigma=muscle.offset_se,
-        length_cm=row["length_cm"],
-        critical=config.body.critical_curvature,
-        radius_cm=config.body.radius_cm,
-        passed=passed,
-    )

@@ -8,20 +8,23 @@ everything else is then prediction.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
 from thigmo.config import RobotConfig, TanhMap
 from thigmo.emulator.scene import Scene
-from thigmo.mechanics import Solution, Tube, peg_for, push
+from thigmo.mechanics import Peg, Solution, Tube, peg_for, push, solve
 from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.trial import Passed, Trial
+from thigmo.studies.experiments.trial import Planned, Trial, arc_bound_cm, plan
 from thigmo.studies.rod import Floats
 
 _STEP_CM = 1e-3
+_BOUND_STEP_CM = 0.02  # of the differences that the bound is made of
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,12 @@ class Constants:
     fold_rad: float  # angle of the base's fold under the high force
 
 
+def frozen() -> Constants:
+    """The constants that the experiments use."""
+    stored = json.loads(files("thigmo.studies.experiments").joinpath("constants.json").read_text())
+    return Constants(**stored["constants"])
+
+
 @cache
 def emulated_robot() -> RobotConfig:
     """The robot of the emulator's default scene: the thesis publishes no map of its muscles."""
@@ -44,33 +53,37 @@ def pushed(
     arcs_cm: Sequence[float],
     forces: Sequence[float],
     *,
-    free: float = 0.0,
     fold_rad: float = 0.0,
     length_cm: float = thesis.LENGTH_CM,
     diameter_cm: float = thesis.DIAMETER_CM,
 ) -> Solution:
     """A body under normal forces (1/cm^2) at arcs, with a fold of the base."""
     return push(
-        np.array(forces),
-        np.array(arcs_cm),
-        free_curvature=free,
-        length=length_cm,
-        tube=Tube(diameter_cm),
-        fold_angle=fold_rad,
+        np.array(forces), np.array(arcs_cm), free_curvature=0.0, length=length_cm,
+        tube=Tube(diameter_cm), fold_angle=fold_rad,
+    )  # fmt: skip
+
+
+@cache
+def bent(arc_cm: float, touch: float, free: float) -> tuple[Solution, Peg]:
+    """The body, of free curvature `free`, and the dowel that it met there at the one of `touch`."""
+    tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
+    heading = touch * arc_cm
+    reach = tube.radius_cm + thesis.DOWEL_CM
+    peg = Peg(
+        float(np.sin(heading)) / touch - reach * float(np.sin(heading)),
+        float(1 - np.cos(heading)) / touch + reach * float(np.cos(heading)),
+        thesis.DOWEL_CM,
     )
+    return solve(free, thesis.LENGTH_CM, tube=tube, pegs=[peg]), peg
 
 
 class Specimen:
     """One robot as built: its gains and places are drawn once and stay.
 
-    Args:
-        constants: how imperfect it is.
-        rng: draws the robot, then the noise of its trials.
-        muscle: the left one's map; None takes the emulated robot's.
-        map_error: relative error of the free curvature that the lab believes.
-
-    Attributes:
-        gain_sigma: relative standard deviation of what is still unknown of a gain.
+    `rng` draws the robot, then the hands and the noise of its trials. The left muscle's map is the
+    emulated robot's unless given; `map_error` is relative, of the free curvature that the lab
+    believes.
     """
 
     def __init__(
@@ -81,17 +94,54 @@ class Specimen:
         map_error: float = 0.0,
     ) -> None:
         self.constants = constants
-        self.muscle = muscle or emulated_robot().actuators.left.maps[-1].inflate
-        self.map_error = map_error
-        self.believed: Floats = np.tile(thesis.CENTERS_CM, 2)
-        count = self.believed.size
-        half = thesis.SPAN_CM / 2
-        true = self.believed + constants.position_cm * rng.standard_normal(count)
-        self._true = np.clip(true, min(half, self.believed.min()), thesis.LENGTH_CM - half)
+        self.gain_error = constants.gain_spread  # of what is still unknown of a gain
+        self._muscle = muscle or emulated_robot().actuators.left.maps[-1].inflate
+        self._map_error = map_error
+        self._believed: Floats = np.tile(thesis.CENTERS_CM, 2)
+        count, half = self._believed.size, thesis.SPAN_CM / 2
+        true = self._believed + constants.position_cm * rng.standard_normal(count)
+        self._true = np.clip(true, min(half, self._believed.min()), thesis.LENGTH_CM - half)
         self._gain = 1.0 + constants.gain_spread * rng.standard_normal(count)
         self._shown = np.ones(count)
-        self.gain_sigma = constants.gain_spread
         self._rng = rng
+
+    def trials(self, experiment: str, count: int) -> list[Trial]:
+        """So many trials of each place and condition of a static experiment."""
+        planned = plan(experiment, count)
+        return self._bent(planned) if experiment == "actuated" else [*map(self._pushed, planned)]
+
+    def _pushed(self, planned: Planned) -> Trial:
+        # Hands do not press twice alike: five per cent. A folded base presses evenly.
+        low = planned.condition == thesis.LEVELS[1]
+        hand = 1.0 + 0.05 * float(self._rng.standard_normal()) if low else 1.0
+        forces = [hand * force for force in planned.forces]
+        fold = planned.sign * self.constants.fold_rad if planned.folds else 0.0
+        return self.press(planned.condition, planned.place, planned.arcs_cm, forces, fold_rad=fold)
+
+    def _bent(self, plans: Sequence[Planned]) -> list[Trial]:
+        """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
+
+        Only the right column reads. Each inflation passes 6 psi untouched: what the sensors say
+        there of themselves counts for all of the robot's trials. From there on it is read at every
+        second psi. Where along the body the dowel bears at 10 and 14 psi, and whether on the side
+        or on the tip's end, is for the mechanics to say.
+        """
+        touch, scale = self._muscle.curvature(thesis.TOUCH_PSI), 1 + self._map_error
+        read = []
+        for planned in plans:
+            way = (*thesis.passed_psi(planned.pressure_psi), planned.pressure_psi)
+            free = tuple(self._muscle.curvature(psi) for psi in way)
+            bodies = [bent(planned.arcs_cm[0], touch, g) for g in free]
+            frames = np.array([self.read(body, one_side=True) for body, _ in bodies])
+            read.append((planned, free, *bodies[-1], frames))
+        self.learn_gains(np.array([frames[0] for *_, frames in read]), scale * touch)
+        return [
+            self.observe(
+                planned.condition, planned.place, body, frames, scale * np.array(free),
+                [obstacle_bound(peg, free, self.constants, self.gain_error)],
+            )
+            for planned, free, body, peg, frames in read
+        ]  # fmt: skip
 
     def learn_gains(self, readings: Floats, believed: float) -> None:
         """Take readings of the untouched robot, bent by its muscle: all sensors bend alike there.
@@ -103,7 +153,7 @@ class Specimen:
         precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
         departure = believed / noise**2 * (readings - believed).sum(axis=0)
         self._shown[: readings.shape[1]] = 1 + departure / precision
-        self.gain_sigma = float(precision**-0.5)
+        self.gain_error = float(precision**-0.5)
 
     def press(
         self,
@@ -112,16 +162,15 @@ class Specimen:
         arcs_cm: Sequence[float],
         forces: Sequence[float],
         *,
-        free: float = 0.0,
         fold_rad: float = 0.0,
     ) -> Trial:
         """Readings while normal forces (1/cm^2) press at arcs, base first."""
-        body = pushed(arcs_cm, forces, free=free, fold_rad=fold_rad)
-        return self.observe(condition, place, body, self.read(body), free=free)
+        body = pushed(arcs_cm, forces, fold_rad=fold_rad)
+        return self.observe(condition, place, body, self.read(body)[None, :], np.zeros(1))
 
     def read(self, body: Solution, one_side: bool = False) -> Floats:
-        """Readings of a body in a known equilibrium, (N,)."""
-        count = self.believed.size // 2 if one_side else self.believed.size
+        """Noisy readings of a body in a known equilibrium, (N,)."""
+        count = self._believed.size // 2 if one_side else self._believed.size
         clean = body.averages(self._true[:count], thesis.SPAN_CM)
         # Zeroing takes the straight robot as zero, so a gain error scales the reading only.
         return np.asarray(
@@ -133,43 +182,38 @@ class Specimen:
         condition: str,
         place: str,
         body: Solution,
-        noisy: Floats,
-        *,
-        free: float = 0.0,
-        passed: Passed | None = None,
+        frames: Floats,
+        free: Floats,
+        bound_cm: Sequence[float] | None = None,
     ) -> Trial:
-        """A trial from noisy readings (`read`) of a body, and what was read on the way."""
+        """A trial from frames (T, N) of readings, with the body of the last one.
+
+        `free` (T,) is believed. The bound is that of the body's forces unless given.
+        """
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
-        count = len(noisy)
-        at = self._true[:count]
-        clean = body.averages(at, thesis.SPAN_CM)
-        slope = (body.averages(at + _STEP_CM, thesis.SPAN_CM) - clean) / _STEP_CM
+        arcs, forces = (tuple(getattr(c, what) for c in contacts) for what in ("arc", "normal"))
+        count = frames.shape[1]
+        believed, true = self._believed[:count], self._true[:count]
+        span = np.full(count, thesis.SPAN_CM)
+        if bound_cm is None:
+            clean = body.averages(true, thesis.SPAN_CM)
+            slope = (body.averages(true + _STEP_CM, thesis.SPAN_CM) - clean) / _STEP_CM
+            spread = self._deviation(clean, slope)
+            bound_cm = arc_bound_cm(arcs, forces, believed, span, spread, thesis.LENGTH_CM)
+        # A lab knows how well it calibrated, not the errors themselves.
+        sigma = self._deviation(frames[-1], _slope(believed, frames[-1]))
         return Trial(
-            condition,
-            place,
-            noisy,
-            self.believed[:count],
-            np.full(count, thesis.SPAN_CM),
-            free,
-            self.constants.noise,
-            self._shown[:count],
-            # A lab knows how well it calibrated, not the errors themselves.
-            self._deviation(noisy, _slope(self.believed[:count], noisy)),
-            self._deviation(clean, slope),
-            tuple(contact.arc for contact in contacts),
-            tuple(contact.normal for contact in contacts),
+            condition, place, believed, span, frames, free, self.constants.noise,
+            self._shown[:count], sigma, arcs, forces,
             tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
-            tuple(contact.x for contact in contacts),
-            passed=passed,
-        )
+            tuple(contact.x for contact in contacts), tuple(bound_cm), self.gain_error,
+            self.constants.position_cm,
+        )  # fmt: skip
 
     def _deviation(self, curvature: Floats, slope: Floats) -> Floats:
-        """Standard deviation of readings over robots: noise, gain and place together.
-
-        Of a gain what is still unknown counts.
-        """
+        """Standard deviation of readings over robots: noise, unknown part of the gains, places."""
         c = self.constants
-        variance = c.noise**2 + (self.gain_sigma * curvature) ** 2 + (c.position_cm * slope) ** 2
+        variance = c.noise**2 + (self.gain_error * curvature) ** 2 + (c.position_cm * slope) ** 2
         return np.asarray(np.sqrt(variance))
 
 
@@ -179,3 +223,42 @@ def _slope(position: Floats, curvature: Floats) -> Floats:
     mean = np.bincount(index, curvature) / np.bincount(index)
     slope: Floats = np.gradient(mean, places)[index]
     return slope
+
+
+@cache
+def obstacle_bound(
+    peg: Peg, free: tuple[float, ...], constants: Constants, gain_error: float
+) -> float:
+    """Cramer-Rao bound of a dowel that stands still while the robot bends into it, from all frames.
+
+    Unknown are the two coordinates of the dowel; every reading has its noise, and every sensor an
+    error of its gain and of its place, the same in all frames (of free curvature `free`, 1/cm).
+    Bounded is the x of the contact in the last frame, as mean absolute error (cm) of a Gaussian
+    estimator; infinite if singular.
+    """
+    tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
+    at, step = np.array(thesis.CENTERS_CM), _BOUND_STEP_CM
+
+    def seen(dx: float, dy: float, ahead: float = 0.0) -> tuple[Floats, float]:
+        """Clean frames with the dowel moved, and x of the contact."""
+        moved = Peg(peg.x + dx, peg.y + dy, peg.radius)
+        found = [solve(g, thesis.LENGTH_CM, tube=tube, pegs=[moved]) for g in free]
+        x = found[-1].contacts[-1].x if found[-1].contacts else float("nan")
+        return np.array([body.averages(at + ahead, thesis.SPAN_CM) for body in found]), x
+
+    here = seen(0.0, 0.0)[0]
+    slope = (seen(0.0, 0.0, step)[0] - here) / step
+    pairs = [(seen(dx, dy), seen(-dx, -dy)) for dx, dy in ((step, 0.0), (0.0, step))]
+    jacobian = [(far - near) / (2 * step) for (far, _), (near, _) in pairs]
+    gradient = np.array([(far_x - near_x) / (2 * step) for (_, far_x), (_, near_x) in pairs])
+    information = np.zeros((2, 2))
+    for sensor in range(len(at)):
+        covariance = max(constants.noise, 1e-9) ** 2 * np.eye(len(free))
+        covariance += np.outer(here[:, sensor], here[:, sensor]) * gain_error**2
+        covariance += np.outer(slope[:, sensor], slope[:, sensor]) * constants.position_cm**2
+        sensed = np.array([part[:, sensor] for part in jacobian])
+        information += sensed @ np.linalg.solve(covariance, sensed.T)
+    if np.linalg.cond(information) > 1e12:
+        return float("inf")
+    variance = gradient @ np.linalg.solve(information, gradient)
+    return float(np.sqrt(2 / np.pi * variance))

@@ -9,7 +9,6 @@ sit) is chosen here and says so.
 from __future__ import annotations
 
 from math import nan
-from typing import NamedTuple
 
 LENGTH_CM = 53.0
 SPAN_CM = 5.5
@@ -46,22 +45,15 @@ def separation(gap_cm: float) -> str:
     return SEPARATIONS[0] if gap_cm >= DISCRIMINATION_CM else SEPARATIONS[1]
 
 
-class Published(NamedTuple):
-    """Mean and standard deviation of one row of the thesis's results."""
-
-    mean_cm: float
-    std_cm: float
-
-
-RESULTS: dict[tuple[str, str], Published] = {
-    ("single-contact", "high force"): Published(3.44, 1.38),
-    ("single-contact", "low force"): Published(4.59, 6.78),
-    ("single-contact", "high force, base clamped"): Published(2.98, 1.38),
-    ("single-contact", "high force, coupled"): Published(1.93, 1.04),
-    ("two-contacts", "23.5 cm or more apart"): Published(4.49, 2.79),
-    ("two-contacts", "closer than 23.5 cm"): Published(16.94, 2.55),
-    ("actuated", "high force (14 psi)"): Published(4.62, 0.95),
-    ("actuated", "low force (10 psi)"): Published(15.21, 9.72),
-    ("exploration", "obstacle at the farthest place"): Published(6.82, nan),
+RESULTS: dict[tuple[str, str], tuple[float, float]] = {
+    ("single-contact", "high force"): (3.44, 1.38),
+    ("single-contact", "low force"): (4.59, 6.78),
+    ("single-contact", "high force, base clamped"): (2.98, 1.38),
+    ("single-contact", "high force, coupled"): (1.93, 1.04),
+    ("two-contacts", "23.5 cm or more apart"): (4.49, 2.79),
+    ("two-contacts", "closer than 23.5 cm"): (16.94, 2.55),
+    ("actuated", "high force (14 psi)"): (4.62, 0.95),
+    ("actuated", "low force (10 psi)"): (15.21, 9.72),
+    ("exploration", "obstacle at the farthest place"): (6.82, nan),
 }
-"""By experiment and condition."""
+"""Mean and standard deviation (cm) by experiment and condition."""

@@ -1,64 +1,186 @@
-"""One trial: what the sensors read, and what is known of where the dowels were.
+"""A trial of the thesis's static experiments: as it is planned, and what was read in it.
 
-Simulated robots (`specimen.py`) and robots on the bench (`recorded.py`) give the same record, so
-that one table compares the methods on either.
+Simulated robots (`specimen.py`) and robots on the bench (`recorded.py`) follow one plan and give
+the same record, so that one table compares the methods on either.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from thigmo.config import Side
+from thigmo.errors import DataError
+from thigmo.localization import arc_bounds
 from thigmo.studies.experiments import thesis
 from thigmo.studies.rod import Floats
 
+STATIC = ("single-contact", "two-contacts", "actuated")
+
 
 @dataclass(frozen=True)
-class Passed:
-    """What an actuated robot read at the pressures that it passed while the dowel stood there.
+class Planned:
+    """One trial to take."""
 
-    The thesis's method does not look at it.
+    # experiment, condition, place, number: its label; trials of a condition count from 1
+    experiment: str
+    condition: str
+    place: str
+    number: int
+    side: Side  # of the robot on which the (distal) dowel stands; an actuated robot bends to it
+    arcs_cm: tuple[float, ...]  # where the dowels touch, base first
+    forces: tuple[float, ...] = ()  # with which they push, 1/cm^2; empty for an actuated robot
+    pressure_psi: float = 0.0  # of the muscle on the dowel's side; 0 unactuated
+
+    @property
+    def key(self) -> str:
+        """What names it in a folder."""
+        return f"{self.condition} | {self.place} | {self.number}"
+
+    @property
+    def label(self) -> str:
+        """What names it to a person."""
+        return f"{self.experiment}, {self.condition}, {self.place}, trial {self.number}"
+
+    @property
+    def folds(self) -> bool:
+        """Whether the push folds the base."""
+        return self.condition == thesis.LEVELS[0]
+
+    @property
+    def sign(self) -> float:
+        """Of the distal force: a dowel on the left pushes to the right."""
+        return -1.0 if self.side == "left" else 1.0
+
+
+def plan(
+    experiment: str,
+    trials: int,
+    length_cm: float = thesis.LENGTH_CM,
+    critical: float = thesis.CRITICAL,
+) -> list[Planned]:
+    """All trials of an experiment of STATIC, in the thesis's order; sides in turn.
+
+    Places scale with the robot's length; `critical` is the contact curvature at which its base
+    folds, 1/cm.
+
+    Raises:
+        DataError: a robot too short for the experiment.
     """
+    arcs = [length_cm / thesis.LENGTH_CM * arc for arc in thesis.SINGLE_ARCS_CM]
+    places = list(zip(thesis.PLACES, arcs, strict=True))
+    # Condition, place, arcs, forces of a dowel on the right side, pressure.
+    rows: list[tuple[str, str, tuple[float, ...], tuple[float, ...], float]]
+    if experiment == "single-contact":
+        rows = [
+            (level, place, (arc,), (share * critical / arc,), 0.0)
+            for level, share in zip(thesis.LEVELS, (1.0, thesis.LOW_LEVEL), strict=True)
+            for place, arc in places
+        ]
+    elif experiment == "actuated":
+        rows = [
+            (level, place, (arc,), (), pressure)
+            for level, pressure in thesis.ACTUATED_PSI.items()
+            for place, arc in places
+        ]
+    elif length_cm <= thesis.GAPS_CM[0]:
+        raise DataError(
+            f"two contacts {thesis.GAPS_CM[0]:g} cm apart do not fit on {length_cm:g} cm",
+            "use a longer robot",
+        )
+    else:
+        rows = [
+            (
+                thesis.separation(gap), f"{gap:g} cm apart", (length_cm - gap, length_cm),
+                _opposed_forces(gap, length_cm, critical), 0.0,
+            )
+            for gap in thesis.GAPS_CM
+        ]  # fmt: skip
+    sides: tuple[tuple[Side, float], ...] = (("right", 1.0), ("left", -1.0))
+    return [
+        Planned(
+            experiment, condition, place, number, side, where,
+            tuple(sign * force for force in forces), pressure,
+        )
+        for condition, place, where, forces, pressure in rows
+        for number in range(1, trials + 1)
+        for side, sign in [sides[number % 2]]
+    ]  # fmt: skip
 
-    curvature: Floats  # (T, N) readings of the trial's sensors, from the dowel's touch on
-    free: Floats  # (T,) believed free curvature, 1/cm
-    # what a lab states as relative standard deviation of its sensors' gains, as far as they are not
-    # known (`Trial.gain`)
-    gain_sigma: float
-    place_cm: float  # and of the sensors' places
-    # Cramer-Rao bound of the contact's x in the room from all of the frames, as mean absolute
-    # error; NaN on a real robot
-    bound_cm: float = float("nan")
+
+def _opposed_forces(gap_cm: float, length_cm: float, critical: float) -> tuple[float, float]:
+    """Forces (1/cm^2) of a proximal contact and of an opposed distal one at the tip.
+
+    The thesis does not state them. Here the distal one bends the body by three quarters of the
+    critical moment at the proximal contact, and the proximal one pushes the base back to as much
+    of the other sign: both are then well visible, and nothing folds.
+    """
+    distal = 0.75 * critical / gap_cm
+    return (-0.75 * critical - distal * length_cm) / (length_cm - gap_cm), distal
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One set of readings and its truth."""
+    """One set of readings and its truth.
+
+    A robot that bends into a dowel is read on its way there too: it has T > 1 frames. The thesis's
+    method looks at the last one alone.
+    """
 
     condition: str  # level of force or separation, in words
     place: str  # where the dowels were meant to be, in words
-    # curvature, position, span: (N,) readings (1/cm), believed centres and spans (cm)
-    curvature: Floats
-    position: Floats
-    span: Floats
-    free: float  # believed free curvature, 1/cm
+    position: Floats  # (N,) believed centres, cm
+    span: Floats  # (N,) active lengths, cm
+    frames: Floats  # (T, N) readings, 1/cm
+    frames_free: Floats  # (T,) believed free curvature of each, 1/cm
     noise: float  # white noise of a reading, 1/cm
     # (N,) each reading's gain, as far as the untouched robot has shown it (1 elsewhere). The
     # thesis's method does not look at it.
     gain: Floats
-    # (N,) what a lab states as each reading's standard deviation: white noise, the uncertainty of
-    # its gain, and that of its place times the slope of the readings
+    # (N,) what a lab states as standard deviation of the last frame's readings: white noise, the
+    # uncertainty of their gains, and that of their places times the slope of the readings
     sigma: Floats
-    # (N,) its true standard deviation over robots, which the bound is made of; the stated one on a
-    # real robot
-    spread: Floats
     # contacts, base first: the true ones of a simulated robot, the intended ones of a real one
     arcs_cm: tuple[float, ...]
     forces: tuple[float, ...]  # their normal forces, 1/cm^2; NaN on a real robot
     obstacle_x_cm: tuple[float, ...]  # x of each dowel as a camera sees it, base first
     contact_x_cm: tuple[float, ...]  # x of each contact point on the skin; NaN on a real robot
-    offset_sigma: float = 0.0  # standard deviation of an error that all readings share, 1/cm
+    # mean absolute error at the Cramer-Rao bound, of each contact's arc; of a robot that bends into
+    # a dowel of the contact's x, from all frames. Infinite where nothing fixes it, NaN where the
+    # forces are not known.
+    bound_cm: tuple[float, ...]
+    # gain_error, place_error_cm: what a lab states as relative standard deviation of its gains, as
+    # far as they are not known (`gain`), and as that of its sensors' places
+    gain_error: float = 0.0
+    place_error_cm: float = 0.0
+    offset_error: float = 0.0  # standard deviation of an error that all readings share, 1/cm
     length_cm: float = thesis.LENGTH_CM  # everted length
     critical: float = thesis.CRITICAL  # contact curvature at which the base folds, 1/cm
     radius_cm: float = thesis.DIAMETER_CM / 2  # of the tube
-    dowel_cm: float = thesis.DOWEL_CM  # radius of the dowels
-    passed: Passed | None = None  # readings on the way; None where the robot was pushed, not bent
+
+    @property
+    def curvature(self) -> Floats:
+        """(N,) the last readings, 1/cm."""
+        return np.asarray(self.frames[-1])
+
+    @property
+    def free(self) -> float:
+        """Believed free curvature at the last readings, 1/cm."""
+        return float(self.frames_free[-1])
+
+
+def arc_bound_cm(
+    arcs_cm: tuple[float, ...],
+    forces: tuple[float, ...],
+    position: Floats,
+    span: Floats,
+    sigma: Floats,
+    length_cm: float,
+) -> tuple[float, ...]:
+    """Mean absolute error of each arc at the Cramer-Rao bound of the beam model.
+
+    That of a Gaussian estimator: sqrt(2 / pi) of its deviation.
+    """
+    told = np.array(arcs_cm), np.array(forces), position, span, np.maximum(sigma, 1e-9)
+    return tuple((np.sqrt(2 / np.pi) * arc_bounds(*told, length_cm)).tolist())

@@ -1,0 +1,248 @@
+"""A session beside a robot: who attends it, and the folder that keeps what is taken, one by one.
+
+An attendant places the dowels, measures them and judges: a person who is asked, or an emulated
+room. A rehearsal is both: the person answers every prompt, the room does the work.
+
+    FOLDER/
+      robot.toml      the robot's constants as used; with the first line they are fixed
+      trials.jsonl    a line a trial, on disk as soon as it is judged
+
+Trials (`recorded.py`) and whole explorations (`explorations.py`) are taken so. The same command
+goes on after the last line.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from thigmo.calibrate.session import Session
+from thigmo.calibrate.verdict import plain
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+from thigmo.mechanics import Peg
+from thigmo.robot import Robot
+from thigmo.studies.experiments import thesis
+from thigmo.studies.experiments.trial import Planned
+
+Place = tuple[float, float]
+Verdict = Literal["keep", "redo", "skip", "quit"]
+Say = Callable[[str], None]
+Row = dict[str, Any]
+Plan = TypeVar("Plan")
+
+_CLEARANCE_CM = 0.01  # between skin and dowel that just touch
+_WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}
+
+
+@dataclass
+class Attendant:
+    """Whoever is beside a robot: takes dowels away, sets them, measures them, judges."""
+
+    # puts a question to the person there; None: nobody is, and everything is kept
+    ask: Callable[[str], str] | None = None
+    # measures the dowels' centres, base first; None: they are typed in
+    camera: Callable[[], list[Place]] | None = None
+    robot: Robot | None = None  # an emulated one, whose room does what is asked for
+
+    def _request(self, text: str) -> None:
+        if self.ask:
+            self.ask(text)
+
+    @property
+    def _hands(self) -> Any:
+        """In the emulated room; None on a bench."""
+        return self.robot and self.robot.operator
+
+    def clear(self) -> None:
+        """Take all dowels away; return when the robot lies free."""
+        self._request("Take all dowels away and lay the robot straight, then press Enter.")
+        if self._hands:
+            self._hands.push_aside([], 0.0)
+            self._hands.place_pegs([])
+
+    def push_aside(self, trial: Planned, pushes_cm: Sequence[float]) -> None:
+        """Push the robot's axis to those y (cm) where the trial's dowels touch it, and hold it."""
+        parts = []
+        for arc, y in zip(trial.arcs_cm, pushes_cm, strict=True):
+            # With two contacts each dowel stands on the side from which its own force comes.
+            from_left = (trial.side == "left") == (arc == trial.arcs_cm[-1])
+            side, away = ("left", "right") if from_left else ("right", "left")
+            parts.append(
+                f"a dowel at the robot's {side} side, {arc:.1f} cm along it from its base, and "
+                f"push the robot's axis there to the {away} until it is at y = {y:+.1f} cm"
+            )
+        fold = "; the base folds" if trial.folds else ""
+        self._request(f"{trial.label}: set {'; and '.join(parts)}{fold}. Then press Enter.")
+        if self._hands:
+            pushes = list(zip(trial.arcs_cm, pushes_cm, strict=True))
+            self._hands.push_aside(pushes, thesis.DOWEL_CM)
+
+    def touch(self, trial: Planned) -> None:
+        """Set a dowel that just touches the bent robot as planned; return when it stands."""
+        (at,) = trial.arcs_cm
+        self._request(
+            f"{trial.label}: the robot is bent to the {trial.side}. Set a dowel firmly so that "
+            f"it just touches the robot's {trial.side} side {at:.1f} cm along it from its base. "
+            "Then press Enter; the robot will bend on, against the dowel."
+        )
+        if self.robot:
+            arc, *line = self.robot.scenery().centreline.T
+            heading, _, x, y = (float(np.interp(at, arc, values)) for values in line)
+            radius = self.robot.config.body.radius_cm + thesis.DOWEL_CM + _CLEARANCE_CM
+            normal = heading - trial.sign * np.pi / 2
+            away = float(radius * np.cos(normal)), float(radius * np.sin(normal))
+            self._hands.place_pegs([Peg(x + away[0], y + away[1], thesis.DOWEL_CM)])
+
+    def set_dowel(self, key: str) -> None:
+        """Set the dowel for an exploration, at the same place for both protocols of a trial."""
+        self._request(
+            f"exploration {key}: the robot is in its base. Set one dowel firmly within its "
+            "reach beside its path, for both protocols of a trial at the same place. Then press "
+            "Enter; the robot grows and sweeps."
+        )
+
+    def dowels(self, count: int, known: Sequence[Place] = ()) -> list[Place]:
+        """Centres of so many dowels, cm, base first.
+
+        `known` is what an emulated room says, if another robot than ours is in it.
+
+        Raises:
+            DataError: nobody is there to measure, and the room is empty.
+        """
+        if self.robot:
+            known = [(float(peg.x), float(peg.y)) for peg in self.robot.scenery().pegs]
+        seen = self.camera() if self.camera else known
+        if self.ask:
+            offered = (*seen, *[None] * count)
+            return [self._place(number, offered[number], count) for number in range(count)]
+        if len(seen) < count:
+            raise DataError("the emulated room has no dowel", "name a scene with a peg")
+        return list(seen[:count])
+
+    def _place(self, number: int, offered: Place | None, count: int) -> Place:
+        assert self.ask
+        which = "the dowel's" if count == 1 else ("the first dowel's", "the second dowel's")[number]
+        offer = "" if offered is None else f" (Enter: {offered[0]:.1f} {offered[1]:.1f})"
+        again = ""
+        while True:
+            answer = self.ask(f"{again}x and y of {which} centre by the camera, cm, base first"
+                               f"{offer}:").replace(",", " ").split()  # fmt: skip
+            if not answer and offered is not None:
+                return offered
+            try:
+                x, y = (float(part) for part in answer)
+            except ValueError:
+                again = "Give two numbers, as in 38.2 4.1. "
+                continue
+            return x, y
+
+    def truth(self) -> dict[str, list[float]]:
+        """What an emulated room knows of the contacts, base first, as trials are kept with it."""
+        touching = self.robot.scenery().contacts if self.robot else []
+        return {
+            "true_arcs_cm": [float(contact.arc) for contact in touching],
+            "true_forces": [float(contact.normal) for contact in touching],
+            "true_contact_x_cm": [float(contact.x) for contact in touching],
+        }
+
+    def verdict(self, summary: str) -> Verdict:
+        """Whether to keep what was just taken."""
+        if self.ask is None:
+            return "keep"
+        while True:
+            answer = self.ask(
+                f"{summary}. Enter = keep, r = redo, s = skip, q = stop here and go on later:"
+            )
+            word = answer.strip().lower()[:1]
+            if word in _WORDS:
+                return _WORDS[word]
+
+
+class Folder:
+    """What was taken of one experiment.
+
+    Args:
+        path: the folder; made if `config` is given.
+        config: of the robot; None where it is only read.
+        things: what is taken, for messages.
+
+    Raises:
+        DataError: the folder cannot be made or read, or its lines are of another robot.toml.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        config: RobotConfig | None = None,
+        things: str = "trials",
+    ) -> None:
+        self.path = Path(path)
+        self._things = things
+        file = self.path / "robot.toml"
+        self.config = config or RobotConfig.load(file)
+        self._session = Session(self.path, self.config)
+        if self.config != self._session.config:
+            if self._rows():
+                raise DataError(
+                    f"the {things} in {self.path} were made with another robot.toml",
+                    f"use {file} again, or choose another --out",
+                )
+            self.config.save(file)
+
+    def _rows(self) -> dict[str, Row]:
+        return self._session.rows("trials")
+
+    def kept(self) -> list[Row]:
+        """Lines that were kept, not skipped."""
+        return [row for row in self._rows().values() if row["state"] == "kept"]
+
+    def missing(
+        self, planned: Mapping[str, Plan], say: Say, what: str
+    ) -> list[tuple[str, str, Plan]]:
+        """What is planned and not there, each with its place among all and its key."""
+        held, total = self._rows(), len(planned)
+        found = [
+            (f"{what} {number} of {total}: {key}", key, one)
+            for number, (key, one) in enumerate(planned.items(), start=1)
+            if key not in held
+        ]
+        if len(found) < total:
+            say(f"{what}: {total - len(found)} of {total} {self._things} are there")
+        return found
+
+    def take(
+        self,
+        todo: Sequence[tuple[str, str, Plan]],
+        take: Callable[[Plan], tuple[Row, str]],
+        judge: Callable[[str], Verdict],
+        say: Say,
+    ) -> bool:
+        """Take one after the other of `missing`, each again until it is kept or skipped.
+
+        `take` returns what is kept of one beside its plan, and a summary for the judge. Returns
+        whether all are done; False if the judge stopped.
+        """
+        for text, key, planned in todo:
+            say(text)
+            verdict: Verdict = "redo"
+            while verdict == "redo":
+                try:
+                    row, summary = take(planned)
+                    verdict = judge(summary)
+                except (KeyboardInterrupt, SystemExit) as stopped:
+                    stopped.add_note(
+                        f"{len(self._rows())} {self._things} are in {self.path}, the same command "
+                        "goes on"
+                    )
+                    raise
+            if verdict == "quit":
+                return False
+            taken = {"state": "kept", **row} if verdict == "keep" else {"state": "skipped"}
+            self._session.add("trials", {"key": key, **plain(planned), **taken})
+        return True
