@@ -11,6 +11,7 @@ import typer
 
 from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
 from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
+from thigmo.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,7 +69,6 @@ def experiment(
     after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
     from thigmo.cli.studies import conduct, report
-    from thigmo.errors import DataError
     from thigmo.studies.engine import Context
     from thigmo.studies.experiments import EXPERIMENTS
     from thigmo.studies.experiments.trial import STATIC
@@ -142,13 +142,9 @@ def _take(
     rehearse: bool,
     quiet: bool,
 ) -> None:
-    """Take the experiment's trials that are not in `out` yet, until they are or a person stops.
-
-    An exploration opens the robot by itself.
-    """
+    """Take the experiment's trials that are not in `out` yet, until they are or a person stops."""
     from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
-    from thigmo.errors import DataError
     from thigmo.robot import connect
     from thigmo.studies.experiments.explorations import run_explorations
     from thigmo.studies.experiments.recorded import run_trials
@@ -179,7 +175,7 @@ def _take(
             folder = Folder(out, known, "explorations" if exploration else "trials")
             if not exploration:
                 done = run_trials(machine, attendant, folder, name, trials, say)
-        if exploration:
+        if exploration:  # opens the robot by itself
             with console.progress() as show:
                 done = run_explorations(
                     url, attendant, folder, trials, seed=seed, operator=console, progress=show,

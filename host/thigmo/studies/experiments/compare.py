@@ -55,9 +55,8 @@ def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
 def ours(trial: Trial) -> Answer:
     """The project's localizer, told the number of contacts as the thesis was.
 
-    As in an exploration (`exploration/reference.py`), what the untouched robot has shown of its
-    sensors is taken off first. Where the robot bent into a dowel, all frames are taken together,
-    for the dowel stood still.
+    As in an exploration, what the untouched robot has shown of its sensors is taken off first.
+    Where the robot bent into a dowel, all frames are taken together, for the dowel stood still.
     """
     if len(trial.frames) == 1:
         return alone(trial)

@@ -104,17 +104,14 @@ def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
     """
     table = SensorTable.of(run.read_config())
     for sweep in recorded_sweeps(run.path):
-        for trigger in sweep.triggers:
-            peak = next((p for p in sweep.peaks if p.side == trigger.side), None)
-            if peak is None:
-                continue
+        touched = {trigger.side for trigger in sweep.triggers}
+        for peak in (peak for peak in sweep.peaks if peak.side in touched):
             use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
-            if use.sum() < thesis.LEAST_READINGS:
-                continue
-            read = peak.curvature[use] - peak.free_curvature
-            problem = Problem(read, table.center_cm[use], table.span_cm[use], peak.length_cm)
-            arcs, _ = BASELINES["alternating"](problem)
-            return abs(float(arcs[0]) - obstacle_x_cm)
+            if use.sum() >= thesis.LEAST_READINGS:
+                read = peak.curvature[use] - peak.free_curvature
+                problem = Problem(read, table.center_cm[use], table.span_cm[use], peak.length_cm)
+                arcs, _ = BASELINES["alternating"](problem)
+                return abs(float(arcs[0]) - obstacle_x_cm)
     return float("inf")
 
 
@@ -239,8 +236,8 @@ def run_explorations(
 ) -> bool:
     """Make the planned explorations, of both protocols, that the folder does not hold yet.
 
-    The emulator's seed differs from trial to trial. What was kept stays in every case. Returns
-    whether all are done; False if the attendant stopped.
+    The emulator's seed differs from trial to trial. Returns whether all are done; False if the
+    attendant stopped.
     """
     person = _Remembers(operator) if operator else None
 

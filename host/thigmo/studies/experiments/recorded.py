@@ -4,10 +4,9 @@ OUT/EXPERIMENT/
   robot.toml, trials.jsonl  as `session.py` says
   run-1.mcap                every frame of the first session's link, run-2.mcap of the next
 
-The same steps for a robot on the bench, whose operator answers prompts, and for the emulator, whose
-operator is code (`session.py`). Each trial starts with the robot straight, vented and zeroed, as
-in the thesis; one second of readings is averaged while the dowels press, and at every pressure that
-an actuated robot passes on its way (`thesis.PASSED_PSI`).
+Each trial starts with the robot straight, vented and zeroed, as in the thesis; one second of
+readings is averaged while the dowels press, and at every pressure that an actuated robot passes on
+its way (`thesis.PASSED_PSI`).
 """
 
 from __future__ import annotations

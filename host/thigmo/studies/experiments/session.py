@@ -13,7 +13,6 @@ goes on after the last line.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +66,7 @@ class Attendant:
             self._hands.place_pegs([])
 
     def push_aside(self, trial: Planned, pushes_cm: Sequence[float]) -> None:
-        """Push the robot's axis to those y (cm) where the trial's dowels touch it, and hold it."""
+        """Push the robot's axis to those y where the trial's dowels touch it, and hold it."""
         parts = []
         for arc, y in zip(trial.arcs_cm, pushes_cm, strict=True):
             # With two contacts each dowel stands on the side from which its own force comes.
@@ -84,7 +83,7 @@ class Attendant:
             self._hands.push_aside(pushes, thesis.DOWEL_CM)
 
     def touch(self, trial: Planned) -> None:
-        """Set a dowel that just touches the bent robot as planned; return when it stands."""
+        """Set a dowel that just touches the bent robot as planned."""
         (at,) = trial.arcs_cm
         self._request(
             f"{trial.label}: the robot is bent to the {trial.side}. Set a dowel firmly so that "
@@ -165,42 +164,33 @@ class Attendant:
 
 
 class Folder:
-    """What was taken of one experiment.
-
-    Args:
-        path: the folder; made if `config` is given.
-        config: of the robot; None where it is only read.
-        things: what is taken, for messages.
+    """What was taken of one experiment: `things`, with the robot of `config`, or only read.
 
     Raises:
         DataError: the folder cannot be made or read, or its lines are of another robot.toml.
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        config: RobotConfig | None = None,
-        things: str = "trials",
+        self, path: Path, config: RobotConfig | None = None, things: str = "trials"
     ) -> None:
-        self.path = Path(path)
-        self._things = things
-        file = self.path / "robot.toml"
+        self.path, self._things = path, things
+        file = path / "robot.toml"
         self.config = config or RobotConfig.load(file)
-        self._session = Session(self.path, self.config)
+        self._session = Session(path, self.config)
         if self.config != self._session.config:
             if self._rows():
                 raise DataError(
-                    f"the {things} in {self.path} were made with another robot.toml",
+                    f"the {things} in {path} were made with another robot.toml",
                     f"use {file} again, or choose another --out",
                 )
             self.config.save(file)
 
-    def _rows(self) -> dict[str, Row]:
-        return self._session.rows("trials")
-
     def kept(self) -> list[Row]:
         """Lines that were kept, not skipped."""
         return [row for row in self._rows().values() if row["state"] == "kept"]
+
+    def _rows(self) -> dict[str, Row]:
+        return self._session.rows("trials")
 
     def missing(
         self, planned: Mapping[str, Plan], say: Say, what: str
@@ -228,21 +218,18 @@ class Folder:
         `take` returns what is kept of one beside its plan, and a summary for the judge. Returns
         whether all are done; False if the judge stopped.
         """
-        for text, key, planned in todo:
-            say(text)
-            verdict: Verdict = "redo"
-            while verdict == "redo":
-                try:
+        try:
+            for text, key, planned in todo:
+                say(text)
+                row, summary = take(planned)
+                while (verdict := judge(summary)) == "redo":
                     row, summary = take(planned)
-                    verdict = judge(summary)
-                except (KeyboardInterrupt, SystemExit) as stopped:
-                    stopped.add_note(
-                        f"{len(self._rows())} {self._things} are in {self.path}, the same command "
-                        "goes on"
-                    )
-                    raise
-            if verdict == "quit":
-                return False
-            taken = {"state": "kept", **row} if verdict == "keep" else {"state": "skipped"}
-            self._session.add("trials", {"key": key, **plain(planned), **taken})
+                if verdict == "quit":
+                    return False
+                taken = {"state": "kept", **row} if verdict == "keep" else {"state": "skipped"}
+                self._session.add("trials", {"key": key, **plain(planned), **taken})
+        except (KeyboardInterrupt, SystemExit) as stopped:
+            held = f"{len(self._rows())} {self._things} are in {self.path}"
+            stopped.add_note(f"{held}, the same command goes on")
+            raise
         return True

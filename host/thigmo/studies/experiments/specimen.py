@@ -144,9 +144,9 @@ class Specimen:
         ]  # fmt: skip
 
     def learn_gains(self, readings: Floats, believed: float) -> None:
-        """Take readings of the untouched robot, bent by its muscle: all sensors bend alike there.
+        """Take readings (R, N) of the untouched robot, which its map says bends as `believed`.
 
-        Readings are (R, N) of the first N sensors; the map says that they are `believed`.
+        All sensors bend alike there.
         """
         noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
         # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
@@ -186,10 +186,7 @@ class Specimen:
         free: Floats,
         bound_cm: Sequence[float] | None = None,
     ) -> Trial:
-        """A trial from frames (T, N) of readings, with the body of the last one.
-
-        `free` (T,) is believed. The bound is that of the body's forces unless given.
-        """
+        """A trial of the body of the last frame; the bound is that of its forces unless given."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
         arcs, forces = (tuple(getattr(c, what) for c in contacts) for what in ("arc", "normal"))
         count = frames.shape[1]

@@ -62,8 +62,7 @@ def plan(
 ) -> list[Planned]:
     """All trials of an experiment of STATIC, in the thesis's order; sides in turn.
 
-    Places scale with the robot's length; `critical` is the contact curvature at which its base
-    folds, 1/cm.
+    Places scale with the robot's length, forces with the contact curvature that folds its base.
 
     Raises:
         DataError: a robot too short for the experiment.
@@ -178,9 +177,6 @@ def arc_bound_cm(
     sigma: Floats,
     length_cm: float,
 ) -> tuple[float, ...]:
-    """Mean absolute error of each arc at the Cramer-Rao bound of the beam model.
-
-    That of a Gaussian estimator: sqrt(2 / pi) of its deviation.
-    """
+    """Mean absolute error, of a Gaussian estimator, of each arc at the beam model's bound."""
     told = np.array(arcs_cm), np.array(forces), position, span, np.maximum(sigma, 1e-9)
     return tuple((np.sqrt(2 / np.pi) * arc_bounds(*told, length_cm)).tolist())
