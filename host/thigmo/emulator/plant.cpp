@@ -19,9 +19,8 @@ namespace {
 
 constexpr double kStepS = 0.01;
 constexpr double kDutyFull = 800.0;
-constexpr double kStickingCmS = 0.5;  // line speed over which friction falls to sliding [G]
-constexpr double kOpenWindings =
-    0.1;  // damping left without a closed circuit: bearings, brushes [G]
+constexpr double kStickingCmS = 0.5;   // line speed over which friction falls to sliding [G]
+constexpr double kOpenWindings = 0.1;  // damping left in an open circuit: bearings, brushes [G]
 
 // Share of the way to its goal that a first-order lag goes in a step.
 double share(double tau_s) { return 1.0 - std::exp(-kStepS / tau_s); }
@@ -230,25 +229,22 @@ NB_MODULE(_plant, m) {
            nb::arg("play_psi"), nb::arg("slew_psi_s"), nb::arg("supply_psi"),
            nb::arg("inflate_tau_s"), nb::arg("deflate_tau_s"), nb::arg("muscle_delay_s"),
            nb::arg("reversal_psi"))
-      .def(
-          "set_maps",
-          [](Muscle& muscle, std::array<double, 3> inflate, std::array<double, 3> deflate) {
-            muscle.inflate = {inflate[0], inflate[1], inflate[2]};
-            muscle.deflate = {deflate[0], deflate[1], deflate[2]};
-          },
-          nb::arg("inflate"), nb::arg("deflate"))
-      .def("advance", &Muscle::advance, nb::arg("current_ma"), nb::arg("forced_psi"))
+      .def("set_maps",
+           [](Muscle& muscle, std::array<double, 3> inflate, std::array<double, 3> deflate) {
+             muscle.inflate = {inflate[0], inflate[1], inflate[2]};
+             muscle.deflate = {deflate[0], deflate[1], deflate[2]};
+           })
+      .def("advance", &Muscle::advance)
       .def_ro("outlet_psi", &Muscle::outlet_psi)
       .def_ro("bend_psi", &Muscle::bend_psi);
   nb::class_<Swing>(m, "Swing")
       .def(nb::init<D, D>(), nb::kw_only(), nb::arg("frequency_hz"), nb::arg("damping"))
-      .def("follow", &Swing::follow, nb::arg("target"))
+      .def("follow", &Swing::follow)
       .def_prop_ro("curvature", &Swing::curvature);
   nb::class_<Spool>(m, "Spool")
       .def(nb::init<D, D, D, D, D, D>(), nb::kw_only(), nb::arg("damping"), nb::arg("lag_s"),
            nb::arg("stall_n"), nb::arg("sliding_n"), nb::arg("holding_n"), nb::arg("line_cm"))
-      .def("advance", &Spool::advance, nb::arg("duty"), nb::arg("shorted"), nb::arg("stuck"),
-           nb::arg("pull_n"))
+      .def("advance", &Spool::advance)
       .def_ro("damping", &Spool::damping)
       .def_ro("sliding_n", &Spool::sliding_n)
       .def_ro("line_cm", &Spool::line_cm);
@@ -259,10 +255,9 @@ NB_MODULE(_plant, m) {
            nb::arg("center_cm"), nb::arg("span_cm"), nb::arg("scale_per_ohm"), nb::arg("zero_ohm"),
            nb::arg("divider_ohm"), nb::arg("direction"), nb::arg("loop"), nb::arg("creep_tau_s"),
            nb::arg("stowed"), nb::arg("phase_1"), nb::arg("phase_2"))
-      .def("evert", &FlexSensor::evert, nb::arg("at_s"), nb::arg("offset"), nb::arg("creep"))
+      .def("evert", &FlexSensor::evert)
       .def("stow", &FlexSensor::stow)
-      .def("count", &FlexSensor::count, nb::arg("curvature"), nb::arg("length_cm"), nb::arg("t_s"),
-           nb::arg("muscle_psi"))
+      .def("count", &FlexSensor::count)
       .def_ro("everted", &FlexSensor::everted)
       .def_ro("center_cm", &FlexSensor::center_cm)
       .def_ro("span_cm", &FlexSensor::span_cm);

@@ -31,9 +31,7 @@ class UsbBridge:
         self._rng = random.Random(seed)
         self._down = bytearray()
         self._up = bytearray()
-        self._old: dict[str, deque[int]] = {
-            way: deque(maxlen=_REMEMBERED) for way in ("down", "up")
-        }
+        self._old = {way: deque[int](maxlen=_REMEMBERED) for way in ("down", "up")}
         self._flushed_ms = 0.0
 
     def send(self, data: bytes) -> None:

@@ -115,6 +115,6 @@ def bodies(body: Body) -> Bodies:
             rod.step(float(bend), LENGTH)
             rod.averages_into(centre, spans, held[a, g, u])
             held[a, g, u] -= bend
-            if rod.touching and not rod.approximate:
+            if rod.touching and rod.status != "approximate":
                 arc[a, g, u] = rod.contacts()[-1].arc
     return Bodies(touch, peg, weight, held.reshape(*x.shape, _BENDS, 3, -1), arc)

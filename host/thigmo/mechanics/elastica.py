@@ -14,7 +14,7 @@ fold's angle is spread over one diameter from the base. The method is in the com
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -26,6 +26,7 @@ from thigmo.mechanics import _rod
 Floats = npt.NDArray[np.float64]
 Model = Literal["arc", "beam", "elastica"]
 ModelChoice = Literal["auto", "arc", "beam", "elastica"]
+# Relaxed: found by going downhill after a snap, then converged. Approximate: of penalty accuracy.
 Status = Literal["converged", "relaxed", "approximate"]
 # On the side (force along the normal of the centreline at the closest point), on a corner of the
 # flat end (oblique force that bears a tube radius off the centreline), or on the face of the end.
@@ -74,27 +75,21 @@ class Tube:
         return self.diameter_cm / 2
 
 
-@dataclass(frozen=True)
 class Solution:
-    """One equilibrium."""
+    """One equilibrium of a rod, whatever becomes of the rod."""
 
-    # s, heading, curvature, x, y: the centreline at the mesh's nodes and the contacts, each of
-    # shape (n,). `curvature` leaves out the fold, which is `fold_angle` spread over [0, diameter].
-    s: Floats
-    heading: Floats
-    curvature: Floats
-    x: Floats
-    y: Floats
-    length: float  # everted length (cm)
-    free_curvature: float  # natural curvature (1/cm)
-    tube: Tube
-    contacts: tuple[PegContact, ...]  # touching pegs, base first
-    fold_angle: float  # rad, with sign; 0 unless the base folds
-    base_moment: float  # contact moment at the base (1/cm)
-    # "converged"; "relaxed" = found by going downhill after a snap, then converged; "approximate" =
-    # penalty accuracy only
-    status: Status
-    _body: _rod.Rod = field(repr=False)
+    def __init__(self, rod: Rod) -> None:
+        self._body = rod.save()
+        # The centreline at the mesh's nodes and the contacts, (n,) each. `curvature` leaves out the
+        # fold, which is `fold_angle` spread over [0, diameter].
+        self.s, self.heading, self.curvature, self.x, self.y = rod.nodes().T
+        self.length = rod.length  # everted (cm)
+        self.free_curvature = rod.free_curvature  # 1/cm
+        self.tube = Tube(rod.diameter_cm, rod.critical_moment)
+        self.contacts = rod.contacts()  # touching pegs, base first
+        self.fold_angle = rod.fold_angle  # rad, with sign; 0 unless the base folds
+        self.base_moment = rod.base_moment  # of the contacts (1/cm)
+        self.status = rod.status
 
     def averages(self, centers: npt.ArrayLike, spans: npt.ArrayLike) -> Floats:
         """Mean curvature (1/cm) over spans (cm) centred at arcs (cm), fold included; shape (N,).
@@ -164,24 +159,13 @@ class Rod(_rod.Rod):
         """Section and fold."""
         return Tube(self.diameter_cm, self.critical_moment)
 
-    @property
-    def approximate(self) -> bool:
-        """The last equilibrium is of penalty accuracy only."""
-        return self.status == "approximate"
-
     def contacts(self) -> tuple[PegContact, ...]:
         """Touching pegs, base first."""
         return tuple(PegContact(*row) for row in self._contacts())
 
     def solution(self) -> Solution:
         """The present equilibrium."""
-        s, heading, curvature, x, y = self.nodes().T
-        return Solution(
-            s=s, heading=heading, curvature=curvature, x=x, y=y, length=self.length,
-            free_curvature=self.free_curvature, tube=self.tube, contacts=self.contacts(),
-            fold_angle=self.fold_angle, base_moment=self.base_moment, status=self.status,
-            _body=self.save(),
-        )  # fmt: skip
+        return Solution(self)
 
 
 def _rows(pegs: Sequence[Peg]) -> list[tuple[float, float, float]]:
