@@ -94,9 +94,8 @@ def _refine(
         for width in (0.45, 0.2):
             reach = np.arange((1 - width) * size, (1 + width) * size, 0.25)
             points = (at + reach[:, None, None] * toward).astype(np.float32)
-            profile = cv2.remap(
-                channel.astype(np.float32), points[..., 0], points[..., 1], cv2.INTER_LINEAR
-            )
+            light = channel.astype(np.float32)
+            profile = cv2.remap(light, points[..., 0], points[..., 1], cv2.INTER_LINEAR)
             slope = np.gradient(cv2.GaussianBlur(profile, (1, 9), 0), axis=0)
             # All the way round a dowel's rim, inside to outside changes the same way.
             for sign in (1.0, -1.0):
@@ -129,17 +128,12 @@ def _solid(channels: Sequence[NDArray[np.uint8]], circle: Array) -> bool:
     radius = circle[2]
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     toward = np.column_stack([np.cos(angles), np.sin(angles)])
-    rings = [
-        (circle[:2] + radius * share * toward).astype(np.float32)
-        for share in (0.3, 0.6, 1.3, 1.6, 1.9)
-    ]
+    shares = np.array([0.3, 0.6, 1.3, 1.6, 1.9])[:, None, None]
+    rings = (circle[:2] + radius * shares * toward).astype(np.float32)
     for channel in channels:
-        inner, half, *outer = (
-            cv2.remap(channel, ring[None, :, 0], ring[None, :, 1], cv2.INTER_LINEAR)
-            for ring in rings
-        )
-        core = np.append(inner, half).astype(float)
-        gap = min(abs(float(np.median(core) - np.median(ring))) for ring in outer)
+        seen = cv2.remap(channel, rings[..., 0], rings[..., 1], cv2.INTER_LINEAR).astype(float)
+        core = seen[:2]
+        gap = np.abs(np.median(core) - np.median(seen[2:], axis=1)).min()
         if gap > 8.0 + 2.0 * float(core.std()):
             return True
     return False
@@ -163,6 +157,5 @@ def circle_through(points_cm: Array) -> Obstacle:
     system = np.column_stack([2 * points, np.ones(len(points))])
     if np.linalg.matrix_rank(system, tol=1e-6) < 3:
         raise DataError("the points lie on a line", "click points all round the rim")
-    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    radius = float(np.sqrt(solution[2] + solution[0] ** 2 + solution[1] ** 2))
-    return Obstacle(float(solution[0]), float(solution[1]), radius, 1.0)
+    x, y, rest = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0].tolist()
+    return Obstacle(x, y, float(np.sqrt(rest + x**2 + y**2)), 1.0)

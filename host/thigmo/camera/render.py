@@ -22,6 +22,7 @@ from thigmo.camera.model import CameraModel, Lens, Picture
 from thigmo.camera.sheet import Decal
 
 Array = NDArray[np.float64]
+Canvas = NDArray[np.float32]
 Color = tuple[float, float, float]  # blue, green, red, 0..255
 
 _SHIFT = 6  # fractional bits of OpenCV's polygon vertices
@@ -108,8 +109,7 @@ def overhead_camera(rng: np.random.Generator | None = None) -> CameraModel:
 def random_look(rng: np.random.Generator) -> Look:
     """A room as labs have them: from good light to poor."""
     tint = rng.uniform(-18, 18, 3)
-    base = rng.uniform(140, 225)
-    blue, green, red = (float(base + t) for t in tint)
+    blue, green, red = (rng.uniform(140, 225) + tint).tolist()
     return Look(
         blur_px=float(rng.uniform(0.5, 1.4)),
         noise=float(rng.uniform(1.5, 6.0)),
@@ -159,9 +159,7 @@ def render(
     return _sensor(canvas, look, rng, sensor_rng or rng)
 
 
-def _table(
-    camera: CameraModel, view: View, look: Look, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def _table(camera: CameraModel, view: View, look: Look, rng: np.random.Generator) -> Canvas:
     """Table with grain, clutter and shadows, warped into the picture."""
     rays, eye = camera.rays, camera.eye_cm.astype(np.float32)
     x, y = (eye[axis] - eye[2] / rays[..., 2] * rays[..., axis] for axis in (0, 1))
@@ -200,7 +198,7 @@ def _table(
     return np.asarray(warped, np.float32)
 
 
-def _clutter(flat: NDArray[np.float32], look: Look, rng: np.random.Generator) -> None:
+def _clutter(flat: Canvas, look: Look, rng: np.random.Generator) -> None:
     """Pens, scraps of paper, coins and cables, anywhere on the table."""
     px = _TABLE_PX_CM
     rows, columns = flat.shape[:2]
@@ -231,18 +229,14 @@ def _pair(point: Array) -> tuple[int, int]:
     return int(point[0]), int(point[1])
 
 
-def _fill(canvas: NDArray[np.float32], outline: Array, color: Color) -> None:
+def _fill(canvas: Canvas, outline: Array, color: Color) -> None:
     """Fill a polygon of sub-pixel vertices (n, 2)."""
     vertices = np.round(np.clip(outline, -4000, 8000) * (1 << _SHIFT)).astype(np.int32)
     cv2.fillPoly(canvas, [vertices.reshape(-1, 1, 2)], color, cv2.LINE_AA, _SHIFT)
 
 
 def _tube(
-    canvas: NDArray[np.float32],
-    camera: CameraModel,
-    body: BodyShape,
-    look: Look,
-    rng: np.random.Generator,
+    canvas: Canvas, camera: CameraModel, body: BodyShape, look: Look, rng: np.random.Generator
 ) -> None:
     """The inflated tube: strips along its length, from both flanks up to the crest."""
     axis = np.column_stack([body.x_cm, body.y_cm])
@@ -279,7 +273,7 @@ def _tube(
                 _fill(canvas, quad, _scaled(body.color, bright))
 
 
-def _housing(canvas: NDArray[np.float32], camera: CameraModel) -> None:
+def _housing(canvas: Canvas, camera: CameraModel) -> None:
     """The base's box: walls and lid."""
     around = np.array([[0.0, 5.0, 0], [0.0, -5.0, 0], [-10.0, -5.0, 0], [-10.0, 5.0, 0]])
     lid = camera.project(around + np.array([0, 0, 6.0]))
@@ -293,7 +287,7 @@ def _scaled(color: Color, by: float) -> Color:
 
 
 def _peg(
-    canvas: NDArray[np.float32], camera: CameraModel, peg: PegShape, low_cm: float, high_cm: float
+    canvas: Canvas, camera: CameraModel, peg: PegShape, low_cm: float, high_cm: float
 ) -> Array:
     """A dowel's wall between two heights; returns the outline of its top face."""
     around = np.linspace(0, 2 * np.pi, 72, endpoint=False)
@@ -306,7 +300,7 @@ def _peg(
     return upper
 
 
-def _paste(canvas: NDArray[np.float32], camera: CameraModel, patch: Decal) -> None:
+def _paste(canvas: Canvas, camera: CameraModel, patch: Decal) -> None:
     """Lay a printed patch, flat at any tilt, into the picture."""
     corners = np.asarray(patch.corners_cm, float)
     outline = camera.project(corners)
@@ -340,10 +334,7 @@ def _paste(canvas: NDArray[np.float32], camera: CameraModel, patch: Decal) -> No
 
 
 def _sensor(
-    canvas: NDArray[np.float32],
-    look: Look,
-    rng: np.random.Generator,
-    sensor_rng: np.random.Generator,
+    canvas: Canvas, look: Look, rng: np.random.Generator, noise: np.random.Generator
 ) -> Picture:
     """Uneven light, lens blur, noise, rounding, compression."""
     rows, columns = canvas.shape[:2]
@@ -356,10 +347,10 @@ def _sensor(
     if look.blur_px > 0:
         lit = np.asarray(cv2.GaussianBlur(lit, (0, 0), look.blur_px), np.float32)
     # One draw serves the three colours, far apart in the picture: three would triple the time.
-    grain = sensor_rng.standard_normal((rows, columns), dtype=np.float32) * np.float32(look.noise)
-    noise = np.dstack([grain, np.roll(grain, 371, axis=0), np.roll(grain, 613, axis=1)])
+    grain = noise.standard_normal((rows, columns), dtype=np.float32) * np.float32(look.noise)
+    grains = np.dstack([grain, np.roll(grain, 371, axis=0), np.roll(grain, 613, axis=1)])
     # Truncation after adding a half is rounding.
-    picture: Picture = np.clip(lit + noise + np.float32(0.5), 0, 255).astype(np.uint8)
+    picture: Picture = np.clip(lit + grains + np.float32(0.5), 0, 255).astype(np.uint8)
     if look.jpeg:
         packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, look.jpeg])[1]
         picture = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)

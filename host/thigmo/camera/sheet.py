@@ -239,10 +239,10 @@ def pages(sheet: Sheet) -> list[Gray]:
     def page(title: str) -> Gray:
         picture = np.full((height, width), 255, np.uint8)
         _text(picture, title, PX_CM * 3 // 2, PX_CM * 3 // 2, PX_CM / 55)
-        left = (width - 10 * PX_CM) // 2
-        row = height - PX_CM * 3 // 2
-        cv2.line(picture, (left, row), (left + 10 * PX_CM, row), 0)
-        for column in (left, left + 10 * PX_CM):
+        left, row = (width - 10 * PX_CM) // 2, height - PX_CM * 3 // 2
+        right = left + 10 * PX_CM
+        cv2.line(picture, (left, row), (right, row), 0)
+        for column in (left, right):
             cv2.line(picture, (column, row - 12), (column, row + 12), 0)
         note = "10.0 cm: measure this bar; print at 100 %, not 'fit to page'"
         _text(picture, note, left - PX_CM, row + PX_CM * 3 // 4, 0.8 * PX_CM / 55)
@@ -269,10 +269,9 @@ def pages(sheet: Sheet) -> list[Gray]:
             where = f"{card.name}: cross at x {card.x_cm:g}, y {card.y_cm:g} cm"
             _text(onto, where, PX_CM, row - PX_CM // 5, PX_CM / 70)
     onto = page("thigmo tip markers: glue one on the tip, arrow side ahead (spares)")
-    tip = tip_image(sheet)
     for k in range(6):
-        column = round((2.0 + (k % 3) * 6.0) * PX_CM)
-        paste(onto, tip, column, round((3.0 + (k // 3) * 6.0) * PX_CM))
+        column, row = (round((start + n * 6.0) * PX_CM) for start, n in ((2, k % 3), (3, k // 3)))
+        paste(onto, tip_image(sheet), column, row)
     onto = page("thigmo lens board: glue on something flat, show it in 10 poses")
     squares = (sheet.board_columns, sheet.board_rows)
     size = tuple(round(n * sheet.board_square_cm * PX_CM) for n in squares)

@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 _CELL_PX = 2.0  # of a marker's cell
 _TUBE_PX = 14.0  # of the tube's diameter
 _GOOD_SHARE = 0.6
+_FLANK = (255, 200, 120)
 _CURE = (
     "look at it with `thigmo camera check`; give a picture of the empty table, or click the axis"
 )
@@ -268,16 +269,16 @@ def draw(
     across, along = np.linspace(-40, 40, 60), np.linspace(0, 50, 40)
     for x, y in [(x, across) for x in range(0, 51, 10)] + [(along, y) for y in range(-40, 41, 10)]:
         _lines(canvas, camera.project(_raised(x, y, 0.0)), (200, 160, 60))
-    origin = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
-    for end, name in ((1, "x"), (2, "y")):
-        cv2.arrowedLine(canvas, _at(origin[0]), _at(origin[end]), (255, 0, 0), 3)
-        _text(canvas, name, origin[end], (255, 0, 0))
+    origin, *ends = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
+    for end, name in zip(ends, "xy", strict=True):
+        cv2.arrowedLine(canvas, _at(origin), _at(end), (255, 0, 0), 3)
+        _text(canvas, name, end, (255, 0, 0))
     if sighting.axis is not None:
         axis = sighting.axis
         radius = wanted.diameter_cm / 2
-        for side, color in ((0.0, (255, 255, 0)), (1.0, (255, 200, 120)), (-1.0, (255, 200, 120))):
-            x = axis.x_cm - side * radius * np.sin(axis.heading)
-            y = axis.y_cm + side * radius * np.cos(axis.heading)
+        for out, color in ((0.0, (255, 255, 0)), (radius, _FLANK), (-radius, _FLANK)):
+            x = axis.x_cm - out * np.sin(axis.heading)
+            y = axis.y_cm + out * np.cos(axis.heading)
             _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
         (at,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
