@@ -47,7 +47,7 @@ class TipSighting:
     """The tip marker, or a clicked tip."""
 
     x_cm: float  # of the robot's very tip
-    y_cm: float  # of the robot's very tip
+    y_cm: float
     heading: float  # rad, of the marker (nan if clicked)
     clicked: bool  # given by hand
     center_cm: Array  # (2,) of the marker (or the clicked point)

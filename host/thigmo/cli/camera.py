@@ -155,14 +155,10 @@ def locate(
     if model.hidden:
         lines.append(f"hidden cards: {', '.join(model.hidden)}")
     facts = {
-        "rms_px": model.rms_px,
-        "accuracy_cm": model.accuracy_cm,
-        "height_cm": float(model.eye_cm[2]),
-        "hidden": list(model.hidden),
-        "good": not advice,
-        "advice": advice,
-        "file": str(out),
-    }
+        "rms_px": model.rms_px, "accuracy_cm": model.accuracy_cm,
+        "height_cm": float(model.eye_cm[2]), "hidden": list(model.hidden),
+        "good": not advice, "advice": advice, "file": str(out),
+    }  # fmt: skip
     show(as_json, facts, *lines)
 
 

@@ -79,8 +79,7 @@ class SimulatedMega:
         self._analog: Floats = np.zeros((CHANNELS, 2))
         self._encoder: tuple[float, float] | None = None
         self._supply_mv = 5000
-        self._noise: Floats = np.zeros(CHANNELS)
-        self._boots = 0
+        self.boots = 0  # how often the firmware has started
         self._origin = 0
         self._line_open = True
         self._air_levels = [False, False]
@@ -88,15 +87,13 @@ class SimulatedMega:
         chip = self.chip
         for address, data in read_hex(image or mega_build.firmware_hex(baud)):
             chip.write("flash", address, data)
-        if boot_loader is None:
-            boot_loader = mega_build.BOOT_LOADER.exists()
-        if boot_loader:
+        if boot_loader or (boot_loader is None and mega_build.BOOT_LOADER.exists()):
             for address, data in read_hex(mega_build.BOOT_LOADER):
                 chip.write("flash", address, data)
             chip.boot_at(BOOT_SECTION)
         chip.eeprom = eeprom + b"\xff" * (EEPROM_SIZE - len(eeprom))
         chip.line_baud(baud)
-        chip.noise(seed, self._noise)
+        self.set_adc_noise(np.zeros(CHANNELS))
         self.set_estop(False)
         self._power_on()
 
@@ -120,7 +117,7 @@ class SimulatedMega:
             self._grid += CYCLES_PER_MS
             chip.run(self._grid)
             if chip.tick_origin not in (0, self._origin):
-                self._boots += 1
+                self.boots += 1
             self._origin = chip.tick_origin
             self._exchange_bytes()
             for enable, pin in enumerate(AIR):  # once a tick is as often as the firmware toggles
@@ -148,7 +145,7 @@ class SimulatedMega:
         self._skipped += chip.tick_origin - self._grid
         self._grid = chip.tick_origin
         chip.run(self._grid)
-        self._boots = max(self._boots, 1)
+        self.boots = max(self.boots, 1)
         self._origin = chip.tick_origin
 
     @property
@@ -184,8 +181,7 @@ class SimulatedMega:
 
     def set_adc_noise(self, sigma: Floats) -> None:
         """White noise of a conversion in counts, shape (16,)."""
-        self._noise = np.array(sigma, dtype=np.float64)
-        self.chip.noise(self._seed, self._noise)
+        self.chip.noise(self._seed, sigma)
 
     def set_encoder(self, start: float, end: float) -> None:
         """Encoder position (x4 counts) at the next step's start and end."""
@@ -301,11 +297,6 @@ class SimulatedMega:
     def running(self) -> bool:
         """Whether the firmware runs: its tick has started."""
         return self.powered and self.chip.tick_origin != 0
-
-    @property
-    def boots(self) -> int:
-        """How often the firmware has started."""
-        return self._boots
 
     # --- traces -----------------------------------------------------------------------------------
     def feed_trace(self, rows: npt.NDArray[np.int64]) -> None:

@@ -234,15 +234,16 @@ class Plant:
     @property
     def pressure_seen(self) -> tuple[float, float]:
         """What the pressure sensors make of it, psi."""
-        return self._pressure_read(0), self._pressure_read(1)
-
-    def _pressure_read(self, side: int) -> float:
-        if not isnan(self.pressure_frozen[side]):
-            return float(self.pressure_frozen[side])
-        psi = self.muscle_psi[side] * self.pressure_gain[side] + self._pressure_zero[side]
-        if self.pressure_noisy[side]:
-            psi += self.pressure_noisy[side] * self._rng.standard_normal()
-        return float(psi + self.pressure_offset[side])
+        seen = []
+        for side, true in enumerate(self.muscle_psi):
+            psi = self.pressure_frozen[side]
+            if isnan(psi):
+                psi = true * self.pressure_gain[side] + self._pressure_zero[side]
+                if self.pressure_noisy[side]:
+                    psi += self.pressure_noisy[side] * self._rng.standard_normal()
+                psi += self.pressure_offset[side]
+            seen.append(float(psi))
+        return seen[0], seen[1]
 
     @property
     def sensor_curvature(self) -> Floats:
@@ -307,10 +308,9 @@ class Plant:
 
     @property
     def pull_n(self) -> float:
-        """Tension of the tail: half of body pressure times section while it is taut.
+        """Tension of the tail: half of body pressure times section (docs/hardware/facts.md, Spool).
 
-        See docs/hardware/facts.md, Spool. A tip that stands still while line is paid out leaves
-        the tail slack.
+        A tip that stands still while line is paid out leaves the tail slack.
         """
         if self.slip_cm_s != 0.0:
             return self._spool.sliding_n + self._spool.damping * self.slip_cm_s
@@ -391,15 +391,10 @@ class Plant:
         analog[:, 0] = analog[:, 1]
         length, t_s = self.length_cm, self.t_s
         under = [muscle.bend_psi for muscle in self._muscles for _ in range(FLEX_RIGHT)]
-        analog[:_SENSORS, 1] = [
-            sensor.count(curvature, length, t_s, psi)
-            for sensor, curvature, psi in zip(
-                self._sensors, self._curvature.tolist(), under, strict=True
-            )
-        ]
+        each = zip(self._sensors, self._curvature.tolist(), under, strict=True)
+        analog[:_SENSORS, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
         full = self.scene.transducer.sensor_full_psi
-        for side in range(2):
-            psi = self._pressure_read(side)
+        for side, psi in enumerate(self.pressure_seen):
             analog[PRESSURE + side, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
         for i, sigma in self.flex_noise.items():
             analog[i, 1] += sigma * self._rng.standard_normal()

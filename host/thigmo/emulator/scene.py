@@ -265,8 +265,7 @@ class Scene(Model):
     def believed(self, seed: int | None = None) -> RobotConfig:
         """The robot.toml that the scene's lab would have: the truth, with its errors drawn.
 
-        That lab knows its errors: the standard errors stated are the spreads used here, and its
-        sensors' loops are in `zero_se`.
+        That lab knows its errors: it states the spreads used here, and its sensors' loops.
         """
         rng = np.random.default_rng([self.seed if seed is None else seed, 0xBE11EF])
         config = self.robot.model_copy(deep=True)
@@ -286,10 +285,9 @@ class Scene(Model):
                 zone.scale_se = spread.curvature_error
                 for curve in (zone.inflate, zone.deflate):
                     curve.amplitude *= factor
-        config.body.critical_curvature_se = spread.critical_error * config.body.critical_curvature
-        config.body.critical_curvature *= max(
-            1 + spread.critical_error * rng.standard_normal(), 0.1
-        )
+        body = config.body
+        body.critical_curvature_se = spread.critical_error * body.critical_curvature
+        body.critical_curvature *= max(1 + spread.critical_error * rng.standard_normal(), 0.1)
         return config
 
 
