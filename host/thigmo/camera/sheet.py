@@ -79,7 +79,7 @@ class Sheet(Model):
 
     @model_validator(mode="after")
     def _markers_exist(self) -> Sheet:
-        names = marker_dictionaries()
+        names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
         if self.dictionary not in names:
             raise ValueError(f"dictionary: no {self.dictionary!r}; one of {', '.join(names)}")
         ids = [card.first_id + k for card in self.cards for k in range(4)] + [self.tip_marker_id]
@@ -143,11 +143,6 @@ def place(points: Points, card: Card) -> Points:
 def _turned(points: Points, cosine: float, sine: float) -> Points:
     """Points (n, 2) turned counter-clockwise."""
     return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]))
-
-
-def marker_dictionaries() -> tuple[str, ...]:
-    """Names of OpenCV's predefined dictionaries."""
-    return tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
 
 
 def dictionary(name: str) -> Any:

@@ -107,8 +107,7 @@ def _function(name: str) -> property:
 class Chip:
     """One simulated ATmega2560 at 16 MHz, powered on with empty flash.
 
-    Raises:
-        PortError: the bridge's tools are missing, or building it failed.
+    Raises PortError where its bridge cannot be built.
     """
 
     cycle = _figure("cycle")

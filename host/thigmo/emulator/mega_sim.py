@@ -136,8 +136,7 @@ class SimulatedMega:
     def run_to_tick(self) -> None:
         """Run to the start of the firmware's tick 0 and let the steps begin there.
 
-        Two boards that are to be compared tick by tick so see their inputs change at the same
-        instants of their own time.
+        Boards that are compared tick by tick so see their inputs change at the same instants.
         """
         chip = self.chip
         while not chip.tick_origin:
@@ -319,12 +318,7 @@ class SimulatedMega:
 
 
 def open_mega_sim(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
-    """Open `mega-sim://SCENE?seed=N&baud=250000&usb=on|off`.
-
-    Raises:
-        ConfigError: no such scene, or an unknown option or choice.
-        PortError: the simulator or the compiler is not installed.
-    """
+    """Open `mega-sim://SCENE?seed=N&baud=250000&usb=on|off`."""
     scene, used, options = parse_url(url, seed, baud=("250000", "500000"), usb=("on", "off"))
     usb = UsbBridge(used) if options["usb"] == "on" else None
     board = SimulatedMega(used, baud=int(options["baud"]), usb=usb)

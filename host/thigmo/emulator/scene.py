@@ -197,7 +197,7 @@ class FaultTable(Model):
     @model_validator(mode="after")
     def _has_a_beginning(self) -> Self:
         conditions = (self.at_s, self.above_length_cm, self.above_pressure_psi)
-        if all(c is None for c in conditions) and not self.while_motor_runs:
+        if conditions == (None, None, None) and not self.while_motor_runs:
             raise ValueError("a fault needs at_s or a condition for its beginning")
         return self
 

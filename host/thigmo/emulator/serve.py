@@ -74,12 +74,9 @@ class PtyServer:
 
     def close(self) -> None:
         """Close the port and remove the link."""
-        if self._master >= 0:
-            os.close(self._master)
-            self._master = -1
+        os.close(self._master)
         if self._link is not None and self._link.is_symlink():
             self._link.unlink()
-            self._link = None
 
     def run(self, keep_on: Callable[[], bool] = lambda: True) -> None:
         """Serve in real time while `keep_on()` says so."""

@@ -69,11 +69,7 @@ class EmulatedOperator:
         self._plant.set_body_pressure(pressure_psi)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Clear the room and put these pegs into it; takes as long.
-
-        Raises:
-            DataError: a peg that overlaps the robot's base.
-        """
+        """Clear the room and put these pegs into it; takes as long."""
         self._transport.pass_time(self._about.takes_s)
         self._plant.place_pegs([Peg(peg.x, peg.y, peg.radius) for peg in pegs])
 
@@ -82,11 +78,7 @@ class EmulatedOperator:
         self._plant.hold([] if y_cm is None else [(self._plant.length_cm, y_cm)])
 
     def push_aside(self, pushes: Sequence[tuple[float, float]], radius_cm: float) -> None:
-        """Hold points (arc, y) of the body aside, base first, with dowels; takes as long.
-
-        Raises:
-            DataError: a place that the body cannot reach.
-        """
+        """Hold points (arc, y) of the body aside, base first, with dowels; takes as long."""
         self._transport.pass_time(self._about.takes_s)
         self._plant.hold(pushes, radius_cm)
 
@@ -94,13 +86,8 @@ class EmulatedOperator:
 class EmulatorTransport:
     """The link's Transport over a board in lockstep with a plant.
 
-    Args:
-        scene: what to emulate.
-        board: holding the firmware.
-        seed: of all noise; None takes the scene's.
-        realtime: pace virtual time by the clock.
-        exchange_ms: how long the board runs between exchanges with the plant.
-        name: for messages.
+    All noise is of `seed` (None takes the scene's). With `realtime` virtual time keeps to the
+    clock. The board runs `exchange_ms` between exchanges with the plant.
     """
 
     virtual = True
@@ -233,11 +220,7 @@ def parse_url(
 
 
 def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
-    """Open `emulator://SCENE` with the firmware core on the virtual board.
-
-    Raises:
-        ConfigError: no such scene, or a malformed one.
-    """
+    """Open `emulator://SCENE` with the firmware core on the virtual board."""
     from thigmo.emulator._board import VirtualBoard
 
     scene, used, _ = parse_url(url, seed)

@@ -214,7 +214,7 @@ def push(
         arc: their arc lengths (cm), same shape.
         free_curvature: 1/cm.
         length: everted length, cm.
-        tube: diameter; its critical moment is ignored here, see fold_angle.
+        tube: 3.5 cm wide unless given; its critical moment is ignored here.
         fold_angle: angle of the base's fold (rad), spread over one diameter.
 
     Raises:

@@ -47,8 +47,8 @@ class Settling:
 
     def observe(
         self, t_s: npt.ArrayLike, reading: npt.ArrayLike, noise: float
-    ) -> tuple[Settled, Settling]:
-        """Settled value from readings of a robot that stands still, and this eversion's own law.
+    ) -> tuple[float, float, Settling]:
+        """Settled value, its one sigma, and this eversion's law, of a robot that stands still.
 
         Times since eversion and readings in 1/cm, (n,) each; noise is one sigma of one reading.
         Raises DataError for fewer than three readings.
@@ -63,7 +63,7 @@ class Settling:
         tau = float(np.clip(self.tau_s + best[2], 0.3 * self.tau_s, 3 * self.tau_s))
         error, amplitude_sd, tau_se = np.sqrt(np.diag(covariance)).tolist()
         own = Settling(tau, tau_se, float(best[1]), amplitude_sd)
-        return Settled(float(best[0]), error), own
+        return float(best[0]), error, own
 
     def _design(self, t: Floats, noise: float) -> tuple[Floats, Floats]:
         """Rows for the unknowns rest, amplitude, tau's error; the last two with priors."""
@@ -77,11 +77,3 @@ class Settling:
         """Covariance (3, 3) of rest, amplitude and tau's error after watching at times t."""
         full, _ = self._design(t, noise)
         return np.asarray(np.linalg.inv(full.T @ full))
-
-
-@dataclass(frozen=True, slots=True)
-class Settled:
-    """A reading freed of creep: value and one sigma, 1/cm."""
-
-    value: float
-    sigma: float

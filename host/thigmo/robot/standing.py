@@ -89,13 +89,13 @@ class StandingWatch:
             when = np.bincount(bins, since[use]) / count
             noise = float(self._table.noise[i])
             # A second pass lets this eversion's own amplitude carry the doubt about tau.
-            _, own = self._laws[i].observe(when, told, noise)
             law = self._laws[i]
+            *_, own = law.observe(when, told, noise)
             again = Settling(law.tau_s, law.tau_se_s, own.amplitude, law.amplitude_sd)
-            settled, own = again.observe(when, told, noise)
+            settled, settled_sd, own = again.observe(when, told, noise)
             left, left_sd = own.left(at_s - self._everted_s[i])
-            value[i] = level + settled.value + float(left)
-            sigma[i] = np.hypot(settled.sigma, float(left_sd))
+            value[i] = level + settled + float(left)
+            sigma[i] = np.hypot(settled_sd, float(left_sd))
         return value, sigma
 
     def curvature(self, flex_sum: Floats, at_s: float, sensors: int) -> tuple[Floats, Floats]:
