@@ -62,13 +62,11 @@ class Kept:
         Raises:
             CameraError: missing or damaged file.
         """
+        with CameraError.from_os(f"cannot read {path}", f"{cls.cure} first"):
+            text = Path(path).read_text()
         try:
-            data = json.loads(Path(path).read_text())
+            data = json.loads(text)
             return TypeAdapter(cls).validate_python({"lens": data, **data})
-        except OSError as error:
-            raise CameraError(
-                f"cannot read {path}: {error.strerror}", f"{cls.cure} first"
-            ) from error
         except ValidationError as error:
             told = invalid_entry(cls.what, error)
             raise CameraError(f"{path} is no {told}", f"{cls.cure} again") from error
