@@ -123,14 +123,19 @@ def messages() -> Iterator[tuple[str, str, str, str]]:
     for path in sorted(package.rglob("*.py")):
         folder = path.relative_to(package).parts[0].removesuffix(".py")
         for node in ast.walk(ast.parse(path.read_text())):
-            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
-                continue
-            if node.func.id not in _ERRORS or not node.args:
-                continue
-            what = _text(node.args[0])
-            step = _text(node.args[1]) if len(node.args) > 1 else ""
-            if what is not None and re.search("[a-z]{2}", re.sub("<.*?>", "", what)):
-                yield folder, node.func.id, what, step or ""
+            match node:
+                case ast.Call(func=ast.Name(id=kind), args=[first, *rest]):
+                    reason = ""
+                case ast.Call(
+                    func=ast.Attribute(value=ast.Name(id=kind), attr="from_os"),
+                    args=[first, *rest],
+                ):
+                    reason = ": <reason>"
+                case _:
+                    continue
+            what, step = _text(first), _text(rest[0]) if rest else ""
+            if kind in _ERRORS and what and re.search("[a-z]{2}", re.sub("<.*?>", "", what)):
+                yield folder, kind, what + reason, step or ""
 
 
 def _errors_page() -> str:

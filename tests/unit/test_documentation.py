@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,11 @@ def test_documents_that_the_code_cites_exist() -> None:
                 cited |= set(re.findall(r"\bdocs/[\w/-]+\.md\b", source.read_text()))
     assert "docs/methods.md" in cited
     assert not [name for name in cited if not (ROOT / name).exists()]
+
+
+def test_what_the_operating_system_refuses_is_on_the_errors_page(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    told = {(what, step) for _, _, what, step in import_module("generated").messages()}
+    assert ("cannot write <target>: <reason>", "choose a folder that you may write to") in told
