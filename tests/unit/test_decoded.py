@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from math import isnan, nan, pi
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.robot import SensorTable
-from thigmo.robot.publishing import Decoder, bent
+from thigmo.robot.publishing import Publisher, bent
+from thigmo.stream import Telemetry
 
 TABLE = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 660.0))
 
@@ -28,15 +31,30 @@ def _frame(
     return TelemetryFrame(1, 6.0, 5_000_000, message.pack())
 
 
+def _publisher(table: SensorTable, epoch_s: float) -> Publisher:
+    link: Any = SimpleNamespace(now=lambda: 0.0, on_telemetry=[], on_event=[])
+    publisher = Publisher(link, RobotConfig(), table)
+    publisher.epoch_s = epoch_s
+    return publisher
+
+
+def _told(
+    frame: TelemetryFrame, table: SensorTable = TABLE, epoch_s: float = 0.0, supply_v: float = nan
+) -> Telemetry:
+    publisher = _publisher(table, epoch_s)
+    publisher.supply_v = supply_v
+    return publisher.telemetry(frame)
+
+
 @given(st.lists(st.integers(0, 16 * 1023), min_size=10, max_size=10))
 def test_curvature_is_that_of_the_sensor_table(flex: list[int]) -> None:
-    told = Decoder(TABLE, 0.0).telemetry(_frame(flex))
+    told = _told(_frame(flex))
     by_table = TABLE.curvature(np.array(flex, dtype=np.float64))
     assert told.curvature_per_cm == pytest.approx(by_table.tolist(), rel=1e-12, nan_ok=True)
 
 
 def test_units_and_names() -> None:
-    told = Decoder(TABLE, 1.7e9).telemetry(_frame([10_000] * 10, 950, 3), 11.9)
+    told = _told(_frame([10_000] * 10, 950, 3), epoch_s=1.7e9, supply_v=11.9)
     assert (told.t_s, told.epoch_s, told.device_s) == (6.0, 1.7e9 + 6.0, 5.0)
     assert (told.pressure_psi, told.demand_psi) == ((9.5, 0.03), (10.0, 0.0))
     assert told.drive_ma == (20.0, 0.0)
@@ -46,7 +64,7 @@ def test_units_and_names() -> None:
 
 
 def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
-    told = Decoder(TABLE.zeroed({0: nan}), 0.0).telemetry(_frame([10_000] * 10, length_um=200_000))
+    told = _told(_frame([10_000] * 10, length_um=200_000), TABLE.zeroed({0: nan}))
     known = [not isnan(value) for value in told.curvature_per_cm]
     assert known == [False, True, False, False, False, True, True, False, False, False]
 
@@ -55,7 +73,7 @@ def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
 def test_the_inflated_side_wrinkles_and_is_not_compared(
     pressures: tuple[int, int], free: str
 ) -> None:
-    told = Decoder(TABLE, 0.0).telemetry(_frame([10_000] * 10, *pressures))
+    told = _told(_frame([10_000] * 10, *pressures))
     expected = {"left": told.expected_per_cm[:5], "right": told.expected_per_cm[5:]}
     assert expected.pop(free) == (0.012,) * 5
     assert all(isnan(value) for value in expected.popitem()[1])
@@ -64,7 +82,7 @@ def test_the_inflated_side_wrinkles_and_is_not_compared(
 @pytest.mark.parametrize("fault", list(wire.Fault))
 def test_a_fault_says_what_happened_and_what_to_do(fault: wire.Fault) -> None:
     received = ReceivedEvent(wire.Event(1, wire.EventCode.FAULT, 0, fault, 0), 2.0, 0)
-    told = Decoder(TABLE, 10.0).event(received)
+    told = _publisher(TABLE, 10.0).event(received)
     assert (told.name, told.severity, told.epoch_s) == (fault.key, "fault", 12.0)
     assert told.message
     assert told.next
@@ -73,7 +91,7 @@ def test_a_fault_says_what_happened_and_what_to_do(fault: wire.Fault) -> None:
 @pytest.mark.parametrize("code", [c for c in wire.EventCode if c is not wire.EventCode.FAULT])
 def test_every_event_has_words(code: wire.EventCode) -> None:
     received = ReceivedEvent(wire.Event(1, code, 0, 1, 7), 2.0, 0)
-    told = Decoder(TABLE, 0.0).event(received)
+    told = _publisher(TABLE, 0.0).event(received)
     assert told.name == code.key
     assert told.message
 

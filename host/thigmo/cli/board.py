@@ -76,17 +76,16 @@ def params(
         note = f"thigmo: {name} is not stored and ends with this connection; keep it with --save"
         typer.echo(note, err=True)
     if as_json:
-        entries = {each: (wire.PARAMETERS[each], held) for each, held in values.items()}
-        told = {
-            each: {
+        told = {}
+        for each, held in values.items():
+            entry = wire.PARAMETERS[each]
+            told[each] = {
                 "value": held if entry.count > 1 else held[0],
                 "unit": entry.unit,
                 "range": [entry.low, entry.high],
                 "default": entry.defaults if entry.count > 1 else entry.defaults[0],
                 "doc": entry.doc,
             }
-            for each, (entry, held) in entries.items()
-        }
         print_json(told)
         return
     from rich.console import Console

@@ -69,7 +69,7 @@ class Client(Inbox, Closing):
     def __init__(
         self, transport: Transport, *, connect: bool = True, heartbeat_s: float = PERIOD_S
     ) -> None:
-        """Take an open transport, which the client owns from now on, and `connect` if told so."""
+        """Take an open transport, to close it with the client or if nobody answers; say hello."""
         super().__init__()
         self.transport = transport
         # Called with every good frame in and every frame out: direction, the bytes on the wire
@@ -92,7 +92,11 @@ class Client(Inbox, Closing):
         self._heard_s = float("-inf")
         self._handling = False
         if connect:
-            self.connect()
+            try:
+                self.connect()
+            except BaseException:
+                self.close()
+                raise
 
     # Life.
 
@@ -201,10 +205,7 @@ class Client(Inbox, Closing):
     # Waiting.
 
     def poll(self, timeout_s: float = 0.0) -> None:
-        """Handle what has arrived; wait up to `timeout_s` for the first bytes.
-
-        Raises BoardResetError if the board restarted.
-        """
+        """Handle what has arrived; wait up to `timeout_s` for the first bytes."""
         self._check_reentry()
         self._raise_if_broken()
         self._pump(self.now() + timeout_s)
@@ -335,9 +336,7 @@ class Client(Inbox, Closing):
         self._heard_s = self.now()
         if self._stop_call is not None:
             self._stop_call.heard(self._heard_s)
-        self.stats.frames = self._decoder.frames
         self.stats.bad_frames = self._decoder.bad
-        self.stats.garbage_bytes = self._decoder.bad_bytes
         self._handling = True
         try:
             for frame in frames:
@@ -360,7 +359,6 @@ class Client(Inbox, Closing):
         try:
             message = frame.message()
         except FrameError:
-            self.stats.foreign += 1
             if frame.id == wire.Announce.ID and len(frame.payload) == wire.Announce.SIZE:
                 # The layout of an announce is the same in every schema (`frozen`).
                 self._other_hash = int.from_bytes(frame.payload[1:5], "little")
@@ -375,8 +373,6 @@ class Client(Inbox, Closing):
             self._take_pulse(message, t_s)
         elif isinstance(message, wire.Event) and frame.session == self.session:
             self._take_event(message, t_s)
-        else:
-            self.stats.foreign += 1
 
     def _other_board(self, payload: bytes) -> bool:
         """Notice a refusal by a board of another schema, whose enumerations may be unknown here.
@@ -412,7 +408,6 @@ class Client(Inbox, Closing):
     def _take_reply(self, message: wire.Message, frame: Frame, t_s: float) -> None:
         outstanding = self._outstanding
         if outstanding is None:
-            self.stats.foreign += 1
             return
         if isinstance(outstanding.message, wire.Hello):
             # Its header may be another schema's business; the nonce is what makes it ours.
@@ -424,7 +419,6 @@ class Client(Inbox, Closing):
             ours = frame.seq == outstanding.seq and frame.session == outstanding.session
             ours = ours and isinstance(message, (outstanding.message.REPLY, wire.Ack))
         if not ours:
-            self.stats.foreign += 1
             return
         if outstanding.attempts == 1:  # Karn: a repeat's answer may be the first one's
             self._round_trip.measure(max(t_s - outstanding.sent_s, 1e-4))

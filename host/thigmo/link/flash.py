@@ -67,17 +67,6 @@ class Flashed:
     stored: StoredConfiguration
 
 
-def check(image: Image) -> None:
-    """Refuse an image of another protocol schema with a SchemaMismatchError."""
-    if image.schema_hash != wire.SCHEMA_HASH or image.protocol != wire.PROTOCOL:
-        raise SchemaMismatchError(
-            f"{image.path.name} speaks schema {image.schema_hash:08x} and this host"
-            f" {wire.SCHEMA_HASH:08x}",
-            "build the image from this host's sources (`make firmware`), or install the host"
-            " that came with it",
-        )
-
-
 def flash(
     port: str,
     image: Path | None = None,
@@ -96,7 +85,13 @@ def flash(
     if image is None:
         tell("looking for the image")
     content = read_image(build_image() if image is None else image)
-    check(content)
+    if content.schema_hash != wire.SCHEMA_HASH or content.protocol != wire.PROTOCOL:
+        raise SchemaMismatchError(
+            f"{content.path.name} speaks schema {content.schema_hash:08x} and this host"
+            f" {wire.SCHEMA_HASH:08x}",
+            "build the image from this host's sources (`make firmware`), or install the host"
+            " that came with it",
+        )
     program = shutil.which(avrdude)
     if program is None:
         raise PortError(
@@ -148,20 +143,17 @@ def explain(output: str, port: str) -> LinkError:
 
 def _meet(port: str) -> tuple[wire.HelloReply, StoredConfiguration]:
     """Who runs there now, and what it made of the configuration that was stored before."""
-    transport = open_transport(port)
     try:
-        try:
-            client = Client(transport)
-        except NotARobotError as error:
-            raise NotARobotError(
-                "the image was written and verified, but nothing on the board says hello",
-                "press the board's reset button; if it stays silent, flash again",
-            ) from error
+        client = Client(open_transport(port))
+    except NotARobotError as error:
+        raise NotARobotError(
+            "the image was written and verified, but nothing on the board says hello",
+            "press the board's reset button; if it stays silent, flash again",
+        ) from error
+    with client:
         if client.hello.board != wire.Board.MEGA:
             raise NotARobotError(
                 f"{port} answers as {client.hello.board.name.lower()}, not as a Mega",
                 "give the board's port",
             )
         return client.hello, StoredConfiguration.of(client.request(wire.GetConfigReport()))
-    finally:
-        transport.close()

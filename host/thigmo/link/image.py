@@ -9,8 +9,7 @@ from __future__ import annotations
 import shutil
 import struct
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,23 +99,14 @@ def build_image(baud: int = 250_000) -> Path:
     return make(folder, BUILD / name, f"BAUD={baud}")
 
 
-@contextmanager
-def _alone() -> Iterator[None]:
-    """Only one process builds at a time (tests run beside each other)."""
-    BUILD.mkdir(parents=True, exist_ok=True)
-    with (BUILD / ".lock").open("w") as lock:
-        try:
-            import fcntl
-        except ImportError:  # not on Windows, where nobody builds twice at once
-            yield
-            return
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
 def make(folder: Path, target: Path, *settings: str) -> Path:
     """Run a Makefile of the firmware; raises PortError with the first line of its failure."""
-    with _alone():
+    BUILD.mkdir(parents=True, exist_ok=True)
+    with (BUILD / ".lock").open("w") as lock:  # tests run beside each other
+        with suppress(ImportError):  # not on Windows, where nobody builds twice at once
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX)
         result = subprocess.run(
             ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],
             capture_output=True,

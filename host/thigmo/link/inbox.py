@@ -58,17 +58,11 @@ class ReceivedEvent(NamedTuple):
 class LinkCounters:
     """What the link went through, as the host sees it."""
 
-    frames: int = 0  # good ones received
     bad_frames: int = 0
-    garbage_bytes: int = 0  # in no good frame
-    foreign: int = 0  # good frames of another session, or answers to no question
     repeats: int = 0  # commands sent again
     timeouts: int = 0  # commands that found no answer
     telemetry: int = 0  # frames
     telemetry_lost: int = 0  # by the gaps in their numbers
-    telemetry_stale: int = 0  # frames out of order
-    events: int = 0  # new ones
-    event_repeats: int = 0  # ones already known
     hellos: int = 0  # conversations opened
 
 
@@ -118,7 +112,6 @@ class Inbox:
         self.stats = LinkCounters()
         # Received and not yet taken, oldest first. When it is full the board keeps the rest.
         self.events: deque[ReceivedEvent] = deque()
-        self.telemetry: TelemetryFrame | None = None  # the latest
         # Called for each, in order. They must not send commands.
         self.on_telemetry: list[Callable[[TelemetryFrame], None]] = []
         self.on_event: list[Callable[[ReceivedEvent], None]] = []
@@ -149,20 +142,18 @@ class Inbox:
     def _take_telemetry(self, frame: Frame, t_s: float) -> None:
         payload = frame.payload
         if frame.session != self.session or len(payload) != wire.Telemetry.SIZE:
-            self.stats.foreign += 1
             return
         if self._telemetry_seq is not None:
             delta = (frame.seq - self._telemetry_seq) & 0xFFFF
             if not 0 < delta < 0x8000:
-                self.stats.telemetry_stale += 1
-                return
+                return  # an old one
             self.stats.telemetry_lost += delta - 1
         self._telemetry_seq = frame.seq
         self.stats.telemetry += 1
         device_us = self.clock.unwrap(int.from_bytes(payload[:4], "little"))
-        self.telemetry = TelemetryFrame(frame.seq, t_s, device_us, payload)
+        received = TelemetryFrame(frame.seq, t_s, device_us, payload)
         for callback in self.on_telemetry:
-            callback(self.telemetry)
+            callback(received)
 
     def _take_pulse(self, message: wire.Pulse, t_s: float) -> None:
         sent_s = self._beats.pop(message.counter, None)
@@ -176,9 +167,7 @@ class Inbox:
         new = self._ledger.take(message.number)
         self._ack_due = self._ledger.acknowledge  # again, if the board did not hear the last one
         if not new:
-            self.stats.event_repeats += 1
             return
-        self.stats.events += 1
         received = ReceivedEvent(message, t_s, self.clock.unwrap(message.t_us))
         self.events.append(received)
         for callback in self.on_event:

@@ -28,9 +28,7 @@ _NAME = 40  # of the address in the socket's name; the system allows 107 bytes i
 
 
 def folder() -> Path:
-    """The folder of the sockets, made if need be; PortError if others could stop or fake a robot
-    there.
-    """
+    """The folder of the sockets, made if need be; PortError if others could fake a robot there."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(runtime or tempfile.gettempdir()) / ("thigmo" if runtime else f"thigmo-{_user()}")
     with PortError.from_os(f"cannot make {path}", "make it, yours and with mode 700"):

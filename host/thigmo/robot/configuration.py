@@ -92,10 +92,8 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
     """Set parameters in the board's memory; all of them run from then on, or none.
 
     They are in wire units, by the schema's names: one value for each element, or one for all.
-
-    Raises:
-        ConfigError: no such parameter, a wrong number of values, one out of range, or values that
-            contradict each other or those that the board holds.
+    Raises ConfigError for a wrong name or number of values, one out of range, or values that
+    contradict each other or those that the board holds.
     """
     for name, values in wanted.items():
         entry = _named(name)

@@ -60,6 +60,7 @@ class Connected(Closing):
         config: robot.toml as last sent with `configure`.
         known_config: the robot.toml that an emulated robot's lab would have; None on hardware.
         hub: where it publishes telemetry, events and shape; an exploration does as well.
+        aside: mask of the sensors that `set_aside` told the board to leave out.
         epoch_s: UTC seconds since 1970 at which the link's clock (`now`) was 0.
     """
 
@@ -76,7 +77,7 @@ class Connected(Closing):
         self._publisher = Publisher(client, self.config, self._table)
         self.hub, self.epoch_s = self._publisher.hub, self._publisher.epoch_s
         self._before = self._table  # the last zeroing
-        self._aside = 0
+        self.aside = 0
         self._standing: StandingWatch | None = None
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
         self._interruptions: list[Callable[[], None]] = []
@@ -186,8 +187,9 @@ class Connected(Closing):
             self._client.on_telemetry.remove(take)
 
     def while_waiting(self, callback: Callable[[], None]) -> None:
-        """Call `callback` whenever something of the board is waited for; it may raise, which ends
-        the waiting, and must command nothing.
+        """Call `callback` while something of the board is waited for; what it raises ends the wait.
+
+        It must command nothing.
         """
         self._interruptions.append(callback)
 
@@ -253,8 +255,7 @@ class Connected(Closing):
     def link_stats(self) -> dict[str, int]:
         """Counters of the link as the board sees it, by the schema's names."""
         stats = asdict(self._client.request(wire.GetLinkStats()))
-        del stats["status"]
-        return stats
+        return {name: count for name, count in stats.items() if name != "status"}
 
     def scenery(self) -> Any:
         """The emulator's own truth (shapes included), for painting pictures; None on hardware."""

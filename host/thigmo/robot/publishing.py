@@ -32,72 +32,6 @@ _SHAPE_S = 0.1  # of the board's time, between two shapes
 _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
-class Decoder:
-    """Decodes with one set of constants and zeros; made anew when these change."""
-
-    def __init__(self, table: SensorTable, epoch_s: float) -> None:
-        self._epoch_s = epoch_s
-        self._share = 1.0 / table.oversample
-        self._divider_ohm = table.divider_ohm
-        # Everted where it ends, and never if it is not to be used.
-        used = table.healthy & np.isfinite(table.zero_sum)
-        self._sensors = list(
-            zip(
-                np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist(),
-                table.scale_per_ohm.tolist(),
-                table.resistance(table.zero_sum).tolist(),
-                _SIDE_OF,
-                strict=True,
-            )
-        )
-
-    def telemetry(self, frame: TelemetryFrame, supply_v: float = nan) -> Telemetry:
-        """A frame in units."""
-        raw = frame.message
-        length_cm = raw.length_um / 1e4
-        free = raw.free_e5 / 1e5
-        drives = (raw.left_drive, raw.right_drive)
-        left_ma, right_ma = (level * _FULL_MA / _FULL_DRIVE for level in drives)
-        state, activity = _phase(raw.state_activity)
-        inflated = None
-        if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
-            inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
-        curvature, expected = [], []
-        for flex_sum, (out_cm, scale, zero_ohm, side) in zip(
-            raw.flex_sum, self._sensors, strict=True
-        ):
-            value = nan
-            count = flex_sum * self._share + 0.5
-            if out_cm <= length_cm and count > _OPEN_COUNT:
-                # As `SensorTable.curvature`, of one reading.
-                value = scale * (self._divider_ohm * (1024.0 - count) / count - zero_ohm)
-            curvature.append(value)
-            expected.append(nan if value != value or side == inflated else free)
-        return Telemetry(
-            t_s=frame.t_s,
-            epoch_s=self._epoch_s + frame.t_s,
-            device_s=frame.device_us * 1e-6,
-            pressure_psi=(raw.left_cpsi / 100, raw.right_cpsi / 100),
-            demand_psi=(raw.left_set_cpsi / 100, raw.right_set_cpsi / 100),
-            drive_ma=(left_ma, right_ma),
-            curvature_per_cm=tuple(curvature),
-            expected_per_cm=tuple(expected),
-            base_per_cm=raw.base_e5 / 1e5,
-            free_per_cm=free,
-            length_cm=length_cm,
-            motor=raw.motor / _FULL_MOTOR,
-            supply_v=supply_v,
-            state=state,
-            activity=activity,
-            faults=_faults(raw.faults),
-            flex_sum=raw.flex_sum,
-        )
-
-    def event(self, received: ReceivedEvent) -> Event:
-        """An event in words, with the operator's next step if there is one."""
-        return Event(received.t_s, self._epoch_s + received.t_s, *_told(received.message))
-
-
 @cache
 def _phase(both: int) -> tuple[str, str]:
     """Names of state and activity."""
@@ -146,28 +80,83 @@ class Publisher:
         self.supply_v = nan  # as last asked for
         self._shape_s = 0.0
         self.use(config, table)
-        client.on_telemetry.append(self._telemetry)
-        client.on_event.append(self._event)
+        client.on_telemetry.append(self._publish)
+        client.on_event.append(lambda received: self.hub.publish(self.event(received)))
 
     def use(self, config: RobotConfig, table: SensorTable) -> None:
         """Decode with these constants and zeros from now on."""
-        self._decoder = Decoder(table, self.epoch_s)
-        self._centers = table.center_cm.tolist()
         self._radius_cm = config.body.radius_cm
+        self._share = 1.0 / table.oversample
+        self._divider_ohm = table.divider_ohm
+        self._centers = table.center_cm.tolist()
+        # Everted where it ends, and never if it is not to be used.
+        used = table.healthy & np.isfinite(table.zero_sum)
+        self._sensors = list(
+            zip(
+                np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist(),
+                table.scale_per_ohm.tolist(),
+                table.resistance(table.zero_sum).tolist(),
+                _SIDE_OF,
+                strict=True,
+            )
+        )
 
-    def _telemetry(self, frame: TelemetryFrame) -> None:
+    def _publish(self, frame: TelemetryFrame) -> None:
         shape = self.hub.wanted(BodyShape)
         if not shape and not self.hub.wanted(Telemetry):
             return
-        telemetry = self._decoder.telemetry(frame, self.supply_v)
+        telemetry = self.telemetry(frame)
         self.hub.publish(telemetry)
         # A board that restarted counts from 0 again.
         if shape and not 0.0 <= telemetry.device_s - self._shape_s < _SHAPE_S:
             self._shape_s = telemetry.device_s
             self.hub.publish(self._shape(telemetry))
 
-    def _event(self, received: ReceivedEvent) -> None:
-        self.hub.publish(self._decoder.event(received))
+    def telemetry(self, frame: TelemetryFrame) -> Telemetry:
+        """A frame in units."""
+        raw = frame.message
+        length_cm = raw.length_um / 1e4
+        free = raw.free_e5 / 1e5
+        drives = (raw.left_drive, raw.right_drive)
+        left_ma, right_ma = (level * _FULL_MA / _FULL_DRIVE for level in drives)
+        state, activity = _phase(raw.state_activity)
+        inflated = None
+        if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
+            inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
+        curvature, expected = [], []
+        for flex_sum, (out_cm, scale, zero_ohm, side) in zip(
+            raw.flex_sum, self._sensors, strict=True
+        ):
+            value = nan
+            count = flex_sum * self._share + 0.5
+            if out_cm <= length_cm and count > _OPEN_COUNT:
+                # As `SensorTable.curvature`, of one reading.
+                value = scale * (self._divider_ohm * (1024.0 - count) / count - zero_ohm)
+            curvature.append(value)
+            expected.append(nan if value != value or side == inflated else free)
+        return Telemetry(
+            t_s=frame.t_s,
+            epoch_s=self.epoch_s + frame.t_s,
+            device_s=frame.device_s,
+            pressure_psi=(raw.left_cpsi / 100, raw.right_cpsi / 100),
+            demand_psi=(raw.left_set_cpsi / 100, raw.right_set_cpsi / 100),
+            drive_ma=(left_ma, right_ma),
+            curvature_per_cm=tuple(curvature),
+            expected_per_cm=tuple(expected),
+            base_per_cm=raw.base_e5 / 1e5,
+            free_per_cm=free,
+            length_cm=length_cm,
+            motor=raw.motor / _FULL_MOTOR,
+            supply_v=self.supply_v,
+            state=state,
+            activity=activity,
+            faults=_faults(raw.faults),
+            flex_sum=raw.flex_sum,
+        )
+
+    def event(self, received: ReceivedEvent) -> Event:
+        """An event in words, with the operator's next step if there is one."""
+        return Event(received.t_s, self.epoch_s + received.t_s, *_told(received.message))
 
     def _shape(self, told: Telemetry) -> BodyShape:
         """The body by what its sensors read now: those of the inflated side wrinkle, and do not

@@ -8,7 +8,7 @@ configuration), and here length, sensors and sweeps.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -55,14 +55,14 @@ def connect(
     """
     from thigmo.link.client import Client
 
-    with ExitStack() as undo:
-        transport = open_transport(url, seed=seed, realtime=realtime)
-        undo.callback(transport.close)
-        robot = Robot(Client(transport), url=url, operator=operator)
-        if config is not None:
-            undo.callback(robot.close)
+    client = Client(open_transport(url, seed=seed, realtime=realtime))
+    robot = Robot(client, url=url, operator=operator)
+    if config is not None:
+        try:
             robot.configure(config)
-        undo.pop_all()
+        except BaseException:
+            robot.close()
+            raise
     return robot
 
 
@@ -76,10 +76,7 @@ class Robot(Supervised):
     # The everted length.
 
     def confirm_length(self, length_cm: float, *, settled: bool = False) -> None:
-        """Vouch for the everted length, as measured on the robot.
-
-        `settled`: the everted sensors have rested long enough already.
-        """
+        """Vouch for the everted length; `settled`: its sensors have rested long enough already."""
         self._wait_vented()
         self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
@@ -149,7 +146,7 @@ class Robot(Supervised):
         """Standard error of what sensors set aside rest at, (10,), 1/cm; infinite if unknown."""
         if self._standing is None:
             return np.full(SENSORS, np.inf)
-        _, sigma = self._standing.rest(self.status().t_s, self._aside)
+        _, sigma = self._standing.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
@@ -159,17 +156,12 @@ class Robot(Supervised):
         the body while one lies in the tip's fold.
         """
         mask &= self.status().everted
-        if mask == self._aside:
+        if mask == self.aside:
             return
         healthy = self._table.healthy
         enabled = [int(healthy[n] and not mask >> n & 1) for n in range(SENSORS)]
         self.set_parameter("flex_enabled", enabled)
-        self._aside = mask
-
-    @property
-    def aside(self) -> int:
-        """Mask of the sensors that were set aside."""
-        return self._aside
+        self.aside = mask
 
     def wait_settled(
         self,
@@ -201,7 +193,7 @@ class Robot(Supervised):
 
         Refused unless they are vented, settled and free of drift.
         """
-        mask = self.status().everted & mask_of(self._table.healthy) & ~self._aside
+        mask = self.status().everted & mask_of(self._table.healthy) & ~self.aside
         self._before = self._table
         if mask:
             self._start(wire.ZeroSensors(mask))
@@ -318,7 +310,7 @@ class Robot(Supervised):
             self._table,
             before.everted & before.settled & before.zeroed,
             before.length_cm or 0.0,
-            self._aside,
+            self.aside,
             self._standing,
             rising,
         )

@@ -16,61 +16,37 @@ from thigmo.robot.readings import Floats
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The board's whole state.
+    """The board's whole state."""
 
-    Attributes:
-        state, activity: names from the schema.
-        zone: index of the body-pressure zone, None if the board was not told.
-        faults: names of latched faults.
-        conditions: names of the condition bits that are set.
-        t_s: device time.
-        length_cm: everted length, None if unknown.
-        left_psi, right_psi: muscle pressures.
-        everted, settled, zeroed: bit masks of sensors, bit 0 = left base.
-        config_generation: of the stored configuration, 0 = none.
-        supply_v: the board's supply, as it measures it.
-        encoder_errors: illegal transitions of the spool's encoder since the board's start.
-    """
-
-    state: str
-    activity: str
-    zone: int | None
-    faults: tuple[str, ...]
-    conditions: frozenset[str]
-    t_s: float
-    length_cm: float | None
-    left_psi: float
-    right_psi: float
-    everted: int
-    settled: int
-    zeroed: int
-    config_generation: int
-    supply_v: float
-    encoder_errors: int
+    state: str  #: its name in the schema
+    activity: str  #: its name in the schema
+    zone: int | None  #: index of the body-pressure zone, None if the board was not told
+    faults: tuple[str, ...]  #: names of latched faults
+    conditions: frozenset[str]  #: names of the condition bits that are set
+    t_s: float  #: device time
+    length_cm: float | None  #: everted length, None if unknown
+    left_psi: float  #: pressure of the left muscle
+    right_psi: float  #: pressure of the right muscle
+    everted: int  #: bit mask of sensors that are out, bit 0 = left base
+    settled: int  #: bit mask of those past their settling time
+    zeroed: int  #: bit mask of those with a zero
+    config_generation: int  #: of the stored configuration, 0 = none
+    supply_v: float  #: the board's supply, as it measures it
+    encoder_errors: int  #: illegal transitions of the spool's encoder since the board's start
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Averaged readings over a while.
+    """Averaged readings over a while; one value for each of the ten sensors, left base first."""
 
-    Attributes:
-        t_s: device time at its middle.
-        curvature: of each sensor, shape (10,), 1/cm, left base first; NaN without a zero.
-        spread: standard deviation of a single telemetry reading, shape (10,).
-        left_psi, right_psi: mean muscle pressures.
-        length_cm: everted length by the encoder.
-        frames: number averaged.
-        resistance: of each sensor, shape (10,), ohm; NaN where the circuit is open.
-    """
-
-    t_s: float
-    curvature: Floats
-    spread: Floats
-    left_psi: float
-    right_psi: float
-    length_cm: float
-    frames: int
-    resistance: Floats
+    t_s: float  #: device time at its middle
+    curvature: Floats  #: shape (10,), 1/cm; NaN without a zero
+    spread: Floats  #: standard deviation of a single telemetry reading, shape (10,), 1/cm
+    left_psi: float  #: mean pressure of the left muscle
+    right_psi: float  #: mean pressure of the right muscle
+    length_cm: float  #: everted length by the encoder
+    frames: int  #: number averaged
+    resistance: Floats  #: shape (10,), ohm; NaN where the circuit is open
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,23 +98,15 @@ class SweepFrame:
 
 @dataclass(frozen=True, slots=True)
 class SweepResult:
-    """What a sweep gave.
+    """What a sweep gave."""
 
-    Attributes:
-        triggers: the board's contact triggers.
-        peaks: one average for each side that was swept.
-        frames: thinned telemetry of the sweep.
-        curvature: what each sensor read in them, shape (frames, 10), 1/cm.
-        sensors: mask of sensors everted, settled and zeroed.
-        truth: what the emulator knew at the peaks, None on hardware.
-    """
-
-    triggers: list[ContactTrigger] = field(default_factory=list)
-    peaks: list[Peak] = field(default_factory=list)
-    frames: list[SweepFrame] = field(default_factory=list)
+    triggers: list[ContactTrigger] = field(default_factory=list)  #: the board's contact triggers
+    peaks: list[Peak] = field(default_factory=list)  #: one average for each side that was swept
+    frames: list[SweepFrame] = field(default_factory=list)  #: thinned telemetry of the sweep
+    #: what each sensor read in them, shape (frames, 10), 1/cm
     curvature: Floats = field(default_factory=lambda: np.zeros((0, 10)))
-    sensors: int = 0
-    truth: Truth | None = None
+    sensors: int = 0  #: mask of sensors everted, settled and zeroed
+    truth: Truth | None = None  #: what the emulator knew at the peaks, None on hardware
 
     def half(self, side: Side) -> tuple[list[SweepFrame], Floats]:
         """A side's frames, and what each sensor read in them, (n, 10)."""

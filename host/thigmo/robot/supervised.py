@@ -46,10 +46,7 @@ class Supervised(Connected):
                 pass
 
     def _looks(self, seconds: float, each_s: float) -> Iterator[Iterator[wire.Event]]:
-        """The events of each look at the link, whenever messages come and `each_s` at the latest.
-
-        Raises RobotFaultError for a fault that the board latched.
-        """
+        """Events of each look at the link, whenever messages come and `each_s` at the latest."""
         end = self.now() + seconds
         while (left := end - self.now()) > 0:
             self._client.poll(min(left, each_s))
@@ -148,10 +145,7 @@ class Supervised(Connected):
         return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=tuple(faults))
 
     def clear_faults(self, *names: str) -> tuple[str, ...]:
-        """Clear latched faults, named as in the schema or all, whose cause is gone.
-
-        Returns the names of those that remain.
-        """
+        """Clear latched faults, named or all, whose cause is gone; names those that remain."""
         known = [wire.Fault[name.upper()] for name in names] or list(wire.Fault)
         mask = sum(fault.mask for fault in known)
         remaining = self._client.request(wire.ClearFaults(mask)).detail
@@ -223,7 +217,7 @@ class Supervised(Connected):
         changed = send_config(self._client, config)
         self.config = config
         self._table = SensorTable.of(config, 1 << self.parameter("oversample_log2")[0])
-        self._aside = 0
+        self.aside = 0
         self._publisher.use(config, self._table)
         status = self.status()
         if changed or status.config_generation == 0 or "bad_config" in status.faults:

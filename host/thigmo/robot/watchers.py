@@ -89,10 +89,7 @@ class SweepWatcher:
             self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, told.flex_sum))
 
     def result(self, truth: Truth | None = None, *, so_far: bool = False) -> SweepResult:
-        """What was collected, with what the emulator knew at the peaks.
-
-        `so_far`: the sweep goes on, and its peak is taken to be now.
-        """
+        """What was collected; `so_far`: the sweep goes on, and its peak is taken to be now."""
         cut = self.rising and self.peaks and self.peaks[0]
         end_s = max(reading.t_s for reading in self.peaks[0]) if cut else np.inf
         frames = [frame for frame in self.frames if frame.t_s <= end_s]
