@@ -81,27 +81,18 @@ class EventLedger:
             return False
         seen = self._ahead.get(number, 0)
         self._ahead[number] = seen + 1
-        self._advance()
+        below = number - 0x4000 if self._base is None else self._base
+        oldest = min(self._ahead, key=lambda each: (each - below) & 0xFFFF)
+        if self._ahead[oldest] >= _REPEATS:
+            self._base = (oldest - 1) & 0xFFFF
+        while self._base is not None and self._ahead.pop((self._base + 1) & 0xFFFF, 0):
+            self._base = (self._base + 1) & 0xFFFF
         return seen == 0
 
     @property
     def acknowledge(self) -> int | None:
         """The number to acknowledge; None if none is safe."""
         return self._base or None
-
-    def _advance(self) -> None:
-        if self._base is None or (self._base + 1) & 0xFFFF not in self._ahead:
-            oldest = min(self._ahead, key=self._distance)
-            if self._ahead[oldest] < _REPEATS:
-                return
-            self._base = (oldest - 1) & 0xFFFF
-        while (next_number := (self._base + 1) & 0xFFFF) in self._ahead:
-            del self._ahead[next_number]
-            self._base = next_number
-
-    def _distance(self, number: int) -> int:
-        reference = self._base if self._base is not None else next(iter(self._ahead)) - 0x4000
-        return (number - reference) & 0xFFFF
 
 
 class Inbox:
