@@ -42,7 +42,7 @@ class FaultInjector:
         self._running: list[tuple[float, FaultTable]] = []
 
     def inject(self, fault: FaultTable) -> None:
-        """Add a fault while running (tests do)."""
+        """Add a fault while running."""
         self._waiting.append(fault)
 
     def update(self, plant: Plant, board: Board) -> None:

@@ -111,12 +111,8 @@ class Solution:
         """(x, y, heading) of the tip."""
         return float(self.x[-1]), float(self.y[-1]), float(self.heading[-1])
 
-    def gap(self, peg: Peg) -> float:
-        """Distance between the skin and a peg (cm), negative inside."""
-        return self.locate(peg)[0]
-
     def locate(self, peg: Peg) -> tuple[float, float]:
-        """(gap, arc) of a peg: distance from the skin and the arc of the closest point."""
+        """(gap, arc) of a peg: its distance from the skin, negative inside, and the nearest arc."""
         return self._body.locate(peg.x, peg.y, peg.radius)
 
 

@@ -90,8 +90,8 @@ def test_any_room_gives_a_body_that_overlaps_nothing(
         assert found.status != "approximate"
         touching = {contact.peg for contact in found.contacts}
         for index, peg in enumerate(pegs):
-            assert found.gap(peg) > -1e-6
-            assert index not in touching or found.gap(peg) < 1e-6
+            assert found.locate(peg)[0] > -1e-6
+            assert index not in touching or found.locate(peg)[0] < 1e-6
         assert moment_imbalance(found) < 1e-8
         last = max((contact.arc for contact in found.contacts), default=0.0)
         assert np.abs(carried_moment(found)[found.s > last + 1e-9]).max(initial=0.0) < 1e-9
@@ -111,7 +111,7 @@ def test_peg_inside_the_straight_body_is_pushed_out(x: float, y: float, radius: 
     assert np.isfinite(found.x).all()
     # A peg beside the clamped base cannot be cleared by more than bending allows.
     if x > 12.0:
-        assert found.gap(Peg(x, y, radius)) > -1e-2
+        assert found.locate(Peg(x, y, radius))[0] > -1e-2
 
 
 def test_two_opposed_pegs_press_from_both_sides() -> None:
@@ -199,7 +199,7 @@ def test_history_decides_on_which_side_of_a_peg_the_body_lies() -> None:
     rod.step(0.03, 53.0)  # then grows beside it
     above = rod.solution()
     below = solve(0.03, 53.0, pegs=[peg])
-    assert above.gap(peg) > -1e-6
+    assert above.locate(peg)[0] > -1e-6
     assert below.contacts[0].normal < 0
     assert not any(c.normal < 0 for c in above.contacts)
 
@@ -225,7 +225,7 @@ def test_growing_into_a_peg_ahead_bends_the_body_aside(offset: float) -> None:
         rod.step(0.0, float(length))
         assert rod.axial_push() < 0.05
     found = rod.solution()
-    assert found.gap(peg) > -1e-3
+    assert found.locate(peg)[0] > -1e-3
     assert abs(found.tip[1]) > 0.1
 
 
