@@ -24,7 +24,7 @@ from thigmo.studies.experiments.compare import (
 from thigmo.studies.experiments.evaluate import errors, folded
 from thigmo.studies.experiments.fit import misfit, remarks, table
 from thigmo.studies.experiments.specimen import Constants, Specimen, frozen
-from thigmo.studies.experiments.trial import Trial
+from thigmo.studies.experiments.trial import Planned, Trial
 
 PERFECT = Constants(noise=0.0, gain_spread=0.0, position_cm=0.0, fold_rad=0.0)
 
@@ -33,8 +33,12 @@ def specimen(constants: Constants = PERFECT, seed: int = 0) -> Specimen:
     return Specimen(constants, np.random.default_rng(seed))
 
 
+def pressed(robot: Specimen, arcs: tuple[float, ...], forces: tuple[float, ...]) -> Trial:
+    return robot.press(Planned("", "test", "", 1, "right", arcs, forces))
+
+
 def test_a_perfect_robot_reads_the_beam() -> None:
-    trial = specimen().press("test", "", (40.0,), (1e-5,))
+    trial = pressed(specimen(), (40.0,), (1e-5,))
     expected = 1e-5 * np.clip(40.0 - trial.position, 0, None)
     assert trial.curvature == pytest.approx(expected, rel=1e-3, abs=1e-9)
     assert trial.contact_x_cm[0] == pytest.approx(40.0, abs=0.05)
@@ -42,9 +46,9 @@ def test_a_perfect_robot_reads_the_beam() -> None:
 
 def test_what_a_robot_was_built_with_stays_from_trial_to_trial() -> None:
     crooked = specimen(Constants(0.0, 0.1, 0.5, 0.0))
-    first = crooked.press("a", "", (40.0,), (2e-4,)).curvature
-    again = crooked.press("a", "", (40.0,), (2e-4,)).curvature
-    perfect = specimen().press("a", "", (40.0,), (2e-4,)).curvature
+    first = pressed(crooked, (40.0,), (2e-4,)).curvature
+    again = pressed(crooked, (40.0,), (2e-4,)).curvature
+    perfect = pressed(specimen(), (40.0,), (2e-4,)).curvature
     assert first == pytest.approx(again)
     assert np.abs(first - perfect).max() > 1e-4
 
@@ -106,15 +110,15 @@ def test_errors_are_ordered_along_the_arc_or_closest_pair_first() -> None:
 
 
 def test_a_perfect_answer_has_no_workspace_error() -> None:
-    trial = specimen().press("test", "", (40.0,), (2.5e-4,))
+    trial = pressed(specimen(), (40.0,), (2.5e-4,))
     answer = Answer((40.0,), (2.5e-4,))
     assert workspace_errors(trial, answer)[0] < 0.1
 
 
 def test_the_bound_is_infinite_where_the_information_is_singular() -> None:
     noisy = specimen(Constants(6e-4, 0.0, 0.0, 0.0))
-    clear = noisy.press("test", "", (14.0, 53.0), (-1e-3, 2e-4))
-    blind = noisy.press("test", "", (40.0, 53.0), (-1e-3, 6e-4))
+    clear = pressed(noisy, (14.0, 53.0), (-1e-3, 2e-4))
+    blind = pressed(noisy, (40.0, 53.0), (-1e-3, 6e-4))
     assert np.isfinite(clear.bound_cm).all()
     # Only one sensor sees the region between the contacts.
     assert max(blind.bound_cm) > 20.0
@@ -133,7 +137,7 @@ def test_the_bound_is_reached_by_an_efficient_fit() -> None:
     noisy = specimen(Constants(3e-4, 0.0, 0.0, 0.0))
     errors, bounds = [], []
     for _ in range(80):
-        trial = noisy.press("test", "", (40.0,), (2.5e-4,))
+        trial = pressed(noisy, (40.0,), (2.5e-4,))
         errors.append(camera_errors(trial, ours(trial))[0])
         bounds.append(trial.bound_cm[0])
     assert 0.6 < np.mean(errors) / np.mean(bounds) < 1.3
@@ -198,8 +202,8 @@ def entries(table: Path) -> list[str]:
 
 
 def test_the_bound_counts_gains_and_places() -> None:
-    plain = specimen(Constants(3e-4, 0.0, 0.0, 0.0)).press("test", "", (40.0,), (2.5e-4,))
-    crooked = specimen(Constants(3e-4, 0.05, 1.0, 0.0)).press("test", "", (40.0,), (2.5e-4,))
+    plain = pressed(specimen(Constants(3e-4, 0.0, 0.0, 0.0)), (40.0,), (2.5e-4,))
+    crooked = pressed(specimen(Constants(3e-4, 0.05, 1.0, 0.0)), (40.0,), (2.5e-4,))
     assert crooked.sigma.min() >= plain.sigma.max()
     assert crooked.bound_cm[0] > 1.1 * plain.bound_cm[0]
 
@@ -229,14 +233,14 @@ def test_predictions_say_what_holds_and_what_fails() -> None:
 
 def test_the_untouched_robot_shows_its_gains() -> None:
     """To within the stated deviation, which is below the calibrated gains' own spread."""
-    off = []
+    nowhere, off = Planned("", "", "", 1, "right", ()), []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         robot = Specimen(Constants(5e-4, 0.03, 0.0, 0.0), rng)
         free = push(np.zeros(0), np.zeros(0), free_curvature=0.012, length=thesis.LENGTH_CM)
         robot.learn_gains(np.array([robot.read(free) for _ in range(30)]), 0.012)
         more = push(np.zeros(0), np.zeros(0), free_curvature=0.025, length=thesis.LENGTH_CM)
-        trial = robot.observe("", "", more, robot.read(more)[None, :], np.array([0.025]), ())
+        trial = robot.observe(nowhere, more, robot.read(more)[None, :], np.array([0.025]), ())
         clean = trial.curvature / 0.025  # the gain, and noise of 2 %
         off.append((clean / trial.gain - 1) / np.hypot(5e-4 / 0.025, 0.0075))
     assert 0.8 < np.std(off) < 1.2

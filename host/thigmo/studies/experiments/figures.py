@@ -24,7 +24,7 @@ from thigmo.studies import charts
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.compare import OURS, THEIRS, Solved, answered, workspace_errors
 from thigmo.studies.experiments.specimen import bent, emulated_robot, frozen, pushed
-from thigmo.studies.experiments.trial import Planned, plan
+from thigmo.studies.experiments.trial import plan
 
 Group = tuple[str, list[Solved]]
 Bodies = list[tuple[str, Solution]]
@@ -118,7 +118,7 @@ def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
         _readings(axis, nearest, f"{level} at {nearest.trial.place}")
     title = "Single contact, unactuated (thesis, figure 3.2c)"
     return {
-        "schematic": _one_pressed(),
+        "schematic": _pressed("single-contact", "Single contact, unactuated (thesis, figure 3.2a)"),
         "fold": _fold(),
         "errors": _levels(solved, "single-contact", title),
         "fits": fits,
@@ -179,7 +179,11 @@ def two_contacts(solved: Sequence[Solved]) -> dict[str, Figure]:
     fit, (axis,) = charts.panels(size=(7, 4.2))
     name, some = min(groups, key=lambda group: abs(float(group[0]) - 18.5))
     _readings(axis, some[0], f"Two contacts {name} cm apart (thesis, figure 3.6)")
-    return {"schematic": _two_pressed(), "errors": errors, "fit": fit}
+    return {
+        "schematic": _pressed("two-contacts", "Two opposed contacts (thesis, figure 3.5a)"),
+        "errors": errors,
+        "fit": fit,
+    }
 
 
 def actuated(solved: Sequence[Solved]) -> dict[str, Figure]:
@@ -224,20 +228,17 @@ def muscle_map(seed: int) -> Figure:
     return made
 
 
-def _planned(experiment: str) -> list[Planned]:
-    """One trial of each place and condition, with dowels that push to the left."""
-    return [one for one in plan(experiment, 2) if one.side == "right"]
-
-
-def _one_pressed() -> Figure:
-    """Where one contact presses, high force and low (figure 3.2a)."""
+def _pressed(experiment: str, title: str) -> Figure:
+    """Where dowels press that push to the left (figures 3.2a, 3.5a)."""
     drawn: dict[str, Bodies] = defaultdict(list)
-    for one in _planned("single-contact"):
-        (arc,), (force,) = one.arcs_cm, one.forces
-        angle, told = (frozen().fold_rad, ", folded") if one.folds else (0.0, "")
-        text = f"{one.condition}: base moment {force * arc:.4f} 1/cm{told}"
-        drawn[text].append((one.place, pushed((arc,), (force,), fold_rad=angle)))
-    return _drawn(drawn, "Single contact, unactuated (thesis, figure 3.2a)", 3.4)
+    for one in plan(experiment, 2):
+        if one.side == "right":
+            moment, *more = np.multiply(one.arcs_cm, one.forces)
+            told = f"{one.condition}: base moment {moment:.4f} 1/cm"
+            text = "" if more else told + (", folded" if one.folds else "")
+            body = pushed(one.arcs_cm, one.forces, fold_rad=one.fold(frozen().fold_rad))
+            drawn[text].append((one.place, body))
+    return _drawn(drawn, title, 3.4)
 
 
 def _fold() -> Figure:
@@ -251,12 +252,6 @@ def _fold() -> Figure:
     text = f"base curvature stays at {thesis.CRITICAL} 1/cm; the fold turns the rest"
     title = "Tip force at the critical moment of the base (thesis, figure 3.4)"
     return _drawn({text: bodies}, title, 5.2)
-
-
-def _two_pressed() -> Figure:
-    """Two opposed contacts, the distal one at the tip (figure 3.5a)."""
-    bodies = [(one.place, pushed(one.arcs_cm, one.forces)) for one in _planned("two-contacts")]
-    return _drawn({"": bodies}, "Two opposed contacts (thesis, figure 3.5a)", 3.4)
 
 
 def _bent_into() -> Figure:

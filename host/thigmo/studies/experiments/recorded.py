@@ -12,6 +12,7 @@ its way (`thesis.PASSED_PSI`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -106,19 +107,18 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     _zero(robot)
     passed: list[Reading] = []
     if trial.pressure_psi > 0:
-        now = 0.0
-        for psi in thesis.passed_psi(trial.pressure_psi):
-            _press(robot, trial.side, psi, since_psi=now)
+        for since, psi in pairwise((0.0, *thesis.way_psi(trial.pressure_psi))):
+            if since > 0.0:
+                passed.append(robot.read(_READ_S))
+            left, right = (psi, 0.0) if trial.side == "left" else (0.0, psi)
+            robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
+            robot.wait((psi - since) / _RAMP_PSI_S + _STEADY_S)
             if psi == thesis.TOUCH_PSI:
                 attendant.touch(trial)
-            passed.append(robot.read(_READ_S))
-            now = psi
-        _press(robot, trial.side, trial.pressure_psi, since_psi=now)
     else:
         shape = pushed(
             trial.arcs_cm, trial.forces, length_cm=config.body.length_cm,
-            fold_rad=trial.sign * frozen().fold_rad if trial.folds else 0.0,
-            diameter_cm=config.body.diameter_cm,
+            diameter_cm=config.body.diameter_cm, fold_rad=trial.fold(frozen().fold_rad),
         )  # fmt: skip
         attendant.push_aside(trial, [round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm])
         robot.wait(_STEADY_S)
@@ -136,12 +136,6 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
         "passed_psi": [getattr(r, f"{trial.side}_psi") for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
-
-
-def _press(robot: Robot, side: Side, psi: float, *, since_psi: float) -> None:
-    left, right = (psi, 0.0) if side == "left" else (0.0, psi)
-    robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
-    robot.wait((psi - since_psi) / _RAMP_PSI_S + _STEADY_S)
 
 
 def _zero(robot: Robot) -> None:

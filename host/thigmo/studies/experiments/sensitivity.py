@@ -95,12 +95,9 @@ def _figure(means: dict[str, Floats]) -> Figure:
             name: zip(STUDY.columns, np.maximum(mean[r], 1e-3), strict=True)
             for name, mean in means.items()
         }
-        charts.curves(
-            axis, series, yscale="log", xlabel="number of sensors",
-            title=f"noise {noise:g} 1/cm",
-        )  # fmt: skip
+        words = {"xlabel": "number of sensors", "title": f"noise {noise:g} 1/cm"}
+        charts.curves(axis, series, yscale="log", xticks=STUDY.columns, **words)
         axis.axvline(5, color="gray", linestyle=":", linewidth=1)
-        axis.set_xticks(STUDY.columns)
     axes[0].set_ylabel("mean error of the arc (cm)")
     charts.legend_below(figure)
     return figure

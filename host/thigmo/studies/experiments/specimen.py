@@ -108,15 +108,16 @@ class Specimen:
     def trials(self, experiment: str, count: int) -> list[Trial]:
         """So many trials of each place and condition of a static experiment."""
         planned = plan(experiment, count)
-        return self._bent(planned) if experiment == "actuated" else [*map(self._pushed, planned)]
+        return self._bent(planned) if experiment == "actuated" else [*map(self.press, planned)]
 
-    def _pushed(self, planned: Planned) -> Trial:
+    def press(self, planned: Planned) -> Trial:
+        """Readings while dowels push where it is planned."""
         # Hands do not press twice alike: five per cent. A folded base presses evenly.
         low = planned.condition == thesis.LEVELS[1]
         hand = 1.0 + 0.05 * float(self._rng.standard_normal()) if low else 1.0
         forces = [hand * force for force in planned.forces]
-        fold = planned.sign * self.constants.fold_rad if planned.folds else 0.0
-        return self.press(planned.condition, planned.place, planned.arcs_cm, forces, fold_rad=fold)
+        body = pushed(planned.arcs_cm, forces, fold_rad=planned.fold(self.constants.fold_rad))
+        return self.observe(planned, body, self.read(body)[None, :], np.zeros(1))
 
     def _bent(self, plans: Sequence[Planned]) -> list[Trial]:
         """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
@@ -129,16 +130,15 @@ class Specimen:
         touch, scale = self._muscle.curvature(thesis.TOUCH_PSI), 1 + self._map_error
         read = []
         for planned in plans:
-            way = (*thesis.passed_psi(planned.pressure_psi), planned.pressure_psi)
-            free = tuple(self._muscle.curvature(psi) for psi in way)
+            free = tuple(map(self._muscle.curvature, thesis.way_psi(planned.pressure_psi)))
             bodies = [bent(planned.arcs_cm[0], touch, g) for g in free]
             frames = np.array([self.read(body, one_side=True) for body, _ in bodies])
             read.append((planned, free, *bodies[-1], frames))
         self.learn_gains(np.array([frames[0] for *_, frames in read]), scale * touch)
         return [
             self.observe(
-                planned.condition, planned.place, body, frames, scale * np.array(free),
-                [obstacle_bound(peg, free, self.constants, self.gain_error)],
+                planned, body, frames, scale * np.array(free),
+                (obstacle_bound(peg, free, self.constants, self.gain_error),),
             )
             for planned, free, body, peg, frames in read
         ]  # fmt: skip
@@ -155,19 +155,6 @@ class Specimen:
         self._shown[: readings.shape[1]] = 1 + departure / precision
         self.gain_error = float(precision**-0.5)
 
-    def press(
-        self,
-        condition: str,
-        place: str,
-        arcs_cm: Sequence[float],
-        forces: Sequence[float],
-        *,
-        fold_rad: float = 0.0,
-    ) -> Trial:
-        """Readings while normal forces (1/cm^2) press at arcs, base first."""
-        body = pushed(arcs_cm, forces, fold_rad=fold_rad)
-        return self.observe(condition, place, body, self.read(body)[None, :], np.zeros(1))
-
     def read(self, body: Solution, one_side: bool = False) -> Floats:
         """Noisy readings of a body in a known equilibrium, (N,)."""
         count = self._believed.size // 2 if one_side else self._believed.size
@@ -179,12 +166,11 @@ class Specimen:
 
     def observe(
         self,
-        condition: str,
-        place: str,
+        planned: Planned,
         body: Solution,
         frames: Floats,
         free: Floats,
-        bound_cm: Sequence[float] | None = None,
+        bound_cm: tuple[float, ...] | None = None,
     ) -> Trial:
         """A trial of the body of the last frame; the bound is that of its forces unless given."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
@@ -200,10 +186,10 @@ class Specimen:
         # A lab knows how well it calibrated, not the errors themselves.
         sigma = self._deviation(frames[-1], _slope(believed, frames[-1]))
         return Trial(
-            condition, place, believed, span, frames, free, self.constants.noise,
+            planned.condition, planned.place, believed, span, frames, free, self.constants.noise,
             self._shown[:count], sigma, arcs, forces,
             tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
-            tuple(contact.x for contact in contacts), tuple(bound_cm), self.gain_error,
+            tuple(contact.x for contact in contacts), bound_cm, self.gain_error,
             self.constants.position_cm,
         )  # fmt: skip
 

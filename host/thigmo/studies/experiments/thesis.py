@@ -35,9 +35,9 @@ ACTUATED_PSI = {"high force (14 psi)": 14.0, "low force (10 psi)": 10.0}
 SEPARATIONS = ("23.5 cm or more apart", "closer than 23.5 cm")
 
 
-def passed_psi(pressure_psi: float) -> tuple[float, ...]:
-    """Pressures that the robot is read at on its way to one."""
-    return tuple(psi for psi in PASSED_PSI if psi < pressure_psi)
+def way_psi(pressure_psi: float) -> tuple[float, ...]:
+    """Pressures that the robot is read at on its way to one, and that one."""
+    return (*(psi for psi in PASSED_PSI if psi < pressure_psi), pressure_psi)
 
 
 def separation(gap_cm: float) -> str:

@@ -53,6 +53,10 @@ class Planned:
         """Of the distal force: a dowel on the left pushes to the right."""
         return -1.0 if self.side == "left" else 1.0
 
+    def fold(self, angle_rad: float) -> float:
+        """The base's fold, signed, where the push folds it by an angle."""
+        return self.sign * angle_rad if self.folds else 0.0
+
 
 def plan(
     experiment: str,
