@@ -269,10 +269,7 @@ SOURCES: dict[str, Source] = {
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
             "sweeps": {},
-            "exploration": {
-                "exploration-explorations.png": "explorations.png",
-                "exploration-map.png": "planner.png",
-            },
+            "exploration": {"exploration-explorations.png": "explorations.png"},
             "plant-models": {},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},

@@ -3,16 +3,17 @@
 Each peg is drawn where the noise-free plant says that some sweep must feel it (`emulator.reach`),
 and a robot explores that room: the default scene's, or one whose body or sensors are off what
 robot.toml says without a word of it. Empty rooms are explored as well; whatever is reported there
-is a false contact. The map for planners of every room with pegs is held against the room (`maps`).
+is a false contact. The map for planners of every room with pegs is held against the room: cells
+inside pegs that it calls free, apart for pegs that were felt and those that were missed.
 """
 
 from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
-from math import nan
+from math import hypot, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,14 +23,21 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
 from thigmo.exploration.map import best_contact
+from thigmo.exploration.missed import felt_pegs
+from thigmo.exploration.obstacles import occupancy
 from thigmo.record import RunDocument
+from thigmo.record.occupancy import FREE
 from thigmo.report.axes import GREEN, ORANGE, RED
-from thigmo.studies import charts, maps
+from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo.studies.rooms import explored
+from thigmo.studies.scenes import RADIUS
 
 ROUND = 3  # rooms of each kind, after which all that is known is written
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
+_RADII_CM = (0.25, 2.5)
+_MOST_PEGS = 3
+_BETWEEN_CM = 0.5  # pegs stand at least so far apart
 
 
 @dataclass(frozen=True)
@@ -99,8 +107,50 @@ class Explored:
         self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
 
 
-def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
-    """Explore a room of a kind and seed, and judge its map at every level."""
+class Mapped(NamedTuple):
+    """A run's map against the room."""
+
+    # felt, felt_free: cells inside pegs that were felt, and those of them that are free
+    felt: int
+    felt_free: int
+    # missed, missed_free: the same of pegs that a sweep touched unnoticed, or did not
+    missed: int
+    missed_free: int
+    # free, swept: cells that are free, and those that the sweeps seem to cover
+    free: int
+    swept: int
+
+
+def judge_map(document: RunDocument) -> Mapped:
+    """Compare a run's map with the room that the emulator knows."""
+    grid, _ = occupancy(document, RADIUS)
+    bold, _ = occupancy(document, RADIUS, sigmas=0.0)
+    free, felt = grid.cells == FREE, felt_pegs(document)
+    x, y = grid.centers()
+    counts = np.zeros((2, 2), dtype=np.int64)
+    for index, peg in enumerate(document.truth.pegs if document.truth else ()):
+        inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
+        counts[int(index not in felt)] += inside.sum(), (inside & free).sum()
+    return Mapped(*counts.ravel().tolist(), int(free.sum()), int((bold.cells == FREE).sum()))
+
+
+def random_pegs(seed: int) -> list[PegTable]:
+    """One to three pegs, each of which alone would be felt."""
+    robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A9])
+    pegs: list[PegTable] = []
+    for _ in range(rng.integers(1, _MOST_PEGS + 1)):
+        peg, _ = random_peg(robot, rng, radius=_RADII_CM)
+        gaps = (hypot(peg.x - o.x, peg.y - o.y) - peg.radius - o.radius for o in pegs)
+        if all(gap > _BETWEEN_CM for gap in gaps):
+            pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))
+    return pegs
+
+
+Run = tuple[Explored, Mapped | None]
+
+
+def visit(room: tuple[str, int]) -> Run:
+    """Explore a room of a kind and seed, and judge its map if it has pegs."""
     name, seed = room
     kind, found = KINDS[name], Explored(name, seed)
     scene = Scene.load(kind.scene)
@@ -116,9 +166,9 @@ def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
             zone.deflate.amplitude *= kind.bend
         for sensor in scene.robot.sensors.column(side):
             sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
-    scene.pegs = maps.room(seed).pegs if kind.more else []
+    scene.pegs = random_pegs(seed) if kind.more else []
     if kind.peg and not kind.more:
-        peg, _ = random_peg(scene.robot, rng, radius=maps.RADII_CM)
+        peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
         found.x_cm, found.y_cm, found.radius_cm = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     with tempfile.TemporaryDirectory() as folder:
@@ -128,15 +178,15 @@ def visit(room: tuple[str, int]) -> tuple[Explored, list[maps.Mapped]]:
             document = explored(f"emulator://{file}", folder, seed, config=known).document
         except ThigmoError as error:
             found.status = f"aborted: {error.what}"
-            return found, []
+            return found, None
     found.judge(document)
-    return found, [maps.judge(document, sigmas) for sigmas in maps.LEVELS if kind.peg]
+    return found, judge_map(document) if kind.peg else None
 
 
 def run(context: Context) -> Outcome:
     """Rooms of every kind, and what is promised of them."""
     seeds = context.rng(0x0E).integers(0, 2**31, context.count(1, 30)).tolist()
-    runs: list[tuple[Explored, list[maps.Mapped]]] = []
+    runs: list[Run] = []
     outcome = Outcome()
     for start in range(0, len(seeds), ROUND):
         some = seeds[start : start + ROUND]
@@ -147,23 +197,36 @@ def run(context: Context) -> Outcome:
     return outcome
 
 
-def _outcome(runs: list[tuple[Explored, list[maps.Mapped]]]) -> Outcome:
+def _outcome(runs: list[Run]) -> Outcome:
     found = [one for one, _ in runs]
-    levels, others = (
-        maps.summary([m for one, of in runs if (one.kind in CALIBRATED) is known for m in of])
-        for known in (True, False)
-    )
     rows = _by_kind(found)
+    right, wrong = (
+        [m for one, m in runs if m and (one.kind in CALIBRATED) is known] for known in (True, False)
+    )
+    promised, *others = [
+        *_map_shares("maps of robots as calibrated", right),
+        *_map_shares("maps of other robots", wrong),
+    ]
     return Outcome(
-        {"runs": [vars(one) for one in found], "rows": rows, "levels": levels},
-        {"explorations": _figure(found), "map": maps.figure(levels)},
-        [*_claims(found), maps.claim(levels)],
-        [
-            *maps.notes("maps of robots as calibrated", levels)[1:],  # the first is promised
-            *maps.notes("maps of other robots", others),
-        ],
+        {"runs": [vars(one) for one in found], "rows": rows},
+        {"explorations": _figure(found)},
+        [*_claims(found), Claim(*promised, 0.1, unit="%")],
+        [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others],
         rows,
     )
+
+
+def _map_shares(whose: str, maps: list[Mapped]) -> list[tuple[str, float]]:
+    """What maps cost, in per cent of cells: the first is promised of robots as calibrated."""
+    total = Mapped._make(sum(one[n] for one in maps) for n in range(len(Mapped._fields)))
+    return [
+        (f"{whose}, {len(maps)} rooms: of {total.felt} cells inside pegs that were felt, free",
+         100 * total.felt_free / max(total.felt, 1)),
+        (f"{whose}: of {total.missed} cells inside pegs that were missed, free",
+         100 * total.missed_free / max(total.missed, 1)),
+        (f"{whose}: free space kept of what the sweeps seem to cover",
+         100 * total.free / max(total.swept, 1)),
+    ]  # fmt: skip
 
 
 def _median_x(found: list[Explored]) -> float:
