@@ -28,16 +28,14 @@ LINE_EVERY_S = 10.0
 def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: bool) -> None:
     """Run studies by name, one after the other; write to `out` and print what each found."""
     from dataclasses import replace
+    from functools import partial
 
     from thigmo.studies.engine import write
 
     found = []
     for name, study in studies.items():
-
-        def save(outcome: Outcome, name: str = name) -> None:
-            write(outcome, name, out)
-
         with study_progress(name) as tell:
+            save = partial(write, name=name, folder=out)
             try:
                 outcome = study(replace(context, progress=tell, save=save))
             except KeyboardInterrupt:

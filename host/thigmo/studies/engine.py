@@ -102,7 +102,7 @@ class Context:
     progress: Callable[[str, int, int], None] = lambda part, done, total: None
     # called with what a study has found so far, when a part of it is done: what it has of tables
     # and claims is then written, and stopping the rest loses nothing
-    save: Callable[[Outcome], None] = lambda outcome: None
+    save: Callable[[Outcome], object] = lambda outcome: None
 
     def count(self, quick: int, full: int) -> int:
         """Number of cases at this scale."""

@@ -30,10 +30,9 @@ class Bodies:
     """S bodies in equilibrium under E loads each."""
 
     breaks: Floats  # (S, E + 2) base, loads, tip
-    # (S, E + 1, STEPS + 1) of the pieces between them, in the last load's frame and without the
-    # kinks
+    # (S, E + 1, STEPS + 1) of the pieces between them, in the last load's frame without the kinks
     heading: Floats
-    curvature: Floats  # likewise
+    curvature: Floats
     kink: Floats  # (S, E) rad
     base_moment: Floats  # (S,) of the loads, over EI
     base: Floats  # (3, S) heading, x and y of the base in the last load's frame
@@ -78,17 +77,12 @@ def solve(
     kink: float | Floats = 0.0,
     stiffness: Profile | None = None,
 ) -> Bodies:
-    """Bodies in equilibrium.
+    """Bodies in equilibrium under loads at `arcs` (S, E), rising, of everted length `length`.
 
-    Args:
-        arcs: (S, E) places of the loads, rising.
-        normal: (S, E) forces over EI normal to the body where they act, positive to its left.
-        length: everted length.
-        free_curvature: scalar, (S, 1), or (S, E + 1) for each piece between loads.
-        tangential: forces over EI along the body, towards its tip.
-        couple: moments over EI beside those of the forces, positive to the left.
-        kink: turn of the body at that place (rad), whatever the load.
-        stiffness: (S,) arcs to (S,) stiffness over EI; 1 if not given.
+    Loads are over EI: forces `normal` (S, E) to the body where they act, positive to its left,
+    `tangential` along it, towards its tip, and moments `couple` beside theirs. `kink` is a turn
+    (rad) of the body there, whatever the load. The free curvature is one, (S, 1), or (S, E + 1) for
+    each piece between loads; `stiffness` turns arcs (S,) into stiffness over EI, 1 if not given.
     """
     bodies, loads = arcs.shape
     normal, tangential, couple, kink = (
