@@ -131,7 +131,8 @@ def judge_map(document: RunDocument) -> Mapped:
     for index, peg in enumerate(document.truth.pegs if document.truth else ()):
         inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
         counts[int(index not in felt)] += inside.sum(), (inside & free).sum()
-    return Mapped(*counts.ravel().tolist(), int(free.sum()), int((bold.cells == FREE).sum()))
+    swept = int((bold.cells == FREE).sum())
+    return Mapped._make([*counts.ravel().tolist(), int(free.sum()), swept])
 
 
 def random_pegs(seed: int) -> list[PegTable]:
