@@ -11,15 +11,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from thigmo.bringup.push import duty_of, push
+from thigmo.bringup.push import TRANSDUCERS, duty_of, push
 from thigmo.config import SIDES
 from thigmo.errors import ThigmoError
 from thigmo.link.protocol import Output
 from thigmo.robot import SENSORS, Robot
 
-STAGES = ("board", "supply", "estop", "pressure", "flex", "valves", "motor", "home")
-
-_A_SIDE = SENSORS // 2
 _ESTOP_S = 1.0
 _EMPTY_PSI = 1.5  # a sensor's error before its zero is calibrated
 _ZERO_PSI = 0.1  # less is left to `thigmo calibrate pressure`
@@ -33,7 +30,6 @@ _VENT_S = 4.0
 _TURN_DUTIES = (100, 150, 200)  # of 800
 _TURN_S = 0.3
 _TURN_CM = 0.03
-
 
 Found = Iterator[tuple[str, str, str]]  # subject, what was found, and the cure ("" = good)
 Turned = Literal["out", "in", "not"]
@@ -63,234 +59,215 @@ class Finding:
     cure: str = ""  # what to do about it; empty if good
 
 
+def _board(robot: Robot, _: Attendant) -> Found:
+    told = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
+    yield "firmware", told, ""
+    if "bad_config" in robot.status().faults:
+        robot.load_defaults()
+        yield "configuration", "there was none: defaults loaded and stored", ""
+    else:
+        yield "configuration", "valid", ""
+
+
+def _supply(robot: Robot, _: Attendant) -> Found:
+    status = robot.status()
+    if "supply_good" in status.conditions:
+        yield "5 V", f"{status.supply_v:.2f} V, by the board", ""
+    else:
+        yield (
+            "5 V", f"{status.supply_v:.2f} V by the board, below supply_min_mv",
+            "measure 5 V at the Mega; if it is good, correct reference_mv, else use a better "
+            "USB cable or port",
+        )  # fmt: skip
+
+
+def _estop(robot: Robot, attendant: Attendant) -> Found:
+    what = "reads pressed while it is released"
+    if _estop_reads(robot, False):
+        attendant.press_emergency_stop(True)
+        seen = _estop_reads(robot, True)
+        attendant.press_emergency_stop(False)
+        what = "pressed, and not seen"
+        if seen:
+            what = "released, and still read as pressed"
+            if _estop_reads(robot, False):
+                robot.clear_faults("estop")
+                yield "emergency stop", "seen pressed and released", ""
+                return
+    yield "emergency stop", what, "check S1's contact at J15.1-2, R41 and the wire to pin 22"
+
+
+def _estop_reads(robot: Robot, pressed: bool) -> bool:
+    """Whether the emergency stop reads so within a second."""
+    end = robot.now() + _ESTOP_S
+    while ("estop" in robot.status().conditions) is not pressed:
+        if robot.now() > end:
+            return False
+        robot.wait(0.05, despite_faults=True)
+    return True
+
+
+def _psi(robot: Robot, seconds: float = 0.1) -> tuple[float, float]:
+    reading = robot.read(seconds, despite_faults=True)
+    return reading.left_psi, reading.right_psi
+
+
+def _pressure(robot: Robot, attendant: Attendant) -> Found:
+    attendant.ready("Shut the air off (V1): muscles and body are empty")
+    robot.clear_faults()
+    pressures = _psi(robot, 0.3)
+    zero, span = robot.parameter("pressure_zero"), robot.parameter("pressure_span")
+    full_psi = robot.parameter("pressure_full_cpsi")[0] / 100
+    off = False
+    for index, (side, psi, plug) in enumerate(zip(SIDES, pressures, ("J8", "J9"), strict=True)):
+        what, cure = f"{psi:+.2f} psi, empty", ""
+        if psi < _BROKEN_PSI:
+            what, cure = "no signal", f"plug it in, check {plug}.1 (5 V), {plug}.2"
+        elif abs(psi) > _EMPTY_PSI:
+            what = f"{psi:.1f} psi with the air off"
+            cure = f"empty the muscle; else check {plug}, or the sensor is none of 0..60 psi"
+        elif abs(psi) > _ZERO_PSI:
+            # A sensor's error may be more than a muscle that counts as empty may hold.
+            zero[index] += round(psi / full_psi * span[index])
+            off = True
+            what += ": stored as its zero"
+        yield f"pressure {side}", what, cure
+    if off:
+        robot.set_parameter("pressure_zero", zero)
+        robot.save()
+        robot.clear_faults()
+
+
+def _flex(robot: Robot, _: Attendant) -> Found:
+    enabled = robot.parameter("flex_enabled")
+    robot.clear_faults()
+    ohms = robot.read(0.3, despite_faults=True).resistance
+    for sensor in range(SENSORS):
+        side, index = divmod(sensor, SENSORS // 2)
+        pin = f"J{6 + side}.{index + 2}"
+        is_open, is_short = robot.flex_circuit(sensor)
+        what, cure = f"{ohms[sensor] / 1e3:.1f} kOhm", ""
+        if not enabled[sensor]:
+            what = "not in use (flex_enabled)"
+        elif is_open:
+            what = "open"
+            cure = f"plug it in, check {pin} and its 5 V; a dead one: flex_enabled 0"
+        elif is_short:
+            what, cure = "shorted", f"check {pin} for a short to 5 V"
+        elif not _FLAT_OHM[0] < ohms[sensor] < _FLAT_OHM[1]:
+            cure = f"check its divider at {pin}"
+        yield f"flex {SIDES[side]} {index}", what, cure
+
+
+def _valves(robot: Robot, attendant: Attendant) -> Found:
+    attendant.ready("Turn the 24 V on, then the air: FR1 at 25 psi. Hands away from the muscles")
+    robot.arm(body_air=False)
+    robot.vent()
+    for side, output in enumerate(TRANSDUCERS):
+        plug, point = f"J{10 + side}", f"TP{10 * side + 1}"
+        before = _psi(robot)
+        push(robot, output, duty_of(_TEST_MA), _TEST_S)
+        rise = [b - a for a, b in zip(before, _psi(robot), strict=True)]
+        robot.vent(wait=False)  # ends the push
+        robot.wait(_VENT_S, despite_faults=True)
+        left = _psi(robot)[side]
+        own, other = rise[side], rise[1 - side]
+        at = f"{_TEST_MA} mA moves its pressure by {own:.1f} psi"
+        stuck = False
+        if own < _NO_RISE_PSI and other > _RISE_PSI[0]:
+            what = f"{_TEST_MA} mA moves the other side's pressure"
+            cure = f"swap the tubes of Y1 and Y2, or {plug} with its neighbour, or J8 and J9"
+        elif own < _NO_RISE_PSI:
+            what = f"dead: {at}"
+            cure = (f"check air, 24 V at {plug}.1, {0.1 * _TEST_MA:.2f} V at {point}, "
+                    f"Y{side + 1} (enable, pin 24) and its tube")  # fmt: skip
+        elif not _RISE_PSI[0] <= own <= _RISE_PSI[1]:
+            what, cure = at, "check the transducer's range: 4..20 mA to 2..60 psi is expected"
+        elif stuck := left - before[side] > _NO_RISE_PSI:
+            what = f"at 0 mA it keeps {left:.1f} psi"
+            cure = f"check its exhaust, and that {point} is at 0 V"
+        else:
+            what, cure = f"{at}; 0 mA vents", ""
+        yield f"valve {SIDES[side]}", what, cure
+        if stuck:
+            return  # the board may have latched it: it drives no other now
+
+
+def _motor(robot: Robot, attendant: Attendant) -> Found:
+    attendant.ready(
+        "Body air off. Turn the 12 V on; the tail is free, or has 5 cm of line to spare"
+    )
+    robot.arm(body_air=False)
+    robot.vent()
+    attendant.spool_turned()
+    for duty in _TURN_DUTIES:
+        before = robot.read(0.1).length_cm
+        push(robot, Output.MOTOR, duty, _TURN_S)
+        robot.vent(wait=False)
+        robot.wait(0.5)
+        moved = robot.read(0.1).length_cm - before
+        if abs(moved) >= _TURN_CM:
+            break
+    turned = attendant.spool_turned()
+    went = f"driven to pay out, the encoder goes {moved:+.2f} cm"
+    counted = 0 if abs(moved) < _TURN_CM else 1 if moved > 0 else -1
+    if counted == 0 and turned == "not":
+        yield "motor", "does not turn", "free the tail; check 12 V, F2, J4, pin 6"
+    elif counted == 0:
+        yield "encoder", "the spool turns, the encoder stands still", "check J5: 5 V, A, B"
+    elif turned == "not":
+        yield "encoder", f"{went}, the spool does not turn", "check J5 and its coupling"
+    elif turned == "in" and counted < 0:
+        yield "motor", f"winds in when driven to pay out ({went})", "swap J4.1 and J4.2"
+    elif turned == "in":
+        yield (
+            "motor", "winds in when driven to pay out, and the encoder counts backwards",
+            "swap J4.1 and J4.2, and J5.2 and J5.3",
+        )  # fmt: skip
+    elif counted < 0:
+        yield "encoder", f"counts backwards: {went}", "swap J5.2 (A) and J5.3 (B)"
+    else:
+        yield "motor", went, ""
+
+
+def _home(robot: Robot, attendant: Attendant) -> Found:
+    attendant.ready("The tail is tied on and lies in the base. Homing winds it in slowly")
+    robot.arm(body_air=False)
+    robot.home()
+    length_cm = robot.status().length_cm
+    yield "home", f"the spool stalls twice at one place; length {length_cm:.1f} cm", ""
+
+
+_CHECKS: dict[str, Callable[[Robot, Attendant], Found]] = {
+    "board": _board, "supply": _supply, "estop": _estop, "pressure": _pressure, "flex": _flex,
+    "valves": _valves, "motor": _motor, "home": _home,
+}  # fmt: skip
+STAGES = tuple(_CHECKS)
+
+
+@dataclass
 class BringUp:
-    """The checks, on a robot that may be wired wrong.
+    """The checks, on a robot that may be wired wrong."""
 
-    Args:
-        robot: connected, disarmed.
-        attendant: whoever stands beside it.
-        tell: shown each finding as it comes.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        attendant: Attendant,
-        tell: Callable[[Finding], None] = lambda finding: None,
-    ) -> None:
-        self._robot = robot
-        self._attendant = attendant
-        self._tell = tell
+    robot: Robot  # connected, disarmed
+    attendant: Attendant  # whoever stands beside it
+    tell: Callable[[Finding], None] = lambda finding: None  # shown each finding as it comes
 
     def run(self, first: str = STAGES[0], last: str = STAGES[-1]) -> list[Finding]:
         """Check stage after stage, up to the first in which something is wrong.
 
-        Args:
-            first: stage to begin with; those before it were good at another time.
-            last: stage to end with, `first` or one after it; what the others need is not built yet.
+        Those before `first` were good at another time; what those after `last` need is not built.
         """
         found: list[Finding] = []
         for stage in STAGES[STAGES.index(first) : STAGES.index(last) + 1]:
-            for finding in self._stage(stage):
-                self._tell(finding)
-                found.append(finding)
+            try:
+                for subject, what, cure in _CHECKS[stage](self.robot, self.attendant):
+                    found.append(Finding(stage, subject, not cure, what, cure))
+                    self.tell(found[-1])
+            except ThigmoError as error:  # one that the check does not expect is a finding, too
+                found.append(Finding(stage, "robot", False, error.what, error.next_step))
+                self.tell(found[-1])
             if not all(finding.good for finding in found):
                 break
-        self._robot.make_safe()
+        self.robot.make_safe()
         return found
-
-    def _stage(self, stage: str) -> Iterator[Finding]:
-        """One stage; an error that it does not expect is a finding, too."""
-        try:
-            for subject, what, cure in getattr(self, f"_{stage}")():
-                yield Finding(stage, subject, not cure, what, cure)
-        except ThigmoError as error:
-            yield Finding(stage, "robot", False, error.what, error.next_step)
-
-    def _board(self) -> Found:
-        robot = self._robot
-        told = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
-        yield "firmware", told, ""
-        if "bad_config" in robot.status().faults:
-            robot.load_defaults()
-            yield "configuration", "there was none: defaults loaded and stored", ""
-        else:
-            yield "configuration", "valid", ""
-
-    def _supply(self) -> Found:
-        status = self._robot.status()
-        if "supply_good" in status.conditions:
-            yield "5 V", f"{status.supply_v:.2f} V, by the board", ""
-        else:
-            yield (
-                "5 V", f"{status.supply_v:.2f} V by the board, below supply_min_mv",
-                "measure 5 V at the Mega; if it is good, correct reference_mv, else use a better "
-                "USB cable or port",
-            )  # fmt: skip
-
-    def _estop(self) -> Found:
-        robot, loose = self._robot, "check S1's contact at J15.1-2, R41 and the wire to pin 22"
-        if self._waits_for("estop", False) is False:
-            yield "emergency stop", "reads pressed while it is released", loose
-            return
-        self._attendant.press_emergency_stop(True)
-        seen = self._waits_for("estop", True)
-        self._attendant.press_emergency_stop(False)
-        if not seen:
-            yield "emergency stop", "pressed, and not seen", loose
-            return
-        if not self._waits_for("estop", False):
-            yield "emergency stop", "released, and still read as pressed", loose
-            return
-        robot.clear_faults("estop")
-        yield "emergency stop", "seen pressed and released", ""
-
-    def _waits_for(self, condition: str, there: bool) -> bool:
-        """Whether a condition comes (or goes) within a second."""
-        robot = self._robot
-        end = robot.now() + _ESTOP_S
-        while (condition in robot.status().conditions) is not there:
-            if robot.now() > end:
-                return False
-            robot.wait(0.05, despite_faults=True)
-        return True
-
-    def _pressure(self) -> Found:
-        self._attendant.ready("Shut the air off (V1): muscles and body are empty")
-        self._robot.clear_faults()
-        robot = self._robot
-        reading = robot.read(0.3, despite_faults=True)
-        zero, span = robot.parameter("pressure_zero"), robot.parameter("pressure_span")
-        full_psi = robot.parameter("pressure_full_cpsi")[0] / 100
-        off = False
-        for index, psi in enumerate((reading.left_psi, reading.right_psi)):
-            side = SIDES[index]
-            plug = "J8" if side == "left" else "J9"
-            if psi < _BROKEN_PSI:
-                yield f"pressure {side}", "no signal", f"plug it in, check {plug}.1 (5 V), {plug}.2"
-            elif abs(psi) > _EMPTY_PSI:
-                yield (
-                    f"pressure {side}", f"{psi:.1f} psi with the air off",
-                    f"empty the muscle; else check {plug}, or the sensor is none of 0..60 psi",
-                )  # fmt: skip
-            elif abs(psi) > _ZERO_PSI:
-                # A sensor's error may be more than a muscle that counts as empty may hold.
-                zero[index] += round(psi / full_psi * span[index])
-                off = True
-                yield f"pressure {side}", f"{psi:+.2f} psi, empty: stored as its zero", ""
-            else:
-                yield f"pressure {side}", f"{psi:+.2f} psi, empty", ""
-        if off:
-            robot.set_parameter("pressure_zero", zero)
-            robot.save()
-            robot.clear_faults()
-
-    def _flex(self) -> Found:
-        robot = self._robot
-        enabled = robot.parameter("flex_enabled")
-        robot.clear_faults()
-        ohms = robot.read(0.3, despite_faults=True).resistance
-        for sensor in range(SENSORS):
-            side, index = divmod(sensor, _A_SIDE)
-            name, pin = f"flex {SIDES[side]} {index}", f"J{6 + side}.{index + 2}"
-            is_open, is_short = robot.flex_circuit(sensor)
-            what, cure = f"{ohms[sensor] / 1e3:.1f} kOhm", ""
-            if not enabled[sensor]:
-                what = "not in use (flex_enabled)"
-            elif is_open:
-                what = "open"
-                cure = f"plug it in, check {pin} and its 5 V; a dead one: flex_enabled 0"
-            elif is_short:
-                what, cure = "shorted", f"check {pin} for a short to 5 V"
-            elif not _FLAT_OHM[0] < ohms[sensor] < _FLAT_OHM[1]:
-                cure = f"check its divider at {pin}"
-            yield name, what, cure
-
-    def _valves(self) -> Found:
-        self._attendant.ready(
-            "Turn the 24 V on, then the air: FR1 at 25 psi. Hands away from the muscles"
-        )
-        robot = self._robot
-        robot.arm(body_air=False)
-        robot.vent()
-        for side, output in enumerate((Output.LEFT_TRANSDUCER, Output.RIGHT_TRANSDUCER)):
-            name, plug = f"valve {SIDES[side]}", f"J{10 + side}"
-            before = self._psi()
-            push(robot, output, duty_of(_TEST_MA), _TEST_S)
-            during = self._psi()
-            rise = [b - a for a, b in zip(before, during, strict=True)]
-            robot.vent(wait=False)  # ends the push
-            robot.wait(_VENT_S, despite_faults=True)
-            left = self._psi()[side]
-            own, other = rise[side], rise[1 - side]
-            at = f"{_TEST_MA} mA moves its pressure by {own:.1f} psi"
-            if own < _NO_RISE_PSI and other > _RISE_PSI[0]:
-                yield (
-                    name, f"{_TEST_MA} mA moves the other side's pressure",
-                    f"swap the tubes of Y1 and Y2, or {plug} with its neighbour, or J8 and J9",
-                )  # fmt: skip
-            elif own < _NO_RISE_PSI:
-                yield (
-                    name, f"dead: {at}",
-                    f"check air, 24 V at {plug}.1, {0.1 * _TEST_MA:.2f} V at TP{10 * side + 1}, "
-                    f"Y{side + 1} (enable, pin 24) and its tube",
-                )  # fmt: skip
-            elif not _RISE_PSI[0] <= own <= _RISE_PSI[1]:
-                yield name, at, "check the transducer's range: 4..20 mA to 2..60 psi is expected"
-            elif left - before[side] > _NO_RISE_PSI:
-                yield (
-                    name, f"at 0 mA it keeps {left:.1f} psi",
-                    f"check its exhaust, and that TP{10 * side + 1} is at 0 V",
-                )  # fmt: skip
-                return  # the board may have latched it: it drives no other now
-            else:
-                yield name, f"{at}; 0 mA vents", ""
-
-    def _psi(self) -> tuple[float, float]:
-        reading = self._robot.read(0.1, despite_faults=True)
-        return reading.left_psi, reading.right_psi
-
-    def _motor(self) -> Found:
-        self._attendant.ready(
-            "Body air off. Turn the 12 V on; the tail is free, or has 5 cm of line to spare"
-        )
-        robot = self._robot
-        robot.arm(body_air=False)
-        robot.vent()
-        self._attendant.spool_turned()
-        moved = 0.0
-        for duty in _TURN_DUTIES:
-            before = robot.read(0.1).length_cm
-            push(robot, Output.MOTOR, duty, _TURN_S)
-            robot.vent(wait=False)
-            robot.wait(0.5)
-            moved = robot.read(0.1).length_cm - before
-            if abs(moved) >= _TURN_CM:
-                break
-        turned = self._attendant.spool_turned()
-        went = f"driven to pay out, the encoder goes {moved:+.2f} cm"
-        if abs(moved) < _TURN_CM and turned == "not":
-            yield "motor", "does not turn", "free the tail; check 12 V, F2, J4, pin 6"
-        elif abs(moved) < _TURN_CM:
-            yield "encoder", "the spool turns, the encoder stands still", "check J5: 5 V, A, B"
-        elif turned == "not":
-            yield "encoder", f"{went}, the spool does not turn", "check J5 and its coupling"
-        elif turned == "in" and moved < 0:
-            yield "motor", f"winds in when driven to pay out ({went})", "swap J4.1 and J4.2"
-        elif turned == "in":
-            yield (
-                "motor", "winds in when driven to pay out, and the encoder counts backwards",
-                "swap J4.1 and J4.2, and J5.2 and J5.3",
-            )  # fmt: skip
-        elif moved < 0:
-            yield "encoder", f"counts backwards: {went}", "swap J5.2 (A) and J5.3 (B)"
-        else:
-            yield "motor", went, ""
-
-    def _home(self) -> Found:
-        self._attendant.ready("The tail is tied on and lies in the base. Homing winds it in slowly")
-        robot = self._robot
-        robot.arm(body_air=False)
-        robot.home()
-        length_cm = robot.status().length_cm
-        yield "home", f"the spool stalls twice at one place; length {length_cm:.1f} cm", ""

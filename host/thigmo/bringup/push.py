@@ -18,27 +18,22 @@ JOG_CM = 5.0  # of tip, at most
 PRESS_PSI = 5.0
 PRESS_S = 60.0
 
+TRANSDUCERS = (Output.LEFT_TRANSDUCER, Output.RIGHT_TRANSDUCER)
 _PUSH_S = 0.4
 _REPEAT_S = 0.15
 _JOG_DUTY = 160  # of 800: beyond friction, a tenth of full speed
 _STILL_S = 1.5
 _STILL_CM = 0.02
 _WRONG_CM = 0.2
-_FULL_DUTY, _FULL_MA = 1599, 20.0
 
 
 def duty_of(milliampere: float) -> int:
-    """Transducer duty of a current."""
-    return round(milliampere / _FULL_MA * _FULL_DUTY)
+    """Transducer duty of a current: 1599 is 20 mA."""
+    return round(milliampere / 20.0 * 1599)
 
 
 def push(robot: Robot, output: Output, level: int, seconds: float) -> None:
-    """Drive one output for a while.
-
-    Raises:
-        CommandRefusedError: not armed, not vented (the motor), or busy.
-        RobotFaultError: the board latched a fault.
-    """
+    """Drive one output for a while; refused unless armed, and for the motor vented."""
     end = robot.now() + seconds
     while (left := end - robot.now()) > 1e-9:
         robot.test_output(output, level, min(_PUSH_S, left + 1e-3))
@@ -46,17 +41,12 @@ def push(robot: Robot, output: Output, level: int, seconds: float) -> None:
 
 
 def jog(robot: Robot, cm: float) -> float:
-    """Pay out (positive) or wind in a little line, slowly, whether the length is known or not.
+    """Pay out (positive cm of tip) or wind in a little line, slowly; the length need not be known.
 
-    Args:
-        robot: armed, its muscles empty.
-        cm: of tip, at most `JOG_CM` either way.
-
-    Returns:
-        How far the encoder went, cm.
+    Returns how far the encoder went, cm.
 
     Raises:
-        ConfigError: too far.
+        ConfigError: farther than `JOG_CM`.
         RobotFaultError: the encoder stands still, or goes the other way.
         CommandRefusedError: not armed, or a muscle holds pressure.
     """
@@ -95,20 +85,11 @@ def press(
 ) -> float:
     """Give one transducer the current of a low pressure for a while, then vent.
 
-    The pressure loop is not closed: what the sensor says is shown, not used.
-
-    Args:
-        robot: armed.
-        side: of the muscle.
-        psi: at most `PRESS_PSI`.
-        seconds: at most `PRESS_S`.
-        progress: told the pressure.
-
-    Returns:
-        The pressure at the end, psi.
+    The pressure loop is not closed: what the sensor says is told to `progress`, not used. Returns
+    the pressure at the end, psi.
 
     Raises:
-        ConfigError: too much, or for too long.
+        ConfigError: more than `PRESS_PSI`, or for longer than `PRESS_S`.
         CommandRefusedError: not armed.
         RobotFaultError: the board latched a fault.
     """
@@ -119,14 +100,11 @@ def press(
         )
     low, high = (robot.parameter(f"drive_{n}ma_cpsi")[0] / 100 for n in (4, 20))
     level = duty_of(max(4.0 + 16.0 * (psi - low) / (high - low), 0.0))
-    output = (Output.LEFT_TRANSDUCER, Output.RIGHT_TRANSDUCER)[SIDES.index(side)]
-    reached = 0.0
-    end = robot.now() + seconds
+    reached, end = 0.0, robot.now() + seconds
     try:
         while robot.now() < end:
-            push(robot, output, level, _REPEAT_S)
-            reading = robot.read(0.02)
-            reached = (reading.left_psi, reading.right_psi)[SIDES.index(side)]
+            push(robot, TRANSDUCERS[SIDES.index(side)], level, _REPEAT_S)
+            reached = getattr(robot.read(0.02), f"{side}_psi")
             progress(reached)
     finally:
         robot.vent()

@@ -1,5 +1,7 @@
-"""Calibration: each step a pure function from readings to a fit with errors and a verdict.
+"""Calibration: each step a module, from readings to a fit with errors, a verdict and robot.toml.
 
-`flex`, `actuator`, `buckling`, `hysteresis`, `stiffness`, `noise`, `encoder` (with the pressure
-zeros) and `check` hold the fits; `steps` drives a robot and a camera through them, or reads a CSV.
+`steps` names them all. A step has `guided`, which takes on a `bench` the readings that its folder
+(`session`) lacks and fits them, `of_csv` for readings that a lab already has, and the fit itself, a
+pure function. Rows (n, m) have a column for each sensor, left base first. A fit raises DataError
+where readings are too few, or have not the columns that robot.toml asks for.
 """

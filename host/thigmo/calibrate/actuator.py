@@ -10,9 +10,9 @@ the map's `scale_se`. Errors that rows of a trial share are told from trial to t
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -20,18 +20,22 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo.calibrate.columns import grouped, sides_of
-from thigmo.calibrate.lag import Lag, tanh_curve
+from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.columns import Array, column, grouped, sides_of
+from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
+from thigmo.calibrate.procedures import bend_rows
+from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SIDES, RobotConfig, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
-Array = NDArray[np.float64]
 Branch = Literal["inflate", "deflate"]
 BRANCHES: tuple[Branch, ...] = get_args(Branch)
 
 _REJECT = 4.0
+_PICTURE_SE = 2e-4  # 1/cm, where it is not told
+_LAG_SE_S = 0.1  # a lag known worse than that is not used
 _ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
 _DAYS_SE = 2e-4  # 1/cm, what differs from day to day and no session can show [a guess]
 # One sigma of a trial's gain beforehand [a guess], and as how many trials it counts.
@@ -62,18 +66,12 @@ class BendReadings:
         return [f"trial {trial} {branch} {psi:.1f} psi" for trial, branch, psi in columns]
 
     @classmethod
-    def read_all(cls, path: str | os.PathLike[str]) -> list[BendReadings]:
-        """From a CSV: side, body_pressure_psi, pressure_psi, curvature; optional curvature_se,
-        branch, trial. One item for each muscle and body pressure.
-
-        Raises:
-            DataError: missing or malformed columns.
-        """
-        table = Table.read(path)
+    def read_all(cls, table: Table) -> list[BendReadings]:
+        """Of each muscle and body pressure, from a CSV."""
         keys = sides_of(table), table.numbers("body_pressure_psi").tolist()
         branch = table.words("branch", "inflate")
         p, k = table.numbers("pressure_psi"), table.numbers("curvature")
-        e, trial = table.numbers("curvature_se", 2e-4), table.whole("trial", 0)
+        e, trial = table.numbers("curvature_se", _PICTURE_SE), table.whole("trial", 0)
         return [
             cls(side, body, p[own], k[own], e[own], tuple(branch[r] for r in own), trial[own])
             for (side, body), own in grouped(zip(*keys, strict=True))
@@ -90,7 +88,7 @@ class ActuatorResult(StepResult):
     g_se: float  # largest standard error of g over 0..18 psi (both branches), 1/cm
     full_scale: float  # g at the highest pressure, 1/cm
     offset_se: float  # one sigma of a trial's common offset and of the map's shape, 1/cm
-    used: NDArray[np.bool_]  # (n,) rows that were kept
+    used: Mask  # (n,) rows that were kept
     verdict: Verdict  # in words
     lag: Lag | None = None  # pressure to bend, if a ramp was recorded at this body pressure
     EVIDENCE: ClassVar = ("readings", "used")
@@ -105,11 +103,7 @@ class ActuatorResult(StepResult):
         }
 
     def write(self, config: RobotConfig) -> None:
-        """Put the map into the zone of its body pressure (within 10 %).
-
-        Raises:
-            DataError: no zone of the configuration has that body pressure.
-        """
+        """Put the map into the zone of its body pressure (within 10 %)."""
         actuator = config.actuators.side(self.readings.side)
         gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
         zone = int(np.argmin(gaps))
@@ -162,31 +156,64 @@ def together(found: Sequence[ActuatorResult]) -> ActuatorResults:
     return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], tuple(notes)))
 
 
-def _map_values(p: Array, parameters: Array) -> Array:
-    """g(p) for (log amplitude, log scale, offset)."""
-    return tanh_curve(p, np.exp(parameters[0]), np.exp(parameters[1]), parameters[2])
+def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array) -> Array:
+    return tanh_curve(p, np.exp(log_amplitude), np.exp(log_scale), offset)
+
+
+def guided(bench: Bench) -> ActuatorResults:
+    """Maps of both muscles for the planned body pressures, and the lag."""
+    config = bench.config
+    zones = bench.plan.zones or tuple(range(len(config.body.zones)))
+    rows = bend_rows(bench, zones)
+    ramps = {side: ramp(bench, side, zones[-1]) for side in SIDES}
+    found: list[ActuatorResult] = []
+    for zone, side in product(zones, SIDES):
+        mine = [r for r in rows if r["zone"] == zone and r["side"] == side]
+        result = fit_actuator(
+            BendReadings(
+                side,
+                config.body.zones[zone].pressure_psi,
+                column(mine, "psi"),
+                column(mine, "k"),
+                np.nan_to_num(column(mine, "k_se"), nan=_PICTURE_SE),
+                tuple(r["branch"] for r in mine),
+                np.array([r["trial"] for r in mine], np.int64),
+            )
+        )
+        record = ramps[side]
+        if result.verdict.good and zone == zones[-1] and record is not None:
+            lag = fit_lag(*record, result.zone, side, config.actuators.side(side).reversal_psi)
+            if lag.inflate_se_s < _LAG_SE_S:
+                result = replace(result, lag=lag)
+        found.append(result)
+    return together(found)
+
+
+def of_csv(table: Table, _: RobotConfig) -> ActuatorResults:
+    """Bends of one or both muscles."""
+    found = [fit_actuator(readings) for readings in BendReadings.read_all(table)]
+    if not found:
+        raise DataError(f"{table.name} holds no bends", "give one line for each bend")
+    return together(found)
 
 
 def fit_actuator(readings: BendReadings) -> ActuatorResult:
-    """Tanh maps of both branches with per-trial offsets.
-
-    Raises:
-        DataError: fewer than eight usable rows, or pressures that do not vary.
-    """
+    """Tanh maps of both branches with per-trial offsets."""
     sign = 1.0 if readings.side == "left" else -1.0
-    p, k = readings.pressure_psi, readings.curvature
+    p, k, error = readings.pressure_psi, readings.curvature, readings.curvature_se
     finite = np.isfinite(p) & np.isfinite(k)
-    if finite.sum() < 8 or np.ptp(p[finite]) < 6:
+    total = int(finite.sum())
+    if total < 8 or np.ptp(p[finite]) < 6:
         raise DataError(
-            f"{int(finite.sum())} usable bends of the {readings.side} muscle",
+            f"{total} usable bends of the {readings.side} muscle",
             "take 0..20 psi in steps of 2, three trials",
         )
     notes: list[str] = []
     if not finite.all():
         lost = listed(readings.names(), np.flatnonzero(~finite).tolist())
         notes.append(f"left out {lost}: the camera lost the body; clear the view to take it again")
-    firm = finite & (p > 0.5 * p[finite].max())
-    if np.median(sign * k[firm]) < 0:
+    highest = float(p[finite].max())
+    if np.median(sign * k[finite & (p > 0.5 * highest)]) < 0:
         verdict = Verdict(
             False,
             f"the robot bends to the other side when the {readings.side} muscle is inflated: the "
@@ -195,51 +222,47 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         )
         zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
         return ActuatorResult(readings, zone, np.inf, 0.0, np.inf, finite, verdict)
-    branch = np.array([BRANCHES.index(b) for b in readings.branch])
-    present = np.unique(branch[finite]).tolist()
+    branches = [b for b in BRANCHES if b in np.array(readings.branch)[finite]]
+    branch = np.array([branches.index(b) if b in branches else 0 for b in readings.branch])
     trials = np.unique(readings.trial[finite])
     slot = np.minimum(np.searchsorted(trials, readings.trial), len(trials) - 1)
     used = finite.copy()
     top = float(np.quantile(np.abs(k[finite]), 0.9))
     sigma, offset_sigma = 0.03 * max(top, 1e-3), _ONE_TRIAL_SE
-    maps = 3 * len(present)
+    maps = 3 * len(branches)
 
-    def residuals(x: Array, rows: NDArray[np.bool_], spread: float, loose: float) -> Array:
-        made = np.zeros(len(p))
-        for j, b in enumerate(present):
-            pick = branch == b
-            made[pick] = _map_values(p[pick], x[3 * j : 3 * j + 3])
-        made = sign * made + x[maps:][slot]
-        error = np.hypot(spread, readings.curvature_se)
+    def curve(x: Array) -> Array:
+        return _map_values(p, *x[:maps].reshape(-1, 3)[branch].T)
+
+    def residuals(x: Array, rows: Mask, spread: float, loose: float) -> Array:
+        rest = (k - sign * curve(x) - x[maps:][slot]) / np.hypot(spread, error)
         # Weak priors keep a saturation that the data do not reach within reason.
         priors = [(x[2:maps:3] - 4.0) / 8.0, (x[1:maps:3] - np.log(10.0)) / 1.5]
-        return np.concatenate([((k - made) / error)[rows], x[maps:] / loose, *priors])
+        return np.concatenate([rest[rows], x[maps:] / loose, *priors])
 
     def unknowns(each: list[float], offset: float) -> Array:
-        return np.append(np.tile(each, len(present)), np.full(len(trials), offset))
+        return np.append(np.tile(each, len(branches)), np.full(len(trials), offset))
 
     size = float(np.log(max(top, 1e-3)))
     best = unknowns([size, np.log(8.0), 4.0], 0.0)
     bounds = (unknowns([size - 1.5, 0.0, -10.0], -0.05), unknowns([size + 2.0, 4.0, 25.0], 0.05))
+    # A camera errs alike in all pictures of a place: its error does not average out.
+    camera_se = float(np.median(error[finite]))
     for attempt in range(8):
         # Cauchy at first: a tenth of wild readings must not pull the start.
         fit = least_squares(
             residuals, best, args=(used, sigma, offset_sigma), bounds=bounds,
             loss="cauchy" if attempt < 2 else "linear", f_scale=2.0, x_scale="jac",
         )  # fmt: skip
-        best = fit.x
-        scaled = residuals(best, finite, 1.0, 1.0)[: finite.sum()]
-        raw = np.full(len(p), np.nan)
-        raw[finite] = scaled * np.hypot(1.0, readings.curvature_se[finite])
+        best, offsets = fit.x, fit.x[maps:]
+        rest = k - sign * curve(best) - offsets[slot]
         freedom = max(1, int(used.sum()) - maps - len(trials))
-        robust = float(np.median(np.abs(raw[finite])) / norm.ppf(0.75))
-        total = robust if attempt < 3 else float(np.sqrt(np.sum(raw[used] ** 2) / freedom))
-        known = float(np.median(readings.curvature_se[finite]))
-        sigma = float(np.sqrt(max(total**2 - known**2, (0.2 * known) ** 2, 1e-12)))
-        offsets = best[maps:]
+        robust = float(np.median(np.abs(rest[finite])) / norm.ppf(0.75))
+        scatter = robust if attempt < 3 else float(np.sqrt(np.sum(rest[used] ** 2) / freedom))
+        sigma = float(np.sqrt(max(scatter**2 - camera_se**2, (0.2 * camera_se) ** 2, 1e-12)))
         if len(trials) > 1:
             offset_sigma = float(max(2e-4, np.sqrt(np.mean(offsets**2))))
-        kept = finite & (np.abs(raw) < _REJECT * np.hypot(sigma, readings.curvature_se))
+        kept = finite & (np.abs(rest) < _REJECT * np.hypot(sigma, error))
         if attempt > 3 and (kept == used).all():
             break
         if kept.sum() >= maps + len(trials) + 3:
@@ -248,40 +271,35 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     grid = np.linspace(0.0, 18.0, 37)
     fit_se, top_se, shape_se, built = 0.0, 0.0, 0.0, {}
-    highest = float(p[finite].max())
-    for j, b in enumerate(present):
-        own = slice(3 * j, 3 * j + 3)
-        x, block = best[own], covariance[own, own]
+    for name, own in zip(branches, np.arange(maps).reshape(-1, 3), strict=True):
+        x, values = best[own], _map_values(grid, *best[own])
         slopes = np.array([
-            (_map_values(grid, x + step) - _map_values(grid, x - step)) / 2e-5
+            (_map_values(grid, *(x + step)) - _map_values(grid, *(x - step))) / 2e-5
             for step in 1e-5 * np.eye(3)
         ])  # fmt: skip
-        variance = np.einsum("pg,pq,qg->g", slopes, block, slopes)
-        values = _map_values(grid, x)
+        variance = np.einsum("pg,pq,qg->g", slopes, covariance[np.ix_(own, own)], slopes)
         share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
-        fit_se, top_se = max(fit_se, float(np.sqrt(variance.max()))), max(top_se, float(share))
         # What the map's scale does not account for is the shape's error.
-        rest = np.maximum(variance - (share * values) ** 2, 0.0)
-        shape_se = max(shape_se, float(np.sqrt(rest.max())))
+        shape = np.maximum(variance - (share * values) ** 2, 0.0)
+        fit_se, top_se, shape_se = (
+            max(known, float(new))
+            for known, new in ((fit_se, np.sqrt(variance.max())), (top_se, share),
+                               (shape_se, np.sqrt(shape.max())))
+        )  # fmt: skip
         amplitude, scale = np.exp(x[:2]).tolist()
-        built[BRANCHES[b]] = TanhMap(amplitude=amplitude, scale_psi=scale, offset_psi=float(x[2]))
-    # A camera errs alike in all pictures of a place: its error does not average out.
-    camera_se = float(np.median(readings.curvature_se[finite]))
+        built[name] = TanhMap(amplitude=amplitude, scale_psi=scale, offset_psi=float(x[2]))
     g_se = float(np.hypot(fit_se, camera_se))
-    bend = sign * (k - raw) - sign * best[maps:][slot]
-    trial_se = _trial_gain(sign * raw, bend, slot, used, len(trials))
+    trial_se = _trial_gain(sign * rest, curve(best), slot, used, len(trials))
     scale_se = float(np.sqrt(
         top_se**2 + trial_se**2 * (1 + 1 / len(trials)) + _CAMERA_SCALE_SE**2
     ))  # fmt: skip
-    if len(present) == 1:
-        notes.append(f"only the {BRANCHES[present[0]]} branch was measured; used for both")
-    inflate = built.get("inflate") or built["deflate"]
-    deflate = built.get("deflate") or inflate
-    out, total = np.flatnonzero(finite & ~used).tolist(), int(finite.sum())
+    if len(branches) == 1:
+        notes.append(f"only the {branches[0]} branch was measured; used for both")
+    inflate, deflate = built[branches[0]], built[branches[-1]]
+    out = np.flatnonzero(finite & ~used).tolist()
     if out:
         names = listed(readings.names(), out)
         notes.append(f"left out {len(out)} of {total} bends as outliers ({names})")
-    offsets = best[maps:]
     spread = float(np.std(offsets, ddof=1)) if len(trials) > 1 else offset_sigma
     moved = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
     full = float(inflate.curvature(highest))
@@ -300,35 +318,26 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         reason = f"g is known to {100 * share:.1f} % of full scale only; add trials"
     else:
         good, reason = True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
-    verdict = Verdict(good, reason, tuple(notes))
     zone = ZoneMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
     )  # fmt: skip
     offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
+    verdict = Verdict(good, reason, tuple(notes))
     return ActuatorResult(readings, zone, g_se, full, offset_se, used, verdict)
 
 
-def _trial_gain(
-    rest: Array, bend: Array, slot: NDArray[np.intp], used: NDArray[np.bool_], trials: int
-) -> float:
+def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, trials: int) -> float:
     """One sigma of the gain by which a trial's bends exceed the map, relative.
 
-    Args:
-        rest: (n,) curvature beyond the map and the trial's offset.
-        bend: (n,) curvature by the map.
-        slot: (n,) trial of each row, from 0.
-        used: (n,) rows that count.
-        trials: number of them.
+    Of rows (n,): `rest` beyond the map and the trial's offset, `bend` by the map, trial `slot`.
     """
     squares, own = 0.0, 0.0
     for trial in range(trials):
         pick = used & (slot == trial)
-        if pick.sum() < 4:
-            continue
-        lever = bend[pick] - bend[pick].mean()
+        lever = bend[pick] - bend[pick].mean() if pick.any() else np.zeros(0)
         power = float(lever @ lever)
-        if power < 1e-12:
+        if pick.sum() < 4 or power < 1e-12:
             continue
         gain = float(lever @ rest[pick]) / power
         left = rest[pick] - rest[pick].mean() - gain * lever

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thigmo.calibrate.columns import places_of
+from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.eyes import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
@@ -23,9 +22,11 @@ from thigmo.room import Operator
 Row = dict[str, Any]
 T = TypeVar("T")
 
+STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing, and a good margin
+READ_S = 1.0
+SAME_CM = 0.2
 _TRIES = 3
 _QUIET_S = 5.0  # after venting, before zeros are taken
-SAME_CM = 0.2
 _UNSEEN: Row = {"unseen": True}
 
 
@@ -45,7 +46,6 @@ class Plan:
     rest_readings: int = 40  # of the noise step
     creep_s: float = 30.0  # watched after each eversion
     zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
-    tip_reach_cm: float | None = None  # farthest tip place; None = just short of the fold
 
 
 class Hand(Operator, Protocol):
@@ -60,9 +60,9 @@ class Bench:
     """A robot on the calibration bench."""
 
     robot: Robot  # connected
-    eyes: Eyes  # the camera
+    eyes: Eyes
     session: Session  # the folder
-    plan: Plan = field(default_factory=Plan)  # how much of everything
+    plan: Plan = field(default_factory=Plan)
     say: Callable[[str], None] = lambda text: None  # told what happens
     # resistances of the straight robot, taken last (an eversion shifts them, so rows keep the one
     # of their own session)
@@ -100,14 +100,18 @@ class Bench:
             self.robot.confirm_length(known)
         return known
 
-    def ohm(self, read: Reading | Recording) -> NDArray[np.float64]:
+    def press(self, side: Side, psi: float, ramp_psi_s: float = 0.0) -> None:
+        """Bring one muscle to a pressure."""
+        self.robot.press(**{f"{side}_psi": psi, "ramp_psi_s": ramp_psi_s})
+
+    def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
         every = np.asarray(read.resistance)
         a_side = every.shape[-1] // len(SIDES)
         used = places_of(self.config)
         return every[..., [SIDES.index(side) * a_side + index for side, index in used]]
 
-    def mean_ohm(self, record: Recording) -> NDArray[np.float64]:
+    def mean_ohm(self, record: Recording) -> Array:
         """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""
         mean = np.ma.masked_invalid(self.ohm(record)).mean(axis=0)
         return np.asarray(mean.filled(np.nan))
@@ -118,25 +122,21 @@ class Bench:
         self.robot.select_zone(zone)
 
     def bring_to(self, length_cm: float, at_stop: Callable[[float], None] | None = None) -> None:
-        """Grow, pitch by pitch and with the body pressure of each zone; never retracts.
-
-        Raises:
-            DataError: the robot is longer already.
-        """
+        """Grow, pitch by pitch and with the body pressure of each zone; never retracts."""
         now = self.length_cm()
         if now > length_cm + SAME_CM:
             raise DataError(
                 f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
                 "retract it with `thigmo retract`, then run this again",
             )
-        pitch = self.config.sensors.pitch_cm
+        pitch, body = self.config.sensors.pitch_cm, self.config.body
         stops = {*np.arange(pitch, length_cm, pitch).tolist(), length_cm}
-        boundaries = {z.until_cm for z in self.config.body.zones if z.until_cm < length_cm}
+        boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
         self.robot.vent()
         for stop in sorted(stops | boundaries):
             if stop <= now + SAME_CM:
                 continue
-            self.set_zone(self.config.body.zone_at(min(now + SAME_CM, stop)))
+            self.set_zone(body.zone_at(min(now + SAME_CM, stop)))
             self.say(f"growing to {stop:.1f} cm")
             self.robot.grow_to(stop)
             now = stop
@@ -154,13 +154,12 @@ class Bench:
             self.robot.wait(_QUIET_S)
             try:
                 self.robot.zero()
+                break
             except CommandRefusedError as error:
                 if error.reason != "drifting" or attempt + 1 == _TRIES:
                     raise
                 self.say("readings still drift; waiting")
-            else:
-                self.rest = self.ohm(self.robot.read(2.0)).tolist()
-                break
+        self.rest = self.ohm(self.robot.read(2.0)).tolist()
         if zone is not None:
             self.set_zone(zone)
 
@@ -169,54 +168,44 @@ class Bench:
         procedure: str,
         planned: Mapping[str, T],
         take: Callable[[str, T], Row],
-        prepare: Callable[[], None],
+        prepare: Callable[[], None] | None = None,
     ) -> list[Row]:
         """Take the planned rows that the folder does not hold yet, or that the camera missed.
 
-        Args:
-            procedure: name of the table.
-            planned: what each row asks for, by its key.
-            take: takes a row, from its key and what it asks for.
-            prepare: called once before the first row that is taken; not if there is none to take.
-
-        Returns:
-            All planned rows, in the order in which they were taken.
-
-        Raises:
-            CameraMovedError: pictures taken from now on would be wrong.
+        `take` makes a row from its key and what is planned for it; `prepare` (`ready_to_bend` if
+        None) comes before the first. Returns all planned rows, in the order in which they were
+        taken.
         """
         held = self.session.rows(procedure)
         missing = [key for key in planned if held.get(key, _UNSEEN).get("unseen")]
-        if len(missing) < len(planned) and missing:
-            self.say(f"{procedure}: going on after {len(planned) - len(missing)} rows")
+        done = len(planned) - len(missing)
+        if done and missing:
+            self.say(f"{procedure}: going on after {done} rows")
         if missing:
-            prepare()
-        for number, key in enumerate(missing, start=len(planned) - len(missing) + 1):
+            (prepare or self.ready_to_bend)()
+        for number, key in enumerate(missing, start=done + 1):
             self.say(f"{procedure} {number} of {len(planned)}: {key}")
             row = {"key": key, **take(key, planned[key])}
             self.session.add(procedure, row)
-            held.pop(key, None)
-            held[key] = row
             if row.get("unseen"):
                 self.say(f"{key} is left out: the camera did not see it; run this step once more, "
                          "and only what it missed is taken")  # fmt: skip
-        return [held[key] for key in held if key in planned]
+        return [row for key, row in self.session.rows(procedure).items() if key in planned]
 
     def seen(self, shot: Callable[[], Row], blank: Row) -> Row:
         """A camera reading, tried three times; where the robot cannot be seen, `blank` as unseen.
 
-        Raises:
-            CameraMovedError: the camera moved.
+        A moved camera ends the step: pictures taken from now on would be wrong.
         """
         for attempt in range(_TRIES):
+            if attempt:
+                self.robot.wait(0.3)
             try:
                 return shot()
             except CameraMovedError:
                 raise
             except CameraError as error:
                 self.say(f"camera: {error}")
-                if attempt + 1 < _TRIES:
-                    self.robot.wait(0.3)
         return {**blank, **_UNSEEN}
 
     def finish(self, step: str, result: StepResult) -> None:

@@ -10,16 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.columns import constants_of
+from thigmo.calibrate.bench import READ_S, STEADY_S, Bench, Row
+from thigmo.calibrate.columns import Array, column, constants_of, of_sensors
+from thigmo.calibrate.flex_lines import loop_turns
+from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
-
-Array = NDArray[np.float64]
+from thigmo.record.table import Table
 
 
 @dataclass(frozen=True)
@@ -40,25 +40,62 @@ class BucklingResult(StepResult):
         config.body.critical_pressure_psi = self.body_pressure_psi
 
 
+def guided(bench: Bench) -> BucklingResult:
+    """Critical curvature from hard pushes, sides in turn, each with its own straight reading.
+
+    Run it after flex.
+    """
+    body = bench.config.body
+    reach = 1.7 * body.critical_curvature * body.length_cm**2 / 3
+
+    def take(key: str, y_cm: float) -> Row:
+        bench.hand.push_tip(None)
+        bench.robot.wait(STEADY_S)
+        straight = bench.robot.read(READ_S)
+        bench.hand.push_tip(y_cm)
+        bench.robot.wait(STEADY_S)
+        pushed = bench.robot.read(2 * READ_S)
+        bench.hand.push_tip(None)
+        return {"rest": bench.ohm(straight), "ohm": bench.ohm(pushed)}
+
+    planned = {f"push {n}": (-1) ** n * reach for n in range(bench.plan.pushes)}
+    rows = bench.rows("pushes", planned, take)
+    (scale,) = constants_of(bench.config, "scale_per_ohm")
+    gone, rest = column(rows, "ohm") * scale, column(rows, "rest") * scale
+    flex = bench.session.done("flex")
+    if flex is not None:
+        # Each push ends on the other side of the sensors' loops than the rest before it.
+        walk = np.stack([np.zeros_like(gone), gone - rest], axis=1).reshape(-1, gone.shape[1])
+        block = np.zeros(len(walk), np.int64)
+        turn = loop_turns(np.nan_to_num(walk), block, float(flex["loop_width"]))
+        loop = np.nan_to_num(column(flex["sensors"], "hysteresis"))
+        rest -= loop * turn[0::2]
+        gone -= loop * turn[1::2]
+    return fit_buckling(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
+
+
+def of_csv(table: Table, config: RobotConfig) -> BucklingResult:
+    """Pushes at one body pressure and length."""
+    body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
+    length = table.numbers("length_cm", config.body.length_cm)
+    if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
+        raise DataError(f"{table.name}: body pressure or length varies", "one file for each")
+    curvature = of_sensors(table, "curvature", config)
+    return fit_buckling(curvature, float(body[0]), float(length[0]), config)
+
+
 def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
     """Critical curvature over hard pushes at the tip.
 
-    Args:
-        curvature: (t, m) readings of each trial, 1/cm, left base first; nan = unusable.
-        body_pressure_psi: set by hand.
-        length_cm: everted length; the tip is pushed.
-        config: with the sensors' errors.
-
-    Raises:
-        DataError: no sensor lies beyond the fold, or the columns disagree with the configuration.
+    `curvature` (t, m) holds the readings of each trial; nan = unusable.
     """
-    k = np.atleast_2d(curvature)
     names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
     center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
-    if k.shape[1] != len(center):
-        raise DataError(f"{k.shape[1]} columns for {len(center)} sensors", "use this robot's file")
+    if curvature.shape[1] != len(center):
+        what = f"{curvature.shape[1]} columns for {len(center)} sensors"
+        raise DataError(what, "use this robot's file")
     noise = np.hypot(white, zero_se)
     # The fold spreads over a diameter from the base.
     near = center - span / 2 < config.body.diameter_cm
@@ -67,10 +104,9 @@ def fit_buckling(
         raise DataError(
             "fewer than two healthy sensors lie beyond the fold", "calibrate the flex sensors first"
         )
-    each, excess, own = np.full((3, len(k)), np.nan)
-    notes: list[str] = []
+    each, excess, own = np.full((3, len(curvature)), np.nan)
     shallow, unread = [], []
-    for trial, row in enumerate(k):
+    for trial, row in enumerate(curvature):
         pick = beyond & np.isfinite(row)
         if pick.sum() >= 2:
             pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
@@ -93,22 +129,20 @@ def fit_buckling(
     kept = np.isfinite(each)
     odd = []
     if kept.sum() >= 4:
-        middle = float(np.median(each[kept]))
-        scatter = float(median_abs_deviation(each[kept], scale="normal"))
-        limit = 4.5 * max(scatter, float(np.nanmedian(own)), 0.01 * middle)
-        odd = np.flatnonzero(kept & (np.abs(each - middle) > limit)).tolist()
+        least = max(float(np.nanmedian(own)), 0.01 * float(np.median(each[kept])))
+        odd = np.flatnonzero(kept)[outlying(each[kept], 4.5, least)].tolist()
         each[odd] = np.nan
-    for rows, what in (
-        (shallow, ", the base did not fold: push harder"),
-        (unread, ", too few readings"),
-        (odd, " as outlier"),
-    ):
-        if rows:
-            notes.append(f"trial {', '.join(str(r + 1) for r in rows)} left out{what}")
+    left_out = ((shallow, ", the base did not fold: push harder"),
+                (unread, ", too few readings"), (odd, " as outlier"))  # fmt: skip
+    notes = tuple(
+        f"trial {', '.join(str(r + 1) for r in rows)} left out{what}"
+        for rows, what in left_out
+        if rows
+    )
     kept = np.isfinite(each)
     n = int(kept.sum())
     if n == 0:
-        verdict = Verdict(False, "no trial shows a fold; push the tip harder", tuple(notes))
+        verdict = Verdict(False, "no trial shows a fold; push the tip harder", notes)
         return BucklingResult(np.nan, np.inf, each, excess, body_pressure_psi, verdict)
     mean = float(each[kept].mean())
     # A handful of trials tells their scatter poorly: never less than the readings' own error.
@@ -117,14 +151,14 @@ def fit_buckling(
     # Gain errors are the same in every trial: they do not average out over trials.
     common = mean * float(np.sqrt(np.sum(gain[beyond] ** 2)) / beyond.sum())
     se = float(np.hypot(within, common))
-    share = se / mean
-    good = n >= 3 and share <= 0.05
-    reason = f"{mean:.5f} 1/cm +- {100 * share:.1f} % from {n} trials at {body_pressure_psi:g} psi"
+    percent = 100 * se / mean
+    good = n >= 3 and percent <= 5
+    reason = f"{mean:.5f} 1/cm +- {percent:.1f} % from {n} trials at {body_pressure_psi:g} psi"
     if n < 3:
         reason += "; three or more trials are needed"
     elif not good:
         reason += "; take more trials or calibrate the flex sensors better"
-    verdict = Verdict(good, reason, tuple(notes))
+    verdict = Verdict(good, reason, notes)
     return BucklingResult(mean, se, each, excess, body_pressure_psi, verdict)
 
 
@@ -139,17 +173,17 @@ def _moment(
         if len(row) >= 6:
             # One outlier among the readings must not carry a trial.
             ratio = row / lever
-            loose = median_abs_deviation(ratio, scale="normal") + 1e-9
-            weights *= np.abs(ratio - np.median(ratio)) < 5 * np.maximum(loose, noise / lever)
-        estimate = float((weights * lever * row).sum() / (weights * lever**2).sum())
-        error = float(1 / np.sqrt((weights * lever**2).sum()))
-        estimate = max(estimate, 1e-5)
+            weights *= ~outlying(ratio, 5, noise / lever)
+        power = float((weights * lever**2).sum())
+        estimate = max(float((weights * lever * row).sum()) / power, 1e-5)
+        error = power**-0.5
     return estimate, error
 
 
 def _levers(moment: float, center: Array, span: Array, length: float) -> Array:
     """Curvature of each sensor over the moment at the base, large deflection (no fold)."""
-    bent = push(moment / length, length, free_curvature=0.0, length=length)
-    scale = moment / max(abs(bent.base_moment), 1e-12)
-    bent = push(moment / length * scale, length, free_curvature=0.0, length=length)
+    force = moment / length
+    bent = push(force, length, free_curvature=0.0, length=length)
+    force *= moment / max(abs(bent.base_moment), 1e-12)
+    bent = push(force, length, free_curvature=0.0, length=length)
     return np.asarray(bent.averages(center, span) / abs(bent.base_moment), float)

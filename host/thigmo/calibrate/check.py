@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thigmo.calibrate.columns import medians, places_of
+from thigmo.calibrate.bench import STEADY_S, Bench
+from thigmo.calibrate.columns import Array, medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
 from thigmo.errors import DataError
 
-Array = NDArray[np.float64]
 Mark = Literal["ok", "warning", "bad"]
 
 
@@ -47,26 +47,45 @@ class CheckResult(StepResult):
     verdict: Verdict
 
 
-def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
-    """Judge a check's recordings against the configuration.
-
-    Raises:
-        DataError: columns that disagree with the configuration.
-    """
-    sensors = places_of(config)
-    rest = np.atleast_2d(readings.rest_ohm)
-    if rest.shape[1] != len(sensors):
-        raise DataError(f"{rest.shape[1]} columns for {len(sensors)} sensors", "use its robot.toml")
-    zero = medians(rest)
-    findings = [
-        _at_rest(side, k, zero[column], rest[:, column], config)
-        for column, (side, k) in enumerate(sensors)
-    ]
+def guided(bench: Bench) -> CheckResult:
+    """Rest, one bend and one hold for each muscle."""
+    bench.ready_to_bend()
+    robot, config = bench.robot, bench.config
+    rest = np.array([bench.ohm(robot.read(0.25)) for _ in range(8)])
+    top = 0.7 * config.actuators.left.max_pressure_psi
+    readings = CheckReadings(rest, {}, top, {}, {}, zone=len(config.body.zones) - 1)
     for side in SIDES:
-        if side in readings.bend_ohm:
-            findings.extend(_bent(side, readings, zero, sensors, config))
-        if side in readings.held_psi:
-            findings.append(_leak(side, readings))
+        bench.press(side, top)
+        robot.wait(STEADY_S)
+        record = robot.record(4.0)
+        psi = getattr(record, f"{side}_psi")
+        readings.held_psi[side] = np.column_stack([record.t_s - record.t_s[0], psi])
+        readings.bend_ohm[side] = bench.mean_ohm(record)
+        shot = bench.seen(
+            lambda: {"k": float(bench.eyes.axis(free_bend=True).coefficients[2])}, {"k": None}
+        )
+        if shot["k"] is not None:
+            readings.bend_seen[side] = shot["k"]
+        robot.vent()
+        robot.wait(1.0)
+    return run_check(readings, config)
+
+
+def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
+    """Judge a check's recordings against the configuration."""
+    sensors = places_of(config)
+    if readings.rest_ohm.shape[1] != len(sensors):
+        what = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"
+        raise DataError(what, "use its robot.toml")
+    zero = medians(readings.rest_ohm)
+    scatter = np.ma.masked_invalid(readings.rest_ohm).std(axis=0).filled(np.nan)
+    findings = []
+    for number, (side, k) in enumerate(sensors):
+        mark, text = _at_rest(config.sensors.column(side)[k], zero[number], scatter[number])
+        findings.append(Finding(f"sensor {side} {k}", mark, text))
+    for side in SIDES:
+        findings += [Finding(*found) for found in _bent(side, readings, zero, config)]
+        findings.append(Finding(f"{side} muscle's tightness", *_leak(readings.held_psi[side])))
     bad, warned = (
         [f"{f.what}: {f.text}" for f in findings if f.mark == mark] for mark in ("bad", "warning")
     )
@@ -74,90 +93,75 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     return CheckResult(tuple(findings), Verdict(not bad, first, tuple(notes)))
 
 
-def _at_rest(side: Side, k: int, zero: float, values: Array, config: RobotConfig) -> Finding:
-    sensor = config.sensors.column(side)[k]
-    name = f"sensor {side} {k}"
+def _at_rest(sensor: FlexSensor, zero: float, scatter: float) -> tuple[Mark, str]:
     if not sensor.healthy:
-        return Finding(name, "ok", "marked unhealthy, not used")
+        return "ok", "marked unhealthy, not used"
     if not np.isfinite(zero) or zero > 300_000:
-        return Finding(name, "bad", "open circuit; check its wire or mark it unhealthy")
+        return "bad", "open circuit; check its wire or mark it unhealthy"
     if zero < 1_000:
-        return Finding(name, "bad", "shorted; check its wire or mark it unhealthy")
+        return "bad", "shorted; check its wire or mark it unhealthy"
     drift = (zero - sensor.zero_ohm) * sensor.scale_per_ohm
-    scatter = float(np.nanstd(values)) * abs(sensor.scale_per_ohm)
+    loose = scatter * abs(sensor.scale_per_ohm)
     if abs(drift) > 0.02:
-        return Finding(name, "warning", f"its zero has drifted by {drift:+.3f} 1/cm: recalibrate")
-    if scatter > 8 * sensor.noise:
-        return Finding(name, "warning", f"scatters by {scatter:.4f} 1/cm: loose wire?")
-    return Finding(name, "ok", f"zero within {abs(drift):.4f} 1/cm")
+        return "warning", f"its zero has drifted by {drift:+.3f} 1/cm: recalibrate"
+    if loose > 8 * sensor.noise:
+        return "warning", f"scatters by {loose:.4f} 1/cm: loose wire?"
+    return "ok", f"zero within {abs(drift):.4f} 1/cm"
 
 
 def _bent(
-    side: Side,
-    readings: CheckReadings,
-    zero: Array,
-    sensors: list[tuple[Side, int]],
-    config: RobotConfig,
-) -> list[Finding]:
+    side: Side, readings: CheckReadings, zero: Array, config: RobotConfig
+) -> Iterator[tuple[str, Mark, str]]:
     """One muscle inflated: camera, and sensors of both sides, against the map."""
-    maps = config.actuators.side(side).maps
     sign = 1.0 if side == "left" else -1.0
-    expected = sign * maps[readings.zone].inflate.curvature(readings.bend_psi)
-    found: list[Finding] = []
-
-    def add(what: str, mark: Mark, text: str) -> None:
-        found.append(Finding(what, mark, text))
-
-    seen = readings.bend_seen.get(side)
+    mapped = config.actuators.side(side).maps[readings.zone].inflate
+    expected = sign * mapped.curvature(readings.bend_psi)
+    target = seen = readings.bend_seen.get(side)
     what = f"{side} muscle"
-    if seen is not None:
-        if seen * sign < -0.002:
-            add(what, "bad", "bends the robot to the other side: the muscles' tubes are swapped, "
-                "or the camera is mirrored")  # fmt: skip
-        elif abs(seen) < 0.3 * abs(expected):
-            add(what, "bad", f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were expected: no air, "
-                "a leak, or a wrong map")  # fmt: skip
-        elif abs(seen - expected) > 0.15 * abs(expected):
-            add(what, "warning", f"bends by {seen:+.4f} 1/cm, the map says {expected:+.4f}: "
-                "recalibrate the actuator")  # fmt: skip
-        else:
-            add(what, "ok", f"bends by {seen:+.4f} 1/cm as mapped")
-    bent = readings.bend_ohm[side]
+    if seen is None:
+        target = expected
+    elif seen * sign < -0.002:
+        yield (what, "bad", "bends the robot to the other side: the muscles' tubes are swapped, or "
+               "the camera is mirrored")  # fmt: skip
+    elif abs(seen) < 0.3 * abs(expected):
+        yield (what, "bad", f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were expected: no air, a "
+               "leak, or a wrong map")  # fmt: skip
+    elif abs(seen - expected) > 0.15 * abs(expected):
+        yield (what, "warning", f"bends by {seen:+.4f} 1/cm, the map says {expected:+.4f}: "
+               "recalibrate the actuator")  # fmt: skip
+    else:
+        yield what, "ok", f"bends by {seen:+.4f} 1/cm as mapped"
     shares: dict[Side, list[float]] = {"left": [], "right": []}
-    target = seen if seen is not None else expected
-    for column, (of, k) in enumerate(sensors):
+    gone = readings.bend_ohm[side] - zero
+    for (of, k), ohm in zip(places_of(config), gone.tolist(), strict=True):
         sensor = config.sensors.column(of)[k]
-        if not sensor.healthy or not np.isfinite(bent[column]) or not np.isfinite(zero[column]):
+        if not sensor.healthy or not np.isfinite(ohm):
             continue
-        share = (bent[column] - zero[column]) * sensor.scale_per_ohm / target
-        shares[of].append(float(share))
+        share = ohm * sensor.scale_per_ohm / target
+        shares[of].append(share)
         if of != side and abs(share) < 0.15:
-            add(f"sensor {of} {k}", "bad",
-                "does not answer to bending: dead, or its pouch is loose")  # fmt: skip
+            yield (f"sensor {of} {k}", "bad",
+                   "does not answer to bending: dead, or its pouch is loose")  # fmt: skip
     far: Side = "right" if side == "left" else "left"
-    if len(shares[far]) >= 2 and len(shares[side]) >= 2:
-        off = {s: float(np.median(np.abs(np.array(v) - 1))) for s, v in shares.items()}
-        if off[far] > 0.3 and off[side] < 0.5 * off[far] and (off[side] < 0.3):
-            add("sensor columns", "bad", f"with the {side} muscle the {side} sensors fit and the "
-                "others do not: the columns are swapped")  # fmt: skip
-        elif float(np.median(shares[far])) < -0.3:
-            add("sensor columns", "bad",
-                "read bends with the wrong sign: swapped sides, or an old robot.toml")  # fmt: skip
-        elif off[far] > 0.15:
-            text = f"read {100 * off[far]:.0f} % off the bend: recalibrate flex"
-            add(f"{far} sensors", "warning", text)
-    return found
+    if min(map(len, shares.values())) < 2:
+        return
+    off, own = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))
+    if off > 0.3 and own < min(0.5 * off, 0.3):
+        yield ("sensor columns", "bad", f"with the {side} muscle the {side} sensors fit and the "
+               "others do not: the columns are swapped")  # fmt: skip
+    elif float(np.median(shares[far])) < -0.3:
+        yield ("sensor columns", "bad", "read bends with the wrong sign: swapped sides, or an old "
+               "robot.toml")  # fmt: skip
+    elif off > 0.15:
+        yield f"{far} sensors", "warning", f"read {100 * off:.0f} % off the bend: recalibrate flex"
 
 
-def _leak(side: Side, readings: CheckReadings) -> Finding:
-    """Whether holding a pressure takes more and more drive, or the pressure sags."""
-    record = readings.held_psi[side]
-    what = f"{side} muscle's tightness"
-    if len(record) < 10:
-        return Finding(what, "warning", "too short a hold to judge")
-    t, p = record[:, 0], record[:, 1]
-    slope = float(np.polyfit(t, p, 1)[0])
-    sag = -slope * float(np.ptp(t))
+def _leak(held: Array) -> tuple[Mark, str]:
+    """Whether the pressure (n, 2: time, psi) sags while it is held."""
+    if len(held) < 10:
+        return "warning", "too short a hold to judge"
+    t, psi = held.T
+    sag = -float(np.polyfit(t, psi, 1)[0]) * float(np.ptp(t))
     if sag > 0.5:
-        return Finding(what, "bad", f"pressure falls by {sag:.1f} psi during the hold: a leak")
-    return Finding(what, "ok", f"holds within {abs(sag):.2f} psi")
+        return "bad", f"pressure falls by {sag:.1f} psi during the hold: a leak"
+    return "ok", f"holds within {abs(sag):.2f} psi"

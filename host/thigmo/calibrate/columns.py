@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -33,26 +33,17 @@ def constants_of(config: RobotConfig, *names: str) -> Array:
 
 def medians(rows: Array) -> Array:
     """(m,) of columns (n, m), without what is nan; nan where a column holds nothing else."""
-    known = [column[np.isfinite(column)] for column in rows.T]
-    return np.array([np.median(column) if len(column) else np.nan for column in known])
+    known = (own[np.isfinite(own)] for own in rows.T)
+    return np.array([np.median(own) if len(own) else np.nan for own in known])
 
 
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
-    """(n, m) the columns `WHAT_left_0` .. `WHAT_right_N` of a CSV.
-
-    Raises:
-        MissingColumnError: there is no such column.
-    """
-    names = [f"{what}_{side}_{k}" for side, k in places_of(config)]
-    return np.column_stack([table.numbers(name) for name in names])
+    """(n, m) the columns `WHAT_left_0` .. `WHAT_right_N` of a CSV."""
+    return np.column_stack([table.numbers(f"{what}_{side}_{k}") for side, k in places_of(config)])
 
 
 def sides_of(table: Table) -> list[Side]:
-    """(n,) the column `side` of a CSV.
-
-    Raises:
-        DataError: there is none, or it holds another word than left and right.
-    """
+    """(n,) the column `side` of a CSV."""
     words = table.words("side")
     if set(words) - set(SIDES):
         raise DataError(f"{table.name}: side must be left or right", "mend that column")
@@ -65,3 +56,8 @@ def grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
     for row, key in enumerate(keys):
         rows.setdefault(key, []).append(row)
     return sorted(rows.items())
+
+
+def column(rows: Sequence[Mapping[str, Any]], key: str, missing: Any = None) -> Array:
+    """What rows hold under a key, (n,) or (n, m); nan where a row has none."""
+    return np.array([row.get(key, missing) for row in rows], float)

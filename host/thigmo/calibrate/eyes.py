@@ -38,12 +38,7 @@ class Eyes:
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis; a pushed tip's place needs its marker, a free bend does not.
 
-        Args:
-            free_bend: one curvature.
-            length_cm: of the body, if it is known.
-
-        Raises:
-            CameraError: as named; also where the axis that was seen is doubtful.
+        Raises CameraError, also where the axis that was seen is doubtful.
         """
         wanted = Seen(self.diameter_cm, constant=free_bend, obstacles=False, length_cm=length_cm)
         sighting = look(self.source.read(), self.camera, self.sheet, wanted)
@@ -53,11 +48,7 @@ class Eyes:
         return sighting.axis
 
     def everything(self) -> Sighting:
-        """Tip, axis and obstacles.
-
-        Raises:
-            CameraError: no cards, or the camera moved.
-        """
+        """Tip, axis and obstacles; raises CameraError."""
         wanted = Seen(self.diameter_cm)
         if (radius := self.dowel_radius_cm) is not None:
             wanted = replace(wanted, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
@@ -74,15 +65,8 @@ def emulated_source(
 ) -> tuple[PictureSource, float]:
     """A camera above an emulated robot, drawn by `seed`, and its height as a tape would tell.
 
-    Args:
-        robot: connected to an emulator.
-        sheet: whose cards lie in the room.
-        seed: of the camera's place, lens, and the room's looks.
-        diameter_cm: of the tube.
-        spoil: changes the true camera before every picture (tests move it).
-
-    Raises:
-        DataError: the robot is real.
+    The seed is that of the camera's place, its lens, and the room's looks. `spoil` changes the true
+    camera before every picture (tests move it). Raises DataError where the robot is real.
     """
     if robot.scenery() is None:
         raise DataError("this robot is not emulated", "give a camera: camera:0, a folder, a video")

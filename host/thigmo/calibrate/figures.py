@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from thigmo.calibrate.actuator import ActuatorResult, ActuatorResults
 from thigmo.calibrate.buckling import BucklingResult
-from thigmo.calibrate.check import CheckResult
-from thigmo.calibrate.encoder import EncoderResult, PressureResult
+from thigmo.calibrate.columns import Array
+from thigmo.calibrate.encoder import EncoderResult
 from thigmo.calibrate.flex import FlexResult
 from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
@@ -28,12 +28,8 @@ _MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
 
 
 def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
-    figure.suptitle(
-        f"{'good' if verdict.good else 'BAD'}: {verdict.reason}",
-        fontsize=10,
-        color="black" if verdict.good else RED,
-        wrap=True,
-    )
+    mark, color = ("good", "black") if verdict.good else ("BAD", RED)
+    figure.suptitle(f"{mark}: {verdict.reason}", fontsize=10, color=color, wrap=True)
     try:
         figure.savefig(path, dpi=110)
     except (OSError, ValueError) as error:
@@ -55,25 +51,21 @@ def _panel(
     _finish(figure, path, verdict)
 
 
-def _mean(axes: Axes, mean: float, se: float) -> None:
-    """A line, and its 95 % interval."""
-    axes.axhline(mean, color="k", lw=1, label="mean")
-    axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)
+def _estimates(axes: Axes, each: Array, mean: float, se: float) -> None:
+    """Every estimate, their mean, and its 95 % interval."""
+    axes.plot(np.arange(1, len(each) + 1), each, "o", label="each alone")
+    if np.isfinite(mean):
+        axes.axhline(mean, color="k", lw=1, label="mean")
+        axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)
 
 
 @singledispatch
 def draw(result: StepResult, path: Path) -> None:
-    """Draw a step's data and fit.
-
-    Raises:
-        DataError: the folder cannot be written.
-    """
-    raise TypeError(f"{type(result).__name__} has no figure")
+    """Draw a step's data and fit; nothing where nothing is fitted. Raises DataError."""
 
 
 @draw.register
 def _flex(result: FlexResult, path: Path) -> None:
-    """Resistance against curvature, one panel a sensor."""
     columns = 1 + max(fit.index for fit in result.sensors)
     figure = Figure(figsize=(3.0 * columns, 6.4), layout="constrained")
     grid = figure.subplots(2, columns, squeeze=False)
@@ -110,8 +102,7 @@ def _flex(result: FlexResult, path: Path) -> None:
 
 @draw.register
 def _actuator(result: ActuatorResult, path: Path) -> None:
-    """Curvature against pressure with both maps."""
-    r = result.readings
+    r, used = result.readings, result.used
     branch = np.array(r.branch)
     sign = 1.0 if r.side == "left" else -1.0
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
@@ -120,11 +111,10 @@ def _actuator(result: ActuatorResult, path: Path) -> None:
     labels = "muscle pressure (psi)", "free curvature (1/cm)"
     with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:
         for name, mark, color, curve in curves:
-            pick = (branch == name) & result.used
+            pick = (branch == name) & used
             axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
             axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
-        out = ~result.used
-        axes.plot(r.pressure_psi[out], r.curvature[out], "x", color=RED, label="left out")
+        axes.plot(r.pressure_psi[~used], r.curvature[~used], "x", color=RED, label="left out")
         axes.set_title(
             f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9
         )
@@ -132,7 +122,6 @@ def _actuator(result: ActuatorResult, path: Path) -> None:
 
 @draw.register
 def _actuators(results: ActuatorResults, path: Path) -> None:
-    """One figure for each muscle and body pressure."""
     for result in results.each:
         name = f"{path.stem}-{result.readings.side}-{result.readings.body_pressure_psi:g}psi.png"
         _actuator(result, path.with_name(name))
@@ -140,17 +129,13 @@ def _actuators(results: ActuatorResults, path: Path) -> None:
 
 @draw.register
 def _buckling(result: BucklingResult, path: Path) -> None:
-    """Every trial's estimate and the mean."""
     with _panel(path, result.verdict, "trial", "critical curvature (1/cm)") as axes:
-        axes.plot(np.arange(1, len(result.each) + 1), result.each, "o", label="trial")
-        if np.isfinite(result.critical_curvature):
-            _mean(axes, result.critical_curvature, result.critical_se)
+        _estimates(axes, result.each, result.critical_curvature, result.critical_se)
         axes.axhline(0.01108, color=RED, ls=":", label="thesis")
 
 
 @draw.register
 def _hysteresis(result: HysteresisResult, path: Path) -> None:
-    """Decays with their laws."""
     labels = "time since eversion (s)", "reading less its rest (1/cm)"
     with _panel(path, result.verdict, *labels, size=(8, 4.5)) as axes:
         for number, record in enumerate(result.records):
@@ -164,53 +149,24 @@ def _hysteresis(result: HysteresisResult, path: Path) -> None:
 
 @draw.register
 def _stiffness(result: StiffnessResult, path: Path) -> None:
-    """Ratio of every picture and the mean."""
     with _panel(path, result.verdict, "picture", "stiffness under sensors / in gaps") as axes:
-        axes.plot(np.arange(1, len(result.each) + 1), result.each, "o", label="picture")
-        _mean(axes, result.ratio, result.ratio_se)
+        _estimates(axes, result.each, result.ratio, result.ratio_se)
         axes.axhline(1.0, color="0.5", ls=":")
 
 
 @draw.register
 def _noise(result: NoiseResult, path: Path) -> None:
-    """Both parts of every sensor."""
     with _panel(path, result.verdict, "", "one sigma (1/cm)", size=(8, 4)) as axes:
-        at = np.arange(len(result.sensors))
-        white = [s.white for s in result.sensors]
-        axes.bar(at - 0.2, white, 0.4, label="white")
-        swept = np.nan_to_num([s.hysteresis for s in result.sensors])
+        at, sensors = np.arange(len(result.sensors)), result.sensors
+        axes.bar(at - 0.2, [s.white for s in sensors], 0.4, label="white")
+        swept = np.nan_to_num([s.hysteresis for s in sensors])
         axes.bar(at + 0.2, swept, 0.4, label="within a sweep")
-        names = [f"{s.side} {s.index}" for s in result.sensors]
-        axes.set_xticks(at, names, rotation=45, fontsize=7)
+        axes.set_xticks(at, [f"{s.side} {s.index}" for s in sensors], rotation=45, fontsize=7)
 
 
 @draw.register
 def _encoder(result: EncoderResult, path: Path) -> None:
-    """Counts against length."""
     with _panel(path, result.verdict, "length by camera (cm)", "encoder counts") as axes:
-        for pick, mark, label in ((result.used, "o", "used"), (~result.used, "x", "left out")):
-            color = BLUE if mark == "o" else RED
-            axes.plot(result.length_cm[pick], result.counts[pick], mark, color=color, label=label)
-
-
-@draw.register
-def _pressure(result: PressureResult, path: Path) -> None:
-    """The zeros."""
-    with _panel(path, result.verdict, "", "count at 0 psi", size=(5, 3.5)) as axes:
-        axes.bar([z.side for z in result.zeros], [z.zero_count for z in result.zeros])
-        axes.axhline(102.4, color="k", ls=":", label="data sheet")
-
-
-@draw.register
-def _check(result: CheckResult, path: Path) -> None:
-    """The findings as a table."""
-    figure = Figure(figsize=(9, 0.3 * len(result.findings) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    axes.set_axis_off()
-    colors = {"ok": GREEN, "warning": ORANGE, "bad": RED}
-    for row, finding in enumerate(result.findings):
-        axes.text(0.0, -row, finding.mark, color=colors[finding.mark], fontsize=8)
-        axes.text(0.1, -row, f"{finding.what}: {finding.text}", fontsize=8)
-    axes.set_xlim(0, 1)
-    axes.set_ylim(-len(result.findings), 1)
-    _finish(figure, path, result.verdict)
+        for pick, look, label in ((result.used, "o", "used"), (~result.used, "x", "left out")):
+            color = BLUE if look == "o" else RED
+            axes.plot(result.length_cm[pick], result.counts[pick], look, color=color, label=label)

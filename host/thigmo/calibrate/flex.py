@@ -9,21 +9,23 @@ tip; free bends mend that.
 Before any line is fitted the rows are judged together: a tip on the wrong side, a moved camera or
 a lost marker disagree with all sensors at once, a dead sensor with all rows, an outlier with
 neither, a loose wire stands at one value for many bends. Each is named in the verdict and left out.
-The errors stated hold from sweep to sweep (`correlation`).
+The errors stated hold from sweep to sweep (`flex_lines`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.columns import places_of
-from thigmo.calibrate.correlation import OrderedFit
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
+    Column,
+    OrderedFit,
     directions_of,
     dropouts,
     honest_lines,
@@ -31,11 +33,12 @@ from thigmo.calibrate.flex_lines import (
     working,
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
+from thigmo.calibrate.procedures import bend_rows, bend_set_points, tip_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
+from thigmo.record.table import Table
 
-Array = NDArray[np.float64]
 Direction = Literal[-1, 0, 1]
 
 _CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
@@ -112,136 +115,138 @@ class FlexResult(StepResult):
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
 
 
-def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
-    """Fit every sensor; see the module's text.
+def guided(bench: Bench) -> FlexResult:
+    """From tip places and free bends (which it takes if there are none yet)."""
+    last = len(bench.config.body.zones) - 1
+    tips = tip_rows(bench)
+    bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
+    if len(bends) < 2 * len(bend_set_points(bench, "left")):
+        bends = bend_rows(bench, [last])
+    readings = FlexReadings.of_rows([*tips, *bends], bench.config.body.length_cm)
+    result = fit_flex(readings, bench.config)
+    readings.write(bench.session.folder / "flex.csv", bench.config)
+    return result
 
-    Raises:
-        DataError: sensors and columns disagree in number, or too few rows to judge anything.
-    """
-    sensors = places_of(config)
-    sides = [side for side, _ in sensors]
-    if readings.ohm.shape[1] != len(sensors):
+
+def of_csv(table: Table, config: RobotConfig) -> FlexResult:
+    """Rows of any kinds; see `FlexReadings.read`."""
+    return fit_flex(FlexReadings.read(table, config), config)
+
+
+def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
+    """Fit every sensor; see the module's text."""
+    places = places_of(config)
+    if readings.ohm.shape[1] != len(places):
         raise DataError(
-            f"{readings.ohm.shape[1]} resistances for {len(sensors)} sensors of the configuration",
+            f"{readings.ohm.shape[1]} resistances for {len(places)} sensors of the configuration",
             "use the robot.toml of this robot",
         )
-    notes: list[str] = []
-    rows = model_rows(readings, config, notes)
+    rows = model_rows(readings, config)
     if rows.good.sum() < 5:
         raise DataError(
             f"{int(rows.good.sum())} of {len(rows.good)} rows can be used",
-            "repeat the step; " + notes[0] if notes else "take at least ten places",
+            "repeat the step; " + rows.notes[0] if rows.notes else "take at least ten places",
         )
-    _leave_out_dropouts(rows, sensors, notes)
-    directions = directions_of(rows.columns(), rows.lines(), sides)
-    rows.usable &= (directions == 0) | (directions * rows.model >= -1e-12)
-    rows.find_loop_width()
-    judge_rows(rows, notes)
-    swapped = columns_swapped(rows, sides)
-    columns = rows.columns()
-    lines = honest_lines(columns, [None] * len(columns))
-    curves = nonlinearities([
-        column if made is None else column._replace(
-            ohm=np.where(made.line.used, column.ohm, np.nan))
-        for column, made in zip(columns, lines, strict=True)
-    ])  # fmt: skip
-    fits = []
-    for c, (side, k) in enumerate(sensors):
-        everted = bool(rows.on_body[c])
-        # The slope (ohm cm) that a sensor of this kind has.
-        nominal = 1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5)
-        asked = int((rows.usable[:, c] & rows.good).sum()) if everted else -1
-        fits.append(_sensor(side, k, columns[c].seen, asked, lines[c], curves[c],
-                            cast(Direction, int(directions[c])), nominal))  # fmt: skip
-    verdict = _verdict(fits, notes, swapped, readings)
-    return FlexResult(tuple(fits), verdict, rows, rows.loop_width)
-
-
-def _leave_out_dropouts(rows: Rows, sensors: list[tuple[Side, int]], notes: list[str]) -> None:
-    for number, (column, (side, k)) in enumerate(zip(rows.columns(), sensors, strict=True)):
+    for number, (column, (side, k)) in enumerate(zip(rows.columns(), places, strict=True)):
         lost, values = dropouts(column.ohm, column.model)
         if values:
             rows.ohm[lost, number] = np.nan
-            counted = (rows.usable[:, number] & rows.good & rows.on_body[number]).sum()
             at = " and ".join(f"{value / 1000:.4g}" for value in values)
-            notes.append(
-                f"{side} {k} stands at {at} kOhm in {lost.sum() / max(1, counted):.0%} of its rows,"
-                " however it is bent: those rows are left out; look for a loose wire"
+            share = lost.sum() / max(1, rows.asked(number))
+            rows.notes.append(
+                f"{side} {k} stands at {at} kOhm in {share:.0%} of its rows, however it is bent: "
+                "those rows are left out; look for a loose wire"
             )
+    directions = directions_of(rows.columns(), rows.sides)
+    rows.usable &= (directions == 0) | (directions * rows.model >= -1e-12)
+    rows.find_loop_width()
+    judge_rows(rows)
+    columns = rows.columns()
+    lines = honest_lines(columns)
+    curves = nonlinearities([
+        column if line is None else column._replace(ohm=np.where(line.used, column.ohm, np.nan))
+        for column, line in zip(columns, lines, strict=True)
+    ])  # fmt: skip
+    fits = []
+    for number, ((side, k), column, line) in enumerate(zip(places, columns, lines, strict=True)):
+        # The slope (ohm cm) that a sensor of this kind has.
+        nominal = 1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5)
+        reason, used = "not everted at this length", 0
+        if rows.on_body[number]:
+            reason, used = _fault(column, line, rows.asked(number), nominal)
+        if reason or line is None:
+            fits.append(FlexFit(side, k, False, reason, used))
+        else:
+            direction = cast(Direction, int(directions[number]))
+            fits.append(_sensor(side, k, column, line, curves[number], direction))
+    verdict = _verdict([fit for fit, on in zip(fits, rows.on_body, strict=True) if on], rows)
+    return FlexResult(tuple(fits), verdict, rows, rows.loop_width)
+
+
+def _fault(column: Column, line: OrderedFit | None, asked: int, nominal: float) -> tuple[str, int]:
+    """Why a sensor cannot be used ("" if it can), and how many rows tell so."""
+    seen = int(column.seen.sum())
+    if seen < 0.5 * asked:
+        return "is open or shorted (most readings are out of range): check its wire", 0
+    if line is None:
+        return "has too few readings, or none that vary", seen
+    if working(line):
+        return "", 0
+    if line.se(1) > 0.1 * nominal:
+        return "bends too little to tell its scale: take more places and bends", 0
+    return "does not answer to bending: check its pouch and its wire", int(line.used.sum())
 
 
 def _sensor(
     side: Side,
     index: int,
-    seen: NDArray[np.bool_],
-    asked: int,
-    made: OrderedFit | None,
+    column: Column,
+    line: OrderedFit,
     curve: tuple[float, float, float],
     direction: Direction,
-    nominal: float,
 ) -> FlexFit:
-    """Nonlinearity, hysteresis, noise and verdict of one sensor.
-
-    `asked` is the number of rows that it should have seen; -1 if it is not everted.
-    """
-
-    def dead(reason: str, used: int = 0) -> FlexFit:
-        return FlexFit(side, index, False, reason, used)
-
-    if asked < 0:
-        return dead("not everted at this length")
-    if seen.sum() < 0.5 * asked:
-        return dead("is open or shorted (most readings are out of range): check its wire")
-    if made is None:
-        return dead("has too few readings, or none that vary", int(seen.sum()))
-    fit, used = made.line, int(made.line.used.sum())
-    if not working(fit):
-        if fit.se(1) > 0.1 * nominal:
-            return dead("bends too little to tell its scale: take more places and bends")
-        return dead("does not answer to bending: check its pouch and its wire", used)
-    scale = 1.0 / float(fit.coefficients[1])
-    se = float(np.hypot(fit.se(1) * abs(scale), _CAMERA_SCALE_SE))
-    left = fit.residuals[fit.used]
+    """Nonlinearity, hysteresis and noise of a sensor that answers."""
+    used = int(line.used.sum())
+    scale = 1.0 / float(line.coefficients[1])
+    se = float(np.hypot(line.se(1) * abs(scale), _CAMERA_SCALE_SE))
+    left = line.residuals[line.used]
     spread = float(np.sqrt(left @ left / max(1, used - 3)))
     bend, bend_se, misfit = curve
     curves = abs(bend) > 0.05 and abs(bend) > 4 * bend_se
-    healthy, reason = se <= 0.1, f"scale known to {100 * se:.1f} %"
-    if not healthy:
+    reason = f"scale known to {100 * se:.1f} %"
+    if se > 0.1:
         reason = f"has a scale known to {100 * se:.0f} % only: take more places and bends"
     elif curves:
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
-        side, index, healthy, reason, used, int((seen & ~fit.used).sum()),
-        scale_per_ohm=scale, scale_se=se, sweep_se=made.sweep_gain,
-        zero_ohm=float(fit.coefficients[0]), zero_se_ohm=fit.se(0), valid_direction=direction,
-        noise=max(spread * abs(scale), _LEAST_NOISE), lasting=made.lasting,
+        side, index, se <= 0.1, reason, used, int((column.seen & ~line.used).sum()),
+        scale_per_ohm=scale, scale_se=se, sweep_se=line.sweep_gain,
+        zero_ohm=float(line.coefficients[0]), zero_se_ohm=line.se(0), valid_direction=direction,
+        noise=max(spread * abs(scale), _LEAST_NOISE), lasting=line.lasting,
         nonlinearity=bend, misfit=misfit if curves else 0.0,
-        hysteresis=float(fit.coefficients[2] * scale), hysteresis_se=fit.se(2) * abs(scale),
+        hysteresis=float(line.coefficients[2] * scale), hysteresis_se=line.se(2) * abs(scale),
     )  # fmt: skip
 
 
-def _verdict(
-    fits: list[FlexFit], notes: list[str], swapped: bool, readings: FlexReadings
-) -> Verdict:
-    everted = [fit for fit in fits if fit.reason != "not everted at this length"]
-    dead = [fit for fit in everted if not fit.healthy]
-    dropped = {fit.name: fit.rejected for fit in everted if fit.healthy and fit.rejected}
-    total = sum(fit.used + fit.rejected for fit in everted)
+def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
+    swapped, notes = columns_swapped(rows), rows.notes
+    healthy = [fit for fit in everted if fit.healthy]
+    dropped = sorted((f for f in healthy if f.rejected), key=lambda fit: -fit.rejected)
     if dropped and not swapped:
-        worst_first = sorted(dropped, key=lambda name: -dropped[name])
-        each = ", ".join(f"{name}: {dropped[name]}" for name in worst_first)
+        total = sum(fit.used + fit.rejected for fit in everted)
+        each = ", ".join(f"{fit.name}: {fit.rejected}" for fit in dropped)
         notes.append(
-            f"left out {sum(dropped.values())} of {total} single readings as outliers ({each}); "
-            "many of one sensor mean a loose wire"
+            f"left out {sum(fit.rejected for fit in dropped)} of {total} single readings as "
+            f"outliers ({each}); many of one sensor mean a loose wire"
         )
     notes.extend(
         f"the answer of {fit.name} curves: {100 * fit.nonlinearity:+.0f} % of it at full bend goes "
         f"beyond a straight line, so {100 * fit.misfit:.0f} % is added to its scale's error; "
         "calibrate over the bends that you use"
-        for fit in everted
-        if fit.healthy and fit.misfit
+        for fit in healthy
+        if fit.misfit
     )
-    if mirrored(readings):
+    if mirrored(rows.readings):
         reason = (
             "most tips stood on the other side than asked for: the camera's +y is not the robot's "
             "left; mend the cards' places in the sheet file, run `thigmo camera locate` and repeat"
@@ -256,22 +261,21 @@ def _verdict(
     notes.extend(
         f"left out sensor {fit.name} (0 = at the base), which {fit.reason}; the robot does without "
         "it until flex is repeated"
-        for fit in dead
+        for fit in everted
+        if not fit.healthy
     )
-    good = False
-    if not any(readings.active):
+    if not any(rows.readings.active):
         notes.append("without free bends it cannot be noticed if left and right are swapped")
-    if len(dead) > len(everted) / 2:
-        reason = "more than half of the sensors fail; check wiring"
-    elif not everted:
-        reason = "no sensor is everted; grow the robot first"
-    else:
-        worst = max((fit for fit in everted if fit.healthy), key=lambda fit: fit.scale_se)
-        percent, good = 100 * worst.scale_se, worst.scale_se <= 0.05
-        reason = f"scales known to {percent:.1f} % or better ({worst.name} is the worst)"
-        if not good:
-            reason = (
-                f"the scale of {worst.name} is known to {percent:.0f} % only; add free bends or "
-                "more places"
-            )
-    return Verdict(good, reason, tuple(notes))
+    if len(healthy) < len(everted) / 2:
+        return Verdict(False, "more than half of the sensors fail; check wiring", tuple(notes))
+    if not everted:
+        return Verdict(False, "no sensor is everted; grow the robot first", tuple(notes))
+    worst = max(healthy, key=lambda fit: fit.scale_se)
+    percent = 100 * worst.scale_se
+    reason = f"scales known to {percent:.1f} % or better ({worst.name} is the worst)"
+    if percent > 5:
+        reason = (
+            f"the scale of {worst.name} is known to {percent:.0f} % only; add free bends or "
+            "more places"
+        )
+    return Verdict(percent <= 5, reason, tuple(notes))

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.columns import of_sensors, places_of
+from thigmo.calibrate.bench import Row
+from thigmo.calibrate.columns import Array, column, medians, of_sensors, places_of
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 
-Array = NDArray[np.float64]
 KINDS = ("straight", "tip", "bend")
+_VENTED_PSI = 0.5
 _LEAST_OHM = 200.0  # flex sensors have thousands
 
 
@@ -47,20 +48,13 @@ class FlexReadings:
             raise DataError(f"unknown kind '{unknown.pop()}'", f"use one of {', '.join(KINDS)}")
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], config: RobotConfig) -> FlexReadings:
-        """From a CSV: kind, tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_N.
-
-        Optional: t_s, curvature_se, active, length_cm, intended_y_cm, block, name.
-
-        Raises:
-            DataError: missing or malformed columns.
-        """
-        table = Table.read(path)
+    def read(cls, table: Table, config: RobotConfig) -> FlexReadings:
+        """From a CSV as `write` makes it; another unit gives itself away by what is typical."""
+        path, none = table.name, float("nan")
         ohm = of_sensors(table, "ohm", config)
         length = table.numbers("length_cm", config.body.length_cm)
         if not np.isfinite(length).all() or np.ptp(length) > 1e-9:
             raise DataError(f"{path}: length_cm varies", "calibrate at one length")
-        none = float("nan")
         readings = cls(
             tuple(table.words("kind")),
             np.column_stack([table.numbers("tip_x_cm", none), table.numbers("tip_y_cm", none)]),
@@ -73,31 +67,45 @@ class FlexReadings:
             np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
             tuple(table.words("name")) if "name" in table else (),
         )  # fmt: skip
-        readings._check_units(path, config.body.radius_cm)
+        # Single bad rows are the fit's.
+        measured = ohm, np.hypot(*readings.tip_cm.T), np.abs(readings.curvature)
+        typical, away, bend = (medians(values.reshape(-1, 1))[0] for values in measured)
+        for wrong, what, cure in (
+            (typical <= 0.0, f"resistances are about {typical:.0f}", "give Ohm, above zero"),
+            (typical < _LEAST_OHM, f"resistances are about {typical:.3g}",
+             "it looks like kOhm: give Ohm"),
+            (away > 2.0 * readings.length_cm,
+             f"tips are about {away:.0f} from the base of a body of {readings.length_cm:g} cm",
+             "it looks like mm: give cm"),
+            (bend > 1.0 / config.body.radius_cm,
+             f"curvatures are about {bend:.2g}, tighter than the tube can bend",
+             "it looks like 1/m: give 1/cm"),
+        ):  # fmt: skip
+            if wrong:
+                raise DataError(f"{path}: {what}", cure)
         return readings
 
-    def _check_units(self, path: str | os.PathLike[str], radius_cm: float) -> None:
-        """Most of what is read in another unit gives it away; single bad rows are the fit's."""
-        ohm = _typical(self.ohm)
-        if ohm <= 0.0:
-            raise DataError(f"{path}: resistances are about {ohm:.0f}", "give Ohm, above zero")
-        if ohm < _LEAST_OHM:
-            raise DataError(
-                f"{path}: resistances are about {ohm:.3g}", "it looks like kOhm: give Ohm"
-            )
-        away = _typical(np.hypot(*self.tip_cm.T))
-        if away > 2.0 * self.length_cm:
-            raise DataError(
-                f"{path}: tips are about {away:.0f} from the base of a body of "
-                f"{self.length_cm:g} cm",
-                "it looks like mm: give cm",
-            )
-        bend = _typical(np.abs(self.curvature))
-        if bend > 1.0 / radius_cm:
-            raise DataError(
-                f"{path}: curvatures are about {bend:.2g}, tighter than the tube can bend",
-                "it looks like 1/m: give 1/cm",
-            )
+    @classmethod
+    def of_rows(cls, rows: list[Row], length_cm: float) -> FlexReadings:
+        """Rows of tips and bends, as the bench keeps them.
+
+        Zeros change with every eversion, so readings count from the rest of their own session.
+        """
+        block = np.cumsum([n > 0 and r["rest"] != rows[n - 1]["rest"] for n, r in enumerate(rows)])
+        rest = column(rows, "rest")
+        return cls(
+            tuple(r.get("kind", "bend") for r in rows),
+            column(rows, "tip", (None, None)),
+            column(rows, "k"),
+            np.nan_to_num(column(rows, "k_se")),
+            # A vented muscle wrinkles nothing: such a row is good for both sides.
+            tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in rows),
+            column(rows, "ohm") - rest + medians(rest),  # a dead sensor has no rest
+            length_cm,
+            column(rows, "asked"),
+            block.astype(np.int64),
+            tuple(r["key"] for r in rows),
+        )
 
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
         """To a CSV that `read` takes."""
@@ -108,12 +116,5 @@ class FlexReadings:
             "length_cm": [self.length_cm] * len(self.kind), "intended_y_cm": self.intended_y_cm,
             "block": self.block,
         }  # fmt: skip
-        for (side, k), ohm in zip(places_of(config), self.ohm.T, strict=True):
-            columns[f"ohm_{side}_{k}"] = ohm
-        write_table(path, columns)
-
-
-def _typical(values: Array) -> float:
-    """The median of what was measured; NaN if nothing was."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else float("nan")
+        names = [f"ohm_{side}_{k}" for side, k in places_of(config)]
+        write_table(path, columns | dict(zip(names, self.ohm.T, strict=True)))

@@ -20,14 +20,12 @@ from thigmo.calibrate.flex_lines import (
     sweeps_of,
     working,
 )
-from thigmo.calibrate.regression import LinearFit, fit_linear
+from thigmo.calibrate.regression import Array, LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.mechanics.closed_forms import phi
-
-Array = NDArray[np.float64]
 
 _OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
 _WRONG_SIDE = -0.3
@@ -41,11 +39,18 @@ class Rows:
     ohm: Array  # of working wires; nan elsewhere
     model: Array  # curvature that each sensor should show, 1/cm
     error: Array  # its standard error
-    on_body: NDArray[np.bool_]  # (m,) sensors that are everted
-    usable: NDArray[np.bool_]  # (n, m) what a sensor can answer
-    good: NDArray[np.bool_]  # (n,) rows that can be trusted
+    sides: list[Side]  # (m,)
+    on_body: Mask  # (m,) sensors that are everted
+    usable: Mask  # (n, m) what a sensor can answer
+    good: Mask  # (n,) rows that can be trusted
     sweep: NDArray[np.int64]  # (n,) number of each row's sweep
+    notes: list[str]  # what was left out, and why
     loop_width: float = LOOP_WIDTHS[1]  # curvature over which the sensors' loops turn
+
+    @property
+    def tips(self) -> Mask:
+        """(n,) rows of the pushed tip."""
+        return np.array(self.readings.kind) == "tip"
 
     def columns(self) -> list[Column]:
         """Of each sensor, with the readings that count."""
@@ -53,29 +58,35 @@ class Rows:
         ohm, block = np.where(counts, self.ohm, np.nan), self.readings.block
         turn = loop_turns(self.model, block, self.loop_width)
         each = zip(ohm.T, self.model.T, self.error.T, turn.T, strict=True)
-        return [Column(*one, block, self.sweep) for one in each]
+        return [Column(*one, block, self.sweep, one[1][:, None]) for one in each]
 
-    def lines(self) -> list[LinearFit | None]:
-        """A robust line of each sensor; None where it cannot be had."""
-        return [fit_line(column) for column in self.columns()]
+    def lines(self) -> list[tuple[Column, LinearFit]]:
+        """Sensors whose slope stands clear of zero, with their robust lines."""
+        fits = [(column, fit_line(column)) for column in self.columns()]
+        return [(column, fit) for column, fit in fits if fit is not None and working(fit)]
+
+    def asked(self, number: int) -> int:
+        """Trusted rows that a sensor should have answered."""
+        return int((self.usable[:, number] & self.good).sum())
 
     def find_loop_width(self) -> None:
         """Of a few, that with the least scatter."""
         scores = []
-        for width in LOOP_WIDTHS:
-            self.loop_width = width
-            fits = [fit for fit in self.lines() if fit is not None and working(fit)]
-            scores.append(sum(np.log(max(fit.sigma, 1e-9)) for fit in fits))
+        for self.loop_width in LOOP_WIDTHS:
+            scores.append(sum(np.log(max(fit.sigma, 1e-9)) for _, fit in self.lines()))
         self.loop_width = LOOP_WIDTHS[int(np.argmin(scores))]
+
+    def note(self, rows: Sequence[int], what: str, cure: str) -> None:
+        """Say which rows are left out, if any are."""
+        if rows:
+            names = listed(self.readings.name, rows)
+            self.notes.append(f"left out {names}: {what}; {cure} to take it again")
 
 
 def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) -> Array:
     """Mean curvature (m,) under each sensor of a rod bent by a force normal to its tip at y_tip.
 
-    The thesis's (2.12) and (2.9) are its limit for small deflections.
-
-    Raises:
-        DataError: a place that the tip cannot reach.
+    The thesis's (2.12) and (2.9) are its limit for small deflections. DataError: out of reach.
     """
     if abs(y_tip) >= 0.75 * length_cm:
         raise DataError(
@@ -86,9 +97,8 @@ def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) 
         return np.zeros(len(centers))
 
     def miss(force: float) -> float:
-        return push(force, length_cm, free_curvature=0.0, length=length_cm).pose(length_cm)[
-            1
-        ] - abs(y_tip)
+        bent = push(force, length_cm, free_curvature=0.0, length=length_cm)
+        return bent.pose(length_cm)[1] - abs(y_tip)
 
     first = 3 * abs(y_tip) / length_cm**3
     force = float(brentq(miss, 0.0, 4 * first + 1e-9, xtol=1e-12, rtol=1e-6))
@@ -96,35 +106,26 @@ def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) 
     return np.asarray(np.sign(y_tip) * bent.averages(centers, spans), float)
 
 
-def model_rows(readings: FlexReadings, config: RobotConfig, notes: list[str]) -> Rows:
+def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     """What each row should show, and which rows can be used."""
-    n, length = len(readings.kind), readings.length_cm
+    n, length, kinds = len(readings.kind), readings.length_cm, np.array(readings.kind)
     centers, spans = constants_of(config, "center_cm", "span_cm")
     model, error = np.full((n, len(spans)), np.nan), np.zeros((n, len(spans)))
     lost, wrong, folded = [], [], []
     # The straight robot, as the camera sees it, is y = 0.
-    aside = readings.tip_cm[np.array(readings.kind) == "straight", 1]
+    aside = readings.tip_cm[kinds == "straight", 1]
     aside = aside[np.isfinite(aside)]
     ahead = float(np.median(aside)) if len(aside) else 0.0
-    if abs(ahead) > 2.0:
-        notes.append(
-            f"the straight robot's tip stands {ahead:+.1f} cm aside: lay the robot straight, or "
-            "measure the cards' places again"
-        )
     # The fold at the base: F L = critical moment, y = F L^3 / 3.
     reach = config.body.critical_curvature * length**2 / 3
     per_cm = phi(length, centers, spans) * 3 / length**3
-    for row, kind in enumerate(readings.kind):
+    model[kinds == "straight"] = 0.0
+    model[kinds == "bend"] = readings.curvature[kinds == "bend", None]
+    error[kinds == "bend"] = readings.curvature_se[kinds == "bend", None]
+    for row in np.flatnonzero(kinds == "tip").tolist():
         x, y = readings.tip_cm[row] - np.array([0.0, ahead])
         asked = readings.intended_y_cm[row]
-        if kind == "straight":
-            model[row] = 0.0
-        elif kind == "bend":
-            model[row] = readings.curvature[row]
-            error[row] = readings.curvature_se[row]
-            if not np.isfinite(readings.curvature[row]):
-                lost.append(row)
-        elif not (np.isfinite(y) and np.isfinite(x)):
+        if not (np.isfinite(y) and np.isfinite(x)):
             lost.append(row)
         elif np.isfinite(asked) and asked * y < 0 and min(abs(asked), abs(y)) > 3 * TIP_SE_CM:
             wrong.append(row)
@@ -133,83 +134,76 @@ def model_rows(readings: FlexReadings, config: RobotConfig, notes: list[str]) ->
         else:
             model[row] = tip_curvature(y, length, centers, spans)
             error[row] = per_cm * TIP_SE_CM
-    names = readings.name
-    _note(notes, names, lost, "the camera lost the marker or the body", "clear the view")
-    _note(notes, names, wrong, "the tip stood on the other side than asked for",
-          "push it to the side asked for")  # fmt: skip
-    _note(notes, names, folded, "the tip was pushed so far that the base folds", "push it less")
+    lost += np.flatnonzero((kinds == "bend") & ~np.isfinite(readings.curvature)).tolist()
     in_range = (readings.ohm > _OHM_RANGE[0]) & (readings.ohm < _OHM_RANGE[1])
-    # In a free bend only the side opposite to the active muscle reads well.
-    sides = np.array([side for side, _ in places_of(config)])
-    return Rows(
+    sides = [side for side, _ in places_of(config)]
+    rows = Rows(
         readings,
         np.where(in_range, readings.ohm, np.nan),
         model,
         error,
+        sides,
         centers + spans / 2 <= length + 1e-6,
-        np.array(readings.active)[:, None] != sides,
+        # In a free bend only the side opposite to the active muscle reads well.
+        np.array(readings.active)[:, None] != np.array(sides),
         np.isfinite(model).all(axis=1),
         sweeps_of(readings.block, readings.kind, readings.active, model),
+        [],
     )
+    if abs(ahead) > 2.0:
+        rows.notes.append(
+            f"the straight robot's tip stands {ahead:+.1f} cm aside: lay the robot straight, or "
+            "measure the cards' places again"
+        )
+    rows.note(sorted(lost), "the camera lost the marker or the body", "clear the view")
+    rows.note(wrong, "the tip stood on the other side than asked for",
+              "push it to the side asked for")  # fmt: skip
+    rows.note(folded, "the tip was pushed so far that the base folds", "push it less")
+    return rows
 
 
-def _note(
-    notes: list[str], names: Sequence[str], rows: Sequence[int], what: str, cure: str
-) -> None:
-    if rows:
-        notes.append(f"left out {listed(names, rows)}: {what}; {cure} to take it again")
-
-
-def judge_rows(rows: Rows, notes: list[str]) -> None:
+def judge_rows(rows: Rows) -> None:
     """Leave out rows on which the sensors agree among themselves but not with the camera.
 
     For each row the factor `share` by which the curvature seen by the sensors differs from the
     camera's is their weighted median. Alone and near -1: the tip stood on the other side. From
     some row on: the camera (or the base) has moved. Alone otherwise: the place is wrong.
     """
-    names, tip_cm = rows.readings.name, rows.readings.tip_cm
-    fits = rows.lines()
-    live = [(c, fit) for c, fit in zip(rows.columns(), fits, strict=True)
-            if fit is not None and working(fit)]  # fmt: skip
-    share, scatter = np.full((2, len(names)), np.nan)
-    if live:
-        lines = [fit.coefficients for _, fit in live]
-        seen = np.array(
-            [(c.ohm - line[0]) / line[1] for (c, _), line in zip(live, lines, strict=True)]
-        )
-        should = np.array([c.model for c, _ in live])
-        noise = np.array([max(fit.sigma / abs(fit.coefficients[1]), 1e-6) for _, fit in live])
-        for row in np.flatnonzero(np.isfinite(seen).sum(axis=0) >= 3):
-            known = np.isfinite(seen[:, row])
-            bend, spread = should[known, row], noise[known]
-            if np.abs(bend).max() > 3 * np.median(spread):
-                weights = np.abs(bend) / spread
-                share[row] = _weighted_median(seen[known, row] / bend, weights)
-                scatter[row] = 1.25 / np.sqrt(weights @ weights)
+    live = rows.lines()
+    share, scatter = np.full((2, len(rows.good)), np.nan)
+    lines = np.array([fit.coefficients[:2] for _, fit in live]).reshape(-1, 2, 1)
+    should = np.array([column.model for column, _ in live])
+    seen = (np.array([column.ohm for column, _ in live]) - lines[:, 0]) / lines[:, 1]
+    noise = np.array([max(fit.sigma / abs(fit.coefficients[1]), 1e-6) for _, fit in live])
+    for row in np.flatnonzero(np.isfinite(seen).sum(axis=0) >= 3):
+        known = np.isfinite(seen[:, row])
+        bend, spread = should[known, row], noise[known]
+        if np.abs(bend).max() > 3 * np.median(spread):
+            weights = np.abs(bend) / spread
+            share[row] = _weighted_median(seen[known, row] / bend, weights)
+            scatter[row] = 1.25 / np.sqrt(weights @ weights)
     wrong_side = np.flatnonzero((share < _WRONG_SIDE) & (share + 3 * scatter < 0)).tolist()
-    _note(notes, names, wrong_side,
-          "the sensors say that the robot was bent to the other side than the camera saw",
-          "check which side is +y")  # fmt: skip
+    rows.note(wrong_side,
+              "the sensors say that the robot was bent to the other side than the camera saw",
+              "check which side is +y")  # fmt: skip
     rows.good[wrong_side] = False
-    tips = np.array(rows.readings.kind) == "tip"
-    moved = _moved(rows, fits, tips & rows.good)
+    moved = _moved(rows, live)
     if moved is not None:
         since, shift = moved
-        rows.good[since:] &= ~tips[since:]
-        notes.append(
-            f"left out {names[since]} and all later tip places: the camera or the base "
-            f"moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera locate` and "
-            "take them again"
+        rows.good[since:] &= ~rows.tips[since:]
+        rows.notes.append(
+            f"left out {rows.readings.name[since]} and all later tip places: the camera or the "
+            f"base moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera "
+            "locate` and take them again"
         )
-    places = np.flatnonzero(rows.good & np.isfinite(share) & tips)
+    places = np.flatnonzero(rows.good & np.isfinite(share) & rows.tips)
     if len(places) >= 4:
-        y = tip_cm[places, 1]
+        y = rows.readings.tip_cm[places, 1]
         miss_cm, miss_se = (share[places] - 1) * y, np.hypot(scatter[places] * y, TIP_SE_CM)
         off = np.abs(miss_cm - np.median(miss_cm)) > np.maximum(4.5 * miss_se, 0.5)
         odd = places[off].tolist()
         if len(odd) <= 0.35 * len(places):
-            _note(notes, names, odd, "the sensors agree that the tip stood elsewhere",
-                  "hold it still")  # fmt: skip
+            rows.note(odd, "the sensors agree that the tip stood elsewhere", "hold it still")
             rows.good[odd] = False
 
 
@@ -219,33 +213,29 @@ def _weighted_median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-def _moved(
-    rows: Rows, fits: Sequence[LinearFit | None], tips: NDArray[np.bool_]
-) -> tuple[int, float] | None:
+def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, float] | None:
     """Row from which the tip's places are shifted sideways (cm) for all sensors; None = none.
 
     For each possible row, each sensor's line gets a step in the pattern that a shifted place
     leaves; the sensors must agree on its size.
     """
     readings = []
-    for column, fit in zip(rows.columns(), fits, strict=True):
-        if fit is None or not working(fit) or column.seen.sum() < 8:
-            continue
+    for column, fit in live:
         size = np.where(column.seen, np.abs(fit.residuals), np.nan)
-        kept = np.nan_to_num(size, nan=np.inf) < 12 * np.nanmedian(size)
+        kept = size < 12 * np.nanmedian(size)
         if kept.sum() >= 8:
-            readings.append((column, np.where(kept, column.ohm, np.nan)))
-    aside = np.abs(rows.readings.tip_cm[:, 1])
-    best: tuple[float, int, float] | None = None
+            readings.append(column._replace(ohm=np.where(kept, column.ohm, np.nan)))
+    tips, aside = rows.tips & rows.good, np.abs(rows.readings.tip_cm[:, 1])
+    found: list[tuple[float, int, float]] = []
     for first in np.flatnonzero(tips)[3:-2].tolist():
         late = tips & (np.arange(len(tips)) >= first) & (aside > 0.5)
         shifts, errors = [], []
-        for column, ohm in readings:
+        for column in readings:
             # Curvature at this sensor for each cm that the tip stands aside.
             pattern = np.where(late, np.abs(column.model) / np.maximum(aside, 0.5), 0.0)
-            design = np.column_stack([np.ones(len(ohm)), column.model, pattern, column.turn])
+            design = np.column_stack([np.ones(len(late)), column.model, pattern, column.turn])
             try:
-                line = fit_linear(design, ohm, reject=False)
+                line = fit_linear(design, column.ohm, reject=False)
             except DataError:
                 continue
             shifts.append(line.coefficients[2] / line.coefficients[1])
@@ -256,9 +246,9 @@ def _moved(
         shift = float((weights * shifts).sum() / weights.sum())
         certainty = abs(shift) * float(np.sqrt(weights.sum()))
         agree = float((weights * (np.array(shifts) - shift) ** 2).sum()) / len(shifts) < 6
-        if abs(shift) > 0.4 and certainty > 6 and agree and (best is None or certainty > best[0]):
-            best = (certainty, first, shift)
-    return None if best is None else best[1:]
+        if abs(shift) > 0.4 and certainty > 6 and agree:
+            found.append((certainty, first, shift))
+    return max(found, key=lambda one: one[0])[1:] if found else None
 
 
 def mirrored(readings: FlexReadings) -> bool:
@@ -268,7 +258,7 @@ def mirrored(readings: FlexReadings) -> bool:
     return len(same) >= 4 and float(np.mean(same < 0)) > 0.5
 
 
-def columns_swapped(rows: Rows, sides: Sequence[Side]) -> bool:
+def columns_swapped(rows: Rows) -> bool:
     """Whether the columns of sensors are exchanged.
 
     In a free bend the side of the active muscle wrinkles. If instead the other side's readings
@@ -277,7 +267,7 @@ def columns_swapped(rows: Rows, sides: Sequence[Side]) -> bool:
     ratios: list[float] = []
     for side in SIDES:
         bent = rows.good & (np.array(rows.readings.active) == side)
-        spread: dict[Side, list[float]] = {"left": [], "right": []}
+        spread: dict[bool, list[float]] = {True: [], False: []}  # by whether it is the active side
         for column in np.flatnonzero(rows.on_body & (bent.sum() >= 6)).tolist():
             model = rows.model[:, column]
             design = np.column_stack([np.ones(len(model)), model])
@@ -287,9 +277,8 @@ def columns_swapped(rows: Rows, sides: Sequence[Side]) -> bool:
                 continue
             steep = abs(float(fit.coefficients[1])) * float(np.ptp(model[bent]))
             scatter = float(np.sqrt(np.nanmean(fit.residuals**2)))
-            spread[sides[column]].append(scatter / max(steep, 1e-9))
-        if spread["left"] and spread["right"]:
-            other: Side = "right" if side == "left" else "left"
-            active = float(np.median(spread[side]))
-            ratios.append(float(np.median(spread[other])) / max(active, 1e-9))
+            spread[rows.sides[column] == side].append(scatter / max(steep, 1e-9))
+        if all(spread.values()):
+            active, other = (float(np.median(spread[which])) for which in (True, False))
+            ratios.append(other / max(active, 1e-9))
     return len(ratios) > 0 and min(ratios) > 3.0

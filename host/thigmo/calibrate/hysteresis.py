@@ -6,24 +6,22 @@ Each record starts when the sensor has just everted. The compensation that uses 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import curve_fit, least_squares
 from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.columns import grouped, sides_of
+from thigmo.calibrate.bench import SAME_CM, Bench
+from thigmo.calibrate.columns import Array, grouped, places_of, sensors_of, sides_of
+from thigmo.calibrate.procedures import growth_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
 from thigmo.record.table import Table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,17 +33,6 @@ class CreepRecord:
     index: int
     t_s: Array  # (n,) since eversion
     curvature: Array  # (n,) readings, 1/cm
-
-    @classmethod
-    def read_all(cls, path: str | os.PathLike[str]) -> list[CreepRecord]:
-        """From a CSV: side, index, eversion, t_s, curvature."""
-        table = Table.read(path)
-        keys = sides_of(table), table.whole("index").tolist(), table.whole("eversion", 0).tolist()
-        t, k = table.numbers("t_s"), table.numbers("curvature")
-        return [
-            cls(side, index, t[rows], k[rows])
-            for (side, index, _), rows in grouped(zip(*keys, strict=True))
-        ]
 
 
 @dataclass(frozen=True)
@@ -85,12 +72,40 @@ class HysteresisResult(StepResult):
                 sensor.settle_amplitude = fit.law.amplitude
 
 
-def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
-    """tau, amplitude, rest (3,) of one record and their covariance (3, 3); outliers left out.
+def guided(bench: Bench) -> HysteresisResult:
+    """Creep from the growth rows: run it after flex, which gives the scales."""
+    config = bench.config
+    records: list[CreepRecord] = []
+    before = 0.0
+    for row in growth_rows(bench):
+        length = float(row["encoder_cm"])
+        ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
+        sensors = zip(places_of(config), sensors_of(config), ohm.T, strict=True)
+        for (side, index), sensor, own in sensors:
+            end = sensor.center_cm + sensor.span_cm / 2
+            if before + SAME_CM < end <= length and sensor.healthy:
+                # Everted when the tip passed its end, a little before growth stopped.
+                since = t + (length - end) / float(row["speed_cm_s"])
+                rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))
+                k = (own - rest) * sensor.scale_per_ohm
+                records.append(CreepRecord(side, index, since, k))
+        before = length
+    return fit_hysteresis(records, config)
 
-    Raises:
-        DataError: fewer than ten readings, or a record shorter than 5 s.
-    """
+
+def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
+    """Records of one or more eversions."""
+    keys = sides_of(table), table.whole("index").tolist(), table.whole("eversion", 0).tolist()
+    t, k = table.numbers("t_s"), table.numbers("curvature")
+    records = [
+        CreepRecord(side, index, t[rows], k[rows])
+        for (side, index, _), rows in grouped(zip(*keys, strict=True))
+    ]
+    return fit_hysteresis(records, config)
+
+
+def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
+    """tau, amplitude, rest (3,) of one record and their covariance (3, 3); outliers left out."""
     finite = np.isfinite(t_s) & np.isfinite(curvature)
     t, y = t_s[finite], curvature[finite]
     if len(t) < 10 or np.ptp(t) < 5:
@@ -115,17 +130,13 @@ def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
     if keep.sum() < 10:
         keep[:] = True
     found, covariance = curve_fit(law, t[keep], y[keep], best)
-    tau = float(np.exp(found[0]))
-    turn = np.diag([tau, 1.0, 1.0])
-    return np.array([tau, *found[1:]]), turn @ covariance @ turn
+    found[0] = np.exp(found[0])
+    turn = np.diag([found[0], 1.0, 1.0])
+    return found, turn @ covariance @ turn
 
 
 def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> HysteresisResult:
-    """Decay law of every sensor that was recorded.
-
-    Raises:
-        DataError: no records, or a sensor that the configuration does not have.
-    """
+    """Decay law of every sensor that was recorded."""
     if not records:
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
     fits, notes = [], []
@@ -139,39 +150,34 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
             except DataError as error:
                 notes.append(f"{side} {index}: {error.what}")
         fits.append(_law(side, index, found, config.sensors.column(side)[index].noise))
-    bad = [fit for fit in fits if not fit.good]
-    notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in bad)
-    good = len(bad) < len(fits)
+    notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in fits if not fit.good)
+    ready = [fit.usable_s for fit in fits if fit.good]
     reason = "no sensor shows a decay that can be fitted"
-    if good:
-        ready = max(fit.usable_s for fit in fits if fit.good)
-        reason = f"compensated readings count from {ready:.0f} s after eversion"
-    verdict = Verdict(good, reason, tuple(notes))
+    if ready:
+        reason = f"compensated readings count from {max(ready):.0f} s after eversion"
+    verdict = Verdict(bool(ready), reason, tuple(notes))
     return HysteresisResult(tuple(fits), verdict, tuple(records))
 
 
 def _law(side: Side, index: int, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
     if not found:
         return CreepFit(side, index, Settling(8.0), 60.0, False, "no usable record")
-    each = np.array([x for x, _ in found])
+    taus, amplitudes, _ = np.array([x for x, _ in found]).T
     tau_se, amplitude_se, _ = np.sqrt([np.diag(covariance) for _, covariance in found]).T
-    clear = np.abs(each[:, 1]) > 4 * amplitude_se
+    clear = np.abs(amplitudes) > 4 * amplitude_se
     if not clear.any():
         law = Settling(8.0, 4.0, 0.0, float(amplitude_se.mean()))
         return CreepFit(side, index, law, 0.0, True, "no creep beyond the noise")
-    weights = 1 / tau_se[clear] ** 2
-    tau = float((weights * each[clear, 0]).sum() / weights.sum())
+    weights, taus = 1 / tau_se[clear] ** 2, taus[clear]
+    tau = float((weights * taus).sum() / weights.sum())
     # Eversions differ in tau more than each one's error says: take whichever is larger.
-    count = int(clear.sum())
-    scatter = float(each[clear, 0].std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
-    tau_error = max(float(weights.sum() ** -0.5), scatter)
-    amplitude = float(each[:, 1].mean())
-    spread = float(each[:, 1].std(ddof=1)) if len(each) > 1 else 0.5 * abs(amplitude)
-    law = Settling(tau, tau_error, amplitude, max(spread, float(amplitude_se.mean())))
-    good = 0.5 < tau < 60 and tau_error < 0.5 * tau
-    reason = (
-        f"tau {tau:.1f} +- {tau_error:.1f} s, amplitude {amplitude:.4f} 1/cm"
-        if good
-        else f"tau of {tau:.1f} +- {tau_error:.1f} s is no decay; record for longer"
-    )
+    scatter = float(taus.std(ddof=1) / np.sqrt(len(taus))) if len(taus) > 1 else 0.0
+    error = max(float(weights.sum() ** -0.5), scatter)
+    amplitude = float(amplitudes.mean())
+    spread = float(amplitudes.std(ddof=1)) if len(found) > 1 else 0.5 * abs(amplitude)
+    law = Settling(tau, error, amplitude, max(spread, float(amplitude_se.mean())))
+    good = 0.5 < tau < 60 and error < 0.5 * tau
+    reason = f"tau of {tau:.1f} +- {error:.1f} s is no decay; record for longer"
+    if good:
+        reason = f"tau {tau:.1f} +- {error:.1f} s, amplitude {amplitude:.4f} 1/cm"
     return CreepFit(side, index, law, law.usable_after_s(noise), good, reason)

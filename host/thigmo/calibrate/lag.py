@@ -10,27 +10,33 @@ beside it: a sensor's own loop (it stays when the pressure stops), and an error 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
+from thigmo.calibrate.bench import Bench, Row
+from thigmo.calibrate.columns import Array
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import lasting
 from thigmo.config import Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
-Array = NDArray[np.float64]
-
+# Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
+# the longer the slower the ramp, a lag is the same in all.
+_RAMPS_S = (0.7, 0.7, 2.1) * 5
+_RAMP_STOP_S = 1.5
+_RAMP_END_PSI = 2.5  # just above the transducer's live zero
+_RAMP_FRAME_S = 0.02
 _STEP_S = 5e-3
 # Of the muscle inflating and deflating, the swing, the root of its inertia, the dead time.
 _LONGEST_S = (1.5, 1.5, 0.5, 0.5, 0.3)
 _LEAST_S = 1e-3
 # A reading is the sum of so many conversions, block by block, and waits for the next frame as long
 # as for its own middle: a window late in all. The base sensor is converted each millisecond, the
-# others every second one (firmware/core/sensing/flex.h).
-_BASE_SCAN_S, _OTHER_SCAN_S = 1e-3, 2e-3
+# others every second one (firmware/core/sensing/flex.h): by that they are later.
+_LATER_SCAN_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,41 @@ class Lag:
     inflate_se_s: float
     deflate_s: float
     deflate_se_s: float
+
+
+def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | None:
+    """Time, pressure and curvature (mean of the inactive side) of ramps up and down.
+
+    The readings of all sensors are moved to be as late as the base sensor's. None where no sensor
+    of that side is healthy.
+    """
+    robot, top = bench.robot, 0.9 * bench.config.actuators.side(side).max_pressure_psi
+    sensors = bench.config.sensors.column("right" if side == "left" else "left")
+    far = len(bench.config.sensors.left) if side == "left" else 0
+
+    def take(key: str, _: None) -> Row:
+        parts = []
+        for seconds in _RAMPS_S:
+            for target in (top, _RAMP_END_PSI):
+                bench.press(side, target, top / seconds)
+                parts.append(robot.record(seconds + _RAMP_STOP_S))
+        robot.vent()
+        t = np.concatenate([p.t_s for p in parts])
+        psi = np.concatenate([getattr(p, f"{side}_psi") for p in parts])
+        ohm = np.concatenate([bench.ohm(p)[:, far : far + len(sensors)] for p in parts])
+        step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
+        return {"t_s": t[::step], "psi": psi[::step], "ohm": ohm[::step]}
+
+    ready = partial(bench.ready_to_bend, zone)
+    (row,) = bench.rows("lag", {f"ramp {side} zone {zone}": None}, take, ready)
+    t, psi, ohm = (np.array(row[name], float) for name in ("t_s", "psi", "ohm"))
+    later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
+    bends = [
+        np.interp(t + (later if n else 0.0), t, ohm[:, n]) * sensor.scale_per_ohm
+        for n, sensor in enumerate(sensors)
+        if sensor.healthy
+    ]
+    return (t, psi, np.mean(bends, axis=0)) if bends else None
 
 
 def _muscle(psi: Array, rising_s: float, falling_s: float) -> Array:
@@ -63,11 +104,6 @@ def _swung(g: Array, late_s: float, inertia_s: float) -> Array:
     return np.asarray(lfilter(b, a, g, zi=g[0] * lfilter_zi(b, a))[0])
 
 
-def later_s(oversample: int) -> float:
-    """How much later than the base sensor's the other sensors' readings are, s."""
-    return (_OTHER_SCAN_S - _BASE_SCAN_S) * oversample
-
-
 def _deflating(psi: Array, reversal_psi: float) -> Array:
     """(n,) share of the deflating branch, 0..1: a play operator, as on the board."""
     made = np.empty(len(psi))
@@ -79,16 +115,14 @@ def _deflating(psi: Array, reversal_psi: float) -> Array:
     return made
 
 
-def tanh_curve(psi: Array, amplitude: float, scale_psi: float, offset_psi: float) -> Array:
-    """`TanhMap.curvature` (n,) at pressures (n,)."""
-    rise = np.tanh((np.maximum(psi, 0.0) - offset_psi) / scale_psi) - np.tanh(
-        -offset_psi / scale_psi
-    )
-    return np.asarray(amplitude * rise)
+def tanh_curve(psi: Array, amplitude: Array, scale_psi: Array, offset_psi: Array) -> Array:
+    """`TanhMap.curvature` at pressures (n,); the constants are scalar or (n,)."""
+    rise = np.tanh((np.maximum(psi, 0.0) - offset_psi) / scale_psi)
+    return np.asarray(amplitude * (rise - np.tanh(-offset_psi / scale_psi)))
 
 
 def _curve(made: TanhMap, psi: Array) -> Array:
-    return tanh_curve(psi, made.amplitude, made.scale_psi, made.offset_psi)
+    return tanh_curve(psi, *np.array([made.amplitude, made.scale_psi, made.offset_psi]))
 
 
 def fit_lag(
@@ -99,21 +133,11 @@ def fit_lag(
     side: Side,
     reversal_psi: float = 1.0,
 ) -> Lag:
-    """Lags of both directions from recorded ramps: pressure, and curvature by the sensors.
+    """Lags of both directions from recorded ramps: measured pressure, and curvature by the sensors.
 
-    The curvature may be off by a gain, an offset and a loop (they are fitted): only its timing
-    counts.
-
-    Args:
-        t_s: (n,) times.
-        pressure_psi: (n,) measured.
-        curvature: (n,) 1/cm, as late as the base sensor's.
-        zone: maps at the body pressure of the ramp.
-        side: which muscle.
-        reversal_psi: change of pressure that turns the muscle over to its other branch.
-
-    Raises:
-        DataError: fewer than 50 samples, or no bend.
+    The curvature (n,), as late as the base sensor's, may be off by a gain, an offset and a loop
+    (they are fitted): only its timing counts. `reversal_psi` turns the muscle over to its other
+    branch.
     """
     rows = np.array([t_s, pressure_psi, curvature])
     rows = rows[:, np.isfinite(rows).all(axis=0)]
@@ -143,8 +167,6 @@ def fit_lag(
     rest, slopes = fit.fun, np.asarray(fit.jac, float)
     variance = float(rest @ rest) / max(1, len(t) - 9) * lasting(rest, 0.98)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
-    inflate, deflate = np.array([1.0, 0.0, 1.0, 0.0, 1.0]), np.array([0.0, 1.0, 1.0, 0.0, 1.0])
-    return Lag(
-        float(inflate @ fit.x), float(np.sqrt(inflate @ covariance @ inflate)),
-        float(deflate @ fit.x), float(np.sqrt(deflate @ covariance @ deflate)),
-    )  # fmt: skip
+    ways = np.array([[1.0, 0.0, 1.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0, 1.0]])
+    (inflate, deflate), errors = ways @ fit.x, np.sqrt(np.diag(ways @ covariance @ ways.T))
+    return Lag(float(inflate), float(errors[0]), float(deflate), float(errors[1]))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.columns import places_of
+from thigmo.calibrate.bench import Bench, Row
+from thigmo.calibrate.columns import Array, column, constants_of, medians, of_sensors, places_of
+from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
+from thigmo.record.table import Table
 
-Array = NDArray[np.float64]
+_PEAK_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,40 +50,65 @@ class NoiseResult(StepResult):
                 sensor.zero_se = max(sensor.zero_se, lasting)
 
 
+def guided(bench: Bench) -> NoiseResult:
+    """Noise at rest; hysteresis within a sweep from the bends, if they were taken."""
+
+    def take(key: str, _: None) -> Row:
+        # As long as a sweep's peak is averaged.
+        reading = bench.robot.read(_PEAK_S)
+        bench.robot.wait(0.5)
+        return {"t_s": reading.t_s, "ohm": bench.ohm(reading)}
+
+    planned = {f"rest {n}": None for n in range(bench.plan.rest_readings)}
+    rows = bench.rows("rest", planned, take)
+    (scale,) = constants_of(bench.config, "scale_per_ohm")
+    ohm = column(rows, "ohm")
+    level = (ohm - np.nanmedian(ohm, axis=0)) * scale
+    return fit_noise(column(rows, "t_s"), level, bench.config, _loops(bench, scale))
+
+
+def _loops(bench: Bench, scale: Array) -> Array | None:
+    """(s, m) readings less the camera's curvature: falling less rising, at equal set points."""
+    rows, gaps = bench.session.rows("bends"), []
+    a_side = len(bench.config.sensors.left)
+    for key, row in rows.items():
+        twin = rows.get(key.replace("inflate", "deflate"))
+        if row["branch"] != "inflate" or twin is None or row["k"] is None or twin["k"] is None:
+            continue
+        up, down = column([row, twin], "ohm") * scale - column([row, twin], "k")[:, None]
+        # The active side wrinkles.
+        up[slice(0, a_side) if row["side"] == "left" else slice(a_side, None)] = np.nan
+        gaps.append(down - up)
+    return np.array(gaps) if len(gaps) >= 4 else None
+
+
+def of_csv(table: Table, config: RobotConfig) -> NoiseResult:
+    """Readings of the resting robot."""
+    return fit_noise(table.numbers("t_s"), of_sensors(table, "curvature", config), config)
+
+
 def fit_noise(
-    t_s: Array,
-    curvature: Array,
-    config: RobotConfig,
-    *,
-    rising: Array | None = None,
-    falling: Array | None = None,
+    t_s: Array, curvature: Array, config: RobotConfig, loops: Array | None = None
 ) -> NoiseResult:
-    """Noise of every sensor.
+    """Noise of every sensor from averaged readings (n, m) of the resting robot.
 
-    Args:
-        t_s: (n,) times of averaged readings of the resting robot.
-        curvature: (n, m) readings, 1/cm.
-        config: for the sensors' names.
-        rising: (s, m) readings at a pressure, rising.
-        falling: (s, m) readings at the same pressures, falling.
-
-    Raises:
-        DataError: fewer than 20 readings, or columns that disagree with the configuration.
+    `loops` (s, m) are readings while pressure falls less those while it rises, 1/cm.
     """
     sensors = places_of(config)
-    y = np.asarray(curvature, float)
-    if y.ndim != 2 or y.shape[1] != len(sensors) or len(y) != len(t_s):
-        raise DataError(f"{y.shape} readings for {len(sensors)} sensors", "use this robot's file")
-    if len(y) < 20:
-        raise DataError(f"{len(y)} readings at rest", "record 20 or more")
-    t_s, found, notes = np.asarray(t_s, float), [], []
-    for column, (side, k) in enumerate(sensors):
-        finite = np.isfinite(y[:, column]) & np.isfinite(t_s)
+    if curvature.shape != (len(t_s), len(sensors)):
+        what = f"{curvature.shape} readings for {len(sensors)} sensors"
+        raise DataError(what, "use this robot's file")
+    if len(t_s) < 20:
+        raise DataError(f"{len(t_s)} readings at rest", "record 20 or more")
+    found: list[SensorNoise] = []
+    notes: list[str] = []
+    for number, (side, k) in enumerate(sensors):
+        finite = np.isfinite(curvature[:, number]) & np.isfinite(t_s)
         if finite.sum() < 20:
             notes.append(f"sensor {side} {k} (0 = at the base) gives no readings: check its wire")
             continue
-        own, middle = y[finite, column], np.median(y[finite, column])
-        calm = np.abs(own - middle) < 6 * max(median_abs_deviation(own, scale="normal"), 1e-12)
+        own = curvature[finite, number]
+        calm = ~outlying(own, 6, 1e-12)
         t, quiet = t_s[finite][calm], own[calm]
         # Differences of neighbours know nothing of drift.
         white = float(np.sqrt(np.mean(np.diff(quiet) ** 2) / 2))
@@ -91,34 +116,29 @@ def fit_noise(
         drift, level = float(line[0]) * 60, quiet - np.polyval(line, t)
         blocks = level[: len(level) // 10 * 10].reshape(-1, 10).mean(axis=1)
         extra = float(blocks.var(ddof=1)) - white**2 / 10 if len(blocks) > 2 else 0.0
-        gap = float("nan")
-        if rising is not None and falling is not None:
-            gap = abs(float(np.nanmedian(falling[:, column] - rising[:, column]))) / 2
         sensor = SensorNoise(
             side, k, white, white * float(np.sqrt(3 / (4 * len(quiet)))), drift,
             slow=float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0,
-            hysteresis=gap, dropouts=float(1 - calm.mean()),
+            hysteresis=np.nan if loops is None else abs(float(medians(loops)[number])) / 2,
+            dropouts=float(1 - calm.mean()),
         )  # fmt: skip
         found.append(sensor)
         if sensor.dropouts > 0.05:
             notes.append(f"{side} {k}: {100 * sensor.dropouts:.0f} % wild readings; check its wire")
         if abs(drift) > max(5e-4, 4 * 60 * white / float(np.sqrt(len(quiet)) * t.std())):
             notes.append(f"{side} {k} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
-    return NoiseResult(tuple(found), _verdict(found, notes))
-
-
-def _verdict(found: Sequence[SensorNoise], notes: list[str]) -> Verdict:
-    if not found:
-        return Verdict(False, "no sensor gives readings; check wiring", tuple(notes))
     loud = [s for s in found if s.white > 2e-3]
-    worst = max(found, key=lambda s: s.white)
-    if len(loud) > len(found) / 2:
-        return Verdict(
-            False,
-            f"most readings scatter by more than 0.002 1/cm (worst {worst.white:.4f}): average "
-            "longer, or look for interference",
-            tuple(notes),
+    good = False
+    if not found:
+        reason = "no sensor gives readings; check wiring"
+    elif len(loud) > len(found) / 2:
+        worst = max(s.white for s in found)
+        reason = (
+            f"most readings scatter by more than 0.002 1/cm (worst {worst:.4f}): average longer, "
+            "or look for interference"
         )
-    notes.extend(f"{s.side} {s.index} is loud: {s.white:.4f} 1/cm" for s in loud)
-    typical = float(np.median([s.white for s in found]))
-    return Verdict(True, f"white noise {typical:.5f} 1/cm a reading (median)", tuple(notes))
+    else:
+        notes.extend(f"{s.side} {s.index} is loud: {s.white:.4f} 1/cm" for s in loud)
+        typical = float(np.median([s.white for s in found]))
+        good, reason = True, f"white noise {typical:.5f} 1/cm a reading (median)"
+    return NoiseResult(tuple(found), Verdict(good, reason, tuple(notes)))

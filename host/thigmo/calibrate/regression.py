@@ -3,7 +3,7 @@
 Least trimmed squares finds the line of most, whatever a fifth of the readings do; points beyond
 four of its sigmas are left out (and named by the caller), and what remains is fitted by
 weighted least squares, whose standard errors are the textbook's: those of independent rows (see
-`correlation` for rows that are not).
+`flex_lines` for rows that are not).
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import median_abs_deviation, norm
 
 from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _REJECT = 4.0
 _DRAWS = 200
@@ -31,7 +32,7 @@ class LinearFit:
     coefficients: Array  # (p,)
     covariance: Array  # (p, p)
     sigma: float  # residual standard deviation beyond the known errors, in units of y
-    used: NDArray[np.bool_]  # (n,) rows that were not rejected
+    used: Mask  # (n,) rows that were not rejected
     residuals: Array  # (n,) of all rows (nan where the data were not finite)
 
     def se(self, index: int) -> float:
@@ -40,73 +41,54 @@ class LinearFit:
 
 
 def fit_linear(
-    design: Array,
-    y: Array,
-    known_se: Array | float = 0.0,
-    *,
-    reject: bool = True,
-    firm: int = 0,
+    design: Array, y: Array, known_se: Array | float = 0.0, *, reject: bool = True, firm: int = 0
 ) -> LinearFit:
-    """Robust weighted linear least squares.
+    """Robust weighted linear least squares of y (n,) on a design (n, p).
 
     Args:
-        design: (n, p).
-        y: (n,); rows with a value that is not finite are left out.
         known_se: (n,) standard error of each row that is known beforehand; the remaining scatter
             is estimated and added.
-        reject: leave outliers out.
+        reject: leave outliers out, not only rows that are not finite.
         firm: so many rows at the end say what is known beforehand and are never outliers.
-
-    Raises:
-        DataError: fewer than p + 2 usable rows, or a design that does not determine p numbers.
     """
-    design, y = np.asarray(design, float), np.asarray(y, float)
     known = np.broadcast_to(np.asarray(known_se, float), y.shape)
-    finite = np.isfinite(y) & np.isfinite(design).all(axis=1) & np.isfinite(known)
-    rows = np.nonzero(finite)[0]
+    rows = np.flatnonzero(np.isfinite(np.column_stack([design, y, known])).all(axis=1))
     p = design.shape[1]
     if len(rows) < p + 2:
         raise DataError(f"{len(rows)} usable readings for {p} numbers", "take more readings")
     a, b, e = design[rows], y[rows], known[rows]
     if np.linalg.matrix_rank(a / np.maximum(np.abs(a).max(axis=0), 1e-300)) < p:
         raise DataError("the readings do not vary enough to fit a line", "use more places")
-    everything = np.ones(len(rows), bool)
-    prior = np.arange(len(rows)) >= len(rows) - firm
-    if not reject:
-        inside, (coefficients, covariance, sigma) = everything, _weighted(a, b, e)
-    else:
-        # From two starts, for each fails where the other holds: least trimmed squares where there
-        # are outliers, all rows where a few far ones carry the slope. More rows explained wins.
-        starts = [everything]
-        if len(rows) >= p + 4:
-            line, spread = _trimmed_fit(a, b)
-            near = (np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300) | prior
-            if near.sum() >= p + 2:
-                starts.append(near)
-        found = [_rejecting(a, b, e, start, prior) for start in starts]
-        inside, coefficients, covariance, sigma = max(
-            found, key=lambda f: (int(f[0].sum()) if f[3] < 3 * found[-1][3] else 0, -f[3])
-        )
-    used = np.zeros(len(y), bool)
-    used[rows[inside]] = True
-    residuals = np.full(len(y), np.nan)
-    residuals[rows] = b - a @ coefficients
+    kept = np.arange(len(rows)) >= (len(rows) - firm if reject else 0)
+    # From two starts, for each fails where the other holds: least trimmed squares where there
+    # are outliers, all rows where a few far ones carry the slope. More rows explained wins.
+    starts = [np.ones(len(rows), bool)]
+    if reject and len(rows) >= p + 4:
+        line, spread = _trimmed_fit(a, b)
+        near = (np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300) | kept
+        if near.sum() >= p + 2:
+            starts.append(near)
+    found = [_rejecting(a, b, e, start, kept) for start in starts]
+    inside, coefficients, covariance, sigma = max(
+        found, key=lambda f: (int(f[0].sum()) if f[3] < 3 * found[-1][3] else 0, -f[3])
+    )
+    used, residuals = np.zeros(len(y), bool), np.full(len(y), np.nan)
+    used[rows[inside]], residuals[rows] = True, b - a @ coefficients
     return LinearFit(coefficients, covariance, sigma, used, residuals)
 
 
 def _rejecting(
-    a: Array, b: Array, e: Array, start: NDArray[np.bool_], prior: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Array, Array, float]:
+    a: Array, b: Array, e: Array, start: Mask, firm: Mask
+) -> tuple[Mask, Array, Array, float]:
     """Weighted fit, leaving out rows beyond four sigmas, until none changes."""
-    inside = start
-    coefficients, covariance, sigma = _weighted(a[inside], b[inside], e[inside])
-    for _ in range(25):
-        limit = _REJECT * np.sqrt(sigma**2 + e**2)
-        kept = (np.abs(b - a @ coefficients) <= limit + 1e-300) | prior
-        if kept.sum() < a.shape[1] + 2 or (kept == inside).all():
-            break
-        inside = kept
+    near = start
+    for _ in range(26):
+        inside = near
         coefficients, covariance, sigma = _weighted(a[inside], b[inside], e[inside])
+        limit = _REJECT * np.sqrt(sigma**2 + e**2)
+        near = (np.abs(b - a @ coefficients) <= limit + 1e-300) | firm
+        if near.sum() < a.shape[1] + 2 or (near == inside).all():
+            break
     return inside, coefficients, covariance, sigma
 
 
@@ -118,22 +100,19 @@ def _trimmed_fit(a: Array, b: Array) -> tuple[Array, float]:
     """
     n, p = a.shape
     keep = max(p + 1, round(_KEEP * n))
-    rng = np.random.default_rng(n * 7919 + p)
-    picks = np.argsort(rng.random((_DRAWS, n)), axis=1)[:, :p]
+    picks = np.argsort(np.random.default_rng(n * 7919 + p).random((_DRAWS, n)), axis=1)[:, :p]
     squares = a[picks]
-    size = np.abs(a).max(axis=0) + 1e-300
-    sound = np.abs(np.linalg.det(squares / size)) > 1e-6
+    sound = np.abs(np.linalg.det(squares / (np.abs(a).max(axis=0) + 1e-300))) > 1e-6
     starts = np.linalg.solve(squares[sound], b[picks[sound]][..., None])[..., 0]
-    everything: Array = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], float)
-    lines = np.vstack([starts, everything])
+    best = _least_squares(a, b)
+    lines = np.vstack([starts, best])
     costs = np.sort((b - lines @ a.T) ** 2, axis=1)[:, :keep].sum(axis=1)
-    best, least = everything, np.inf
+    least = np.inf
     # Concentration steps from the most promising starts.
-    for start in lines[np.argsort(costs)[:_STARTS]]:
-        line = start
+    for line in lines[np.argsort(costs)[:_STARTS]]:
         for _ in range(_STEPS):
             near = np.argsort(np.abs(b - a @ line))[:keep]
-            line = np.asarray(np.linalg.lstsq(a[near], b[near], rcond=None)[0], float)
+            line = _least_squares(a[near], b[near])
         cost = float(np.sort((b - a @ line) ** 2)[:keep].sum())
         if cost < least:
             best, least = line, cost
@@ -142,39 +121,45 @@ def _trimmed_fit(a: Array, b: Array) -> tuple[Array, float]:
     return best, max(spread, 1e-300)
 
 
+def _least_squares(a: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], float)
+
+
 def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
     """Least squares with known errors `e` and an unknown common scatter, found by iteration."""
-    n, p = a.shape
-    coefficients: Array = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], float)
+    freedom = max(1, len(b) - a.shape[1])
+    coefficients = _least_squares(a, b)
     rest = b - a @ coefficients
-    sigma2 = float(rest @ rest) / max(1, n - p)
-    if e.any():
-        tiny = 1e-12 * max(sigma2, float(np.max(e**2)))
-        for _ in range(40):
-            weights = 1.0 / (max(sigma2, tiny) + e**2)
-            scaled = a * np.sqrt(weights)[:, None]
-            coefficients = np.asarray(
-                np.linalg.lstsq(scaled, b * np.sqrt(weights), rcond=None)[0], float
-            )
-            rest = b - a @ coefficients
-            # Moment estimate: the weighted squares add up to n - p when sigma2 is right.
-            excess = float(weights @ (rest**2 * n / max(1, n - p) - e**2))
-            new = max(0.0, excess / float(weights.sum()))
-            done = abs(new - sigma2) <= 1e-6 * max(new, tiny)
-            sigma2 = new
-            if done:
-                break
+    sigma2 = float(rest @ rest) / freedom
+    tiny = 1e-12 * max(sigma2, float(np.max(e**2)))
+    for _ in range(40 if e.any() else 0):
+        weights = 1.0 / (max(sigma2, tiny) + e**2)
+        root = np.sqrt(weights)
+        coefficients = _least_squares(a * root[:, None], b * root)
+        rest = b - a @ coefficients
+        # Moment estimate: the weighted squares add up to n - p when sigma2 is right.
+        excess = float(weights @ (rest**2 * len(b) / freedom - e**2))
+        before, sigma2 = sigma2, max(0.0, excess / float(weights.sum()))
+        if abs(sigma2 - before) <= 1e-6 * max(sigma2, tiny):
+            break
     variance = np.maximum(sigma2 + e**2, 1e-300)
     normal = (a / variance[:, None]).T @ a
     return coefficients, np.asarray(np.linalg.pinv(normal), float), float(np.sqrt(sigma2))
 
 
+def outlying(values: Array, limit: float, least: Array | float) -> Mask:
+    """Values (n,) farther from their median than `limit` sigmas, by their median deviation.
+
+    `least` is the sigma that each has at least.
+    """
+    sigma = np.maximum(median_abs_deviation(values, scale="normal"), least)
+    return np.asarray(np.abs(values - np.median(values)) > limit * sigma)
+
+
 def lasting(residuals: Array, most: float) -> float:
     """Factor on the variance of residuals (n,) in order that last: neighbours err together.
 
-    Args:
-        residuals: of a fit that took them as independent.
-        most: correlation of neighbours above which it is not believed.
+    `most` is the correlation of neighbours above which it is not believed.
     """
     along = float(np.corrcoef(residuals[1:], residuals[:-1])[0, 1])
     along = min(most, max(0.0, along)) if np.isfinite(along) else 0.0

@@ -23,11 +23,7 @@ from thigmo.errors import DataError
 
 
 class Session:
-    """One calibration folder.
-
-    Raises:
-        DataError: the folder cannot be made.
-    """
+    """One calibration folder; DataError where it cannot be made or written."""
 
     def __init__(self, folder: str | os.PathLike[str], config: RobotConfig | None = None) -> None:
         self.folder = Path(folder)
@@ -45,12 +41,9 @@ class Session:
     def rows(self, procedure: str) -> dict[str, dict[str, Any]]:
         """Readings taken so far, by key, in order; of one that was taken again the last.
 
-        A line cut off by a crash is dropped.
-
-        Raises:
-            DataError: a damaged line other than the last.
+        A last line that a crash cut off is dropped; any other damage raises DataError.
         """
-        path = self._rows_file(procedure)
+        path = self.folder / f"{procedure}.jsonl"
         if not path.exists():
             return {}
         found: dict[str, dict[str, Any]] = {}
@@ -69,12 +62,8 @@ class Session:
         return found
 
     def add(self, procedure: str, row: dict[str, Any]) -> None:
-        """Append a reading (it must hold a `key`); on disk when this returns.
-
-        Raises:
-            DataError: the folder cannot be written.
-        """
-        path = self._rows_file(procedure)
+        """Append a reading (it must hold a `key`); on disk when this returns."""
+        path = self.folder / f"{procedure}.jsonl"
         if path.exists():
             text = path.read_bytes()
             if text and not text.endswith(b"\n"):
@@ -87,12 +76,9 @@ class Session:
 
     def forget(self, procedure: str) -> None:
         """Set readings aside (kept as `.old`), to take them anew."""
-        path = self._rows_file(procedure)
+        path = self.folder / f"{procedure}.jsonl"
         if path.exists():
             path.replace(path.with_suffix(".jsonl.old"))
-
-    def _rows_file(self, procedure: str) -> Path:
-        return self.folder / f"{procedure}.jsonl"
 
     # Results.
 

@@ -12,18 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
-from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.columns import constants_of
-from thigmo.calibrate.regression import lasting
+from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.columns import Array, constants_of, grouped
+from thigmo.calibrate.procedures import bow_rows, tip_rows
+from thigmo.calibrate.regression import lasting, outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
-
-Array = NDArray[np.float64]
+from thigmo.record.table import Table
 
 
 @dataclass(frozen=True)
@@ -44,46 +43,53 @@ class StiffnessResult(StepResult):
     verdict: Verdict  # in words
 
 
-def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:
-    """Ratio of stiffness under sensors to that in gaps.
+def guided(bench: Bench) -> StiffnessResult:
+    """From pictures of the flex step's places and more."""
+    rows = [*(row for row in tip_rows(bench) if row["kind"] == "tip"), *bow_rows(bench)]
+    seen = [np.array(r["points"], float) for r in rows if r.get("points") is not None]
+    length = bench.config.body.length_cm
+    return fit_stiffness([AxisPoints(points, length) for points in seen], bench.config)
 
-    Raises:
-        DataError: fewer than three pictures with a bend, or sensors that leave no gap.
-    """
-    length = config.body.length_cm
-    fine = np.arange(0.0, length + 1e-9, 0.1)
+
+def of_csv(table: Table, config: RobotConfig) -> StiffnessResult:
+    """Points along the axis, picture by picture."""
+    picture = table.whole("picture")
+    rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
+    seen = np.isfinite(rows).all(axis=1)
+    picture, rows = picture[seen], rows[seen]
+    each = [AxisPoints(rows[own, :2], rows[own[0], 2]) for _, own in grouped(picture.tolist())]
+    return fit_stiffness(each, config)
+
+
+def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:
+    """Ratio of stiffness under sensors to that in gaps."""
+    fine = np.arange(0.0, config.body.length_cm + 1e-9, 0.1)
     center, span = constants_of(config, "center_cm", "span_cm")
     gap = (np.abs(fine[:, None] - center) > span / 2).all(axis=1).astype(float)
-    share = float(gap.mean())
-    if not 0.05 < share < 0.95:
+    if not 0.05 < gap.mean() < 0.95:
         raise DataError("sensors cover all of the body or none of it", "there is no gap to compare")
-    each, errors, bends, notes = [], [], [], []
+    found, notes = [], []
     for number, picture in enumerate(pictures, start=1):
         bend = float(np.abs(picture.points_cm[:, 1]).max())
         if len(picture.points_cm) < 20 or bend < 3:
             notes.append(
                 f"picture {number} left out: bent by {bend:.1f} cm only, or too few points"
             )
-            continue
-        rho, rho_se = _one(picture, fine, gap)
-        each.append(1 + rho)
-        errors.append(rho_se / (1 + rho))
-        bends.append(bend)
-    if len(each) < 3:
+        else:
+            found.append((*_one(picture, fine, gap), bend))
+    if len(found) < 3:
         raise DataError(
-            f"{len(each)} usable pictures", "take three or more with the tip 5..10 cm aside"
+            f"{len(found)} usable pictures", "take three or more with the tip 5..10 cm aside"
         )
-    values = np.array(each)
+    each, errors, bends = np.array(found).T
     # A picture's own error grows with its own estimate, which would favour low ones: the error at
     # the common estimate, from how far the body was bent.
-    middle = float(np.median(values))
-    size = np.array(bends)
-    se = middle * float(np.median(np.array(errors) * size)) / size
-    scatter = float(median_abs_deviation(values, scale="normal"))
-    odd = np.abs(values - middle) > 4.5 * np.maximum(se, scatter)
+    middle = float(np.median(each))
+    se = middle * float(np.median(errors / each * bends)) / bends
+    odd = outlying(each, 4.5, se)
     if odd.any():
         notes.append(f"{int(odd.sum())} picture(s) left out as outliers")
-    kept, weights = values[~odd], 1 / se[~odd] ** 2
+    kept, weights = each[~odd], 1 / se[~odd] ** 2
     ratio = float((weights * kept).sum() / weights.sum())
     scatter = float(np.sqrt((weights * (kept - ratio) ** 2).sum() / max(1, len(kept) - 1)))
     error = float(weights.sum() ** -0.5) * max(1.0, scatter)
@@ -97,45 +103,38 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
         if abs(ratio - 1) < 3 * error:
             words = "as stiff under sensors as between"
         reason = f"the body is {words}: ratio {ratio:.3f} +- {error:.3f}"
-    verdict = Verdict(error <= 0.15, reason, tuple(notes))
-    return StiffnessResult(ratio, error, values, verdict)
+    return StiffnessResult(ratio, error, each, Verdict(error <= 0.15, reason, tuple(notes)))
 
 
 def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
-    """rho and its standard error from one picture."""
-    points = picture.points_cm
-    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = points[0, 0] + steps
-    step = fine[1] - fine[0]
-    inside = fine < picture.force_arc_cm
+    """Ratio and its standard error from one picture."""
+    points, arc, step = picture.points_cm, picture.force_arc_cm, fine[1] - fine[0]
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
 
-    def shape(x: Array) -> tuple[Array, Array, Array]:
+    def residuals(x: Array) -> Array:
         # Lever with the bend: the force stays normal to the body where it acts.
         heading = np.zeros(len(fine))
         for _ in range(3):
-            end = np.interp(picture.force_arc_cm, fine, heading)
-            lean = np.where(inside, np.cos(heading - end), 0.0)
+            end = np.interp(arc, fine, heading)
+            lean = np.where(fine < arc, np.cos(heading - end), 0.0)
             lever = np.cumsum(lean[::-1])[::-1] * step
             k = x[2] * lever * (1 + x[3] * gap)
             heading = x[1] + cumulative_trapezoid(k, dx=step, initial=0)
         along, across = (
             cumulative_trapezoid(way(heading), dx=step, initial=0) for way in (np.cos, np.sin)
         )
-        return along, x[0] + across, heading
-
-    def residuals(x: Array) -> Array:
-        along, across, heading = shape(x)
-        away = points - np.column_stack([np.interp(at, fine, along), np.interp(at, fine, across)])
+        ahead, aside = np.interp(at, fine, along), x[0] + np.interp(at, fine, across)
         turn = np.interp(at, fine, heading)
-        return np.asarray(-np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1])
+        return np.asarray(
+            np.cos(turn) * (points[:, 1] - aside) - np.sin(turn) * (points[:, 0] - ahead)
+        )
 
-    force = 3 * points[-1, 1] / picture.force_arc_cm**3
-    start = np.array([points[0, 1], 0.0, force, 0.0])
+    start = np.array([points[0, 1], 0.0, 3 * points[-1, 1] / arc**3, 0.0])
     fit = least_squares(
         residuals, start, loss="soft_l1", f_scale=0.05, x_scale=[0.1, 0.01, 1e-5, 0.1]
     )
-    rest = residuals(fit.x)
+    rest, slopes = residuals(fit.x), np.asarray(fit.jac, float)
     variance = float(rest @ rest) / max(1, len(rest) - 4) * lasting(rest, 0.9)
-    slopes = np.asarray(fit.jac, float)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
-    return float(fit.x[3]), float(np.sqrt(covariance[3, 3]))
+    return 1 + float(fit.x[3]), float(np.sqrt(covariance[3, 3]))

@@ -23,7 +23,7 @@ class Verdict:
 class StepResult:
     """What every step's fit returns: a dataclass with a verdict."""
 
-    verdict: Verdict  # good or bad, and why
+    verdict: Verdict
     EVIDENCE: ClassVar[tuple[str, ...]] = ()  # names of the fields that only the figure needs
 
     def as_data(self) -> dict[str, Any]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from thigmo.cli.console import Console
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, show
+from thigmo.errors import ConfigError
 
 if TYPE_CHECKING:
     from thigmo.bringup import Finding, Turned
-    from thigmo.cli.console import Console
     from thigmo.robot import Robot
 
 
@@ -37,10 +40,11 @@ class _TerminalAttendant:
             self.ready("Watch the spool: it is to pay out a little line")
             return "not"
         answers: dict[str, Turned] = {"o": "out", "i": "in", "n": "not"}
-        while True:
+        answer = ""
+        while answer not in answers:
             answer = self._console.ask("Did it pay line (o)ut, wind it (i)n, or (n)ot turn?")
-            if (turned := answers.get(answer.strip().lower()[:1])) is not None:
-                return turned
+            answer = answer.strip().lower()[:1]
+        return answers[answer]
 
 
 def bringup(
@@ -64,9 +68,7 @@ def bringup(
     Before it: docs/hardware, "Before the first power".
     """
     from thigmo.bringup import STAGES, BringUp
-    from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
-    from thigmo.errors import ConfigError
     from thigmo.robot import connect
 
     for stage in (first, last):
@@ -115,16 +117,10 @@ def jog(
     The board ends each push within half a second, so the spool stops when this program does.
     """
     from thigmo.bringup import jog as move
-    from thigmo.cli.console import Console
-    from thigmo.errors import ConfigError
-    from thigmo.robot import connect
 
     if (out > 0) == (wind > 0) or min(out, wind) < 0:
         raise ConfigError("a jog needs one direction", "give --out CM or --in CM")
-    console = Console(quiet=as_json)
-    with console.interruptible(), connect(robot) as machine:
-        _cured(machine)
-        machine.arm(body_air=False)
+    with _armed(robot, Console(quiet=as_json)) as machine:
         machine.vent()
         moved = move(machine, out or -wind)
     show(as_json, {"moved_cm": moved}, f"The encoder went {moved:+.2f} cm.")
@@ -143,25 +139,30 @@ def press(
     ends each push within half a second, so the muscle empties when this program stops.
     """
     from thigmo.bringup import press as hold
-    from thigmo.cli.console import Console
     from thigmo.config import SIDES
-    from thigmo.errors import ConfigError
-    from thigmo.robot import connect
 
     if side not in SIDES:
         raise ConfigError(f"there is no side {side!r}", "give left or right")
     console = Console(quiet=as_json)
+    with _armed(robot, console) as machine, console.progress() as tell:
+        began = machine.now()
+        reached = hold(
+            machine, side, psi, seconds,
+            lambda now: tell(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
+        )  # fmt: skip
+    said = f"The {side} muscle reached {reached:.2f} psi."
+    show(as_json, {"side": side, "pressure_psi": reached}, said)
+
+
+@contextmanager
+def _armed(robot: str, console: Console) -> Iterator[Robot]:
+    """A robot that may move and has no air in its body."""
+    from thigmo.robot import connect
+
     with console.interruptible(), connect(robot) as machine:
         _cured(machine)
         machine.arm(body_air=False)
-        with console.progress() as tell:
-            began = machine.now()
-            reached = hold(
-                machine, side, psi, seconds,
-                lambda now: tell(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
-            )  # fmt: skip
-    said = f"The {side} muscle reached {reached:.2f} psi."
-    show(as_json, {"side": side, "pressure_psi": reached}, said)
+        yield machine
 
 
 def _cured(robot: Robot) -> None:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
+from thigmo.cli.console import Console
 from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show
+from thigmo.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from thigmo.calibrate.eyes import Eyes
     from thigmo.calibrate.session import Session
     from thigmo.calibrate.verdict import StepResult
@@ -85,14 +85,11 @@ def calibrate(
     from thigmo.calibrate.session import Session, blank
     from thigmo.calibrate.steps import STEPS, fit_csv, run
     from thigmo.config import RobotConfig
-    from thigmo.errors import DataError
 
     if step not in (*STEPS, "all", "status"):
         raise DataError(f"there is no step {step!r}", f"use all, status, {', '.join(STEPS)}")
     start = RobotConfig.load(config) if config else None
     if csv is not None:
-        if not csv.is_file():
-            raise DataError(f"there is no file {csv}", "give the CSV of a lab's readings")
         held = folder / "robot.toml"
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()
         result = fit_csv(step, csv, base)  # before a folder is made: a bad file leaves none
@@ -111,8 +108,11 @@ def calibrate(
     if robot is None:
         raise DataError("no robot is named", "give --robot URL, or --csv FILE")
     from thigmo.calibrate.bench import Bench, Plan
-    from thigmo.cli.console import Console
     from thigmo.robot import connect
+
+    def say(text: str) -> None:
+        if not as_json:
+            typer.echo(text)
 
     steps = list(STEPS) if step == "all" else [step]
     console = Console(quiet=as_json)
@@ -122,7 +122,6 @@ def calibrate(
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
-        say: Callable[[str], None] = (lambda text: None) if as_json else typer.echo
         bench = Bench(machine, eyes, session, plan, say)
         found: dict[str, StepResult] = {}
         for name in steps:

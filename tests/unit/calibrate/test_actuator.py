@@ -14,7 +14,7 @@ from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
 from thigmo.config import RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
-from thigmo.record.table import write_table
+from thigmo.record.table import Table, write_table
 
 pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
 
@@ -180,7 +180,7 @@ def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
         },
     }
     write_table(tmp_path / "bends.csv", columns)
-    again = BendReadings.read_all(tmp_path / "bends.csv")
+    again = BendReadings.read_all(Table.read(tmp_path / "bends.csv"))
     assert [r.side for r in again] == ["left", "right"]
     one, two = fit_actuator(both[1]), fit_actuator(again[1])
     assert two.zone.inflate.amplitude == pytest.approx(one.zone.inflate.amplitude, rel=1e-5)

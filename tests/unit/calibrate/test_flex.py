@@ -18,6 +18,7 @@ from thigmo.calibrate.regression import fit_linear
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
+from thigmo.record.table import Table
 
 pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
 
@@ -215,7 +216,7 @@ def test_round_trip_through_csv(tmp_path):
     lab = Lab(1)
     readings = lab.flex()
     readings.write(tmp_path / "flex.csv", lab.config)
-    again = FlexReadings.read(tmp_path / "flex.csv", lab.config)
+    again = FlexReadings.read(Table.read(tmp_path / "flex.csv"), lab.config)
     one, two = fit_flex(readings, lab.config), fit_flex(again, lab.config)
     assert again.name == readings.name
     assert [f.scale_per_ohm for f in one.sensors] == pytest.approx(
@@ -242,14 +243,14 @@ def test_other_units_are_told_with_their_cure(tmp_path, column, factor, said):
     readings = replace(readings, **{column: factor * getattr(readings, column)})
     readings.write(tmp_path / "flex.csv", lab.config)
     with pytest.raises(DataError, match=said):
-        FlexReadings.read(tmp_path / "flex.csv", lab.config)
+        FlexReadings.read(Table.read(tmp_path / "flex.csv"), lab.config)
 
 
 def test_bad_input_is_refused_with_a_next_step(tmp_path):
     lab = Lab(1)
     (tmp_path / "bad.csv").write_text("kind,tip_x_cm\ntip,1\n")
     with pytest.raises(DataError, match="no column 'ohm_left_0'"):
-        FlexReadings.read(tmp_path / "bad.csv", RobotConfig())
+        FlexReadings.read(Table.read(tmp_path / "bad.csv"), RobotConfig())
     with pytest.raises(DataError, match="rows can be used"):
         fit_flex(lab.flex(places=1, bends=0, straight=1), lab.config)
     with pytest.raises(DataError, match="cannot stand"):

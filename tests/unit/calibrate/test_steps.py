@@ -9,11 +9,12 @@ import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS
 
 from thigmo.calibrate.buckling import fit_buckling
-from thigmo.calibrate.check import CheckReadings, run_check
-from thigmo.calibrate.encoder import fit_encoder, fit_pressure_zero
+from thigmo.calibrate.check import CheckReadings, CheckResult, run_check
+from thigmo.calibrate.encoder import fit_encoder
 from thigmo.calibrate.figures import draw
 from thigmo.calibrate.hysteresis import CreepRecord, fit_decay, fit_hysteresis
 from thigmo.calibrate.noise import fit_noise
+from thigmo.calibrate.pressure import PressureResult, fit_pressure_zero
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -172,9 +173,7 @@ def test_noise_at_rest_and_within_a_sweep():
     white = np.linspace(4e-4, 9e-4, 10)
     y = rng.normal(0, 1, (200, 10)) * white + 2e-6 * t[:, None]
     y[rng.random(y.shape) < 0.03] += 0.05
-    rising = rng.normal(0, 1e-4, (40, 10))
-    falling = rising + 8e-4 + rng.normal(0, 1e-4, (40, 10))
-    result = fit_noise(t, y, config, rising=rising, falling=falling)
+    result = fit_noise(t, y, config, loops=8e-4 + rng.normal(0, 1e-4, (40, 10)))
     assert result.verdict.good
     misses = [(s.white - w) / s.white_se for s, w in zip(result.sensors, white, strict=True)]
     assert np.mean(np.square(misses)) < 2.5
@@ -225,6 +224,9 @@ def test_pressure_zero_and_its_faults():
     assert "broken wire" in " ".join(fit_pressure_zero(cut).verdict.notes)
     emptying = counts + np.linspace(20, 0, 300)[:, None]
     assert "wait until vented" in " ".join(fit_pressure_zero(emptying).verdict.notes)
+    silent = fit_pressure_zero(counts * [1, np.nan])
+    assert "broken wire" in silent.verdict.notes[0]
+    assert silent.as_data()["pressure_zero"][1] == 0
 
 
 def whole(config: RobotConfig) -> CheckReadings:
@@ -289,7 +291,7 @@ def test_check_names_each_fault():
 
 
 @pytest.mark.sim
-def test_every_result_draws_its_figure_and_makes_plain_data(tmp_path):
+def test_every_fit_draws_its_figure_and_every_result_makes_plain_data(tmp_path):
     config = RobotConfig()
     rng = np.random.default_rng(6)
     results = [
@@ -304,6 +306,8 @@ def test_every_result_draws_its_figure_and_makes_plain_data(tmp_path):
     for number, result in enumerate(results):
         path = tmp_path / f"{number}.png"
         draw(result, path)
-        assert path.stat().st_size > 5_000
+        fitted = not isinstance(result, PressureResult | CheckResult)
+        assert path.exists() == fitted
+        assert not fitted or path.stat().st_size > 5_000
         assert result.as_data()["verdict"]["good"] == result.verdict.good
         assert isinstance(result.apply(config), RobotConfig)

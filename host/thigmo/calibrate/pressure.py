@@ -1,0 +1,101 @@
+"""Zeros of the pressure sensors at vent; the board holds them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.columns import Array
+from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.errors import DataError
+from thigmo.record.table import Table
+
+_LEAST_COUNT = 0.05 * 1024
+NOMINAL_COUNT = 102.4  # at 0 psi by the data sheet: 10 % of the supply
+
+
+@dataclass(frozen=True)
+class PressureZero:
+    """One muscle's pressure sensor at vent."""
+
+    side: Side  # which muscle
+    zero_count: float  # ADC count at 0 psi
+    zero_se: float  # its standard error
+    good: bool  # it may be used
+    reason: str  # why
+
+
+@dataclass(frozen=True)
+class PressureResult(StepResult):
+    """Both pressure sensors' zeros, in ADC counts."""
+
+    zeros: tuple[PressureZero, ...]
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**super().as_data(), "pressure_zero": self.board_values()}
+
+    def board_values(self) -> list[int]:
+        """The board's parameter `pressure_zero`, in 1/64 count, left then right."""
+        return [round(np.nan_to_num(z.zero_count) * 64) for z in self.zeros]
+
+
+def guided(bench: Bench) -> PressureResult:
+    """Zeros of both pressure sensors at vent, into the board.
+
+    They are what tells the board that a muscle is vented, so nothing here asks it whether one is:
+    the fit sees what still moves, and what is too far from its data sheet.
+    """
+    robot = bench.robot
+    robot.vent(wait=False)
+    robot.wait(3.0)
+    record = robot.record(3.0)
+    zero, span = (
+        np.array(robot.parameter(f"pressure_{name}"), float) / 64 for name in ("zero", "span")
+    )
+    full = robot.parameter("pressure_full_cpsi")[0] / 100
+    psi = np.column_stack([record.left_psi, record.right_psi])
+    result = fit_pressure_zero(zero + psi * span / full, float(span.mean()), full)
+    if result.verdict.good:
+        robot.set_parameter("pressure_zero", result.board_values())
+        robot.save()
+    return result
+
+
+def of_csv(table: Table, _: RobotConfig) -> PressureResult:
+    """ADC counts at vent."""
+    return fit_pressure_zero(np.column_stack([table.numbers(f"{side}_count") for side in SIDES]))
+
+
+def fit_pressure_zero(counts: Array, span: float = 819.2, full_psi: float = 60.0) -> PressureResult:
+    """Zeros from counts (n, 2) with both muscles vented; `span` counts are `full_psi`."""
+    if len(counts) < 10:
+        raise DataError("ten or more readings of both pressure sensors are needed", "read longer")
+    zeros = []
+    for side, own in zip(SIDES, counts.T, strict=True):
+        values, zero, se, fall_psi = own[np.isfinite(own)], np.nan, np.inf, 0.0
+        if len(values) > 1:
+            calm = values[~outlying(values, 5, 0.5)]
+            half = len(calm) // 2
+            zero, se = float(calm.mean()), float(calm.std(ddof=1) / np.sqrt(len(calm)))
+            fall_psi = abs(float(calm[:half].mean() - calm[half:].mean())) * full_psi / span
+        off = (zero - NOMINAL_COUNT) * full_psi / span
+        good = False
+        if not zero >= _LEAST_COUNT:
+            reason = "reads below 5 % of its supply: broken wire"
+        elif abs(off) > 3.0:
+            reason = f"is {off:+.1f} psi from its data sheet: not vented, or wrong type"
+        elif fall_psi > 0.15:
+            reason = f"still moves by {fall_psi:.2f} psi: wait until vented"
+        else:
+            good, reason = True, f"zero at {zero:.2f} counts ({off:+.2f} psi of the data sheet)"
+        zeros.append(PressureZero(side, zero, se, good, reason))
+    notes = tuple(f"the {z.side} pressure sensor {z.reason}" for z in zeros if not z.good)
+    reason = "vent, shut the air, check the wires, and repeat" if notes else "both zeros taken"
+    return PressureResult(tuple(zeros), Verdict(not notes, reason, notes))
