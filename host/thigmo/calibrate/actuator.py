@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.bench import Bench, bend_rows
 from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
-from thigmo.calibrate.procedures import bend_rows
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SIDES, RobotConfig, Side, TanhMap, ZoneMap

@@ -7,9 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.bench import Bench, growth_rows
 from thigmo.calibrate.columns import Array, column
-from thigmo.calibrate.procedures import growth_rows
 from thigmo.calibrate.regression import Mask, fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import RobotConfig

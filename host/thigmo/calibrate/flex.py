@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.bench import Bench, bend_rows, bend_set_points, tip_rows
 from thigmo.calibrate.columns import places_of
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
@@ -33,7 +33,6 @@ from thigmo.calibrate.flex_lines import (
     working,
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
-from thigmo.calibrate.procedures import bend_rows, bend_set_points, tip_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
@@ -49,7 +48,6 @@ _LEAST_NOISE = 5e-5  # 1/cm
 class FlexFit:
     """One sensor's calibration."""
 
-    # side, index: which sensor
     side: Side
     index: int
     healthy: bool  # usable

@@ -71,10 +71,11 @@ class Rows:
 
     def find_loop_width(self) -> None:
         """Of a few, that with the least scatter."""
-        scores = []
-        for self.loop_width in LOOP_WIDTHS:
-            scores.append(sum(np.log(max(fit.sigma, 1e-9)) for _, fit in self.lines()))
-        self.loop_width = LOOP_WIDTHS[int(np.argmin(scores))]
+        scatter = {}
+        for width in LOOP_WIDTHS:
+            self.loop_width = width
+            scatter[width] = sum(np.log(max(fit.sigma, 1e-9)) for _, fit in self.lines())
+        self.loop_width = min(scatter, key=scatter.__getitem__)
 
     def note(self, rows: Sequence[int], what: str, cure: str) -> None:
         """Say which rows are left out, if any are."""

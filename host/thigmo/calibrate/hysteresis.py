@@ -14,9 +14,8 @@ import numpy as np
 from scipy.optimize import curve_fit, least_squares
 from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.bench import SAME_CM, Bench
+from thigmo.calibrate.bench import SAME_CM, Bench, growth_rows
 from thigmo.calibrate.columns import Array, grouped, places_of, sensors_of, sides_of
-from thigmo.calibrate.procedures import growth_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
@@ -28,7 +27,6 @@ from thigmo.record.table import Table
 class CreepRecord:
     """One sensor after one eversion."""
 
-    # side, index: which sensor
     side: Side
     index: int
     t_s: Array  # (n,) since eversion
@@ -39,7 +37,6 @@ class CreepRecord:
 class CreepFit:
     """One sensor's law over its eversions."""
 
-    # side, index: which sensor
     side: Side
     index: int
     law: Settling  # decay, with the spread from eversion to eversion
@@ -129,7 +126,10 @@ def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
     keep = np.abs(residuals(best)) < 4 * spread
     if keep.sum() < 10:
         keep[:] = True
-    found, covariance = curve_fit(law, t[keep], y[keep], best)
+    try:
+        found, covariance = curve_fit(law, t[keep], y[keep], best)
+    except RuntimeError as error:
+        raise DataError("the record shows no decay", "record 30 s after eversion") from error
     found[0] = np.exp(found[0])
     turn = np.diag([found[0], 1.0, 1.0])
     return found, turn @ covariance @ turn

@@ -21,7 +21,6 @@ _PEAK_S = 0.05
 class SensorNoise:
     """One sensor at rest."""
 
-    # side, index: which sensor
     side: Side
     index: int
     white: float  # one sigma of a reading, 1/cm

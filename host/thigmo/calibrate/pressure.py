@@ -23,7 +23,7 @@ NOMINAL_COUNT = 102.4  # at 0 psi by the data sheet: 10 % of the supply
 class PressureZero:
     """One muscle's pressure sensor at vent."""
 
-    side: Side  # which muscle
+    side: Side
     zero_count: float  # ADC count at 0 psi
     zero_se: float  # its standard error
     good: bool  # it may be used

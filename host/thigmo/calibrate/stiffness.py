@@ -15,9 +15,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
 
-from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.bench import Bench, bow_rows, tip_rows
 from thigmo.calibrate.columns import Array, constants_of, grouped
-from thigmo.calibrate.procedures import bow_rows, tip_rows
 from thigmo.calibrate.regression import lasting, outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig

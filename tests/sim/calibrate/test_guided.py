@@ -9,10 +9,9 @@ import pytest
 
 import thigmo
 from thigmo.calibrate import steps
-from thigmo.calibrate.bench import Bench, Plan
+from thigmo.calibrate.bench import Bench, Plan, tip_rows
 from thigmo.calibrate.eyes import Eyes, emulated_source
 from thigmo.calibrate.flex_data import FlexReadings
-from thigmo.calibrate.procedures import tip_rows
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals

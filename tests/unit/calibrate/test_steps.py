@@ -129,6 +129,13 @@ def test_a_sensor_without_creep_is_no_failure():
     assert "no creep" in result.sensors[0].reason
 
 
+def test_a_record_that_only_rises_is_no_decay_and_no_traceback():
+    t = np.arange(0.0, 30.0, 0.25)
+    result = fit_hysteresis([CreepRecord("left", 0, t, 1e-3 * t)], RobotConfig())
+    assert not result.verdict.good
+    assert "left 0: the record shows no decay" in result.verdict.notes
+
+
 def test_settling_needs_readings():
     with pytest.raises(DataError, match="three or more"):
         Settling(8.0, 1.0, 0.02, 0.01).observe([1.0], [0.01], 1e-3)
