@@ -121,7 +121,8 @@ def fit_line(column: Column) -> LinearFit | None:
 def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
     """As `fit_line`, sensor by sensor, with errors mixed over the grid by what all sensors show."""
     fits = [fit_line(column) for column in columns]
-    known = [_over_grid(*one) for one in zip(columns, fits, strict=True) if one[1] is not None]
+    pairs = zip(columns, fits, strict=True)
+    known = [_over_grid(column, fit) for column, fit in pairs if fit is not None]
     if not known:
         return [None] * len(fits)
     prior = share = np.outer(_LASTING_PRIOR, _SWEEP_PRIOR).ravel()

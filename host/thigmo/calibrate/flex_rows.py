@@ -50,7 +50,7 @@ class Rows:
     @property
     def tips(self) -> Mask:
         """(n,) rows of the pushed tip."""
-        return np.array(self.readings.kind) == "tip"
+        return np.array([kind == "tip" for kind in self.readings.kind])
 
     def columns(self) -> list[Column]:
         """Of each sensor, with the readings that count."""

@@ -123,7 +123,7 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
         along, across = (
             cumulative_trapezoid(way(heading), dx=step, initial=0) for way in (np.cos, np.sin)
         )
-        ahead, aside = np.interp(at, fine, along), x[0] + np.interp(at, fine, across)
+        ahead, aside = np.interp(at, fine, along), np.interp(at, fine, x[0] + across)
         turn = np.interp(at, fine, heading)
         return np.asarray(
             np.cos(turn) * (points[:, 1] - aside) - np.sin(turn) * (points[:, 0] - ahead)
