@@ -24,8 +24,7 @@ from thigmo.calibrate.regression import Array, LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
-from thigmo.mechanics import push
-from thigmo.mechanics.closed_forms import phi
+from thigmo.mechanics import phi, push
 
 _OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
 _WRONG_SIDE = -0.3
