@@ -99,6 +99,7 @@ def fit_noise(
         raise DataError(what, "use this robot's file")
     if len(t_s) < 20:
         raise DataError(f"{len(t_s)} readings at rest", "record 20 or more")
+    gap = np.full(len(sensors), np.nan) if loops is None else np.abs(medians(loops)) / 2
     found: list[SensorNoise] = []
     notes: list[str] = []
     for number, (side, k) in enumerate(sensors):
@@ -118,7 +119,7 @@ def fit_noise(
         sensor = SensorNoise(
             side, k, white, white * float(np.sqrt(3 / (4 * len(quiet)))), drift,
             slow=float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0,
-            hysteresis=np.nan if loops is None else abs(float(medians(loops)[number])) / 2,
+            hysteresis=float(gap[number]),
             dropouts=float(1 - calm.mean()),
         )  # fmt: skip
         found.append(sensor)

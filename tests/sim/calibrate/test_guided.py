@@ -17,7 +17,6 @@ from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals
 from thigmo.config import SIDES
 from thigmo.emulator.scene import FaultTable, Scene
-from thigmo.errors import DataError
 
 PLAN = Plan(places=4, straight=1, trials=1, step_psi=9.0, pushes=3, rest_readings=24)
 
@@ -233,12 +232,3 @@ def test_check_names_a_dead_sensor(tmp_path):
     lab.robot.close()
     assert not result.verdict.good
     assert "sensor left 2: open circuit" in result.verdict.reason
-
-
-def test_a_real_robot_has_no_emulated_camera():
-    class Real:
-        def scenery(self):
-            return None
-
-    with pytest.raises(DataError, match="give a camera"):
-        emulated_source(Real(), Sheet())
