@@ -51,14 +51,12 @@ def params(
     as_json: JsonOption = False,
 ) -> None:
     """Show the board's parameters, or one of them, or set it."""
-    from thigmo.errors import ConfigError
     from thigmo.link import protocol as wire
     from thigmo.robot import connect
+    from thigmo.robot.configuration import named
 
-    if name is not None and name not in wire.PARAMETERS:
-        raise ConfigError(
-            f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"
-        )
+    if name is not None:
+        named(name)
     with connect(robot) as machine:
         if load_defaults:
             machine.load_defaults()

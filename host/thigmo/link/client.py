@@ -379,17 +379,15 @@ class Client(Inbox, Closing):
 
         The layout of hello_reply is the same in every schema (`frozen` in schema.yaml).
         """
-        hello = self._outstanding.message if self._outstanding else None
-        if not isinstance(hello, wire.Hello) or len(payload) != wire.HelloReply.SIZE:
+        outstanding = self._outstanding
+        if outstanding is None or len(payload) != wire.HelloReply.SIZE:
             return False
-        refused = payload[0] == wire.Status.REFUSED
+        hello, nonce = outstanding.message, int.from_bytes(payload[-4:], "little")
+        ours = isinstance(hello, wire.Hello) and hello.host_nonce == nonce
         theirs = int.from_bytes(payload[3:7], "little")
-        if int.from_bytes(payload[-4:], "little") != hello.host_nonce:
+        if not ours or (theirs == wire.SCHEMA_HASH and payload[0] != wire.Status.REFUSED):
             return False
-        if theirs == wire.SCHEMA_HASH and not refused:
-            return False
-        assert self._outstanding is not None
-        self._outstanding.refused_by = theirs
+        outstanding.refused_by = theirs
         self._outstanding = None
         return True
 
@@ -409,15 +407,13 @@ class Client(Inbox, Closing):
         outstanding = self._outstanding
         if outstanding is None:
             return
-        if isinstance(outstanding.message, wire.Hello):
+        asked = outstanding.message
+        if isinstance(asked, wire.Hello):
             # Its header may be another schema's business; the nonce is what makes it ours.
-            ours = (
-                isinstance(message, wire.HelloReply)
-                and message.host_nonce == outstanding.message.host_nonce
-            )
+            ours = isinstance(message, wire.HelloReply) and message.host_nonce == asked.host_nonce
         else:
             ours = frame.seq == outstanding.seq and frame.session == outstanding.session
-            ours = ours and isinstance(message, (outstanding.message.REPLY, wire.Ack))
+            ours = ours and isinstance(message, (asked.REPLY, wire.Ack))
         if not ours:
             return
         if outstanding.attempts == 1:  # Karn: a repeat's answer may be the first one's

@@ -44,10 +44,9 @@ class SerialTransport:
     def __init__(self, url: str, baud: int) -> None:
         """Open; raises PortError: missing, busy, not allowed, or no serial port."""
         self.name = url
-        self.read_s = self.now()
+        self.read_s = self._touched_s = self.now()
         self._beats: deque[Beat] = deque(maxlen=64)
         self._packets: queue.Queue[Packet | None] = queue.Queue(_QUEUE)
-        self._touched_s = self.now()
         self._failure: LinkError | None = None
         self._closing = threading.Event()
         self._process = subprocess.Popen(

@@ -29,10 +29,9 @@ class Transport(Protocol):
         """Send bytes, not waiting for them to leave; raises LinkError if the connection is gone."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes as soon as there are any; b"" when `timeout_s` passed without.
+        """Bytes as soon as there are any; b"" when `timeout_s`, which may be virtual, has passed.
 
-        Any positive time-out must let time pass, virtual time as well. Raises LinkError if the
-        connection is gone.
+        Any positive time-out lets time pass. Raises LinkError if the connection is gone.
         """
 
     def start_heartbeat(self, session: int, period_s: float) -> None:

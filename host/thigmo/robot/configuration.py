@@ -84,7 +84,7 @@ def send_config(client: Client, config: RobotConfig) -> bool:
 
 def get_parameter(client: Client, name: str) -> list[int]:
     """A parameter as the board holds it, in its wire unit, one value for each element."""
-    entry = _named(name)
+    entry = named(name)
     return [client.request(wire.GetParameter(entry.index + i)).value for i in range(entry.count)]
 
 
@@ -96,7 +96,7 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
     contradict each other or those that the board holds.
     """
     for name, values in wanted.items():
-        entry = _named(name)
+        entry = named(name)
         if len(values) not in (1, entry.count):
             raise ConfigError(
                 f"{name} holds {entry.count} values, and {len(values)} were given",
@@ -126,7 +126,8 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
         ) from error
 
 
-def _named(name: str) -> wire.Parameter:
+def named(name: str) -> wire.Parameter:
+    """A parameter's row in the schema; ConfigError if there is none of that name."""
     if name not in wire.PARAMETERS:
         raise ConfigError(
             f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"

@@ -23,10 +23,7 @@ SENSORS = len(SIDES) * SENSORS_A_SIDE
 
 
 def in_board_order(config: RobotConfig) -> list[FlexSensor | None]:
-    """robot.toml's flex sensors by the board's numbers, left base first; None where one is absent.
-
-    Raises ConfigError for more than the board has channels.
-    """
+    """robot.toml's flex sensors by the board's numbers, left base first; None if one is absent."""
     found: list[FlexSensor | None] = []
     for side in SIDES:
         column = config.sensors.column(side)

@@ -69,12 +69,10 @@ class Supervised(Connected):
         try:
             return self._client.request(command)
         except CommandRefusedError as error:
-            if error.reason != wire.Reason.FAULT_LATCHED.key:
-                raise
-            faults = self.status().faults
-            if not faults:
-                raise
-            raise self._fault_error(faults) from error
+            latched = error.reason == wire.Reason.FAULT_LATCHED.key
+            if latched and (faults := self.status().faults):
+                raise self._fault_error(faults) from error
+            raise
 
     def _start(self, command: Command[Ack]) -> None:
         """Start something whose events are waited for."""
@@ -153,8 +151,7 @@ class Supervised(Connected):
 
     def raise_faults(self) -> None:
         """Raise a latched fault, if there is one."""
-        faults = self.status().faults
-        if faults:
+        if faults := self.status().faults:
             raise self._fault_error(faults)
 
     # Arming.
