@@ -96,7 +96,9 @@ def named(
     for (x0, y0), (x1, y1) in pairwise(axis.transData.transform(np.reshape(stairs, (-1, 2)))):
         taken += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
     for name, point in zip(names, points, strict=True):
-        text = axis.annotate(name, point, textcoords="offset points", fontsize=7, va="center")
+        text = axis.annotate(
+            name, point, (5, 0), textcoords="offset points", fontsize=7, va="center"
+        )
         for rise, side in product(sorted(range(-44, 45, 4), key=abs), (1, -1)):
             text.set(position=(5 * side, rise), ha="left" if side > 0 else "right")
             box = text.get_window_extent()

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
+from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -181,6 +182,7 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
         title=f"{stress.row_label} and {stress.column_label}".removesuffix(" and -"),
     )  # fmt: skip
     rows = np.reshape(np.array(axes), (-1, _ABREAST))
+    columns = [f"{v:g}" for v in stress.columns] if len(stress.columns) > 1 else [""]
     for axis in axes:
         axis.set_axis_off()
     for m, method in enumerate(methods):
@@ -193,16 +195,16 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
             values = np.array([[mean_and_failures(e)[measure] for e in r] for r in errors[..., m]])
             values *= 100.0 if measure else 1.0
             image = charts.cells(
-                axis, values, [f"{v:g}" for v in stress.rows], [f"{v:g}" for v in stress.columns],
+                axis, values, [f"{v:g}" for v in stress.rows], columns,
                 texts=[[_short(v, measure) for v in r] for r in values],
                 vmin=0.0, vmax=top, origin="lower",
             )  # fmt: skip
             if column == 0:
-                axis.set_ylabel(stress.row_label)
+                axis.set_ylabel(fill(stress.row_label, 24))
                 bar = figure.colorbar(image, ax=row.tolist())
                 bar.set_label(label, fontsize=7)
                 bar.ax.tick_params(labelsize=6)
-            if measure and m + _ABREAST >= len(methods):
+            if measure and m + _ABREAST >= len(methods) and len(columns) > 1:
                 axis.set_xlabel(stress.column_label)
     return figure
 
