@@ -17,10 +17,10 @@ from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.live import RunControl
-from thigmo.exploration.prior import keep_prior, read_prior
+from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.run import Exploration, Progress, Protocol
-from thigmo.record import RunDocument, RunFolder
+from thigmo.record import PRIOR_FILE, ObstacleMap, RunDocument, RunFolder, write_obstacles
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.stream import Event, Hello, Server, recording
@@ -91,7 +91,8 @@ def explore(
         folder = RunFolder.create(out, label, started.astimezone())
         used.save(folder.path / "robot.toml")
         if prior is not None:
-            keep_prior(given, folder, used.body.radius_cm)
+            kept = ObstacleMap("prior", "", "given", used.body.radius_cm, given)
+            write_obstacles(kept, folder.path / PRIOR_FILE)
 
         def draw(kind: object, error: BaseException | None, trace: object) -> None:
             tell("drawing the map", 1.0)

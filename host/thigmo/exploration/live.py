@@ -58,27 +58,23 @@ class RunControl:
     """Requests of viewers to one run. For several threads."""
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._stopped = False
+        self._stopped = threading.Event()
         self.paused = False  # the run is to wait before its next stage
 
     def command(self, command: Command) -> None:
         """Take a request."""
-        with self._changed:
-            if command == "stop":
-                self._stopped = True
-            else:
-                self.paused = command == "pause"
-            self._changed.notify_all()
+        if command == "stop":
+            self._stopped.set()
+        else:
+            self.paused = command == "pause"
 
     def wait(self, seconds: float) -> None:
-        """Let the clock run, until another request comes at most."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._stopped or not self.paused, seconds)
+        """Let the clock run, until a stop comes at most."""
+        self._stopped.wait(seconds)
 
     def obey_stop(self) -> None:
         """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""
-        if self._stopped:
+        if self._stopped.is_set():
             raise StoppedByViewerError(
                 "stopped from a viewer", "look at the robot, then let it go with `thigmo clear`"
             )

@@ -22,12 +22,10 @@ from thigmo.record import (
     Ellipse,
     MapContact,
     Obstacle,
-    ObstacleMap,
     OccupancyGrid,
     RunFolder,
     read_obstacles,
     read_ros_map,
-    write_obstacles,
 )
 from thigmo.record.occupancy import OCCUPIED
 from thigmo.robot.readings import Floats
@@ -88,14 +86,6 @@ def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
     raise RunFolderError(
         f"{path} is no map", "give a run folder, its obstacles.json, or a ROS map's YAML file"
     )
-
-
-def keep_prior(prior: list[Obstacle], folder: RunFolder, radius_cm: float) -> None:
-    """Keep the map that a run was given in its folder, for the replay.
-
-    Raises RunFolderError if the folder cannot be written.
-    """
-    write_obstacles(ObstacleMap("prior", "", "given", radius_cm, prior), folder.path / PRIOR_FILE)
 
 
 def kept_prior(folder: RunFolder) -> list[Obstacle]:

@@ -41,7 +41,6 @@ from thigmo.robot.state import together
 from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
 
 _MOST_ZERO_TRIES = 5
-_ALL = (1 << SENSORS) - 1
 _BASE = 1 | 1 << SENSORS // 2  # the first sensor of each side: what the trigger works on
 
 # A young sensor counts once its rest is known to so many times its noise.
@@ -215,17 +214,14 @@ class Exploration:
         self._judge()
 
     def _settle(self) -> str:
-        if self.protocol == "thesis":
-            self._wait_settled(_ALL)
-            return "settled"
+        thesis = self.protocol == "thesis"
         # Sensors that have just everted are not needed to feel a contact, only to measure it.
-        self._wait_settled(_BASE)
-        status = self.robot.status()
-        self.robot.set_aside(status.everted & ~status.settled)
+        needed = (1 << SENSORS) - 1 if thesis else _BASE
+        self.robot.wait_settled(lambda left_s: self.tell(f"{left_s:.0f} s left"), needed)
+        if not thesis:
+            status = self.robot.status()
+            self.robot.set_aside(status.everted & ~status.settled)
         return "settled"
-
-    def _wait_settled(self, sensors: int) -> None:
-        self.robot.wait_settled(lambda left_s: self.tell(f"{left_s:.0f} s left"), sensors)
 
     def _zero(self) -> str:
         if not self._zeroed():

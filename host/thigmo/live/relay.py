@@ -8,7 +8,6 @@ and Foxglove share. Nothing here drives a robot: if it is killed, the run goes o
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import deque
@@ -66,6 +65,7 @@ def stop_port(run: Hello | None) -> list[str]:
 
 
 def _socket(url: str) -> str:
+    # What two URLs of one robot may differ in is left out.
     return stop_socket.address(url.partition("?baud=")[0])
 
 
@@ -77,7 +77,7 @@ class Watched:
     """
 
     def __init__(self, url: str | None) -> None:
-        self._robot = url and _robot(url)
+        self._robot = url and _socket(url)
         self._waiting: deque[Message | None] = deque()
         self._run: RemoteRun | None = None
         self._closed = threading.Event()
@@ -104,7 +104,7 @@ class Watched:
 
     def _follow(self) -> None:
         while not self._closed.is_set():
-            runs = [each for each in running() if self._robot in (None, _robot(each.hello.url))]
+            runs = [each for each in running() if self._robot in (None, _socket(each.hello.url))]
             with suppress(LinkError):  # it has just ended
                 if runs:
                     with attach(runs[-1].address) as run:
@@ -132,21 +132,14 @@ class Watched:
         self._waiting.append(message)
 
 
-def _robot(url: str) -> str:
-    """A URL without what two URLs of one robot may differ in."""
-    device = url.partition("?baud=")[0]
-    return os.path.realpath(device) if device.startswith("/") else device
-
-
 @dataclass(slots=True)
 class Facts:
     """How things are."""
 
     run: Hello | None = None  # whose messages came last; None before the first
     under_way: bool = False  # it has not ended
-    # state, board: last heard of it
-    state: RunState | None = None
-    board: Telemetry | None = None
+    state: RunState | None = None  # last heard of it
+    board: Telemetry | None = None  # last heard of it
     stop: str = ""  # why a stop would not reach the robot; empty if it would
     stopped: str = ""  # what the last stop of this run came to; empty before the first
 
