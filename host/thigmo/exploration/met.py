@@ -85,9 +85,7 @@ class Lean(Met):
 def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
     """What a growth's readings say of its tip; None if every sensor that was due has everted.
 
-    Args:
-        length_cm: (n,) believed lengths, ascending.
-        bend: (n, 10) what the sensors read there, 1/cm, from any zero.
+    At believed lengths (n,), ascending, the sensors read `bend` (n, 10) in 1/cm from any zero.
     """
     if len(length_cm) <= 2 * _SMOOTH:
         return None
@@ -132,9 +130,7 @@ def lean(
 ) -> Lean | None:
     """What a growth's readings and the zeros around it say of the body; None if it is straight.
 
-    Args:
-        length_cm, bend: as for `stall`.
-        before, after: (10,) the zeros around the growth, from the same zero; NaN without one.
+    Lengths and readings are as for `stall`; `before` and `after` (10,) are NaN without a zero.
     """
     if len(length_cm) < _SMOOTH:
         return None

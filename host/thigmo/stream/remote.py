@@ -11,8 +11,8 @@ import contextlib
 import json
 import os
 import re
+import secrets
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -51,12 +51,8 @@ def _folder() -> Path:
 
 def _new_address(name: str) -> str:
     label = re.sub(r"\W+", "-", name)[:24].strip("-")
-    if sys.platform == "win32":
-        return rf"\\.\pipe\{_PIPE_PREFIX}{label}-{os.getpid()}-{threading.get_native_id()}"
-    handle, path = tempfile.mkstemp(prefix=f"{label}-{os.getpid()}-", dir=_folder())
-    os.close(handle)
-    Path(path).unlink()
-    return path
+    own = f"{label}-{os.getpid()}-{secrets.token_hex(4)}"
+    return rf"\\.\pipe\{_PIPE_PREFIX}{own}" if sys.platform == "win32" else str(_folder() / own)
 
 
 def _addresses() -> list[str]:
