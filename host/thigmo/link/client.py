@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, cast
 
 from thigmo.closing import Closing
-from thigmo.errors import LinkError
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import failures
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, Frame, FrameError, encode
@@ -180,7 +180,13 @@ class Client(Inbox, Closing):
                     self._resume(command, limit, until_s)
                 raise failures.timed_out(command, limit)
         if isinstance(reply, wire.Ack) and reply.status is wire.Status.REFUSED:
-            raise failures.refused(command, reply.reason, reply.detail)
+            what, step = reply.reason.told
+            raise CommandRefusedError(
+                f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
+                step,
+                reason=reply.reason.key,
+                detail=reply.detail,
+            )
         return cast("R", reply)
 
     def stop(self, within_s: float = CONFIRM_S) -> None:
@@ -196,7 +202,10 @@ class Client(Inbox, Closing):
         while not call.confirmed:
             now_s = self.now()
             if now_s >= began_s + within_s:
-                raise failures.not_stopped(within_s)
+                raise CommandTimeoutError(
+                    f"the board did not confirm the stop within {within_s:g} s",
+                    "press the emergency stop or cut the power, and shut the air",
+                )
             frame = call.frame(now_s)
             if frame is not None:
                 self._write(frame)

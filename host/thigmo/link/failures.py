@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from thigmo.errors import (
     BoardResetError,
-    CommandRefusedError,
     CommandTimeoutError,
     LinkError,
     NotARobotError,
@@ -14,30 +13,11 @@ from thigmo.link import protocol as wire
 from thigmo.link.transport import Transport
 
 
-def refused(command: wire.Message, reason: wire.Reason, detail: int) -> CommandRefusedError:
-    """The board said no, with a reason whose sentence the schema has."""
-    what, step = reason.told
-    return CommandRefusedError(
-        f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
-        step,
-        reason=reason.key,
-        detail=detail,
-    )
-
-
 def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:
     """No answer by the deadline."""
     return CommandTimeoutError(
         f"{command.NAME} found no answer within {limit_s:g} s, and may or may not be done",
         "check the cable and the board's power, and look at the robot's status",
-    )
-
-
-def not_stopped(within_s: float) -> CommandTimeoutError:
-    """A stop found no echo."""
-    return CommandTimeoutError(
-        f"the board did not confirm the stop within {within_s:g} s",
-        "press the emergency stop or cut the power, and shut the air",
     )
 
 
