@@ -62,23 +62,21 @@ class Finding:
 def _board(robot: Robot, _: Attendant) -> Found:
     told = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
     yield "firmware", told, ""
+    what = "valid"
     if "bad_config" in robot.status().faults:
         robot.load_defaults()
-        yield "configuration", "there was none: defaults loaded and stored", ""
-    else:
-        yield "configuration", "valid", ""
+        what = "there was none: defaults loaded and stored"
+    yield "configuration", what, ""
 
 
 def _supply(robot: Robot, _: Attendant) -> Found:
     status = robot.status()
-    if "supply_good" in status.conditions:
-        yield "5 V", f"{status.supply_v:.2f} V, by the board", ""
-    else:
-        yield (
-            "5 V", f"{status.supply_v:.2f} V by the board, below supply_min_mv",
-            "measure 5 V at the Mega; if it is good, correct reference_mv, else use a better "
-            "USB cable or port",
-        )  # fmt: skip
+    what, cure = f"{status.supply_v:.2f} V, by the board", ""
+    if "supply_good" not in status.conditions:
+        what = f"{status.supply_v:.2f} V by the board, below supply_min_mv"
+        cure = ("measure 5 V at the Mega; if it is good, correct reference_mv, else use a better "
+                "USB cable or port")  # fmt: skip
+    yield "5 V", what, cure
 
 
 def _estop(robot: Robot, attendant: Attendant) -> Found:

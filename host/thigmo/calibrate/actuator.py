@@ -111,9 +111,7 @@ class ActuatorResult(StepResult):
                 f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
                 "correct body.zones in robot.toml",
             )
-        maps = list(actuator.maps)
-        maps[zone] = self.zone
-        actuator.maps = maps
+        actuator.maps[zone] = self.zone
         actuator.offset_se = self.offset_se
         if self.lag is not None:
             # The board has one constant, and looks for contacts while pressure rises.
@@ -280,11 +278,8 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
         # What the map's scale does not account for is the shape's error.
         shape = np.maximum(variance - (share * values) ** 2, 0.0)
-        fit_se, top_se, shape_se = (
-            max(known, float(new))
-            for known, new in ((fit_se, np.sqrt(variance.max())), (top_se, share),
-                               (shape_se, np.sqrt(shape.max())))
-        )  # fmt: skip
+        fit_se, top_se = max(fit_se, float(np.sqrt(variance.max()))), max(top_se, float(share))
+        shape_se = max(shape_se, float(np.sqrt(shape.max())))
         amplitude, scale = np.exp(x[:2]).tolist()
         built[name] = TanhMap(amplitude=amplitude, scale_psi=scale, offset_psi=float(x[2]))
     g_se = float(np.hypot(fit_se, camera_se))

@@ -30,10 +30,8 @@ _MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
 def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
     mark, color = ("good", "black") if verdict.good else ("BAD", RED)
     figure.suptitle(f"{mark}: {verdict.reason}", fontsize=10, color=color, wrap=True)
-    try:
+    with DataError.from_os(f"cannot write {path}", "choose another folder"):
         figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise DataError(f"cannot write {path}: {error}", "choose another folder") from error
 
 
 @contextmanager
@@ -106,12 +104,10 @@ def _actuator(result: ActuatorResult, path: Path) -> None:
     branch = np.array(r.branch)
     sign = 1.0 if r.side == "left" else -1.0
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
-    curves = (("inflate", "^", BLUE, result.zone.inflate),
-              ("deflate", "v", ORANGE, result.zone.deflate))  # fmt: skip
     labels = "muscle pressure (psi)", "free curvature (1/cm)"
     with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:
-        for name, mark, color, curve in curves:
-            pick = (branch == name) & used
+        for name, mark, color in (("inflate", "^", BLUE), ("deflate", "v", ORANGE)):
+            pick, curve = (branch == name) & used, getattr(result.zone, name)
             axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
             axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
         axes.plot(r.pressure_psi[~used], r.curvature[~used], "x", color=RED, label="left out")

@@ -269,11 +269,8 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     if not everted:
         return Verdict(False, "no sensor is everted; grow the robot first", tuple(notes))
     worst = max(healthy, key=lambda fit: fit.scale_se)
-    percent = 100 * worst.scale_se
-    reason = f"scales known to {percent:.1f} % or better ({worst.name} is the worst)"
-    if percent > 5:
-        reason = (
-            f"the scale of {worst.name} is known to {percent:.0f} % only; add free bends or "
-            "more places"
-        )
+    name, percent = worst.name, 100 * worst.scale_se
+    reason = f"the scale of {name} is known to {percent:.0f} % only; add free bends or more places"
+    if percent <= 5:
+        reason = f"scales known to {percent:.1f} % or better ({name} is the worst)"
     return Verdict(percent <= 5, reason, tuple(notes))

@@ -41,10 +41,7 @@ _LATER_SCAN_S = 1e-3
 
 @dataclass(frozen=True)
 class Lag:
-    """Lag of the base sensor's reading behind the measured pressure, s, with standard errors.
-
-    These two are what the board compares.
-    """
+    """Lag of the base sensor's reading behind the measured pressure: what the board compares, s."""
 
     inflate_s: float
     inflate_se_s: float

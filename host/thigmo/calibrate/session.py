@@ -36,8 +36,6 @@ class Session:
             self.config = config or RobotConfig()
             self.config.save(self.robot_file)
 
-    # Readings.
-
     def rows(self, procedure: str) -> dict[str, dict[str, Any]]:
         """Readings taken so far, by key, in order; of one that was taken again the last.
 
@@ -79,8 +77,6 @@ class Session:
         path = self.folder / f"{procedure}.jsonl"
         if path.exists():
             path.replace(path.with_suffix(".jsonl.old"))
-
-    # Results.
 
     def done(self, step: str) -> dict[str, Any] | None:
         """The stored result of a step, if it was good."""

@@ -26,11 +26,9 @@ class _TerminalAttendant:
         self._told = False
 
     def ready(self, request: str) -> None:
-        """Ask for something, and wait until it is done."""
         self._console.ask(f"{request}. Then press Enter.")
 
     def press_emergency_stop(self, pressed: bool) -> None:
-        """Ask for the emergency stop."""
         self.ready(f"{'Press' if pressed else 'Release'} the emergency stop")
 
     def spool_turned(self) -> Turned:
