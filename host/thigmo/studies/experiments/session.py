@@ -154,13 +154,10 @@ class Attendant:
         """Whether to keep what was just taken."""
         if self.ask is None:
             return "keep"
-        while True:
-            answer = self.ask(
-                f"{summary}. Enter = keep, r = redo, s = skip, q = stop here and go on later:"
-            )
-            word = answer.strip().lower()[:1]
-            if word in _WORDS:
-                return _WORDS[word]
+        question = f"{summary}. Enter = keep, r = redo, s = skip, q = stop here and go on later:"
+        while (word := self.ask(question).strip().lower()[:1]) not in _WORDS:
+            pass
+        return _WORDS[word]
 
 
 class Folder:
