@@ -301,11 +301,9 @@ def evaluate(folder: Folder) -> Outcome:
         raise DataError("there are no explorations to evaluate", "make some first")
     outcome = _compared(trials)
     each = [(n, way, ways[way]) for n, ways in trials.items() for way in _WAYS if way in ways]
-    outcome.tables["each"] = [
-        {"number": number, "protocol": way, "error_x_cm": made["x_cm"], "error_cm": made["cm"],
-         "robot_time_s": made["s"]}
-        for number, way, made in each
-    ]  # fmt: skip
+    columns = "number", "protocol", "error_x_cm", "error_cm", "robot_time_s"
+    lines = [(number, way, made["x_cm"], made["cm"], made["s"]) for number, way, made in each]
+    outcome.tables["each"] = [dict(zip(columns, line, strict=True)) for line in lines]
     outcome.notes += [
         f"trial {number}, {_WAYS[way]}: {_in_words(made)}, {made['s']:.0f} s"
         for number, way, made in each

@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from thigmo import __version__
+from thigmo.calibrate.bench import READ_S, SAME_CM, STEADY_S
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.reference import scale_errors
@@ -28,12 +29,9 @@ from thigmo.studies.experiments.specimen import frozen, pushed
 from thigmo.studies.experiments.trial import Planned, Trial, arc_bound_cm, plan
 from thigmo.studies.rod import Floats
 
-_STEADY_S = 2.5  # from a new load to a body at rest
-_READ_S = 1.0
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
 _ZERO_TRIES = 3
-_SAME_CM = 0.2
 _PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not state it
 _LEAST_GAIN_SE = 1e-3
 
@@ -87,7 +85,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     body, pitch = config.body, config.sensors.pitch_cm
     stops = {*np.arange(pitch, body.length_cm, pitch).tolist(), body.length_cm}
     stops |= {zone.until_cm for zone in body.zones if zone.until_cm < body.length_cm}
-    way = [(stop, body.zone_at(stop)) for stop in sorted(stops) if stop > length + _SAME_CM]
+    way = [(stop, body.zone_at(stop)) for stop in sorted(stops) if stop > length + SAME_CM]
     pressed = -1
     for stop, zone in (*way, (None, len(body.zones) - 1)):
         if zone != pressed:
@@ -109,10 +107,10 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     if trial.pressure_psi > 0:
         for since, psi in pairwise((0.0, *thesis.way_psi(trial.pressure_psi))):
             if since > 0.0:
-                passed.append(robot.read(_READ_S))
+                passed.append(robot.read(READ_S))
             left, right = (psi, 0.0) if trial.side == "left" else (0.0, psi)
             robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
-            robot.wait((psi - since) / _RAMP_PSI_S + _STEADY_S)
+            robot.wait((psi - since) / _RAMP_PSI_S + STEADY_S)
             if psi == thesis.TOUCH_PSI:
                 attendant.touch(trial)
     else:
@@ -121,8 +119,8 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
             diameter_cm=config.body.diameter_cm, fold_rad=trial.fold(frozen().fold_rad),
         )  # fmt: skip
         attendant.push_aside(trial, [round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm])
-        robot.wait(_STEADY_S)
-    reading = robot.read(_READ_S)
+        robot.wait(STEADY_S)
+    reading = robot.read(READ_S)
     dowels = attendant.dowels(len(trial.arcs_cm))
     truth = attendant.truth()
     robot.vent()
