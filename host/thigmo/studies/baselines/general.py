@@ -103,8 +103,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     least = 2 * problem.contacts + 2
     if places.size < least:
         raise DataError(
-            f"pwlf needs readings at {least} places, there are {places.size}",
-            "use the localizer",
+            f"pwlf needs readings at {least} places, there are {places.size}", "use the localizer"
         )
     means = np.array([problem.curvature[problem.position == x].mean() for x in places])
     fit = fitter.PiecewiseLinFit(places, means, seed=0)
@@ -141,8 +140,7 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
 def trees(problem: Problem, mechanics: bool = False) -> tuple[Array, Array]:
     """Extremely randomised trees on the readings, alone or with the exact 1-norm fit beside them.
 
-    Source: Geurts, Ernst and Wehenkel, Extremely randomized trees, Machine Learning 63, 2006
-    (scikit-learn); the thesis's outlook asks for an ensemble of trees together with mechanics.
+    Source: Geurts, Ernst and Wehenkel, Extremely randomized trees, Machine Learning 63, 2006.
     """
     forest = _ensemble(
         tuple(problem.position.tolist()), tuple(problem.span.tolist()), problem.length,

@@ -128,8 +128,7 @@ def assigned_errors(trial: Trial, answer: Answer) -> Floats:
     """As `camera_errors`, with the closest pair of contact and obstacle matched first.
 
     Along a line no assignment has a smaller sum than the ordered one; this one tells how well the
-    best-found contact was found, whatever its label. So the first entry is that contact's error,
-    and the last what is left for the others.
+    best-found contact was found, whatever its label: its error comes first.
     """
     gaps = np.abs(np.subtract.outer(answer.arcs_cm, trial.obstacle_x_cm))
     errors = []

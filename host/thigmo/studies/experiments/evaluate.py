@@ -77,9 +77,8 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
 def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
     """A method's errors over trials, cm; trials without an answer are left out.
 
-    Mean and std are in the thesis's measure, contacts ordered along the arc; nearest_mean and
-    other_mean with the closest pair of contact and obstacle matched first: of that pair, and of the
-    others (equal for one contact); workspace_mean is of the x in the workspace.
+    Mean and std are in the thesis's measure; nearest_mean and other_mean of the closest pair of
+    contact and obstacle, and of the others; workspace_mean is of the x in the workspace.
     """
     measures = compare.camera_errors, compare.assigned_errors, compare.workspace_errors
     pairs = compare.answered(solved, method)

@@ -193,11 +193,7 @@ def actuated(solved: Sequence[Solved]) -> dict[str, Figure]:
 
 
 def muscle_map(seed: int) -> Figure:
-    """The muscle's map from pressure to curvature, measured and fitted (2.4c).
-
-    Eleven pressures from 0 to 20 psi, three trials, each read by a camera of calibration's
-    accuracy; `thigmo.calibrate` fits them as it fits a lab's.
-    """
+    """The muscle's map from pressure to curvature, measured by a camera and fitted (2.4c)."""
     zone = emulated_robot().actuators.left.maps[-1]
     rng = np.random.default_rng([seed, 24])
     psi = np.tile(_PRESSURES_PSI, _TRIALS)

@@ -50,18 +50,12 @@ Setting = tuple[str, Constants, dict[str, Any]]
 """What is changed, the constants, and options of a `Specimen`."""
 
 Cell = dict[str, Any]
-"""The thesis's solver on one condition with one constant "changed"; means in cm.
-
-"camera_cm" is the mean |a - x of the obstacle| here, "workspace_cm" the mean |x error| in the
-workspace, "thesis_cm" what the thesis reports for the "experiment" and "condition".
-"""
+"""The thesis's solver on one condition with one constant "changed": mean |a - x of the obstacle|
+"camera_cm" (the thesis's own: "thesis_cm"), and mean |x error| in the workspace."""
 
 
 def table(constants: Constants, robots: int, seed: int = 0) -> dict[str, tuple[float, float]]:
-    """Mean over robots of each row's mean error and of its spread over the trials (cm).
-
-    Errors are |a - x of the obstacle|, the thesis's measure.
-    """
+    """Mean over robots of each row's mean error and of its spread over the trials (cm)."""
     found: dict[str, list[tuple[float, float]]] = {row: [] for row in ROWS}
     for robot in range(robots):
         specimen = Specimen(constants, np.random.default_rng([seed, robot]))

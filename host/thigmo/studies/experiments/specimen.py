@@ -123,9 +123,8 @@ class Specimen:
         """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
         Only the right column reads. Each inflation passes 6 psi untouched: what the sensors say
-        there of themselves counts for all of the robot's trials. From there on it is read at every
-        second psi. Where along the body the dowel bears at 10 and 14 psi, and whether on the side
-        or on the tip's end, is for the mechanics to say.
+        there of themselves counts for all of the robot's trials. Where along the body the dowel
+        bears later, and whether on the side or on the tip's end, is for the mechanics to say.
         """
         touch, scale = self._muscle.curvature(thesis.TOUCH_PSI), 1 + self._map_error
         read = []
@@ -144,10 +143,7 @@ class Specimen:
         ]  # fmt: skip
 
     def learn_gains(self, readings: Floats, believed: float) -> None:
-        """Take readings (R, N) of the untouched robot, which its map says bends as `believed`.
-
-        All sensors bend alike there.
-        """
+        """Take readings (R, N) of the untouched robot: all sensors bend alike there."""
         noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
         # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
         precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
@@ -215,9 +211,8 @@ def obstacle_bound(
     """Cramer-Rao bound of a dowel that stands still while the robot bends into it, from all frames.
 
     Unknown are the two coordinates of the dowel; every reading has its noise, and every sensor an
-    error of its gain and of its place, the same in all frames (of free curvature `free`, 1/cm).
-    Bounded is the x of the contact in the last frame, as mean absolute error (cm) of a Gaussian
-    estimator; infinite if singular.
+    error of its gain and of its place, the same in all frames. Bounded is the x of the contact in
+    the last frame, as mean absolute error (cm) of a Gaussian estimator; infinite if singular.
     """
     tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
     at, step = np.array(thesis.CENTERS_CM), _BOUND_STEP_CM

@@ -138,9 +138,7 @@ class Trial:
     frames: Floats  # (T, N) readings, 1/cm
     frames_free: Floats  # (T,) believed free curvature of each, 1/cm
     noise: float  # white noise of a reading, 1/cm
-    # (N,) each reading's gain, as far as the untouched robot has shown it (1 elsewhere). The
-    # thesis's method does not look at it.
-    gain: Floats
+    gain: Floats  # (N,) of each sensor, as far as the untouched robot has shown it; 1 elsewhere
     # (N,) what a lab states as standard deviation of the last frame's readings: white noise, the
     # uncertainty of their gains, and that of their places times the slope of the readings
     sigma: Floats
@@ -153,10 +151,8 @@ class Trial:
     # a dowel of the contact's x, from all frames. Infinite where nothing fixes it, NaN where the
     # forces are not known.
     bound_cm: tuple[float, ...]
-    # gain_error, place_error_cm: what a lab states as relative standard deviation of its gains, as
-    # far as they are not known (`gain`), and as that of its sensors' places
-    gain_error: float = 0.0
-    place_error_cm: float = 0.0
+    gain_error: float = 0.0  # relative standard deviation, as stated, of what `gain` leaves
+    place_error_cm: float = 0.0  # standard deviation of the sensors' places, as stated
     offset_error: float = 0.0  # standard deviation of an error that all readings share, 1/cm
     length_cm: float = thesis.LENGTH_CM  # everted length
     critical: float = thesis.CRITICAL  # contact curvature at which the base folds, 1/cm
