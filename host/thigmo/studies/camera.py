@@ -18,14 +18,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from thigmo.camera import CameraModel, Lens, Seen, Sheet, calibrate_lens, locate, look
 from thigmo.camera.model import Picture
-from thigmo.camera.render import (
-    BodyShape,
-    PegShape,
-    View,
-    overhead_camera,
-    random_look,
-    render,
-)
+from thigmo.camera.render import BodyShape, PegShape, View, overhead_camera, random_look, render
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
 from thigmo.mechanics import traced
 from thigmo.studies.engine import Claim, Context, Outcome, share

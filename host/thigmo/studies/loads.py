@@ -17,18 +17,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from thigmo.localization import arc_bounds, localize
+from thigmo.studies import touches
 from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import (
-    MOST_FREE,
-    Draw,
-    Scenes,
-    holds,
-    misfit_of_one_contact,
-    signs,
-    straight,
-)
+from thigmo.studies.touches import Draw, Scenes, holds, signs, straight
 
 BATCH = 50  # frames of one group that a process takes at a time
 FEW = (2, 3, 5, 10)  # readings
@@ -77,7 +70,7 @@ class Seen:
 
 
 def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
-    size = rng.uniform(0.005, MOST_FREE, count) if bent else 0.0
+    size = rng.uniform(0.005, touches.MOST_FREE, count) if bent else 0.0
     return signs(rng, count) * size
 
 
@@ -169,7 +162,7 @@ def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> S
     order = np.argsort(places, axis=1)
     arcs, kinks, forces = (np.take_along_axis(v, order, 1) for v in (places, kinks, forces))
     scenes = _read(arcs, forces, COLUMN if bent else BOTH, free, kinks)
-    seen = misfit_of_one_contact(scenes.curvature, scenes.position, free)
+    seen = touches.misfit_of_one_contact(scenes.curvature, scenes.position, free)
     return replace(scenes, arcs=places[:, 1 : 1 + touched], stands_out=seen)
 
 
@@ -224,7 +217,7 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
     stands_out = np.zeros(size) if scenes.stands_out is None else scenes.stands_out
     least = np.full(size, np.inf)
     if group.against_free or scenes.arcs.shape[1] == 2:
-        least = misfit_of_one_contact(frames, scenes.position, scenes.free)
+        least = touches.misfit_of_one_contact(frames, scenes.position, scenes.free)
     if group.against_free:
         free = np.square((frames - scenes.free[:, None]) / SIGMA).sum(axis=1)
         stands_out = free - least

@@ -66,12 +66,10 @@ class Rooms:
     """S rooms with a peg each, through an inflation of T frames; NaN before the touch."""
 
     free: Floats  # (T, S) free curvature of the frames, rising
-    # u, push: (T, S) place on the outline and size of the force
-    u: Floats
-    push: Floats
-    # peg, peg_radius: (2, S) and (S,)
-    peg: Floats
-    peg_radius: Floats
+    u: Floats  # (T, S) place on the outline
+    push: Floats  # (T, S) size of the force
+    peg: Floats  # (2, S)
+    peg_radius: Floats  # (S,)
     length: float  # everted length
 
     @property
