@@ -6,12 +6,9 @@ output as it is; the board ends each push by itself within half a second.
 """
 
 from thigmo.bringup.checks import STAGES, Attendant, BringUp, Finding, Turned
-from thigmo.bringup.push import JOG_CM, PRESS_PSI, PRESS_S, jog, press
+from thigmo.bringup.push import jog, press
 
 __all__ = [
-    "JOG_CM",
-    "PRESS_PSI",
-    "PRESS_S",
     "STAGES",
     "Attendant",
     "BringUp",

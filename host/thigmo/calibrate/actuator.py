@@ -131,13 +131,9 @@ class ActuatorResults(StepResult):
         return {"each": [result.as_data() for result in self.each], **super().as_data()}
 
     def write(self, config: RobotConfig) -> None:
-        """All maps."""
-        for result in self.each:
+        """All maps; of a muscle's offset errors the largest stays."""
+        for result in sorted(self.each, key=lambda one: one.offset_se):
             result.write(config)
-        for side in SIDES:
-            spreads = [r.offset_se for r in self.each if r.readings.side == side]
-            if spreads:
-                config.actuators.side(side).offset_se = max(spreads)
 
 
 def together(found: Sequence[ActuatorResult]) -> ActuatorResults:

@@ -45,9 +45,8 @@ class Plan:
     """How much of everything."""
 
     places: int = 10  # tip places of the flex step
-    # more of the pushed tip for the stiffness step, all far aside. One at full reach tells the
-    # ratio to 0.15..0.35, by the camera. The flex step's ten places count for four of those, twelve
-    # more for eight: 0.05..0.1, where 0.15 is the worst that is good.
+    # more of the pushed tip for the stiffness step, all far aside. One tells the ratio to
+    # 0.15..0.35, by the camera; with the flex step's ten places these tell it to 0.05..0.1.
     pictures: int = 12
     straight: int = 3  # straight rows of the flex step
     trials: int = 3  # of the bends

@@ -87,10 +87,7 @@ def of_csv(table: Table, config: RobotConfig) -> BucklingResult:
 def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
-    """Critical curvature over hard pushes at the tip.
-
-    `curvature` (t, m) holds the readings of each trial; nan = unusable.
-    """
+    """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
     names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
     center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
     if curvature.shape[1] != len(center):

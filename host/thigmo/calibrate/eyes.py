@@ -35,10 +35,7 @@ class Eyes:
     dowel_radius_cm: float | None = None  # of the obstacles, if known: fewer mistakes
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
-        """The body's axis; a pushed tip's place needs its marker, a free bend does not.
-
-        Raises CameraError, also where the axis that was seen is doubtful.
-        """
+        """The body's axis, if beyond doubt; a pushed tip needs its marker, a free bend does not."""
         wanted = Seen(self.diameter_cm, constant=free_bend, obstacles=False, length_cm=length_cm)
         sighting = look(self.source.read(), self.camera, self.sheet, wanted)
         doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in sighting.problems)
@@ -62,10 +59,9 @@ def emulated_source(
     diameter_cm: float = 3.5,
     spoil: Callable[[CameraModel], CameraModel] | None = None,
 ) -> tuple[PictureSource, float]:
-    """A camera above an emulated robot, drawn by `seed`, and its height as a tape would tell.
+    """A camera above an emulated robot, and its height as a tape would tell.
 
-    The seed is that of the camera's place, its lens, and the room's looks. `spoil` changes the true
-    camera before every picture (tests move it).
+    `seed` draws its place, lens and room; `spoil` changes it before every picture (tests move it).
     """
     rng = np.random.default_rng([seed, 0xCA3E4A])
     camera = painter.overhead_camera(rng)

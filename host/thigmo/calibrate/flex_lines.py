@@ -146,11 +146,8 @@ def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
 
 
 def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
-    """The line through the rows that a robust fit kept, and what each point of the grid says.
-
-    Returns:
-        The line, its restricted log evidence (g,) without the prior, and the covariances (g, p, p)
-        of its coefficients.
+    """The line through the rows that a robust fit kept; and by each point of the grid its
+    restricted log evidence (g,), without the prior, and its covariances (g, p, p).
     """
     design, slope = column.design(), abs(float(fit.coefficients[1]))
     # In order, of one session and sweep, about `_MOST_ROWS` in all.
@@ -304,11 +301,8 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
 
 
 def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]]:
-    """How far each sensor's quadratic departs from the line.
-
-    Returns:
-        Share of the answer at the largest bend that goes beyond a straight line, its standard
-        error, and the rows' departure from a line through them (rms, relative).
+    """Of each sensor's quadratic: share of the answer at the largest bend that goes beyond a
+    straight line, its standard error, and the departure from a line through it (rms, relative).
     """
     curved = []
     for column in columns:

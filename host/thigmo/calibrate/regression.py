@@ -148,19 +148,13 @@ def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
 
 
 def outlying(values: Array, limit: float, least: Array | float) -> Mask:
-    """Values (n,) farther from their median than `limit` sigmas, by their median deviation.
-
-    `least` is the sigma that each has at least.
-    """
+    """Values (n,) farther from their median than `limit` sigmas, of which each has `least`."""
     sigma = np.maximum(median_abs_deviation(values, scale="normal"), least)
     return np.asarray(np.abs(values - np.median(values)) > limit * sigma)
 
 
 def lasting(residuals: Array, most: float) -> float:
-    """Factor on the variance of residuals (n,) in order that last: neighbours err together.
-
-    `most` is the correlation of neighbours above which it is not believed.
-    """
+    """Factor on the variance of residuals (n,) for neighbours that correlate, by `most` at most."""
     along = float(np.corrcoef(residuals[1:], residuals[:-1])[0, 1])
     along = min(most, max(0.0, along)) if np.isfinite(along) else 0.0
     return (1 + along) / (1 - along)
