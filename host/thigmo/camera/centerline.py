@@ -50,11 +50,7 @@ class Centerline:
         return float(self.heading[-1] - self.heading[0]) / self.length_cm
 
     def mean_curvature(self, center_cm: float, span_cm: float) -> tuple[float, float]:
-        """Average curvature over a sensor's span, and its one sigma (1/cm).
-
-        Raises:
-            DataError: the span is not on the body.
-        """
+        """Average curvature over a sensor's span on the body, and its one sigma (1/cm)."""
         low, high = center_cm - span_cm / 2, center_cm + span_cm / 2
         if low < self.arc_cm[0] - 0.5 or high > self.arc_cm[-1] + 0.5 or span_cm <= 0:
             raise DataError(

@@ -46,22 +46,14 @@ class Kept:
     cure: ClassVar[str]  # how to make one
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file.
-
-        Raises:
-            CameraError: the folder cannot be written.
-        """
+        """Write the file; raises CameraError where the folder cannot be written."""
         data = TypeAdapter(type(self)).dump_python(self, by_alias=True)
         with CameraError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
             Path(path).write_text(json.dumps(data.pop("lens", {}) | data, indent=1))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file written by `save`; for a lens, a camera's will do as well.
-
-        Raises:
-            CameraError: missing or damaged file.
-        """
+        """Read a file of `save` (a camera's has a lens too); CameraError if missing or damaged."""
         with CameraError.from_os(f"cannot read {path}", f"{cls.cure} first"):
             text = Path(path).read_text()
         try:

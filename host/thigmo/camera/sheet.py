@@ -97,11 +97,7 @@ class Sheet(Model):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Sheet:
-        """Read a sheet file (TOML).
-
-        Raises:
-            ConfigError: missing, malformed or invalid.
-        """
+        """Read a sheet file (TOML); raises ConfigError if it is missing, malformed or invalid."""
         return load_toml(cls, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:

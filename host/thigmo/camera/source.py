@@ -85,8 +85,7 @@ def _capture(device: int | str) -> PictureSource:
 def open_source(where: str | os.PathLike[str]) -> PictureSource:
     """A source by name: `0` or `camera:0` (live), a video file, a still, or a folder of stills.
 
-    Raises:
-        PictureError: nothing there, or nothing readable.
+    Raises PictureError where there is nothing readable.
     """
     text = os.fspath(where)
     number = text.removeprefix("camera:")

@@ -105,10 +105,7 @@ def _function(name: str) -> property:
 
 
 class Chip:
-    """One simulated ATmega2560 at 16 MHz, powered on with empty flash.
-
-    Raises PortError where its bridge cannot be built.
-    """
+    """A simulated ATmega2560 at 16 MHz, on, its flash empty; PortError if it cannot be built."""
 
     cycle = _figure("cycle")
     """Cycles since the chip was made."""

@@ -26,8 +26,7 @@ def hold(
 ) -> Solution:
     """Shape of the body with points (arc, y) of its centreline held, cm, base first.
 
-    Raises:
-        DataError: a place that the body cannot reach.
+    Raises DataError for a place that the body cannot reach.
     """
     from scipy.optimize import root  # a quarter of a second that most emulations need not wait
 

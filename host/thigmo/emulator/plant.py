@@ -181,10 +181,7 @@ class Plant:
         """Hold points (arc, y) of the centreline aside, cm, base first; none lets go.
 
         The room's pegs are out of reach meanwhile. Dowels of a radius hold them, or (0) fingers,
-        which nobody sees.
-
-        Raises:
-            DataError: a place that the body cannot reach, or an arc beyond its end.
+        which nobody sees. Raises DataError for a place or an arc beyond the body's reach.
         """
         for arc, _ in pushes:
             if not 0 < arc <= self.length_cm + 1e-6:

@@ -243,11 +243,7 @@ class Scene(Model):
 
     @classmethod
     def load(cls, source: str | Path) -> Self:
-        """Read a scene: the name of one that comes with the package, or a path to a TOML file.
-
-        Raises:
-            ConfigError: no such scene, or a file that is malformed (the entry is named).
-        """
+        """Read a scene: the name of one that comes with the package, or a path to a TOML file."""
         path = _find(str(source))
         scene = validated(cls, _merged(path, ()), path)
         if scene.name == "unnamed":

@@ -152,10 +152,6 @@ def serve(
         link: a symbolic link to make to the port.
         config: where to write this robot's constants, as its lab knows them.
         announce: told where the port is, once it can be opened.
-
-    Raises:
-        ConfigError: no such scene, a malformed one, or `config` cannot be written.
-        PortError: no pseudo-terminals here, or the link cannot be made.
     """
     from thigmo.emulator._board import VirtualBoard
 

@@ -181,9 +181,6 @@ def solve(
     With pegs the answer depends on how the body came there: it starts straight at its full length
     (cm) and the free curvature (1/cm) then rises in steps; pegs that overlap the straight body push
     it aside. Use `Rod` for another history. The tube is 3.5 cm wide without a fold unless given.
-
-    Raises:
-        DataError: bad values.
     """
     rod = Rod(tube or Tube(), pegs, cell_cm=cell_cm)
     rod.step(free_curvature, length)
