@@ -73,8 +73,11 @@ class PtyServer:
             ) from error
 
     def close(self) -> None:
-        """Close the port and remove the link."""
+        """Close the port and remove the link; a second time does nothing."""
+        if self._master < 0:
+            return
         os.close(self._master)
+        self._master = -1
         if self._link is not None and self._link.is_symlink():
             self._link.unlink()
 
