@@ -15,7 +15,7 @@ from thigmo.studies.touches import misfit_of_one_contact
 
 PLAIN = Seen(
     found=1, likely=1, localized=True, ambiguous=False, none=0.0, held=1, wrong=False, off_cm=0.5,
-    hinge=False, open=True, stands_out=0.0, fits=True,
+    hinge=False, open=True, stands_out=0.0, fits=True, turn=1.0,
 )  # fmt: skip
 
 
@@ -63,7 +63,7 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
             {"wrong": True, "fits": False},
         ),
         "two on one side that one explains": ("two on one side, straight", {"open": False}),
-        "rod held at its end: localized": ("rod held at its end", {"off_cm": 3.0}),
+        "rod held at its end: localized": ("rod held at its end", {"off_cm": 3.0, "turn": 0.2}),
         "kinks of 3": ("kink, bent", {"stands_out": SEEN_KINK}),
     }
     free = replace(PLAIN, found=0, likely=0, localized=False, held=0)
@@ -76,6 +76,8 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
         if name.startswith("kink"):
             good[name] = [replace(PLAIN, hinge=True, stands_out=v) for v in (0.0, 99.0)] * 25
     assert [c.text for c in loads._claims(good) if not c.holds] == []
+    far = good | {"rod held at its end": [replace(PLAIN, off_cm=3.0)] * 50}
+    assert sum("from there" in c.text for c in loads._claims(far) if not c.holds) == 2
     for start, (group, change) in bad.items():
         spoilt = {**good, group: [*good[group][:40], *[replace(PLAIN, **change)] * 10]}
         missed = [c.text for c in loads._claims(spoilt) if not c.holds]

@@ -34,7 +34,7 @@ PAIRS = ((-0.016, 0.02), (-0.02, 0.03), (-0.03, 0.04))  # moments at the base, 1
 TOLD_APART_CM, TOO_CLOSE_CM = 18.5, 13.0
 PLACED_CM = 2.5  # bound of the places of two contacts that sensors tell apart
 ROD_CM, ROD_NOISE = 24.0, SIGMA * LENGTH / 24.0  # as noisy as the robot, for its length
-MOST_TURN = np.deg2rad(100.0)
+BENT, MOST_TURN = np.deg2rad(45.0), np.deg2rad(100.0)
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,7 @@ class Seen:
     hinge: bool  # the explanation has a kink, or the message says that it may
     open: bool  # the message says that more contacts are not excluded
     stands_out: float  # misfit of what the group's promise speaks of
+    turn: float  # of the body, by the mean of what evenly spaced sensors read without noise (rad)
     fits: bool  # one contact leaves no more misfit than noise does in 99 of 100 frames
 
 
@@ -224,8 +225,9 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
     fits = least < chi2.isf(0.01, scenes.position.size - 2)
     told = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS, **group.options}
     seen = []
-    for frame, free, arcs, out, fit in zip(
-        frames, scenes.free, scenes.arcs, stands_out, fits, strict=True
+    turns = np.abs(scenes.curvature.mean(axis=1)) * told["length"]
+    for frame, free, arcs, out, fit, turn in zip(
+        frames, scenes.free, scenes.arcs, stands_out, fits, turns, strict=True
     ):
         result = localize(frame, scenes.position, free_curvature=free, **told)
         placed = [contact for contact in result.contacts if contact.status == "localized"]
@@ -246,6 +248,7 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
                 ),
                 open="not excluded" in result.message,
                 stands_out=float(out),
+                turn=float(turn),
                 fits=bool(fit),
             )
         )
@@ -313,6 +316,8 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
                  share([f.held > 0 for f in rods]), 0.95),
         Claim("rod held at its end: localized more than 5 % of its length from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods]), 0.0),
+        Claim("of the rods that turn by 45 degrees or more: localized so far from there",
+              share([f.off_cm > 0.05 * ROD_CM for f in rods if f.turn >= BENT]), 0.0),
         Claim("kinks of 3 standard errors or more: not told, and a contact localized",
               share([f.localized and not f.hinge for f in told]), 0.0),
         Claim("of these, localized where nothing is", share([f.wrong for f in told]), 0.03),
