@@ -135,7 +135,9 @@ LOSE = """() => new Promise((lost) => {
 
 def test_page_whose_connection_breaks_has_the_run_again_once(page: Page, run: ScriptedRun) -> None:
     run.event("armed", "info", "The board is armed.")
+    _expect_connected(page)
     run.read(20)
+    _until_rows(page, 20)  # what came with the next forty would be thinned out
     run.feel()
     _read(run, [page], 400)
     page.evaluate(LOSE)
