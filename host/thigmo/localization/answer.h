@@ -109,13 +109,14 @@ class Mixture {
 
   // Pieces of the highest-density set that holds a share of the mass, ascending.
   std::vector<std::pair<double, double>> densest(double share) const {
-    constexpr double kEmpty = 1e-9;  // density that is in no such set
+    // What is less dense holds less than the rest of the mass together, so it is in no such set.
+    const double least = 0.99 * (1.0 - share) / (edges.back() - edges.front());
     std::vector<int> order;
     Row density = mass;
     order.reserve(mass.size());
     for (int c = 0; c < static_cast<int>(mass.size()); ++c) {
       density[c] /= edges[c + 1] - edges[c];
-      if (density[c] > kEmpty) order.push_back(c);
+      if (density[c] > least) order.push_back(c);
     }
     const auto less = [&](int a, int b) { return density[a] < density[b]; };
     std::make_heap(order.begin(), order.end(), less);
@@ -205,7 +206,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
         parts.emplace_back(out.probability[k], &h.contacts[j]);
       }
     }
-    const Mixture mixture(parts, count == 1 ? settings.within : Window{0.0, 1.0});
+    Mixture mixture(parts, count == 1 ? settings.within : Window{0.0, 1.0});
     FeltContact felt;
     felt.arc = mixture.quantile(0.5);
     felt.pieces = mixture.densest(priors.level);
@@ -230,7 +231,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
       }
     }
     out.contacts.push_back(std::move(felt));
-    out.edges = mixture.edges, out.mass = mixture.mass;
+    out.edges = std::move(mixture.edges), out.mass = std::move(mixture.mass);
   }
   const bool asked = settings.contacts > 0;
   if (count == 0 || (asked && touched < 0.5)) {

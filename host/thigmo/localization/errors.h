@@ -237,11 +237,11 @@ struct Whitened {
 
   // The same, with each of the columns added by itself.
   Row log_densities(const Columns& columns) const {
-    Row out, each(levels.size());
+    Row out(columns.size()), each(levels.size());
     for (int e = 0; e < columns.size(); ++e) {
       std::transform(levels.begin(), levels.end(), each.begin(),
                      [&](const At& at) { return at.log_density + at.beside(columns[e]).gain; });
-      out.push_back(log_sum_exp(each));
+      out[e] = log_sum_exp(each);
     }
     return out;
   }

@@ -97,7 +97,7 @@ class Weighing {
         (misfit || moment > priors_.near_fold * settings_.critical)) {
       fold(bent);
     }
-    const bool several = settings_.contacts != 0 && settings_.contacts != 1;
+    const bool several = frame_.size() >= 2 && settings_.contacts != 0 && settings_.contacts != 1;
     bool poor = misfit;
     if (!readings.known && several && frame_.size() >= 5) {
       poor = gain_of_second(found[one]) > priors_.second_gain;
@@ -110,7 +110,7 @@ class Weighing {
     const bool held_perhaps =
         poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
     if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
-    if (several && frame_.size() >= 2 && (poor || settings_.contacts > 1)) weigh_several();
+    if (several && (poor || settings_.contacts > 1)) weigh_several(found[one].log_evidence);
     for (const Doubt& doubt : doubts_) {
       for (const int i : suspects(doubt)) doubt.weigh(i);
     }
@@ -397,9 +397,11 @@ class Weighing {
     return fit.misfit;
   }
 
-  void weigh_several() {
+  // A third contact only where the second makes the readings likelier.
+  void weigh_several(double one) {
     const double misfit = add_several(2, kPairCells, -1);
-    const bool more = settings_.contacts < 0 && misfit > limit_ && frame_.size() >= 6;
+    const bool more = settings_.contacts < 0 && misfit > limit_ && frame_.size() >= 6 &&
+                      found.back().log_evidence > one;
     if (misfit < INFINITY && (settings_.contacts == 3 || more)) add_several(3, kTripleCells, -1);
   }
 

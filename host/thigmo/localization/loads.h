@@ -55,7 +55,7 @@ inline double exponential(double x) {
 }
 
 // Four at a time, as a processor does.
-inline double largest(const double* value, int count) {
+THIGMO_WIDE inline double largest(const double* value, int count) {
   std::array<double, 4> top;
   top.fill(-INFINITY);
   for (; count >= 4; count -= 4, value += 4) {
@@ -131,12 +131,6 @@ inline Row prior_deviations(const ForcePrior& prior, const Row& largest) {
   return out;
 }
 
-inline double largest_change(const Nodes& a, const Nodes& b) {
-  double most = 0.0;
-  for (int k = 0; k < kNodes; ++k) most = std::max(most, std::abs(a[k] - b[k]));
-  return most;
-}
-
 inline double turn_of(const Nodes& curvature) {
   double heading = 0.0, most = 0.0;
   for (const double value : curvature) {
@@ -182,22 +176,21 @@ class Body {
   }
 
   // Its shape when levers were last asked for.
-  const Shape& shape() const { return straight_ ? straight_shape() : *shape_; }
+  const Shape& shape() const {
+    static const Shape straight{Nodes{}};
+    return straight_ ? straight : *shape_;
+  }
 
   // Bend to another curvature, as loads on that shape ask; whether it then rests.
   bool settle(const Nodes& bent) {
-    const double change = straight_ ? 0.0 : largest_change(bent, curvature);
+    double change = 0.0;
+    for (int k = 0; k < kNodes; ++k) change = std::max(change, std::abs(bent[k] - curvature[k]));
     curvature = bent;
     if (straight_) return straight_ = turn_of(bent) < prior_.straight;
     return ++passes_ >= kMostPasses || change < prior_.rests;
   }
 
  private:
-  static const Shape& straight_shape() {
-    static const Shape straight{Nodes{}};
-    return straight;
-  }
-
   // Those that a straight body begins with, kept for the next frame: most have the same sensors.
   const Levers& first_levers(const Row& place) const {
     struct Kept {
@@ -307,7 +300,7 @@ class OneContactGrid {
 
   // Fills mass, force, spread, evidence and misfit for the levers of a grid of the body.
   // Returns whether any place is possible.
-  bool weigh(const Levers& levers, OneContact& out) {
+  THIGMO_WIDE bool weigh(const Levers& levers, OneContact& out) {
     base_ = levers.base;
     unit_ = prior_deviations(prior_, levers.largest);
     for (double& value : unit_) value *= value;
@@ -331,20 +324,19 @@ class OneContactGrid {
   }
 
   // The same beside a further column, on the grid that was weighed last.
-  bool weigh_beside(const Columns::Column& column, OneContact& out) {
+  THIGMO_WIDE bool weigh_beside(const Columns::Column& column, OneContact& out) {
     std::vector<Products> products(products_.size());
     for (std::size_t s = 0; s < products.size(); ++s) {
       const Products& plain = products_[s];
       const Whitened::At::Beside beside = readings_.levels[s].beside(column);
       along(column, beside.scale, plain.white, along_);
-      products[s] = {plain.constant + beside.gain,
-                     plain.free - beside.told * beside.told,
-                     plain.told,
-                     plain.square,
-                     {}};
+      Products& of = products[s];
+      of.constant = plain.constant + beside.gain;
+      of.free = plain.free - beside.told * beside.told;
+      of.told = plain.told, of.square = plain.square;
       for (std::size_t m = 0; m < along_.size(); ++m) {
-        products[s].told[m] -= along_[m] * beside.told;
-        products[s].square[m] -= along_[m] * along_[m];
+        of.told[m] -= along_[m] * beside.told;
+        of.square[m] -= along_[m] * along_[m];
       }
     }
     return mix(products, out);
@@ -352,7 +344,7 @@ class OneContactGrid {
 
   // Log likelihood that each column adds at most to that of the likeliest place, whichever place
   // that then is, at the noise that suits the place or at less of it. Readies `weigh_beside`.
-  Row gains(const Columns& columns) {
+  THIGMO_WIDE Row gains(const Columns& columns) {
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
     Row out(columns.size(), -INFINITY), square, ratio(unit_.size());
     double plain = -INFINITY;
@@ -407,7 +399,7 @@ class OneContactGrid {
     }
   }
 
-  bool mix(const std::vector<Products>& products, OneContact& out) {
+  THIGMO_WIDE bool mix(const std::vector<Products>& products, OneContact& out) {
     const int count = static_cast<int>(unit_.size());
     const double widest = *std::max_element(prior_.scales.begin(), prior_.scales.end());
     Row best_of(products.size()), each(3 * count);
@@ -422,7 +414,7 @@ class OneContactGrid {
       best_of[s] = of.constant + 0.5 * largest(weight, count);
       top = std::max(top, best_of[s]);
     }
-    out.mass = out.force = out.spread = Row(count);
+    for (Row* of : {&out.mass, &out.force, &out.spread}) of->assign(count, 0.0);
     double* __restrict mass = out.mass.data(), * __restrict first = out.force.data();
     double* __restrict second = out.spread.data();
     for (std::size_t s = 0; s < products.size(); ++s) {
@@ -533,7 +525,8 @@ struct SeveralContacts : Fit {
 // (Gauss): each adds to the gain, to the log determinant, and to the mean moment at the base.
 class SetsGrid {
  public:
-  SetsGrid(int count, int cells) : count_(count), cells_(cells), at_(count), left_(count) {}
+  SetsGrid(int count, int cells)
+      : count_(count), cells_(cells), at_(count), left_(count), weight_(count * cells) {}
 
   Row place, width;       // (k M,) of all columns; (k,)
   std::vector<Row> mass;  // (k, M)
@@ -548,7 +541,7 @@ class SetsGrid {
   }
 
   // At one level of noise.
-  void set(const Matrix& white, const Row& read, const Row& base) {
+  THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base) {
     const int wide = white.columns;
     for (Products& each : left_) {
       each.gram.resize(wide, wide);
@@ -597,35 +590,33 @@ class SetsGrid {
 
   void place_contact(int contact, Sum sum) {
     const Products& left = left_[contact];
-    const int first = contact * cells_, end = first + cells_;
-    for (int m = first; m < end; ++m) {
-      if (contact > 0 && place[m] - place[at_[contact - 1]] < gap_) continue;
-      const double share = left.told[m] / left.diagonal[m];
-      const double exponent = sum.exponent + 0.5 * left.told[m] * share;
-      const bool last = contact + 1 == count_;
-      if (last && !(exponent >= top - kNothing)) continue;
+    const int end = (contact + 1) * cells_;
+    int m = contact * cells_;
+    while (contact > 0 && m < end && place[m] - place[at_[contact - 1]] < gap_) ++m;
+    if (contact + 1 == count_) return place_last(left, m, sum);
+    for (; m < end; ++m) {
       at_[contact] = m;
-      const Sum with{exponent, sum.volume * left.diagonal[m] * variance_[m],
-                     sum.moment + share * left.base[m]};
-      if (last) {
-        add(with);
-      } else {
-        eliminate(left, m, end, left_[contact + 1]);
-        place_contact(contact + 1, with);
-      }
+      const double share = left.told[m] / left.diagonal[m];
+      eliminate(left, m, end, left_[contact + 1]);
+      place_contact(contact + 1, {sum.exponent + 0.5 * left.told[m] * share,
+                                  sum.volume * left.diagonal[m] * variance_[m],
+                                  sum.moment + share * left.base[m]});
     }
   }
 
   // Take the contact in column m out of those from `end` on.
-  void eliminate(const Products& from, int m, int end, Products& to) const {
+  THIGMO_WIDE void eliminate(const Products& from, int m, int end, Products& to) const {
     const int wide = count_ * cells_;
-    const double inverse = 1.0 / from.diagonal[m], told = from.told[m], base = from.base[m];
-    const double* row = from.gram[m];
-    for (int k = end; k < wide; ++k) {
-      to.told[k] = from.told[k] - inverse * told * row[k];
-      to.base[k] = from.base[k] - inverse * base * row[k];
-      to.diagonal[k] = from.diagonal[k] - inverse * row[k] * row[k];
-    }
+    const double* __restrict row = from.gram[m];
+    const double inverse = 1.0 / from.diagonal[m];
+    const auto take = [=](double share, const double* __restrict whole, double* __restrict left) {
+      for (int k = end; k < wide; ++k) left[k] = whole[k] - share * row[k];
+    };
+    take(inverse * from.told[m], from.told.data(), to.told.data());
+    take(inverse * from.base[m], from.base.data(), to.base.data());
+    const double* __restrict diagonal = from.diagonal.data();
+    double* __restrict left = to.diagonal.data();
+    for (int k = end; k < wide; ++k) left[k] = diagonal[k] - inverse * row[k] * row[k];
     for (int k = end; k < wide - cells_; ++k) {
       const double share = row[k] * inverse, *old = from.gram[k];
       double* fresh = to.gram[k];
@@ -633,34 +624,53 @@ class SetsGrid {
     }
   }
 
-  // A whole set, the columns `at_`.
-  void add(Sum sum) {
-    if (std::abs(sum.moment) > critical_) return;
-    if (sum.exponent > top + kNothing) {  // what was added so far is small beside this
-      const double shrink = std::exp(top - sum.exponent);
+  // Adds the sets that the columns from `first` on complete.
+  THIGMO_WIDE void place_last(const Products& left, int first, Sum sum) {
+    const int wide = count_ * cells_;
+    const double* __restrict told = left.told.data(), * __restrict diagonal = left.diagonal.data();
+    const double* __restrict base = left.base.data(), * __restrict variance = variance_.data();
+    double* __restrict weight = weight_.data();
+    for (int m = first; m < wide; ++m) {
+      const double share = told[m] / diagonal[m];
+      const double exponent = sum.exponent + 0.5 * told[m] * share;
+      weight[m] = std::abs(sum.moment + share * base[m]) > critical_ ? -INFINITY : exponent;
+    }
+    const double most = largest(weight + first, wide - first);
+    if (!(most > -INFINITY) || most < top - kNothing) return;
+    if (most > top + kNothing) {  // what was added so far is small beside this
+      const double shrink = std::exp(top - most);
       for (Row& row : mass) {
         for (double& value : row) value *= shrink;
       }
-      total *= shrink, peak_ *= shrink, top = sum.exponent;
+      total *= shrink, peak_ *= shrink, top = most;
     }
-    const double weight = exponential(sum.exponent - top) / std::sqrt(sum.volume);
-    total += weight;
-    for (int j = 0; j < count_; ++j) mass[j][at_[j] - j * cells_] += weight;
-    if (weight > peak_) peak_ = weight, level = level_, scale = scale_, best = at_;
+    for (int m = first; m < wide; ++m) {
+      const double volume = sum.volume * diagonal[m] * variance[m];
+      weight[m] = exponential(weight[m] - top) / std::sqrt(volume);
+    }
+    for (int m = first; m < wide; ++m) mass.back()[m - wide + cells_] += weight[m];
+    const double added = std::accumulate(weight + first, weight + wide, 0.0);
+    total += added;
+    for (int j = 0; j + 1 < count_; ++j) mass[j][at_[j] - j * cells_] += added;
+    const double heaviest = largest(weight + first, wide - first);
+    if (heaviest <= peak_) return;
+    peak_ = heaviest, level = level_, scale = scale_;
+    at_.back() = static_cast<int>(std::find(weight + first, weight + wide, heaviest) - weight);
+    best = at_;
   }
 
   int count_, cells_;
   std::vector<int> at_;         // columns of the set that is being weighed
   std::vector<Products> left_;  // by how many contacts are placed
-  Row square_, variance_;
+  Row square_, variance_, weight_;
   double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
   std::size_t level_ = 0;
 };
 
 // The likeliest set of a grid: forces, misfit, and the body at rest under them, from a shape near
-// it. Returns that body. `unit`: prior deviations of the forces for a largest moment of one.
-inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, const SetsGrid& sets,
-                           const Row& unit, const Nodes& start, SeveralContacts& out) {
+// it. `unit`: prior deviations of the forces for a largest moment of one.
+inline void likeliest_set(const Whitened& readings, const ForcePrior& prior, const SetsGrid& sets,
+                          const Row& unit, const Nodes& start, SeveralContacts& out) {
   const Frame& frame = *readings.frame;
   const int n = frame.size(), count = static_cast<int>(sets.best.size());
   const Whitened::At& at = readings.levels[sets.level];
@@ -668,7 +678,6 @@ inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, co
   for (int j = 0; j < count; ++j) best[j] = sets.place[sets.best[j]];
   out.loads.resize(count, n);
   Body body(frame, prior, start);
-  Nodes bent;
   do {
     const Levers& levers = body.levers(best);
     for (int j = 0; j < count; ++j) {
@@ -677,16 +686,15 @@ inline Nodes likeliest_set(const Whitened& readings, const ForcePrior& prior, co
     }
     const Solution found = solve(at, out.loads);
     out.noise = at.factor, out.misfit = at.square - found.gain;
-    bent = frame.rest;
+    out.curvature = frame.rest;
     for (int j = 0; j < count; ++j) {
       const double deviation = sets.scale * unit[sets.best[j]];
       const double force = found.mean[j] * deviation;
       out.contacts[j].force.assign(sets.mass[j].size(), force);
       out.contacts[j].spread.assign(sets.mass[j].size(), found.deviation[j] * deviation);
-      body.shape().add_moment(body.shape().at(best[j]), force, bent);
+      body.shape().add_moment(body.shape().at(best[j]), force, out.curvature);
     }
-  } while (!body.settle(bent));
-  return bent;
+  } while (!body.settle(out.curvature));
 }
 
 inline SeveralContacts several_contacts(const Whitened& readings, const ForcePrior& prior,
@@ -728,7 +736,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       const auto first = sets.place.begin() + j * cells;
       out.contacts[j] = {{first, first + cells}, sets.width[j], sets.mass[j], {}, {}};
     }
-    out.curvature = likeliest_set(readings, prior, sets, unit, body.curvature, out);
+    likeliest_set(readings, prior, sets, unit, body.curvature, out);
     if (!body.settle(out.curvature)) continue;
     bool finer = false;
     for (int j = 0; j < count; ++j) {

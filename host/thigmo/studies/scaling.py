@@ -15,6 +15,7 @@ from functools import partial
 from time import process_time
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.localization import localize, localize_batch
 from thigmo.studies import scenes
@@ -22,7 +23,9 @@ from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, three_contacts
 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
-BATCHES = (1, 10, 100, 1000, 10_000)
+ROWS = 10_000
+BATCHES = (1, 10, 100, 1000, ROWS)
+BATCH = 100  # of which the time of a row is promised
 # What is drawn, and what is promised (microseconds); with the noise unknown three times that.
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Case], float]] = {
     "one contact, straight": (one_contact, 40.0),
@@ -48,18 +51,20 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
+def time_us(call: Callable[[], object]) -> float:
+    """Time of the processor for a call (microseconds)."""
+    start = process_time()
+    call()
+    return (process_time() - start) * 1e6
+
+
 def least_us(call: Callable[[], object], repeats: int) -> float:
-    """Least time of the processor for a call (microseconds), after a first one that warms.
+    """Least time for a call, after a first one that warms.
 
     That is the time on a core of its own, whatever else the computer does.
     """
     call()
-    times = []
-    for _ in range(repeats):
-        start = process_time()
-        call()
-        times.append(process_time() - start)
-    return min(times) * 1e6
+    return min(time_us(call) for _ in range(repeats))
 
 
 def answer_us(
@@ -74,6 +79,22 @@ def answer_us(
         for case in cases
     )  # fmt: skip
     return float(np.median([least_us(answer, repeats) for answer in answers]))
+
+
+def row_us(rows: NDArray[np.float64], size: int, repeats: int) -> float:
+    """Time of a row of `localize_batch`, mean over all rows, which batches of one size share.
+
+    Each batch counts with its least time. They take turns, so that a while in which the computer is
+    slow spoils one repeat of each, not every repeat of some.
+    """
+    batches = [
+        partial(
+            localize_batch, rows[at : at + size], BOTH, length=LENGTH, span=SPAN, noise=SIGMA
+        )
+        for at in range(0, len(rows), size)
+    ]  # fmt: skip
+    times = [[time_us(batch) for batch in batches] for _ in range(repeats)]
+    return float(np.min(times, axis=0).sum() / len(rows))
 
 
 @one_core()
@@ -99,11 +120,11 @@ def run(context: Context) -> Outcome:
             context.progress(f"sensors, {name}", done, len(SENSORS))
     # The last time is of three contacts on all gratings.
     claims.append(Claim(f"three contacts, {GRATINGS} gratings", time / 1e3, GRATINGS_MS, unit="ms"))
-    rows = np.array([one_contact(context.rng(3, i)).curvature for i in range(BATCHES[-1])])
+    rows = np.array([one_contact(context.rng(3, i)).curvature for i in range(ROWS)])
     batch: list[Record] = []
-    for size in BATCHES:
-        call = partial(localize_batch, rows[:size], BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
-        row_us = least_us(call, max(repeats // 10, 1)) / size
-        batch.append({"rows": size, "row_us": row_us})
-    claims.append(Claim("localize_batch, a row", row_us, ROW_US, unit="us"))
+    for done, size in enumerate(BATCHES, 1):
+        batch.append({"rows": size, "row_us": row_us(rows, size, repeats)})
+        context.progress("rows", done, len(BATCHES))
+    time = next(float(each["row_us"]) for each in batch if each["rows"] == BATCH)
+    claims.append(Claim(f"localize_batch, a row, {BATCH} at a time", time, ROW_US, unit="us"))
     return Outcome({"sensors": sensors, "batch": batch}, claims=claims)

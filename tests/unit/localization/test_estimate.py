@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
 import pytest
 
 import thigmo
-from thigmo.localization import arc_bounds
+from thigmo.localization import arc_bounds, priors
 from thigmo.studies.rod import readings as true_readings
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
@@ -237,6 +238,20 @@ def test_three_contacts_are_not_one_and_a_row_of_outliers(seed: int) -> None:
     )
     assert result.status == "localized"
     assert [contact.arc for contact in result.contacts] == pytest.approx(arcs, abs=1.0)
+
+
+def test_three_contacts_are_weighed_only_where_a_second_makes_the_readings_likelier():
+    rng, weighed, two_only = np.random.default_rng(7), 0, 0
+    for _ in range(1000):
+        arc = rng.uniform(15.0, 53.0)
+        force = rng.choice([-1.0, 1.0]) * rng.uniform(0.0024, 0.008) / arc
+        shares = find(felt(arc, force) + SIGMA * rng.standard_normal(10)).hypotheses
+        if "three contacts" in shares:
+            assert shares["two contacts"] > math.exp(priors.ANOTHER) * shares["one contact"]
+            weighed += 1
+        two_only += "two contacts" in shares and "three contacts" not in shares
+    assert weighed > 0
+    assert two_only > weighed
 
 
 def test_what_a_contact_explains_is_listed_even_if_sensors_are_said_to_be_bad():
