@@ -262,22 +262,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
             used = kept
     jacobian = np.asarray(fit.jac, float)
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
-    grid = np.linspace(0.0, 18.0, 37)
-    fit_se, top_se, shape_se, built = 0.0, 0.0, 0.0, {}
-    for name, own in zip(branches, np.arange(maps).reshape(-1, 3), strict=True):
-        x, values = best[own], _map_values(grid, *best[own])
-        slopes = np.array([
-            (_map_values(grid, *(x + step)) - _map_values(grid, *(x - step))) / 2e-5
-            for step in 1e-5 * np.eye(3)
-        ])  # fmt: skip
-        variance = np.einsum("pg,pq,qg->g", slopes, covariance[np.ix_(own, own)], slopes)
-        share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
-        # What the map's scale does not account for is the shape's error.
-        shape = np.maximum(variance - (share * values) ** 2, 0.0)
-        fit_se, top_se = max(fit_se, float(np.sqrt(variance.max()))), max(top_se, float(share))
-        shape_se = max(shape_se, float(np.sqrt(shape.max())))
-        amplitude, scale = np.exp(x[:2]).tolist()
-        built[name] = TanhMap(amplitude=amplitude, scale_psi=scale, offset_psi=float(x[2]))
+    built, (fit_se, top_se, shape_se) = _maps(best[:maps], covariance, branches, highest)
     g_se = float(np.hypot(fit_se, camera_se))
     trial_se = _trial_gain(sign * rest, curve(best), slot, used, len(trials))
     scale_se = float(np.sqrt(
@@ -293,21 +278,10 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     spread = float(np.std(offsets, ddof=1)) if len(trials) > 1 else offset_sigma
     moved = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
     full = float(inflate.curvature(highest))
-    share = g_se / max(full, 1e-9)
-    good = False
     if len(moved):
         names = ", ".join(map(str, moved.tolist()))
         notes.append(f"trial {names} is bent by a constant against the others")
-        reason = (
-            "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
-            "and repeat those trials"
-        )
-    elif len(out) > 0.3 * total:
-        reason = "a third of the bends disagree with any smooth map"
-    elif share > 0.02:
-        reason = f"g is known to {100 * share:.1f} % of full scale only; add trials"
-    else:
-        good, reason = True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
+    good, reason = _judged(len(moved) > 0, len(out) / total, g_se / max(full, 1e-9), full)
     zone = ZoneMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
@@ -315,6 +289,44 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
     verdict = Verdict(good, reason, tuple(notes))
     return ActuatorResult(readings, zone, g_se, full, offset_se, used, verdict)
+
+
+def _maps(
+    best: Array, covariance: Array, branches: Sequence[str], highest: float
+) -> tuple[dict[str, TanhMap], Array]:
+    """The map of each branch, from its three numbers, and what is the largest of their errors.
+
+    Standard errors: of a curvature anywhere (1/cm); relative, at the highest pressure; and of the
+    shape, which is what the map's scale does not account for (1/cm).
+    """
+    grid, errors, built = np.linspace(0.0, 18.0, 37), np.zeros(3), {}
+    for name, own in zip(branches, np.arange(best.size).reshape(-1, 3), strict=True):
+        x, values = best[own], _map_values(grid, *best[own])
+        slopes = np.array([
+            (_map_values(grid, *(x + step)) - _map_values(grid, *(x - step))) / 2e-5
+            for step in 1e-5 * np.eye(3)
+        ])  # fmt: skip
+        variance = np.einsum("pg,pq,qg->g", slopes, covariance[np.ix_(own, own)], slopes)
+        share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
+        shape = np.maximum(variance - (share * values) ** 2, 0.0)
+        errors = np.maximum(errors, [np.sqrt(variance.max()), share, np.sqrt(shape.max())])
+        amplitude, scale = np.exp(x[:2]).tolist()
+        built[name] = TanhMap(amplitude=amplitude, scale_psi=scale, offset_psi=float(x[2]))
+    return built, errors
+
+
+def _judged(moved: bool, left_out: float, share: float, full: float) -> tuple[bool, str]:
+    """Whether the maps may be used, and why: by shares of bends left out and of g's error."""
+    if moved:
+        return False, (
+            "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
+            "and repeat those trials"
+        )
+    if left_out > 0.3:
+        return False, "a third of the bends disagree with any smooth map"
+    if share > 0.02:
+        return False, f"g is known to {100 * share:.1f} % of full scale only; add trials"
+    return True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
 
 
 def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, trials: int) -> float:
