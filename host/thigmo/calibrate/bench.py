@@ -97,17 +97,9 @@ class Bench:
     def start(self) -> None:
         """Configure, learn the length, arm; what is done already is left as it is."""
         self.configure()
-        self.length_cm()
+        self.robot.known_length_cm()
         if self.robot.status().state == "safe":
             self.robot.arm()
-
-    def length_cm(self) -> float:
-        """Everted length; the operator is asked where the board does not know it."""
-        known = self.robot.status().length_cm
-        if known is None:
-            known = self.hand.everted_length_cm()
-            self.robot.confirm_length(known)
-        return known
 
     def press(self, side: Side, psi: float, ramp_psi_s: float = 0.0) -> None:
         """Bring one muscle to a pressure."""
@@ -132,7 +124,7 @@ class Bench:
 
     def bring_to(self, length_cm: float, at_stop: Callable[[float], None] | None = None) -> None:
         """Grow, pitch by pitch and with the body pressure of each zone; never retracts."""
-        now = self.length_cm()
+        now = self.robot.known_length_cm()
         if now > length_cm + SAME_CM:
             raise DataError(
                 f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",

@@ -144,8 +144,8 @@ def retract(
             machine.configure(machine.known_config)
         if length is not None:
             machine.confirm_length(length)
-        elif machine.status().length_cm is None:
-            machine.confirm_length(machine.operator.everted_length_cm())
+        else:
+            machine.known_length_cm()
         machine.arm()
         reached = machine.retract_to(to)
     show(as_json, {"length_cm": reached}, f"Retracted to {reached:.1f} cm.")

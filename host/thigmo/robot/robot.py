@@ -80,6 +80,14 @@ class Robot(Supervised):
         self._wait_vented()
         self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
+    def known_length_cm(self) -> float:
+        """Everted length; where the board does not know it, the operator measures it."""
+        length_cm = self.status().length_cm
+        if length_cm is None:
+            length_cm = self.operator.everted_length_cm()
+            self.confirm_length(length_cm)
+        return length_cm
+
     def select_zone(self, zone: int) -> None:
         """Tell the board which body pressure holds (index of robot.toml's body.zones)."""
         self._request(wire.SelectZone(zone))
@@ -122,8 +130,7 @@ class Robot(Supervised):
         self._start(wire.Home())
         slowest_cm_s = self.parameter("home_speed_um_s")[0] / 1e4
         self._finish(wire.Activity.HOMING, 2 * self.config.body.length_cm / slowest_cm_s + 10)
-        if self.status().length_cm is None:
-            self.confirm_length(self.operator.everted_length_cm())
+        self.known_length_cm()
 
     def _travel_s(self) -> float:
         spool = self.config.spool

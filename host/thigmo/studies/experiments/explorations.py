@@ -276,9 +276,7 @@ def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say)
         if robot.scenery() is not None:
             return
         robot.configure(config)
-        if robot.status().length_cm is None:
-            robot.confirm_length(robot.operator.everted_length_cm())
-        if (robot.status().length_cm or 0.0) > _BASE_CM:
+        if robot.known_length_cm() > _BASE_CM:
             say("winding the robot in")
             robot.arm()
             reached = robot.retract_to(0.0)

@@ -75,10 +75,7 @@ def run_trials(
 def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     """Configure, arm, grow to the full length stage by stage, and let every sensor settle."""
     robot.configure(config)
-    length = robot.status().length_cm
-    if length is None:
-        length = robot.operator.everted_length_cm()
-        robot.confirm_length(length)
+    length = robot.known_length_cm()
     if robot.status().state == "safe":
         robot.arm()
     robot.vent()
