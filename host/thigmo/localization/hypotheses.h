@@ -398,10 +398,10 @@ class Weighing {
   }
 
   // A third contact only where the second makes the readings likelier.
-  void weigh_several(double one) {
+  void weigh_several(double evidence_of_one) {
     const double misfit = add_several(2, kPairCells, -1);
     const bool more = settings_.contacts < 0 && misfit > limit_ && frame_.size() >= 6 &&
-                      found.back().log_evidence > one;
+                      found.back().log_evidence > evidence_of_one;
     if (misfit < INFINITY && (settings_.contacts == 3 || more)) add_several(3, kTripleCells, -1);
   }
 

@@ -183,10 +183,10 @@ class Body {
 
   // Bend to another curvature, as loads on that shape ask; whether it then rests.
   bool settle(const Nodes& bent) {
-    double change = 0.0;
-    for (int k = 0; k < kNodes; ++k) change = std::max(change, std::abs(bent[k] - curvature[k]));
-    curvature = bent;
+    const Nodes before = std::exchange(curvature, bent);
     if (straight_) return straight_ = turn_of(bent) < prior_.straight;
+    double change = 0.0;
+    for (int k = 0; k < kNodes; ++k) change = std::max(change, std::abs(bent[k] - before[k]));
     return ++passes_ >= kMostPasses || change < prior_.rests;
   }
 
