@@ -308,8 +308,7 @@ def test_thigmo_stop_opens_a_port_that_nobody_owns(board: PtyDevice) -> None:
 def test_thigmo_stop_without_a_robot_says_so() -> None:
     result = CliRunner().invoke(app, ["stop"])
     assert str(result.exception).startswith(
-        "NOT stopped: no program of yours takes stops: none drives a robot; "
-        "use the emergency stop, or name its port"
+        "NOT stopped: no program of yours drives a robot; use the emergency stop, or name its port"
     )
 
 

@@ -47,8 +47,8 @@ def stop_all() -> list[str]:
     if not stopped:
         used = next((port.device for port in comports() if any(processes(port.device))), None)
         raise LinkError(
-            "no program of yours takes stops"
-            + (f", and {used} is in use{owner(used)}" if used else ": none drives a robot"),
+            "no program of yours drives a robot"
+            + (f", but {used} is in use{owner(used)}" if used else ""),
             "name its port, as in `thigmo stop --robot /dev/ttyACM0`",
         )
     return stopped
