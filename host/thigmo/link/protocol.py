@@ -9,14 +9,8 @@ wire; the scale is in each name and unit.
 from typing import Annotated
 
 from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32
-from thigmo.link.message import (
-    Command,
-    Documented,
-    Message,
-    OpenDocumented,
-    Parameter,
-    Reply,
-)
+from thigmo.link.message import Command, Documented, Message, OpenDocumented
+from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
 SCHEMA_HASH = 0x4981A348
