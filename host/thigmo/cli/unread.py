@@ -14,7 +14,7 @@ import os
 import select
 import sys
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO, cast
 
 # The reader left, or the terminal was closed.
 _LEFT = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF)
@@ -49,7 +49,7 @@ class Unread(io.RawIOBase):
         """Whether it is a terminal that is still there."""
         return self._raw.isatty()
 
-    def write(self, data: bytes) -> int:  # type: ignore[override]
+    def write(self, data: bytes, /) -> int:  # type: ignore[override]
         """Write what can be written; all of it counts as written."""
         if self.lost is not None:
             return len(data)
@@ -85,10 +85,10 @@ def be_lossy() -> None:
 def _lossy(stream: TextIO | None, *, patient: bool) -> TextIO:
     if stream is None:  # it was closed
         return Path(os.devnull).open("w")
-    buffer = stream.buffer
+    buffer: Any = stream.buffer
     raw = Unread(getattr(buffer, "raw", buffer), patient=patient)
     return io.TextIOWrapper(
-        io.BufferedWriter(raw),
+        io.BufferedWriter(cast("io.RawIOBase", raw)),
         encoding=stream.encoding,
         errors=stream.errors,
         line_buffering=stream.isatty() or not patient,
