@@ -676,7 +676,7 @@ def test_a_bend_needs_whole_sensors_a_zone_and_zeros(ready: RawHost) -> None:
     assert ready.refusal(wire.ZeroSensors(1)) == (R.NOT_SETTLED, 0)
 
 
-def test_one_activity_at_a_time_and_stop_ends_it(ready: RawHost) -> None:
+def test_one_activity_at_a_time_and_disarm_ends_it(ready: RawHost) -> None:
     ready.get(wire.ConfirmLength(100_000, 1))
     ready.get(wire.ZeroSensors(0b00001_00001))
     for command in NEEDS_ARMED:
@@ -719,7 +719,7 @@ def test_a_zeroed_board_still_refuses_bends_that_cannot_be(desk: Desk) -> None:
     assert not host.get(wire.GetSensor(1)).flags & 0b001
 
 
-def test_stop_and_vent_are_accepted_in_every_state(desk: Desk) -> None:
+def test_disarm_and_vent_are_accepted_whether_armed_or_not(desk: Desk) -> None:
     host = desk.calm()
     host.get(wire.Disarm())
     host.get(wire.Vent())
