@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.errors import DataError
+from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3
@@ -70,7 +71,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 def run(context: Context) -> Outcome:
     """Age of readings on the screen; explorations watched and not."""
     with tempfile.TemporaryDirectory(prefix="tg") as folder:
-        sockets = {**os.environ, "XDG_RUNTIME_DIR": folder}
+        sockets = {**os.environ, OTHER_PLACE: folder}
         start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
         context.progress("readings to the screen", 0, 4)
         ages_s, rate_hz = _ages(start, 15.0 if context.scale == "quick" else 60.0)
