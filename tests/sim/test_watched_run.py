@@ -191,8 +191,8 @@ def test_the_record_gives_back_what_was_published(run: Watched) -> None:
     assert len(kept) > 5_000
     assert [each.t_s for each in kept] == sorted(each.t_s for each in kept)
     for channel in {each.CHANNEL for each in kept}:
-        recorded = [to_json(each) for each in kept if each.CHANNEL == channel]
-        published = [to_json(each) for each in run.seen.messages if each.CHANNEL == channel]
+        recorded = [to_json(each) for each in kept if channel == each.CHANNEL]
+        published = [to_json(each) for each in run.seen.messages if channel == each.CHANNEL]
         first = published.index(recorded[0])  # the robot speaks before the run and after it
         assert recorded == published[first : first + len(recorded)]
 
