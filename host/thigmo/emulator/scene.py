@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import tomlkit
 from pydantic import Field, model_validator
 
 from thigmo.config import (
@@ -255,7 +254,7 @@ class Scene(Model):
 
     def save(self, path: str | Path) -> None:
         """Write the scene as TOML, with every entry that has a value."""
-        Path(path).write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
+        self._write(path)
 
     def peg_list(self) -> tuple[Peg, ...]:
         """The pegs, for the mechanics."""
