@@ -57,6 +57,13 @@ class MapContact:
     merged: list[float] = field(default_factory=list)  #: earlier stages whose contact is this one
     #: index of the prior map's obstacle (prior.json) that this is; null if it is new or none given
     known: int | None = None
+    kind: str = "peg"  #: "peg", or "wall": a surface along which the tip slid from stage to stage
+    probability: float = 1.0  #: that it is real
+    #: that just these stages felt one peg, and one wall; the rest is that they did not
+    peg_probability: float = 1.0
+    wall_probability: float = 0.0
+    #: of a wall: points of its surface, one for each stage, in the order of `merged`
+    surface: list[tuple[float, float]] = field(default_factory=list)
 
     def __repr__(self) -> str:
         low, high = self.interval_cm
