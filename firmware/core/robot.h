@@ -55,6 +55,7 @@ class Robot {
 
  private:
   static constexpr int16_t kNever = INT16_MIN;  // no output has this value
+  static constexpr Outputs kUnwritten = {{kNever, kNever}, kNever};
 
   static constexpr uint8_t kReceiveBytes = 40;
 
@@ -92,6 +93,8 @@ class Robot {
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
+    // A pin or a timer that a disturbance has changed is right again a control period later.
+    if (controller_.now() % 5 == 0) written_ = kUnwritten;
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     write_outputs();
     board_.air(may_energise(controller_.state()), controller_.body_air());
@@ -103,7 +106,7 @@ class Robot {
     }
   }
 
-  // Hands changed outputs to the board.
+  // Hands changed outputs to the board, and all of them once in a control period.
   void write_outputs() {
     const Outputs& out = controller_.outputs();
     for (uint8_t side = 0; side < kSides; ++side) {
@@ -155,9 +158,12 @@ class Robot {
   Session session_;
   ConfigStore store_;
   Commands commands_;
-  Outputs written_ = {{kNever, kNever}, kNever};
+  Outputs written_ = kUnwritten;
   bool named_ = false;
 };
+
+template <typename Board>
+constexpr Outputs Robot<Board>::kUnwritten;
 
 }  // namespace thigmo
 

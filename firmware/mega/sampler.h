@@ -85,6 +85,7 @@ class Sampler {
   static const AdcFrame* take() {
     const uint8_t out = frame_out_;
     if (frame_in_ == out) return nullptr;
+    fence();  // the frame is read after the index that says it is there
     frame_out_ = out + 1;
     if (frame_in_ != frame_out_) wake::ask();  // one a pass
     return &places_[out % kRoom].frame;

@@ -37,6 +37,7 @@ class Serial0 {
   // Those up to the ring's end, if the others lie at its begin.
   static uint8_t waiting(const uint8_t** first) {
     const uint8_t in = rx_in_;
+    fence();  // the bytes are read after the index that says they are there
     const uint8_t out = rx_out_;
     *first = rings_.rx + out;
     return static_cast<uint8_t>((in < out ? 0 : in) - out);
@@ -44,9 +45,11 @@ class Serial0 {
 
   static void drop(uint8_t count) {
     const uint8_t out = static_cast<uint8_t>(rx_out_ + count);
+    const bool frame_ended = rings_.rx[static_cast<uint8_t>(out - 1)] == 0;
+    fence();  // and before their places are given back
     rx_out_ = out;
     // A pass ends with a frame; there may be another.
-    if (rings_.rx[static_cast<uint8_t>(out - 1)] == 0 && rx_in_ != out) wake::ask();
+    if (frame_ended && rx_in_ != out) wake::ask();
   }
 
   static uint16_t overruns() {

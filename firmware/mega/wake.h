@@ -1,4 +1,5 @@
-// Why the main loop should run: one bit in a register that interrupt routines set in two cycles.
+// What the main loop shares with interrupt routines: why it should run, one bit in a register that
+// they set in two cycles; and the fence between an index of theirs and what it stands for.
 #ifndef THIGMO_MEGA_WAKE_H_
 #define THIGMO_MEGA_WAKE_H_
 
@@ -6,6 +7,10 @@
 
 namespace thigmo {
 namespace mega {
+
+// The compiler moves no access to memory across; `volatile` alone orders only the index.
+inline void fence() { __asm__ volatile("" : : : "memory"); }
+
 namespace wake {
 
 // GPIOR0 lies where sbi and cbi reach; its bit 1 is the sampler's (sampler.h). GPIOR1 marks tasks

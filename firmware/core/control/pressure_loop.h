@@ -55,7 +55,10 @@ class PressurePid {
   // While the output is off: keeps the derivative's memory, freezes the integrator.
   void idle(int16_t measured) { last_ = measured; }
 
-  void reset() { sum_ = 0; }
+  void reset() {
+    sum_ = 0;
+    short_ = false;
+  }
 
   int32_t integral_cpsi() const { return integral_output(sum_); }
 
@@ -80,6 +83,15 @@ class PressureLoop {
   // integrator up (with it, a ramp of 15 psi/s to 10 psi overshoots by 1.1 psi) nor is a fault.
   static constexpr uint8_t kFollowLog2 = 6;
 
+  // Each armed session starts in doubt: of the plugs (whose sensor, whose transducer) and of the
+  // transducer's map. Until the pressure has been seen to follow the map by itself, at this
+  // pressure for 50 ms, the output goes no higher. A set point on its way up passes it anyway.
+  static constexpr int16_t kProofCpsi = 400;
+  static constexpr int16_t kDoubtMostCpsi = 500;  // of the loop at set points below it
+  static constexpr uint8_t kProofSteps = 10;
+  // A pressure above the map's is a fault so many times sooner then.
+  static constexpr uint8_t kDoubtHaste = 30;
+
   // Slew as of Derived::slew_step_q8().
   void set_target(int16_t cpsi, int32_t slew_q8) {
     target_ = cpsi;
@@ -96,6 +108,7 @@ class PressureLoop {
   void disarm() {
     cut();
     pid_.reset();
+    proof_steps_ = 0;
   }
 
   // One control step; returns the duty 0..kDriveFull, or kOff.
@@ -109,7 +122,9 @@ class PressureLoop {
       output_ = kOff;
       return output_;
     }
-    const int32_t goal = static_cast<int32_t>(target_) * 256;
+    const bool doubtful = proof_steps_ < kProofSteps;
+    const bool proving = doubtful && target_ >= kProofCpsi;
+    const int32_t goal = static_cast<int32_t>(proving ? kProofCpsi : target_) * 256;
     set_q8_ += limited<int32_t>(goal - set_q8_, -slew_q8_, slew_q8_);
     const int16_t set = set_cpsi();
     const bool on = set >= c.get(Param::kLiveZeroCpsi) && set > 0;
@@ -127,9 +142,15 @@ class PressureLoop {
                                       static_cast<int16_t>(c.get(Param::kPressureKi)),
                                       static_cast<int16_t>(c.get(Param::kPressureKd))};
     const int32_t floor = c.get(Param::kDrive4maCpsi);
-    const int32_t wanted =
-        pid_.step(due, measured, set, gains, floor, greater<int32_t>(floor, d.drive_ceiling_cpsi));
+    int32_t wanted = greater<int32_t>(floor, set);
+    if (proving) {
+      pid_.idle(measured);  // it would hide what is wrong with the map
+    } else {
+      wanted = pid_.step(due, measured, set, gains, floor,
+                         greater<int32_t>(floor, doubtful ? kDoubtMostCpsi : d.drive_ceiling_cpsi));
+    }
     watch_drive(static_cast<int16_t>(wanted), measured, c, d);
+    if (proving) prove(measured, c);
     output_ = duty(wanted, c, d);
     return output_;
   }
@@ -167,13 +188,24 @@ class PressureLoop {
   void watch_drive(int16_t output_cpsi, int16_t measured, const Configuration& c,
                    const Derived& d) {
     drive_q12_ += (q12(output_cpsi) - drive_q12_) * (1 << (8 - kFollowLog2)) >> 8;
-    const int32_t off = magnitude(static_cast<int32_t>(shifted16<12>(drive_q12_)) - measured);
-    const bool wrong = off > c.get(Param::kDriveToleranceCpsi) || pid_.falls_short();
-    if (output_cpsi == 0 || !wrong) {
+    const int32_t above = static_cast<int32_t>(measured) - shifted16<12>(drive_q12_);
+    const int32_t most = c.get(Param::kDriveToleranceCpsi);
+    if (output_cpsi == 0 || (magnitude(above) <= most && !pid_.falls_short())) {
       mismatch_steps_ = 0;
     } else if (mismatch_steps_ < d.stuck_steps) {
-      ++mismatch_steps_;
+      const bool hasty = proof_steps_ < kProofSteps && above > most;
+      mismatch_steps_ = static_cast<uint16_t>(mismatch_steps_ + (hasty ? kDoubtHaste : 1));
     }
+  }
+
+  // The sensor of this muscle has to see what this muscle's transducer gives out by its map; the
+  // other muscle's would see nothing.
+  void prove(int16_t measured, const Configuration& c) {
+    const int16_t due = shifted16<12>(drive_q12_);
+    const bool right =
+        due > kProofCpsi * 3 / 4 && measured > due / 2 &&
+        magnitude(static_cast<int32_t>(due) - measured) <= c.get(Param::kDriveToleranceCpsi);
+    proof_steps_ = right ? static_cast<uint8_t>(proof_steps_ + 1) : 0;
   }
 
   PressurePid pid_;
@@ -185,6 +217,7 @@ class PressureLoop {
   int32_t slew_q8_ = 0;
   uint16_t stuck_steps_ = 0;
   uint16_t mismatch_steps_ = 0;
+  uint8_t proof_steps_ = 0;
   bool stuck_ = false;
 };
 

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x7C7BEAD7u;
+constexpr uint32_t kSchemaHash = 0xB50CD514u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -151,7 +151,8 @@ enum class Fault : uint8_t {
   kPressureWire =
       2,  // A pressure sensor reads outside 5..95 % of its supply; check its wire, then clear.
   kPressureStuck = 3,  // Muscle pressure does not follow its set point; check air supply,
-                       // transducer and tube, then clear.
+                       // transducer and tube, and that the plugs of the two pressure sensors, or
+                       // transducers, are not swapped, then clear.
   kFlexOpen = 4,  // A flex sensor's circuit is open; check its wire, or mark it dead in robot.toml,
                   // then clear.
   kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
@@ -168,9 +169,10 @@ enum class Fault : uint8_t {
   kEstop = 11,      // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,  // The length became unknown or a sensor half everted during a bend; vented.
                     // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
-  kPressureMismatch = 14,  // Muscle pressure and the transducer's current disagree; check the
-                           // pressure sensor's zero and gain, the transducer and its map
-                           // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
+  kPressureMismatch =
+      14,  // Muscle pressure and the transducer's current disagree; check that the two sides' plugs
+           // are not swapped, the pressure sensor's zero and gain, the transducer and its map
+           // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
   kStopped = 15,  // The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or
@@ -218,10 +220,9 @@ enum class EventCode : uint8_t {
   kActivityAborted = 5,  // An activity ended early: arg = Activity, value = Reason.
   kZeroed = 6,           // Zeros are taken: arg = mask of sensors.
   kEverted = 7,          // A sensor has just everted: arg = sensor, value = length in um.
-  kSettled = 8,          // A sensor's settling time is over: arg = sensor.
   kSaved = 9,            // The configuration is committed: arg = slot, value = generation.
 };
-constexpr uint8_t kEventCodeCount = 9;
+constexpr uint8_t kEventCodeCount = 8;
 
 // Bits of the sweep command's options.
 enum class SweepOption : uint8_t {
@@ -1414,47 +1415,46 @@ enum class Param : uint16_t {
                             // alarm in 100 empty sweeps at twice the noise, then the fastest.
   kPeakSpacingMs = 70,      // Between the ten readings around a sweep's peak. (ms)
   kFullLengthUm = 71,       // Deployable length. (um)
-  kPitchUm = 72,            // Sensor pitch. (um)
-  kCountsPerM = 73,         // Encoder counts per metre of line. (count/m)
-  kPayoutQ8 = 74,           // Line paid out per length grown (base-fed eversion: 2). (1/256)
-  kSpoolSpeedUmS = 75,      // Tip speed of growth. (um/s)
-  kSpoolAccelUmS2 = 76,     // Acceleration of the trapezoid profile. (um/s2)
-  kSpoolKp = 77,            // Position gain. (1/256 duty per count)
-  kSpoolKi = 78,            // Integral gain. (1/256 duty per count s)
-  kSpoolKd = 79,            // Derivative gain. (1/256 duty s per count)
-  kSpoolKff = 80,           // Feed-forward of speed. (1/256 duty s per count)
-  kSpoolDeadZone = 81,      // Duty at which the motor begins to turn. (1/800 of full)
-  kSpoolToleranceUm = 82,   // At the target within this. (um)
-  kStallMs = 83,       // Driven and still for so long is a stall. In growth, so is 3 mm behind the
+  kCountsPerM = 72,         // Encoder counts per metre of line. (count/m)
+  kPayoutQ8 = 73,           // Line paid out per length grown (base-fed eversion: 2). (1/256)
+  kSpoolSpeedUmS = 74,      // Tip speed of growth. (um/s)
+  kSpoolAccelUmS2 = 75,     // Acceleration of the trapezoid profile. (um/s2)
+  kSpoolKp = 76,            // Position gain. (1/256 duty per count)
+  kSpoolKi = 77,            // Integral gain. (1/256 duty per count s)
+  kSpoolKd = 78,            // Derivative gain. (1/256 duty s per count)
+  kSpoolKff = 79,           // Feed-forward of speed. (1/256 duty s per count)
+  kSpoolDeadZone = 80,      // Duty at which the motor begins to turn. (1/800 of full)
+  kSpoolToleranceUm = 81,   // At the target within this. (um)
+  kStallMs = 82,       // Driven and still for so long is a stall. In growth, so is 3 mm behind the
                        // profile without a count: the encoder may be what fails. (ms)
-  kSlipUm = 84,        // Movement with the motor off that is a slip. (um)
-  kHomeSpeedUmS = 85,  // Tip speed of homing. (um/s)
-  kLineSpeedUmS = 86,  // Speed of the line at full duty, without load (default: 225 rpm on a spool
+  kSlipUm = 83,        // Movement with the motor off that is a slip. (um)
+  kHomeSpeedUmS = 84,  // Tip speed of homing. (um/s)
+  kLineSpeedUmS = 85,  // Speed of the line at full duty, without load (default: 225 rpm on a spool
                        // of 2 cm). The encoder is judged by it, so calibrate it. (um/s)
   kSpeedMarginDuty =
-      87,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say,
+      86,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say,
            // before it is a spool_stall for an encoder that loses counts; 1/16 for supply and heat
            // comes on top. Negative where a calibration has seen how much the body's pull saves.
            // 800 = the speed is not judged. (1/800 of full)
   kMotorStallN =
-      88,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
+      87,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
            // a spool of 2 cm). 1/8 is added for a high supply and a cold winding. (N)
-  kLineRatingN = 89,  // What line and tail may be pulled with. Bounds the duty, and the speed of
+  kLineRatingN = 88,  // What line and tail may be pulled with. Bounds the duty, and the speed of
                       // winding in. (N)
-  kTouchNSM = 90,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
+  kTouchNSM = 89,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
                    // root of its stiffness times the mass that the turning motor is to the line.
                    // Default: 5 N/mm and 40 kg. (N s/m)
-  kHeartbeatMs = 91,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+  kHeartbeatMs = 90,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
                       // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 92,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+  kSupplyMinMv = 91,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
                       // that is 10 % off. (mV)
-  kReferenceMv = 93,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+  kReferenceMv = 92,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
                       // supply / supply_mv as the board reports it. (mV)
   kTelemetryMs =
-      94,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+      93,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
 };
-constexpr uint16_t kParamCount = 95;
+constexpr uint16_t kParamCount = 94;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1531,7 +1531,6 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {0, 8, 4},                   // trigger_filter_log2
     {5, 1000, 50},               // peak_spacing_ms
     {10000, 5000000, 530000},    // full_length_um
-    {1000, 1000000, 100000},     // pitch_um
     {100, 1000000, 7600},        // counts_per_m
     {64, 1024, 512},             // payout_q8
     {100, 200000, 20000},        // spool_speed_um_s
@@ -1560,7 +1559,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 55;
+constexpr uint8_t kParamKeys = 54;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {1, 10},  // flex_enabled
     {2, 10},  // flex_center_um
@@ -1594,7 +1593,6 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {29, 1},  // trigger_filter_log2
     {30, 1},  // peak_spacing_ms
     {31, 1},  // full_length_um
-    {32, 1},  // pitch_um
     {33, 1},  // counts_per_m
     {34, 1},  // payout_q8
     {35, 1},  // spool_speed_um_s

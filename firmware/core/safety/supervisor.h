@@ -113,6 +113,7 @@ enum class Permit : uint8_t {
 };
 
 struct Interlock {
+  Permit permit;
   uint8_t states;       // where it is accepted
   uint16_t activities;  // during which
   uint16_t required;    // conditions that must hold
@@ -126,30 +127,40 @@ constexpr uint16_t kWholeBody =
 constexpr uint8_t kArmed = static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving));
 constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBoot));
 
-// In the order of Permit.
+// A row a permit, in their order.
 constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
-    {static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
+    {Permit::kArm,
+     static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
      kArmable, mask(Condition::kEstop)},
-    {kArmed, bit(Activity::kIdle), static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)),
-     mask(Condition::kHalfEverted)},
-    {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)), kWholeBody,
-     mask(Condition::kHalfEverted)},
-    {kArmed, bit(Activity::kIdle),
+    {Permit::kBend, kArmed, bit(Activity::kIdle),
+     static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)), mask(Condition::kHalfEverted)},
+    {Permit::kPress, kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)),
+     kWholeBody, mask(Condition::kHalfEverted)},
+    {Permit::kGrow, kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {kArmed, bit(Activity::kIdle),
+    {Permit::kRetract, kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {kArmed, bit(Activity::kIdle), mask(Condition::kVented), 0},
-    {kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0},
-    {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {kArmed, bit(Activity::kIdle),
+    {Permit::kHome, kArmed, bit(Activity::kIdle), mask(Condition::kVented), 0},
+    {Permit::kConfirm, kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0},
+    {Permit::kZone, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+    {Permit::kZero, kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {kArmed, 0xFFFF, 0, 0},
-    {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), 0, 0},
-    {kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)),
+    {Permit::kConfigure, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+    {Permit::kSave, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
+    {Permit::kAir, kArmed, 0xFFFF, 0, 0},
+    {Permit::kTestValve, kArmed,
+     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), 0, 0},
+    {Permit::kTestMotor, kArmed,
+     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)),
      mask(Condition::kVented), 0},
 };
+constexpr uint8_t kPermits = sizeof(kInterlocks) / sizeof(kInterlocks[0]);
+constexpr bool in_order(uint8_t row) {
+  return row == kPermits ||
+         (static_cast<uint8_t>(kInterlocks[row].permit) == row && in_order(row + 1));
+}
+static_assert(in_order(0) && kPermits == static_cast<uint8_t>(Permit::kTestMotor) + 1,
+              "each permit has its row");
 
 // Conditions in the order in which they are named to the operator: first what takes longest to put
 // right.

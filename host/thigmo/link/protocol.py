@@ -13,7 +13,7 @@ from thigmo.link.message import Command, Documented, Message, OpenDocumented
 from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x7C7BEAD7
+SCHEMA_HASH = 0xB50CD514
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -21,7 +21,7 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-PARAMETER_COUNT = 95
+PARAMETER_COUNT = 94
 
 
 class State(Documented):  # The supervisor's states.
@@ -167,7 +167,6 @@ class EventCode(Documented):  # What happened. Events stay latched at the board 
     ACTIVITY_ABORTED = 5  # An activity ended early: arg = Activity, value = Reason.
     ZEROED = 6  # Zeros are taken: arg = mask of sensors.
     EVERTED = 7  # A sensor has just everted: arg = sensor, value = length in um.
-    SETTLED = 8  # A sensor's settling time is over: arg = sensor.
     SAVED = 9  # The configuration is committed: arg = slot, value = generation.
 
 

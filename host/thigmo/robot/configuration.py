@@ -40,7 +40,6 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "lag_ms": [round(m.lag_s * 1e3) for m in muscles],
         "reversal_cpsi": [round(m.reversal_psi * 100) for m in muscles],
         "full_length_um": [round(body.length_cm * 1e4)],
-        "pitch_um": [round(sensors.pitch_cm * 1e4)],
         "counts_per_m": [round(spool.counts_per_cm * 100)],
         "payout_q8": [round(spool.payout_ratio * 256)],
         "spool_speed_um_s": [round(spool.max_speed_cm_s * 1e4)],

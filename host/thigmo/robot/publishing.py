@@ -80,7 +80,6 @@ def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
         wire.EventCode.EVERTED: lambda: (
             f"sensor {sensor_name(arg)} everted at {value / 1e4:.1f} cm"
         ),
-        wire.EventCode.SETTLED: lambda: f"sensor {sensor_name(arg)} settled",
         wire.EventCode.SAVED: lambda: f"configuration {value} stored",
     }[code]()
     return code.key, "warning" if code is wire.EventCode.CONTACT else "info", text, ""

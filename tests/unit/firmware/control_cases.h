@@ -129,16 +129,30 @@ TEST(pressure_reaches_its_set_point_without_offset) {
 TEST(set_point_moves_no_faster_than_its_slew) {
   Settings s;
   PressureLoop loop;
+  Muscle muscle;
+  loop.set_target(PressureLoop::kProofCpsi, Derived::slew_step_q8(10000));
+  for (int i = 0; i < 400; ++i) muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
   loop.set_target(1800, Derived::slew_step_q8(600));
-  int previous = 0;
+  int previous = PressureLoop::kProofCpsi;
   int steps = 0;
   while (loop.set_cpsi() < 1800 && steps < 2000) {
-    loop.step(0, s.c, s.d);
+    muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
     CHECK(loop.set_cpsi() - previous <= 4);  // 3 a step of 5 ms, and rounding
     previous = loop.set_cpsi();
     ++steps;
   }
-  CHECK_NEAR(steps, 600, 3);  // 18 psi at 6 psi/s: 3 s
+  CHECK_NEAR(steps, 467, 3);  // 14 psi at 6 psi/s: 2.3 s
+}
+
+TEST(a_set_point_waits_at_the_proof_until_its_own_sensor_follows) {
+  Settings s;
+  PressureLoop loop;
+  loop.set_target(1800, Derived::slew_step_q8(10000));
+  int16_t most = 0;
+  for (int i = 0; i < 400; ++i) most = greater(most, loop.step(0, s.c, s.d));
+  CHECK_EQUAL(loop.set_cpsi(), PressureLoop::kProofCpsi);
+  CHECK(most <= PressureLoop::duty(PressureLoop::kProofCpsi, s.c, s.d));
+  CHECK(loop.stuck() && loop.mismatched(s.d));
 }
 
 TEST(below_the_live_zero_the_output_is_a_true_zero) {

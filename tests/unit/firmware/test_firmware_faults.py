@@ -6,9 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from firmware_bench import Bench, pressure_count
+from firmware_bench import Bench, FlowingAir, pressure_count
 
 from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.board import Board
 from thigmo.link import protocol as wire
 from thigmo.link.framing import encode
 
@@ -245,6 +246,71 @@ def test_a_pressure_sensor_that_lies_is_found_by_the_transducers_current(
     bench.sensor = lambda true: true
     bench.step(2000)
     recover(bench, F.PRESSURE_MISMATCH)
+
+
+class SwappedAir(FlowingAir):
+    """The plugs of the two pressure sensors, or of the two transducers, are swapped."""
+
+    def step(self, board: Board, dt: float) -> None:
+        self.psi.reverse()
+        super().step(board, dt)
+        self.psi.reverse()
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("command", ["press", "sweep"])
+def test_swapped_pressure_plugs_press_no_muscle_beyond_the_proof(side: int, command: str) -> None:
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000)
+    bench.air = SwappedAir()
+    psi = (1800, 0) if side == 0 else (0, 1800)
+    bench.do(wire.SetPressure(*psi, 0) if command == "press" else wire.Sweep(*psi, 20_000, 1, 0))
+    most = 0.0
+    for _ in range(1600):
+        bench.step()
+        most = max(most, *bench.air.psi)
+    assert most < 5.0
+    assert F.PRESSURE_STUCK in bench.faults()
+
+
+@pytest.mark.parametrize("pressure", [1800, 1000, 400])
+def test_a_transducer_map_that_is_wrong_by_four_is_found_before_the_pressure_is_high(
+    pressure: int,
+) -> None:
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000, drive_20ma_cpsi=1500)
+    bench.do(wire.SetPressure(pressure, 0, 0))
+    most = 0.0
+    for _ in range(1600):
+        bench.step()
+        most = max(most, *bench.air.psi)
+    assert most < 9.0
+    assert F.PRESSURE_MISMATCH in bench.faults()
+
+
+def test_a_channel_is_proven_once_in_an_armed_session_and_anew_in_the_next() -> None:
+    bench = Bench()
+    bench.zeroed(trigger_e5=10_000)
+
+    def rise_s(psi: float) -> float:
+        for ms in range(0, 6000, 5):
+            if bench.air.psi[0] > psi:
+                return ms / 1000
+            bench.step()
+        raise AssertionError("it does not rise")
+
+    bench.do(wire.SetPressure(1000, 0, 0))
+    first = rise_s(9.0)
+    bench.do(wire.Vent())
+    bench.step(4000)
+    bench.do(wire.SetPressure(1000, 0, 0))
+    again = rise_s(9.0)
+    assert 0.2 < first - again < 1.2
+    bench.do(wire.Disarm())
+    bench.step(4000)
+    bench.do(wire.Arm())
+    bench.do(wire.SetPressure(1000, 0, 0))
+    assert rise_s(9.0) == pytest.approx(first, abs=0.05)
 
 
 @pytest.mark.parametrize(("offset_psi", "gain"), [(-1.2, 1.02), (-1.2, 0.98), (0.2, 0.98), (0, 1)])
