@@ -2,16 +2,16 @@
 #include "py/runtime.h"
 #include "shared/runtime/interrupt_char.h"
 #include "stream.h"
-#include "uart.h"
 
 typedef struct {
   volatile uint32_t data, state, control, interrupt, divider;
 } uart_t;
+#define UART0 ((uart_t*)0x40004000)
 #define UART1 ((uart_t*)0x40005000)
 enum { TX_FULL = 1, RX_FULL = 2 };                        // state
 enum { TX_ENABLE = 1, RX_ENABLE = 2, RX_INTERRUPT = 8 };  // control
 enum { RX_PENDING = 2 };                                  // interrupt
-enum { UART1_RX = 2 };                                    // vector, after the core's 16
+enum { UART0_RX = 0, UART1_RX = 2 };                      // vector, after the core's 16
 
 #define VECTOR_TABLE (*(volatile uint32_t*)0xE000ED08)
 #define INTERRUPT_ENABLE (*(volatile uint32_t*)0xE000E100)
@@ -26,15 +26,23 @@ static void receive(void) {
   }
 }
 
+static void receive_key(void) {
+  UART0->interrupt = RX_PENDING;
+  while (UART0->state & RX_FULL) {
+    if ((int)UART0->data == mp_interrupt_char) mp_sched_keyboard_interrupt();
+  }
+}
+
 const char* stream_open(void) {
   if (UART1->control & RX_ENABLE) return NULL;
   const uint32_t* const old = (const uint32_t*)VECTOR_TABLE;
   for (int i = 0; i < 16; ++i) vectors[i] = old[i];
+  vectors[16 + UART0_RX] = (uint32_t)(uintptr_t)receive_key;
   vectors[16 + UART1_RX] = (uint32_t)(uintptr_t)receive;
   VECTOR_TABLE = (uint32_t)(uintptr_t)vectors;
   UART1->divider = 16;
   UART1->control = TX_ENABLE | RX_ENABLE | RX_INTERRUPT;
-  INTERRUPT_ENABLE = 1u << UART1_RX;
+  INTERRUPT_ENABLE = 1u << UART0_RX | 1u << UART1_RX;
   (void)UART1->data;  // QEMU looks for waiting bytes after a read only
   return NULL;
 }
@@ -51,8 +59,9 @@ void stream_lock(void) { __asm volatile("cpsid i" ::: "memory"); }
 void stream_unlock(void) { __asm volatile("cpsie i" ::: "memory"); }
 
 bool stream_wait(void) {
-  // The port polls its UART for the interrupt character nowhere else.
-  const int c = uart_rx_chr();
-  if (c >= 0 && c == mp_interrupt_char) mp_sched_keyboard_interrupt();
+  // The port polls its prompt's UART; while the controller runs, Ctrl-C must wake the processor.
+  UART0->control |= RX_INTERRUPT;
+  __asm volatile("wfi");
+  UART0->control &= ~RX_INTERRUPT;
   return true;
 }

@@ -8,6 +8,7 @@ line's bytes, and takes outputs, in lockstep (messages in firmware/micropython/t
 from __future__ import annotations
 
 import os
+import select
 import signal
 import socket
 import struct
@@ -108,7 +109,7 @@ class MicroPythonBoard:
         if cause is ResetCause.POWER_ON:
             self._stop = (0, 0)
         self._cause = cause
-        self._boot_left = BOOT_MS
+        self._boot_left = BOOT_MS  # until the program runs
         self._hung = False
         self._powered = True
         self._off()
@@ -129,15 +130,18 @@ class MicroPythonBoard:
         adc_bits, frame_us = self._profile
         described = struct.pack("<BBIBH", self._cause, *self._stop, adc_bits, frame_us)
         self._tell(b"I" + described + self._flash)
-        try:
-            started = mine.recv(1)
-        except OSError:
-            started = b""
+        started, problem = b"", ""
+        end = time.monotonic() + _START_S
+        while not started and not problem and time.monotonic() < end:
+            if select.select([mine], [], [], 0.05)[0]:
+                started = mine.recv(1)
+                problem = "" if started else "it has ended"
+            else:
+                problem = next((x for x in self.console().splitlines() if "Error:" in x), "")
         if started != b"R":
-            said = [line for line in self.console().splitlines() if line.strip(" >")]
-            self._kill()
+            self._kill(keep=False)
             raise PortError(
-                f"MicroPython has not started the controller: {said[-1] if said else 'silence'}",
+                f"MicroPython has not started the controller: {problem or 'it is silent'}",
                 "see firmware/micropython/README.md, and correct main.py and pins.py",
             )
         self._encoder_origin = int(np.floor(self._encoder[0]))
@@ -217,11 +221,12 @@ class MicroPythonBoard:
             heard += piece
         return bytes(heard)
 
-    def _kill(self) -> None:
+    def _kill(self, *, keep: bool = True) -> None:
         if self._process is None:
             return
         with suppress(OSError):  # it has ended; what it kept was taken before
-            self._keep()
+            if keep:
+                self._keep()
         assert self._socket is not None
         self._socket.close()
         self._process.kill()
@@ -231,7 +236,8 @@ class MicroPythonBoard:
         self._process = self._socket = None
 
     def __del__(self) -> None:
-        self._kill()
+        if hasattr(self, "_process"):
+            self._kill(keep=False)
 
     def _keep(self) -> bytes:
         """Take flash, latch and store out of the machine; returns the store."""
@@ -247,15 +253,14 @@ class MicroPythonBoard:
         """Run for so many milliseconds."""
         done = 0
         while done < ticks:
-            if not self._running and self._powered and self._boot_left == 0:
-                self._boot_left = -1
-                self._start()
-            count = min(ticks - done, self._boot_left if self._boot_left > 0 else _MOST_TICKS)
-            if self._running:
-                self._exchange(done, count, ticks)
-            else:
+            count = min(ticks - done, self._boot_left or _MOST_TICKS)
+            if self._boot_left:
                 self._sent.clear()  # nobody takes it
-                self._boot_left = max(self._boot_left - count, min(self._boot_left, 0))
+                self._boot_left -= count
+                if not self._boot_left:
+                    self._start()
+            elif self._process is not None:
+                self._exchange(done, count, ticks)
             done += count
             self._now_ms += count
         self._analog.settle()
@@ -274,14 +279,16 @@ class MicroPythonBoard:
         message = struct.pack("<BBHH", count, flags, self._supply_mv, len(line))
         try:
             self._tell(b"S" + message + line + rows.tobytes())
-            self._hear(1)
+            while self._hear(1) == b"R":  # the program has begun again, in this step or before
+                self.boots += 1
             told, *drive, motor, length = _STEP.unpack(self._hear(_STEP.size))
             self._received += self._hear(length)
-        except OSError:  # the program has ended, and the pins float
+        except OSError:  # Python itself has ended, and the pins float
             self._off()
             return
-        self._ticks += count
         self._running = bool(told & _RUNS)
+        # A controller that begins anew in the next step begins with tick 0.
+        self._ticks = self._ticks + count if self._running else 0
         self._powered = bool(told & _POWERED)
         self._drive = (drive[0], drive[1])
         self.motor = motor

@@ -20,12 +20,10 @@ BUILD = ROOT / "build" / "micropython"
 IMAGES = {
     "unix": BUILD / "unix" / "micropython",
     "cortex-m3": BUILD / "cortex-m3" / "firmware.elf",
-    "pico": BUILD / "pico" / "firmware.uf2",
 }
 _TOOLS = {
-    "unix": ("make", "gcc", "g++", "python3", "apt-get", "dpkg-deb"),
+    "unix": ("make", "gcc", "g++", "python3", "apt-get", "tar", "xz"),
     "cortex-m3": ("arm-none-eabi-g++", "qemu-system-arm"),
-    "pico": ("arm-none-eabi-g++", "cmake"),
 }
 
 
@@ -40,7 +38,7 @@ def missing(kind: str) -> str:
 
 @cache
 def image(kind: str) -> Path:
-    """The image of a kind: unix, cortex-m3 or pico; PortError if it cannot be built here."""
+    """The image of a kind: unix or cortex-m3; PortError if it cannot be built here."""
     build = f"`make -C firmware/micropython {kind}`"
     if reason := missing(kind):
         raise PortError(
