@@ -7,7 +7,13 @@ from typing import Annotated, Literal
 
 import typer
 
-from thigmo.cli.output import AnyRobotOption, JsonOption, KnownConfigOption, print_json
+from thigmo.cli.output import (
+    AnyRobotOption,
+    JsonOption,
+    KnownConfigOption,
+    MethodOption,
+    print_json,
+)
 
 
 def explore(
@@ -31,6 +37,7 @@ def explore(
             "best, or at the full sweep's peak, as in the thesis."
         ),
     ] = "measure",
+    method: MethodOption = None,
     prior: Annotated[
         Path | None,
         typer.Option(
@@ -70,6 +77,7 @@ def explore(
             name=name,
             realtime=realtime,
             protocol=protocol,
+            method=method or "posterior",
             prior=prior,
             operator=console,
             progress=show,

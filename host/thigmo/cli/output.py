@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -49,6 +49,16 @@ KnownConfigOption = Annotated[
     Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+MethodOption = Annotated[
+    Literal["posterior", "l1", "l2", "thesis"] | None,
+    typer.Option(
+        help="How contacts are localized: posterior (the default; a replay's is its run's), or "
+        "without intervals: exact point fits (l1, l2), or the thesis's alternating fit (thesis).",
+        show_default=False,
+    ),
+]
 
 
 def print_json(value: Any) -> None:

@@ -14,11 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
+from thigmo.display import POINT_ESTIMATE
+from thigmo.errors import DataError
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
-from thigmo.localization import Contact, LocalizeResult, localize
+from thigmo.localization import METHODS, Contact, LocalizeResult, localize
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
@@ -67,11 +69,12 @@ def feel(
     response: FreeResponse,
     nearest_arc: float = 0.0,
     prior: Sequence[Obstacle] = (),
+    method: str = "posterior",
 ) -> Feeling:
     """Localize the contacts behind a peak's readings, at a body-pressure zone.
 
     No contact lies nearer to the base than `nearest_arc` (cm); `prior` are obstacles that are
-    expected. Raises DataError if no sensor is usable.
+    expected; `method` is that of `localize`. Raises DataError if no sensor is usable.
     """
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
@@ -93,8 +96,13 @@ def feel(
         tube_radius=body.radius_cm,
         width_limit=WIDEST_CM,
         within=(nearest_arc, peak.length_cm) if nearest_arc > 0 else None,
+        method=method,
     )
-    found = [c for c in result.contacts if c.status in _PLACED and c.probability > LIKELY]
+    found = [
+        c
+        for c in result.contacts
+        if c.status == POINT_ESTIMATE or (c.status in _PLACED and c.probability > LIKELY)
+    ]
     if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
@@ -104,7 +112,7 @@ def feel(
     bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
     curve, arcs = centreline(bend), arc_grid(body.length_cm)
     masses = [_mass(result, contact, arcs) for contact in found]
-    if prior and len(found) == 1:
+    if prior and len(found) == 1 and found[0].status != POINT_ESTIMATE:
         # A peg in the way of a bend pushes against it.
         skin = [
             skin_point(curve, float(arc), -bend.free_curvature, body.radius_cm)[:2] for arc in arcs
@@ -119,6 +127,12 @@ def feel(
     return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
 
 
+def check_method(method: str) -> None:
+    """Raises DataError if the localizer has no such method."""
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
+
+
 def arc_grid(full_cm: float) -> Floats:
     """Arcs at which posteriors of different stages are compared, cm."""
     return np.linspace(0.0, full_cm, round(full_cm / _GRID_CM) + 1)
@@ -126,7 +140,9 @@ def arc_grid(full_cm: float) -> Floats:
 
 def _mass(result: LocalizeResult, contact: Contact, arcs: Floats) -> Floats:
     """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
-    if len(result.contacts) == 1:
+    if result.status == POINT_ESTIMATE:
+        mass = np.ones(len(arcs))
+    elif len(result.contacts) == 1:
         mass = _cell_masses(result, arcs)
     else:
         low, high = contact.interval

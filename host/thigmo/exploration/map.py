@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.config import RobotConfig
+from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.feel import WIDEST_CM, Felt, arc_grid, fused, median, shortest
 from thigmo.exploration.met import Lean, Met
 from thigmo.exploration.prior import match
@@ -45,6 +46,10 @@ class ContactMap:
     def add(self, felt: Felt) -> None:
         """Take a contact that a stage felt."""
         alone = self._place([felt])
+        if alone.status == POINT_ESTIMATE:  # without its error, none is known to be another one
+            self._pegs.append([felt])
+            self._placed.append(alone)
+            return
         for index, (known, stages) in enumerate(zip(self._placed, self._pegs, strict=True)):
             once_a_stage = all(abs(f.length_cm - felt.length_cm) > _FLOOR_CM for f in stages)
             again = _apart(known, alone) < _SAME_SIGMA or self._agree(stages, felt)
@@ -90,7 +95,7 @@ class ContactMap:
             readings=met.sensors,
         )
         for index, known in enumerate(self._placed):
-            if _apart(known, contact) < _SAME_SIGMA:
+            if known.status != POINT_ESTIMATE and _apart(known, contact) < _SAME_SIGMA:
                 self._keep_surer(index, contact, [])
                 return
         self._pegs.append([])

@@ -47,8 +47,11 @@ _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no
 class Interpreter:
     """Reads a run's sweeps in their order, and learns from those without contact."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
+    def __init__(
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+    ) -> None:
         self._config = config
+        self._method = method
         self._prior = prior
         self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
@@ -73,7 +76,7 @@ class Interpreter:
             for each in (sweep, measuring) if measuring else (sweep,):
                 _learn(self._response, each, side, zone, touch)
             told = measured.get(side, peak)
-            feeling = feel(told, self._config, zone, self._response, nearest, self._prior)
+            feeling = self._feel(told, zone, self._response, nearest)
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
             if side in fired or certain:
                 feelings.append(feeling)
@@ -92,7 +95,10 @@ class Interpreter:
         touch = touch_curvature(so_far.frames, peak.side)
         _learn(response, so_far, peak.side, zone, touch)
         nearest = nearest_arc(self._untouched, peak, touch)
-        return feel(peak, self._config, zone, response, nearest, self._prior)
+        return self._feel(peak, zone, response, nearest)
+
+    def _feel(self, peak: Peak, zone: int, response: FreeResponse, nearest: float) -> Feeling:
+        return feel(peak, self._config, zone, response, nearest, self._prior, self._method)
 
     def add(self, feelings: Iterable[Feeling]) -> None:
         """Put what a stage felt on the map."""

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.localization.estimate import STATUSES, localizer_of
 from thigmo.localization.readings import refusal, vector
@@ -49,7 +50,7 @@ class BatchResult:
 
     def __repr__(self) -> str:
         count = Counter(self.status)
-        told = ", ".join(f"{count[status]} {status}" for status in STATUSES if count[status])
+        told = ", ".join(f"{number} {status}" for status, number in count.most_common())
         return f"BatchResult({len(self)} rows{': ' if told else ''}{told})"
 
 
@@ -106,7 +107,11 @@ def localize_batch(
         raise DataError(f"row {row}: {error.what}", error.next_step)
     arc, force, low, high, localized = np.moveaxis(of_contact, 2, 0)
     return BatchResult(
-        [STATUSES[int(each)] for each in status.tolist()], contacts.astype(np.int64),
+        [
+            STATUSES[int(each)] if method == "posterior" else POINT_ESTIMATE
+            for each in status.tolist()
+        ],
+        contacts.astype(np.int64),
         arc, force, low, high, localized == 1.0,
         probability, log_odds, discarded.astype(np.int64), objective,
     )  # fmt: skip

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from thigmo.display import interval_text
+
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
 
 
@@ -44,7 +46,9 @@ class MapContact:
     y_cm: float  #: of the same point
     force_per_cm2: float  #: signed, F/EI; positive pushes towards +y of the body there
     interval_cm: tuple[float, float]  #: 95 % interval of the arc
-    status: str  #: "localized" or "ambiguous"
+    #: "localized", "ambiguous", or "point estimate": of a method that knows no error, and whose
+    #: interval is therefore the whole body
+    status: str
     everted_length_cm: float  #: stage at which it was felt
     #: active muscle; empty for a peg that growth met, which stopped the tip or bent it aside
     side: str
@@ -59,11 +63,15 @@ class MapContact:
     known: int | None = None
 
     def __repr__(self) -> str:
-        low, high = self.interval_cm
         return (
             f"MapContact(x {self.x_cm:.1f}, y {self.y_cm:.1f} cm; arc {self.arc_cm:.1f} of "
-            f"{self.everted_length_cm:.1f} cm, 95 % {low:.1f} to {high:.1f} cm; {self.status})"
+            f"{self.everted_length_cm:.1f} cm, 95 % {self.interval_text}; {self.status})"
         )
+
+    @property
+    def interval_text(self) -> str:
+        """The interval for people."""
+        return interval_text(self.status, self.interval_cm, ".1f", " cm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +157,7 @@ class RunDocument:
     #: reason, "aborted"
     outcome: str = "running"
     seed: int | None = None
+    method: str = "posterior"  #: of the localizer: `thigmo.localize`
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
     stages: list[Stage] = field(default_factory=list)
     truth: Truth | None = None
