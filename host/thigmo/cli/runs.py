@@ -24,11 +24,11 @@ def replay(
 
     result = again(run, method=method)
     lines = [f"{run}: {result.missing}"] if result.missing else []
-    for contact in result.document.contacts:
-        lines.append(
-            f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
-            f"({contact.interval_text}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm"
-        )
+    lines += [
+        f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
+        f"({contact.interval_text}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm"
+        for contact in result.document.contacts
+    ]
     if not result.document.contacts:
         lines.append("no contact in what is left" if result.missing else "no contact")
     lines.append(f"{result.sweeps} sweeps; {run / 'replay.json'}")

@@ -279,7 +279,7 @@ def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[list[_Sweep], list[_Sweep]]]
 
 
 def _document(folder: RunFolder, log: Log) -> RunDocument:
-    """The replay's document, before its stages; name, truth and outcome are the run's own, if known."""
+    """The replay's document without stages; name, truth, outcome are the run's own, if known."""
     recorded = log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0
     try:
         known = folder.read_document()
