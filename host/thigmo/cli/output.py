@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -52,7 +52,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 
 
 MethodOption = Annotated[
-    Literal["posterior", "l1", "l2", "thesis"] | None,
+    str | None,
     typer.Option(
         help="How contacts are localized: posterior (the default; a replay's is its run's), or "
         "without intervals: exact point fits (l1, l2), or the thesis's alternating fit (thesis).",
