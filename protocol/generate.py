@@ -172,6 +172,7 @@ class Schema:
     map_step_cpsi: int
     hash: int
     enums: dict[str, tuple[str, tuple[Value, ...]]]
+    open_enums: frozenset[str]  # whose values may be others than those listed
     messages: tuple[Message, ...]
     parameters: tuple[Parameter, ...]
 
@@ -194,7 +195,9 @@ def wire_layout(tree: Any) -> Any:
     return {
         "frame": {key: tree[key] for key in ("protocol", "max_wire_bytes", "crc", "map")},
         "enums": {
-            name: {key: body["value"] for key, body in members.items() if key != "doc"}
+            name: "open"
+            if members.get("open")
+            else {key: body["value"] for key, body in members.items() if key != "doc"}
             for name, members in tree["enums"].items()
         },
         "messages": {
@@ -235,10 +238,15 @@ def load(path: Path) -> Schema:
     """
     tree = yaml.load(path.read_text(), Loader=_UniqueLoader)
     enums: dict[str, tuple[str, tuple[Value, ...]]] = {}
+    open_enums: set[str] = set()
     for name, members in tree["enums"].items():
         values = tuple(
-            Value(key, body["value"], body["doc"]) for key, body in members.items() if key != "doc"
+            Value(key, body["value"], body["doc"])
+            for key, body in members.items()
+            if key not in ("doc", "open")
         )
+        if members.get("open"):
+            open_enums.add(name)
         numbers = [v.value for v in values]
         _require(len(set(numbers)) == len(numbers), f"enums.{name}: a value is used twice")
         top = 15 if name in BIT_ENUMS else 255
@@ -346,6 +354,7 @@ def load(path: Path) -> Schema:
         tree["map"]["step_cpsi"],
         schema_hash(tree),
         enums,
+        frozenset(open_enums),
         tuple(messages),
         tuple(parameters),
     )
@@ -585,7 +594,8 @@ def python(schema: Schema) -> str:
         "from typing import Annotated",
         "",
         "from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32",
-        "from thigmo.link.message import Command, Documented, Message, Parameter, Reply",
+        "from thigmo.link.message import Command, Documented, Message, OpenDocumented",
+        "from thigmo.link.message import Parameter, Reply",
         "",
         f"PROTOCOL = {schema.protocol}",
         f"SCHEMA_HASH = 0x{schema.hash:08X}",
@@ -601,7 +611,8 @@ def python(schema: Schema) -> str:
         "",
     ]
     for name, (doc, values) in schema.enums.items():
-        out += _py_line(f"class {name}(Documented):", doc)
+        base = "OpenDocumented" if name in schema.open_enums else "Documented"
+        out += _py_line(f"class {name}({base}):", doc)
         for value in values:
             out += _py_line(f"    {value.name.upper()} = {value.value}", value.doc)
         out += ["", ""]

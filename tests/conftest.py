@@ -18,6 +18,7 @@ from hypothesis.internal.conjecture import providers
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
+from thigmo.link.stop_socket import OTHER_PLACE
 
 HERE = Path(__file__).parent
 # Folders whose name is the marker of all tests in them (tests/sim/mega: of `sim` and `mega`).
@@ -89,7 +90,7 @@ def many(pytestconfig: pytest.Config) -> Callable[[int], int]:
 def _own_runtime_folder() -> Iterator[None]:
     """Sockets of runs and robots of this worker's tests: no other worker sees or clears them."""
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory(prefix="tg") as folder:
-        patch.setenv("XDG_RUNTIME_DIR", folder)
+        patch.setenv(OTHER_PLACE, folder)
         yield
 
 
@@ -99,7 +100,7 @@ def own_sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     path has to be short.
     """
     folder = tempfile.mkdtemp(prefix="tg")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+    monkeypatch.setenv(OTHER_PLACE, folder)
     yield
     shutil.rmtree(folder)
 

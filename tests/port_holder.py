@@ -7,11 +7,10 @@ ready: for that one the clock goes on.
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 from pathlib import Path
 
-PROCESSES = Path("/proc")  # on Linux only; elsewhere nothing is ever held up
+from thigmo.link.port_owner import processes
 
 
 class PortHolder:
@@ -30,9 +29,8 @@ class PortHolder:
         if self._tasks is not None and self._tasks.exists():
             return
         self._tasks = None
-        for process in PROCESSES.glob("[1-9]*"):
-            if process.name != str(os.getpid()) and self._holds(process):
-                self._tasks = process / "task"
+        for process in processes(self._port):
+            self._tasks = process / "task"
 
     def held_up(self) -> bool:
         """Whether one of its threads is ready to run."""
@@ -42,12 +40,4 @@ class PortHolder:
             with suppress(OSError):  # it may have ended
                 if task.read_text().rpartition(")")[2].split()[0] == "R":
                     return True
-        return False
-
-    def _holds(self, process: Path) -> bool:
-        with suppress(OSError):  # it may have ended, or be another user's
-            for file in (process / "fd").iterdir():
-                with suppress(OSError):
-                    if str(file.readlink()) == self._port:
-                        return True
         return False

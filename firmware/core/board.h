@@ -13,7 +13,7 @@
 // Time. There is one clock: the 1 kHz control tick. Tick n begins at n * 1000 us (tick 0 at start);
 // `micros()` counts on the same clock, so that sampling instants, control steps and time stamps are
 // exact multiples of each other. The core does the work of tick n when the ADC frame of tick n
-// arrives (about 832 us into it); it kicks the watchdog only after such a pass, so that a dead ADC,
+// arrives (`frame_us()` into it); it kicks the watchdog only after such a pass, so that a dead ADC,
 // a dead tick timer and a hung loop all end in a reset. A pass must follow each frame within
 // kAdcFrames ticks.
 //
@@ -33,14 +33,16 @@ constexpr uint8_t kSides = 2;
 constexpr uint8_t kSensorsPerSide = 5;
 constexpr uint8_t kSensors = kSides * kSensorsPerSide;
 
+// Scales of the core's outputs. A binding maps them to whatever its timers count.
 constexpr int16_t kDriveFull = 1599;  // transducer duty of 20 mA
 constexpr int16_t kMotorFull = 800;   // motor duty of full voltage
 
 // ADC channels: flex left 0..4 (A0..A4), flex right 5..9 (A5..A9), pressure left 10, right 11.
 constexpr uint8_t kPressureChannel = 10;
-constexpr uint8_t kAdcSlots = 8;   // conversions in each tick, 104 us each: 832 us of 1000
+constexpr uint8_t kAdcSlots = 8;   // conversions in each tick
 constexpr uint8_t kAdcFrames = 4;  // frames that a binding must be able to hold for the core
-constexpr uint16_t kAdcTop = 1023;
+constexpr uint8_t kAdcBits = 10;   // of the counts that sums, limits and the wire are made of
+constexpr uint16_t kAdcTop = (1u << kAdcBits) - 1;
 
 // Channel converted in a slot of a tick: both pressures, both base sensors, then four of the other
 // eight sensors, left ones on even ticks and right ones on odd ticks. Usable in an interrupt.
@@ -52,7 +54,7 @@ constexpr uint8_t adc_channel(bool odd_tick, uint8_t slot) {
                      : static_cast<uint8_t>(slot - 3 + (odd_tick ? 5 : 0));
 }
 
-// The conversions of one tick, count[slot] of adc_channel(tick & 1, slot), 0..1023 each.
+// The conversions of one tick, count[slot] of adc_channel(tick & 1, slot), of kAdcBits each.
 struct AdcFrame {
   uint16_t count[kAdcSlots];
   uint32_t tick;
@@ -82,6 +84,10 @@ struct StopLatch {
   uint32_t nonce = 0;
 };
 
+// The longest silence of the main loop after which a board may still run on; the spool's top speed
+// allows for it (config/configuration.h).
+constexpr uint16_t kWatchdogMs = 250;
+
 // Bytes of EEPROM that the core uses, from address 0: boot counter and two configuration slots.
 // (config/store.h lays them out; a binding may use what lies beyond.)
 constexpr uint16_t kEepromUsed = 2048;
@@ -90,16 +96,22 @@ constexpr uint16_t kEepromUsed = 2048;
 // these members (static or not).
 class BoardPolicy {
  public:
-  static constexpr protocol::Board kKind = protocol::Board::kMega;  // reported in the hello
+  // Reported in the hello. A board that the schema does not list takes a number from 128 up.
+  static constexpr protocol::Board kKind = protocol::Board::kMega;
 
   // --- clock -------------------------------------------------------------------------------------
   uint32_t micros();    // tick * 1000 + microseconds into the tick; wraps
   uint16_t micros16();  // its low half, which an 8-bit chip has for half the time
 
   // --- analog ------------------------------------------------------------------------------------
+  // When a frame is complete, microseconds into its tick; below 1000, the same for the whole run.
+  uint16_t frame_us();
   // The oldest completed frame not yet taken, or null; it holds until the next call. Frames come in
   // order of tick; when the core is late by more than kAdcFrames, the binding drops the newest and
-  // the core sees the gap in `tick`. Frame 0 is that of tick 0.
+  // the core sees the gap in `tick`. Frame 0 is that of tick 0. A count is floor(1024 * voltage /
+  // reference); a converter with more bits passes its frames through Narrowing
+  // (sensing/narrowing.h). Frame time and bits are the converter's profile: boards that share it
+  // give the same telemetry from the same counts.
   const AdcFrame* take_frame();
 
   // --- outputs -----------------------------------------------------------------------------------
@@ -131,9 +143,14 @@ class BoardPolicy {
   void tx_write(const uint8_t* bytes, uint8_t count);  // count <= tx_free()
 
   // --- EEPROM ------------------------------------------------------------------------------------
+  // kEepromUsed bytes that keep their values without power; blank ones read 0xFF. The core writes
+  // only while the outputs are off. A power cut in eeprom_write may leave anything in that byte and
+  // changes no other. A memory that writes in larger pieces may hold writes back until
+  // eeprom_commit(): a cut then leaves either what was before or all of them.
   bool eeprom_ready();                                 // no write in progress
   uint8_t eeprom_read(uint16_t address);               // called only while ready
   void eeprom_write(uint16_t address, uint8_t value);  // called only while ready; returns at once
+  void eeprom_commit();  // called only while ready: once ready again, all writes are permanent
 
   // --- start and stop ----------------------------------------------------------------------------
   protocol::ResetCause reset_cause();  // of this start
@@ -141,7 +158,7 @@ class BoardPolicy {
   StopLatch kept_stop();
   void keep_stop(StopLatch stop);
   void task(uint8_t id);  // a part of the pass begins (Task); may do nothing
-  void kick_watchdog();   // every tick; time-out 120..500 ms
+  void kick_watchdog();   // every tick; time-out 120..kWatchdogMs
 };
 
 }  // namespace thigmo

@@ -59,7 +59,8 @@ struct Outputs {
 
 class Controller {
  public:
-  static constexpr uint16_t kFrameUs = 832;  // a tick's conversions are complete so long after it
+  // A tick's conversions are complete so long after it.
+  explicit Controller(uint16_t frame_us) : frame_us_(frame_us) {}
 
   void begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop);
 
@@ -153,7 +154,7 @@ class Controller {
   static constexpr uint16_t kTestMostMs = 500;
 
   bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
-  uint32_t t_us() const { return tick_ * 1000u + kFrameUs; }
+  uint32_t t_us() const { return tick_ * 1000u + frame_us_; }
   void post(protocol::EventCode code, uint16_t arg, int32_t value) {
     events_.post(code, arg, value, t_us());
   }
@@ -237,6 +238,7 @@ class Controller {
   EventQueue events_;
   Outputs outputs_ = {{PressureLoop::kOff, PressureLoop::kOff}, 0};
 
+  const uint16_t frame_us_;
   uint32_t tick_ = 0;
   uint32_t elapsed_ = 0;  // ticks since the one before
   uint32_t beat_tick_ = 0;

@@ -20,7 +20,8 @@ namespace thigmo {
 template <typename Board>
 class Robot {
  public:
-  explicit Robot(Board& board) : board_(board), commands_(controller_, session_, store_) {}
+  explicit Robot(Board& board)
+      : board_(board), controller_(board.frame_us()), commands_(controller_, session_, store_) {}
   Robot(const Robot&) = delete;
   Robot& operator=(const Robot&) = delete;
 

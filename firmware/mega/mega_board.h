@@ -13,6 +13,7 @@
 #include "actuators.h"
 #include "eeprom.h"
 #include "encoder.h"
+#include "guard.h"
 #include "pins.h"
 #include "restart.h"
 #include "sampler.h"
@@ -61,6 +62,7 @@ class MegaBoard {
 
   static uint32_t micros() { return Sampler::micros(); }
   static uint16_t micros16() { return Sampler::micros16(); }
+  static constexpr uint16_t frame_us() { return 832; }  // eight conversions of 104 us
   static const AdcFrame* take_frame() { return Sampler::take(); }
 
   static void drive(uint8_t side, int16_t duty) { Actuators::drive(side, duty); }
@@ -93,6 +95,7 @@ class MegaBoard {
   static bool eeprom_ready() { return Eeprom::ready(); }
   static uint8_t eeprom_read(uint16_t address) { return Eeprom::read(address); }
   static void eeprom_write(uint16_t address, uint8_t value) { Eeprom::write(address, value); }
+  static void eeprom_commit() {}  // a byte written is permanent
 
   static protocol::ResetCause reset_cause() { return Restart::cause(); }
   static StopLatch kept_stop() { return Restart::kept_stop(); }

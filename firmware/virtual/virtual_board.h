@@ -32,8 +32,9 @@ class VirtualBoard {
   static constexpr uint64_t kByteUs = 40;  // 250 kbaud, 8N1
   static constexpr uint64_t kEepromWriteUs = 3400;
   static constexpr uint64_t kBootLoaderUs = 840000;
-  static constexpr uint64_t kWatchdogUs = 250000;
-  static constexpr uint64_t kSampleUs = 12;  // sample-and-hold: 1.5 clocks of 125 kHz
+  static constexpr uint64_t kWatchdogUs = 1000ull * kWatchdogMs;
+  static constexpr uint16_t kFrameUs = kAdcSlots * 104;  // as the Mega's converter takes
+  static constexpr uint64_t kSampleUs = 12;              // sample-and-hold: 1.5 clocks of 125 kHz
   static constexpr uint64_t kConversionUs = 104;
   static constexpr uint64_t kAirHoldUs = 60000;  // a charge pump's longest (docs/hardware)
 
@@ -56,7 +57,7 @@ class VirtualBoard {
       for (const uint64_t at : kPassUs) {
         now_us_ = tick_us + at;
         share_ = (i + static_cast<double>(at) * 1e-3) * each;
-        if (at == Controller::kFrameUs && running_) convert(i * each, each);
+        if (at == kFrameUs && running_) convert(i * each, each);
         pass();
       }
       now_us_ = tick_us + 1000;
@@ -156,6 +157,7 @@ class VirtualBoard {
   uint32_t micros() { return static_cast<uint32_t>(now_us_ - start_us_); }
   uint16_t micros16() { return static_cast<uint16_t>(now_us_ - start_us_); }
 
+  uint16_t frame_us() { return kFrameUs; }
   const AdcFrame* take_frame() {
     if (frames_.empty()) return nullptr;
     taken_ = frames_.front();
@@ -202,6 +204,7 @@ class VirtualBoard {
 
   bool eeprom_ready() { return now_us_ >= eeprom_ready_us_; }
   uint8_t eeprom_read(uint16_t address) { return eeprom_[address]; }
+  void eeprom_commit() {}
   void eeprom_write(uint16_t address, uint8_t value) {
     eeprom_ready_us_ = now_us_ + kEepromWriteUs;
     if (cut_armed_ && cut_after_-- == 0) {
@@ -223,7 +226,7 @@ class VirtualBoard {
  private:
   // Main-loop passes within a tick, the third when the tick's conversions are complete. The Mega
   // makes more; what the line carries is the same, but for a quarter of a millisecond.
-  static constexpr std::array<uint64_t, 4> kPassUs = {250, 500, Controller::kFrameUs, 990};
+  static constexpr std::array<uint64_t, 4> kPassUs = {250, 500, kFrameUs, 990};
 
   void convert(double from, double each) {
     if (frames_.size() >= kAdcFrames) return;

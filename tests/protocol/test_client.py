@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from channel import LoopTransport
 from raw_host import RawMessage
@@ -139,6 +141,22 @@ def test_another_schema_is_refused_with_both_hashes() -> None:
     transport.virtual = False
     with pytest.raises(SchemaMismatchError, match="; run `thigmo flash --robot loop`"):
         Client(transport)
+
+
+def test_a_board_that_this_host_does_not_list_is_a_board_like_others() -> None:
+    class Unlisted(ReferenceDevice):
+        """A lab's own board, number 200."""
+
+        def _hello_reply(self, hello: wire.Hello, reason: wire.Reason) -> wire.HelloReply:
+            return replace(super()._hello_reply(hello, reason), board=wire.Board(200))
+
+    client = Client(LoopTransport(Unlisted()))
+    assert client.hello.board == 200
+    assert client.hello.board.key == "unlisted_200"
+    assert client.hello.board.doc == "Number 200, which this host does not list."
+    assert wire.HelloReply.unpack(client.hello.pack()) == client.hello
+    with pytest.raises(ValueError, match="256"):
+        wire.Board(256)
 
 
 def test_another_schema_with_enumerations_unknown_here_is_still_named() -> None:

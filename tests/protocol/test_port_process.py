@@ -36,6 +36,7 @@ from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.pipe import Kind, Packet, read_packet
 from thigmo.link.serial_port import SerialTransport, waits_for_operator
+from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
@@ -51,8 +52,8 @@ SETTLE = wire.PARAMETERS["settle_ms"].index
 def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of its own: a test that stops all robots must stop no other test's."""
     with tempfile.TemporaryDirectory() as folder:  # pytest's are too long for a socket
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield Path(folder) / "thigmo"
+        monkeypatch.setenv(OTHER_PLACE, folder)
+        yield Path(folder) / f"thigmo-{os.getuid()}"
 
 
 @pytest.fixture
@@ -306,7 +307,46 @@ def test_thigmo_stop_opens_a_port_that_nobody_owns(board: PtyDevice) -> None:
 
 def test_thigmo_stop_without_a_robot_says_so() -> None:
     result = CliRunner().invoke(app, ["stop"])
-    assert str(result.exception).startswith("no program of yours drives a robot; name its port")
+    assert str(result.exception).startswith(
+        "NOT stopped: no program of yours drives a robot; use the emergency stop, or name its port"
+    )
+
+
+@pytest.mark.parametrize("place", ["TMPDIR", "XDG_RUNTIME_DIR", "HOME"])
+def test_thigmo_stop_finds_a_robot_from_any_shell(
+    board: PtyDevice,
+    host: tuple[subprocess.Popen[bytes], int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    place: str,
+) -> None:
+    monkeypatch.setenv(place, str(tmp_path))
+    result = CliRunner().invoke(app, ["stop"])
+    assert result.exit_code == 0, result.output
+    assert board.device.stops
+
+
+OTHER = """
+import serial, sys
+port = serial.serial_for_url(sys.argv[1], exclusive=True)
+print("open", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_thigmo_stop_names_the_program_that_has_the_port(board: PtyDevice) -> None:
+    words = [sys.executable, "-c", OTHER, board.port]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        result = CliRunner().invoke(app, ["stop", "--robot", board.port])
+        assert result.exit_code == 1
+        told = str(result.exception)
+        assert told.startswith(f"NOT stopped: {board.port} is in use by process ")
+        assert f"process {other.pid} (" in told
+        assert "; use the emergency stop, or close the program" in told
+        other.communicate()
+    assert not board.device.stops
 
 
 def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
@@ -315,7 +355,7 @@ def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
     hears = board.device.write
     with board.lock:
         board.device.write = lambda data: None  # type: ignore[method-assign]
-    with pytest.raises(LinkError, match=r"did not confirm the stop; press the emergency stop"):
+    with pytest.raises(LinkError, match=r"did not confirm the stop; use the emergency stop"):
         stop_robot(board.port)
     with board.lock:
         board.device.write = hears  # type: ignore[method-assign]
@@ -368,7 +408,7 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
 
 
 def test_a_port_in_use(board: PtyDevice, client: Client) -> None:
-    with pytest.raises(PortError, match="is in use; close the other program"):
+    with pytest.raises(PortError, match=r"is in use by process \d+ \(.*\); close the prog"):
         open_transport(board.port)
 
 

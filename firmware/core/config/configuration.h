@@ -27,7 +27,6 @@ constexpr int16_t kGuessedMap[protocol::kMapPoints] THIGMO_PROGMEM = {
 // A host that dies while the body grows is noticed after heartbeat_ms; what follows until the spool
 // stands still (a control step, the output, the braked motor's run-out) takes no longer than this.
 constexpr int32_t kReactionMs = 100;
-constexpr int32_t kWatchdogMs = 250;  // after which a board restarts a program that hangs
 // The farthest that the body may grow after its host has died. The promise is 2 cm; the rest is for
 // a loop that overshoots its speed and for a tail that pulls.
 constexpr int32_t kOrphanUm = 17000;

@@ -124,6 +124,7 @@ class ConfigStore {
     crc_ = Crc{};
     saving_ = true;
     verify_ = false;
+    committed_ = false;
   }
 
   bool saving() const { return saving_; }
@@ -148,6 +149,11 @@ class ConfigStore {
     // Bytes that need no write cost no waiting; a few a call keep the loop short.
     for (uint8_t tries = 0; tries < 3; ++tries) {
       if (next_ > kSlotSize) {
+        if (!committed_) {
+          committed_ = true;
+          board.eeprom_commit();
+          return Step::kBusy;
+        }
         saving_ = false;
         slot_ = target;
         ++generation_;
@@ -177,7 +183,10 @@ class ConfigStore {
   }
 
  private:
-  static constexpr uint8_t kCounterDone = 4;
+  // Steps of the boot counter: its four bytes, highest first; then these.
+  static constexpr uint8_t kCounterCommit = 4;
+  static constexpr uint8_t kCounterWait = 5;
+  static constexpr uint8_t kCounterDone = 6;
   static constexpr uint8_t kTries = 3;  // to write a cell
 
   static constexpr uint16_t counter_at(uint8_t which) {
@@ -306,6 +315,11 @@ class ConfigStore {
 
   template <typename Board>
   void step_counter(Board& board) {
+    if (counter_step_ >= kCounterCommit) {
+      if (counter_step_ == kCounterCommit) board.eeprom_commit();
+      ++counter_step_;
+      return;
+    }
     const uint8_t index = static_cast<uint8_t>(3 - counter_step_);
     const uint16_t address = static_cast<uint16_t>(counter_at(counter_) + index);
     const uint8_t byte = static_cast<uint8_t>(raised_ >> (8 * index));
@@ -320,7 +334,7 @@ class ConfigStore {
       counter_step_ = 0;
       tries_ = 0;
     } else {
-      counter_step_ = kCounterDone;  // all are worn: the robot must start nevertheless
+      counter_step_ = kCounterCommit;  // all are worn: the robot must start nevertheless
     }
   }
 
@@ -341,6 +355,7 @@ class ConfigStore {
   uint8_t tries_ = 0;
   bool saving_ = false;
   bool verify_ = false;
+  bool committed_ = false;  // what was written last
 };
 
 }  // namespace thigmo

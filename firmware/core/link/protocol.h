@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x33611322u;
+constexpr uint32_t kSchemaHash = 0x4981A348u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -73,18 +73,22 @@ enum class Branch : uint8_t {
 };
 constexpr uint8_t kBranchCount = 2;
 
-// Where the firmware runs.
+// Where the firmware runs. A board that is not listed takes a number from 128 up.
 enum class Board : uint8_t {
-  kVirtual = 0,  // Inside the emulator.
-  kMega = 1,     // Arduino Mega 2560, real or simulated.
+  kVirtual = 0,   // Inside the emulator.
+  kMega = 1,      // Arduino Mega 2560, real or simulated.
+  kPico = 2,      // Raspberry Pi Pico under MicroPython.
+  kCortexM3 = 3,  // MicroPython on QEMU's Cortex-M3; its hardware is injected.
+  kUnix = 4,      // MicroPython's unix port; its hardware is injected.
 };
-constexpr uint8_t kBoardCount = 2;
+constexpr uint8_t kBoardCount = 5;
 
 // Why the board last started.
 enum class ResetCause : uint8_t {
   kUnknown = 0,   // Not recorded.
   kPowerOn = 1,   // Power was applied.
-  kExternal = 2,  // Reset line: button, or the port being opened.
+  kExternal = 2,  // Reset line: button, or the port being opened; under MicroPython also: its
+                  // program began again.
   kBrownOut = 3,  // The supply sagged.
   kWatchdog = 4,  // The main loop hung and the watchdog restarted the board.
 };

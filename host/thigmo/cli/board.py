@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from thigmo.cli import ending
 from thigmo.cli.output import (
     JsonOption,
     RobotOption,
@@ -15,6 +16,8 @@ from thigmo.cli.output import (
     show,
 )
 
+_EMERGENCY = "use the emergency stop"
+
 
 def stop(
     robot: Annotated[
@@ -22,18 +25,41 @@ def stop(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Stop a robot at once, beside the program that drives it; `thigmo clear` lets it go."""
+    """Stop a robot at once, beside the program that drives it; `thigmo clear` lets it go.
+
+    It ends with status 0 only if the robot's board has confirmed the stop.
+    """
+    from thigmo.errors import LinkError, ThigmoError
+    from thigmo.link.transport import emulated
     from thigmo.robot.stopping import stop_all, stop_robot
 
-    if robot is None:
-        stopped = stop_all()
-    else:
-        stop_robot(robot)
-        stopped = [robot]
+    try:
+        if robot is None:
+            stopped = stop_all()
+        else:
+            stop_robot(robot)
+            stopped = [robot]
+    except ThigmoError as error:
+        cure = error.next_step
+        if not cure.startswith(_EMERGENCY):
+            cure = f"{_EMERGENCY}, or {cure}" if cure else _EMERGENCY
+        told = LinkError(f"NOT stopped: {error.what}", cure)
+        for note in getattr(error, "__notes__", []):
+            told.add_note(note)
+        raise told from error
+    except KeyboardInterrupt:
+        said = f"thigmo: NOT confirmed: interrupted before the board told; {_EMERGENCY}"
+        typer.echo(said, err=True)
+        raise typer.Exit(ending.status()) from None
     show(
         as_json,
         {"stopped": stopped},
-        *(f"Stopped: {each}. `thigmo clear --robot {each}` lets it go." for each in stopped),
+        *(
+            f"Stopped: {each}."
+            # An emulated robot ends with the program that runs it.
+            + ("" if emulated(each) else f" `thigmo clear --robot {each}` lets it go.")
+            for each in stopped
+        ),
     )
 
 

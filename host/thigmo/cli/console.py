@@ -110,7 +110,7 @@ class Console:
             else:
                 self.err.print(f"[bold]{question}[/bold] ", end="")
             return input().strip()
-        except EOFError:
+        except (EOFError, OSError):  # OSError: of a terminal that was closed
             raise DataError(f"no answer to: {question}", "run it again, and answer") from None
         finally:
             if self._bar:

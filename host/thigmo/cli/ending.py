@@ -21,6 +21,12 @@ def be_ready() -> None:
     _handle(_interrupt)
 
 
+def outlive_terminal() -> None:
+    """From now on a terminal that is closed ends nothing; `thigmo stop` and Ctrl-C still do."""
+    if sys.platform != "win32":
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+
 def be_done() -> None:
     """From now on they end the process without a word: nothing is left to be undone."""
     _handle(signal.SIG_DFL)

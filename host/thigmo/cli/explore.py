@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from thigmo.cli import ending
 from thigmo.cli.output import (
     AnyRobotOption,
     JsonOption,
@@ -67,6 +68,7 @@ def explore(
         from thigmo.cli.watch import open_page
 
         open_page(url, out, config)
+    ending.outlive_terminal()
     console = Console(quiet=as_json, piped=piped)
     with console.progress() as show, console.interruptible():
         result = run(

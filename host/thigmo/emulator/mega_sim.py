@@ -322,4 +322,6 @@ def open_mega_sim(url: str, *, seed: int | None = None, realtime: bool = False) 
     scene, used, options = parse_url(url, seed, baud=("250000", "500000"), usb=("on", "off"))
     usb = UsbBridge(used) if options["usb"] == "on" else None
     board = SimulatedMega(used, baud=int(options["baud"]), usb=usb)
-    return EmulatorTransport(scene, board, seed=used, realtime=realtime, exchange_ms=1, name=url)
+    opened = EmulatorTransport(scene, board, seed=used, realtime=realtime, exchange_ms=1, name=url)
+    opened.take_stops()
+    return opened

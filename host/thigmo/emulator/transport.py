@@ -21,7 +21,10 @@ from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ConfigError, LinkError
+from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Beat, Heart
+from thigmo.link.stop import Stopper
+from thigmo.link.stop_socket import StopListener
 from thigmo.mechanics import Peg
 
 if TYPE_CHECKING:
@@ -111,6 +114,9 @@ class EmulatorTransport:
         self.operator: Operator = EmulatedOperator(self)
         self.read_s = 0.0  # host time at which the bytes last read had arrived
         self._heart: Heart | None = None
+        self._stopper = Stopper(self.now)
+        self._stops: StopListener | None = None
+        self._echoes = Decoder()
         self._beats: deque[Beat] = deque(maxlen=_KEPT_BEATS)
         self._received = bytearray()
         self._realtime = realtime
@@ -121,9 +127,19 @@ class EmulatorTransport:
         """Virtual seconds since the start."""
         return self.lockstep.t_s
 
+    def take_stops(self) -> None:
+        """Take stops from outside this program, as a port's process does, until it is closed.
+
+        Raises PortError if it cannot listen for them.
+        """
+        self._stops = StopListener(self.name, self._stopper.stop, emulated=True)
+
     def write(self, data: bytes) -> None:
         """Hand bytes to the board's UART."""
         self._require_open()
+        self._send(data)
+
+    def _send(self, data: bytes) -> None:
         if not self.lockstep.faults.host_silent:
             self.lockstep.board.write(data)
 
@@ -153,12 +169,19 @@ class EmulatorTransport:
             now = self.now()
             frame = self._heart.beat(now)
             if frame is not None and not lockstep.faults.host_silent:
-                lockstep.board.write(frame)
+                self._send(frame)
                 self._beats.append(Beat(self._heart.counter, now))
+        stop = self._stopper.frame()
+        if stop is not None:
+            self._send(stop)
         lockstep.advance()
         data = lockstep.board.read()
         if data:
             self._received += data
+            self._stopper.heard()
+            if self._stopper.calling:
+                for told in self._echoes.feed(data):
+                    self._stopper.take(told)
             if self._heart is not None:
                 self._heart.heard()
             self.read_s = self.now()
@@ -189,6 +212,8 @@ class EmulatorTransport:
         """Close; may be called twice."""
         self._closed = True
         self._heart = None
+        if self._stops is not None:
+            self._stops.close()
 
     def _require_open(self) -> None:
         if self._closed:
@@ -224,4 +249,6 @@ def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) 
     from thigmo.emulator._board import VirtualBoard
 
     scene, used, _ = parse_url(url, seed)
-    return EmulatorTransport(scene, VirtualBoard(used), seed=used, realtime=realtime, name=url)
+    opened = EmulatorTransport(scene, VirtualBoard(used), seed=used, realtime=realtime, name=url)
+    opened.take_stops()
+    return opened

@@ -25,7 +25,7 @@ from thigmo.link.framing import Decoder, Frame, FrameError, encode
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.inbox import Inbox
 from thigmo.link.round_trip import RoundTrip
-from thigmo.link.stop import CONFIRM_S, REPEAT_S, StopCall
+from thigmo.link.stop import CONFIRM_S, REPEAT_S, UNCONFIRMED_CURE, StopCall
 from thigmo.link.transport import Transport
 
 R = TypeVar("R", bound=wire.Message)
@@ -204,7 +204,7 @@ class Client(Inbox, Closing):
             if now_s >= began_s + within_s:
                 raise CommandTimeoutError(
                     f"the board did not confirm the stop within {within_s:g} s",
-                    "press the emergency stop or cut the power, and shut the air",
+                    UNCONFIRMED_CURE,
                 )
             frame = call.frame(now_s)
             if frame is not None:

@@ -49,6 +49,24 @@ class Documented(IntEnum):
         return tuple(member for member in cls if mask >> int(member) & 1)
 
 
+class OpenDocumented(Documented):
+    """An enumeration that may travel with values which this host does not list."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        if not isinstance(value, int) or not 0 <= value <= 255:
+            return None
+        member = int.__new__(cls, value)
+        member._name_, member._value_ = f"UNLISTED_{value}", value
+        return cls._value2member_map_.setdefault(value, member)  # type: ignore[return-value]
+
+    @property
+    def doc(self) -> str:
+        """The schema's sentence, or that it has none."""
+        sentences = _DATA["enums"][type(self).__name__]
+        return str(sentences.get(self.key, f"Number {self.value}, which this host does not list."))
+
+
 U8 = Annotated[int, "B"]
 U16 = Annotated[int, "H"]
 I16 = Annotated[int, "h"]

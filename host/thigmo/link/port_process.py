@@ -27,20 +27,19 @@ import sys
 import threading
 import time
 from collections import deque
-from contextlib import suppress
-from multiprocessing.connection import Listener
 from typing import IO
 
 import serial
 from serial.tools.list_ports import comports
 
 from thigmo.errors import LinkError, PortError
-from thigmo.link import stop_socket
 from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Heart
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
+from thigmo.link.port_owner import owner
 from thigmo.link.protocol import Activity, State, Telemetry
-from thigmo.link.stop import CONFIRM_S, StopCall
+from thigmo.link.stop import Stopper
+from thigmo.link.stop_socket import StopListener
 
 LEASE_S = 30.0
 # Of the 2 cm that a dead host may cost; the rest is for the way of the stop, some 50 ms, and for
@@ -109,12 +108,10 @@ class Outbox:
 class PortProcess:
     """The relay between one port and one host."""
 
-    def __init__(
-        self, port: serial.Serial, url: str, stops: Listener, host_in: IO[bytes], outbox: Outbox
-    ) -> None:
+    def __init__(self, port: serial.Serial, url: str, host_in: IO[bytes], outbox: Outbox) -> None:
+        self.stopper = Stopper(time.monotonic)
         self._port = port
         self._url = url
-        self._stops = stops
         self._host = host_in
         self._outbox = outbox
         self._write_lock = threading.Lock()  # frames of heart and host must not interleave
@@ -124,36 +121,18 @@ class PortProcess:
         self._lease_ended = False
         self._touched_um: int | None = None  # length at the last touch, while the body grows
         self._decoder = Decoder()
-        self._heard_s = float("-inf")
         self._disarmed_until_s = -math.inf  # as far as its telemetry told
-        self._call: StopCall | None = None
-        self._call_lock = threading.RLock()  # a signal's handler may come upon itself
         self._leaving = threading.Lock()
-        self._confirmed = threading.Event()
         self._end = threading.Event()
         self._parent = os.getppid()
 
     def run(self) -> None:
         """Relay until the host closes, dies, or the port is lost."""
-        for target in (self._receive, self._beat, self._obey, self._listen):
+        for target in (self._receive, self._beat, self._obey):
             threading.Thread(target=target, daemon=True).start()
         self._end.wait()
         with self._heart_lock:
             self._heart = None
-
-    # Stops.
-
-    def call_stop(self) -> None:
-        """Stop the robot, from now on until the board confirms it; returns at once."""
-        with self._call_lock:
-            if self._call is None or self._call.confirmed:
-                self._confirmed.clear()
-                self._call = StopCall(time.monotonic(), self._heard_s)
-
-    def stop(self, within_s: float = CONFIRM_S) -> bool:
-        """Stop the robot; whether the board confirmed it in time."""
-        self.call_stop()
-        return self._confirmed.wait(within_s)
 
     def leave(self) -> None:
         """Stop the robot that nobody minds any more, and end."""
@@ -162,21 +141,13 @@ class PortProcess:
         with self._heart_lock:
             minded, self._heart = self._heart is not None, None
         if minded and self._may_move():
-            self.stop(_ORPHAN_S)
+            self.stopper.stop(_ORPHAN_S)
         self._end.set()
 
     def _may_move(self) -> bool:
         """Whether the board may be armed: one that lately said that it is not need not be stopped,
         and its next host needs no operator."""
         return time.monotonic() > self._disarmed_until_s
-
-    def _listen(self) -> None:
-        """Thread: stops from outside the host."""
-        while not self._end.is_set():
-            try:
-                stop_socket.answer(self._stops, self._url, self.stop)
-            except OSError:
-                return
 
     def _fail(self, error: Exception) -> None:
         if not self._end.is_set():
@@ -208,7 +179,7 @@ class PortProcess:
                 self._fail(error)
                 return
             if data:
-                self._heard_s = time.monotonic()
+                self.stopper.heard()
                 heart = self._heart
                 if heart is not None:
                     heart.heard()
@@ -217,19 +188,14 @@ class PortProcess:
 
     def _watch(self, data: bytes) -> None:
         """Look for the board's state, and for the echo of a stop."""
-        call = self._call
-        if call is not None:
-            call.heard(self._heard_s)
         for frame in self._decoder.feed(data):
             if frame.id == Telemetry.ID and len(frame.payload) == Telemetry.SIZE:
                 row = Telemetry.unpack(frame.payload)
                 armed = row.state_activity >> 4 in _ARMED
-                self._disarmed_until_s = -math.inf if armed else self._heard_s + _STATE_S
+                self._disarmed_until_s = -math.inf if armed else time.monotonic() + _STATE_S
                 self._watch_growth(row)
-            elif call is not None:
-                call.take(frame)
-                if call.confirmed:
-                    self._confirmed.set()
+            else:
+                self.stopper.take(frame)
 
     def _watch_growth(self, row: Telemetry) -> None:
         """Stop a robot that grows on while its host hangs."""
@@ -239,7 +205,7 @@ class PortProcess:
             self._touched_um = row.length_um
         elif row.length_um - touched_um > LEASE_UM:
             self._touched_um = None
-            self.call_stop()
+            self.stopper.call()
 
     def _beat(self) -> None:
         """Thread: the heart, the lease, and the repeats of a stop."""
@@ -247,7 +213,7 @@ class PortProcess:
             if os.getppid() != self._parent and not self._leaving.locked():
                 threading.Thread(target=self.leave, daemon=True).start()
             now = time.monotonic()
-            frame = self._call.frame(now) if self._call is not None else None
+            frame = self.stopper.frame()
             if frame is not None:
                 self._send(frame)
             with self._heart_lock:
@@ -256,7 +222,7 @@ class PortProcess:
                     continue
                 if now - self._lease_s > LEASE_S:
                     if not self._lease_ended and self._may_move():
-                        self.call_stop()
+                        self.stopper.call()
                     self._lease_ended = True
                     continue
                 self._lease_ended = False
@@ -303,7 +269,7 @@ def port_error(name: str, error: Exception) -> PortError:
     denied = number in (errno.EACCES, errno.EPERM)
     busy = number == errno.EBUSY or "exclusively lock" in lowered or "resource busy" in lowered
     if busy or (denied and os.name == "nt"):  # Windows says "access denied" for a port in use
-        return PortError(f"{name} is in use", "close the other program that has it open")
+        return PortError(f"{name} is in use{owner(name)}", "close the program that has it open")
     if denied:
         return PortError(
             f"no permission to open {name}",
@@ -334,19 +300,18 @@ def main() -> int:
         port = serial.serial_for_url(
             url, baudrate=baud, timeout=_READ_S, write_timeout=1.0, exclusive=True
         )
-        stops = stop_socket.serve(url)
+        relay = PortProcess(port, url, sys.stdin.buffer, outbox)
+        stops = StopListener(url, relay.stopper.stop)
     except (OSError, ValueError, PortError) as error:
         failure = error if isinstance(error, PortError) else port_error(url, error)
         outbox.put(Packet(Kind.FAILED, failure))
         outbox.close(2.0)
         return 1
     outbox.put(Packet(Kind.OPENED))
-    relay = PortProcess(port, url, stops, sys.stdin.buffer, outbox)
-    signal.signal(signal.SIGINT, lambda number, frame: relay.call_stop())
-    signal.signal(signal.SIGTERM, lambda number, frame: relay.call_stop())
+    signal.signal(signal.SIGINT, lambda number, frame: relay.stopper.call())
+    signal.signal(signal.SIGTERM, lambda number, frame: relay.stopper.call())
     relay.run()
-    with suppress(FileNotFoundError):  # somebody cleared the folder away
-        stops.close()
+    stops.close()
     port.close()
     outbox.close(0.5)
     # The thread that reads the host's stream may hold its lock; a normal exit would wait for it.

@@ -9,10 +9,11 @@ wire; the scale is in each name and unit.
 from typing import Annotated
 
 from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32
-from thigmo.link.message import Command, Documented, Message, Parameter, Reply
+from thigmo.link.message import Command, Documented, Message, OpenDocumented
+from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x33611322
+SCHEMA_HASH = 0x4981A348
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -60,15 +61,18 @@ class Branch(Documented):  # Which of a muscle's two maps.
     DEFLATE = 1  # Pressure falling.
 
 
-class Board(Documented):  # Where the firmware runs.
+class Board(OpenDocumented):  # Where the firmware runs.
     VIRTUAL = 0  # Inside the emulator.
     MEGA = 1  # Arduino Mega 2560, real or simulated.
+    PICO = 2  # Raspberry Pi Pico under MicroPython.
+    CORTEX_M3 = 3  # MicroPython on QEMU's Cortex-M3; its hardware is injected.
+    UNIX = 4  # MicroPython's unix port; its hardware is injected.
 
 
 class ResetCause(Documented):  # Why the board last started.
     UNKNOWN = 0  # Not recorded.
     POWER_ON = 1  # Power was applied.
-    EXTERNAL = 2  # Reset line: button, or the port being opened.
+    EXTERNAL = 2  # Reset line: button, or the port being opened
     BROWN_OUT = 3  # The supply sagged.
     WATCHDOG = 4  # The main loop hung and the watchdog restarted the board.
 

@@ -1,13 +1,15 @@
 """Stopping the board: a frame that it obeys in every state, repeated until it echoes the nonce.
 
-Used by whoever can write to the port: the client, and the process that owns a serial port. No
-session, no sequence number and no command that waits for its answer stands in the way. The stop
-latches on the board until an operator clears it.
+Used by whoever can write to the port: the client, and the owner of its bytes (the process that
+owns a serial port, the emulator). No session, no sequence number and no command that waits for its
+answer stands in the way. The stop latches on the board until an operator clears it.
 """
 
 from __future__ import annotations
 
 import secrets
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from thigmo.link.framing import Frame, encode
@@ -21,6 +23,7 @@ CONFIRM_S = 3.0  # of a board that talks: sixty repeats
 MUTE_S = 0.6
 # After so long it is no boot loader that keeps silent (`client.SILENCE_S`).
 SILENT_S = 1.6
+UNCONFIRMED_CURE = "use the emergency stop or cut the power, and shut the air"
 
 
 @dataclass(slots=True)
@@ -58,3 +61,52 @@ class StopCall:
         """A frame from the board: perhaps the echo."""
         if frame.id == Stopped.ID and frame.payload == Stopped(self.nonce).pack():
             self.confirmed = True
+
+
+class Stopper:
+    """Stops that any thread calls for, until the board has confirmed them.
+
+    For the owner of the board's bytes, by whose clock `now` it sends what is due.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._heard_s = float("-inf")
+        self._call: StopCall | None = None
+        self._lock = threading.RLock()  # a signal's handler may come upon itself
+        self._confirmed = threading.Event()
+
+    def call(self) -> None:
+        """Stop the robot, from now on until the board confirms it; returns at once."""
+        with self._lock:
+            if not self.calling:
+                self._confirmed.clear()
+                self._call = StopCall(self._now(), self._heard_s)
+
+    def stop(self, within_s: float = CONFIRM_S) -> bool:
+        """Stop the robot; whether the board confirmed it within so long, by the wall clock."""
+        self.call()
+        return self._confirmed.wait(within_s)
+
+    @property
+    def calling(self) -> bool:
+        """Whether a stop waits to be confirmed."""
+        return self._call is not None and not self._call.confirmed
+
+    def frame(self) -> bytes | None:
+        """The bytes to send now, or None if none are due."""
+        return self._call.frame(self._now()) if self._call is not None else None
+
+    def heard(self) -> None:
+        """Bytes came from the board."""
+        self._heard_s = self._now()
+        if self._call is not None:
+            self._call.heard(self._heard_s)
+
+    def take(self, frame: Frame) -> None:
+        """A frame from the board: perhaps the echo."""
+        call = self._call
+        if call is not None:
+            call.take(frame)
+            if call.confirmed:
+                self._confirmed.set()

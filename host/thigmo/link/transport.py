@@ -56,6 +56,11 @@ _EMULATORS = {
 DEFAULT_BAUD = 250_000  # exact on the Mega's 16 MHz; 500 k after a soak test
 
 
+def emulated(url: str) -> bool:
+    """Whether the robot at an address lives inside the program that opens it."""
+    return url.partition("://")[0] in _EMULATORS
+
+
 def open_transport(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
     """Open a connection by its URL, as `thigmo.connect`; a plain port takes `?baud=500000`.
 

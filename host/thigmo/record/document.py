@@ -8,9 +8,15 @@ robot, y to its left.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
+from typing import Annotated
+
+from pydantic import BeforeValidator
 
 from thigmo.display import interval_text
 
+# JSON has null where a number is not known.
+Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
 
 
@@ -61,6 +67,13 @@ class MapContact:
     merged: list[float] = field(default_factory=list)  #: earlier stages whose contact is this one
     #: index of the prior map's obstacle (prior.json) that this is; null if it is new or none given
     known: int | None = None
+    kind: str = "peg"  #: "peg", or "wall": a surface along which the tip slid from stage to stage
+    probability: Number = 1.0  #: that it is real; null of a point estimate, also below
+    #: that just these stages felt one peg, and one wall; the rest is that they did not
+    peg_probability: Number = 1.0
+    wall_probability: Number = 0.0
+    #: of a wall: points of its surface, one for each stage, in the order of `merged`
+    surface: list[tuple[float, float]] = field(default_factory=list)
 
     def __repr__(self) -> str:
         return (
@@ -157,7 +170,6 @@ class RunDocument:
     #: reason, "aborted"
     outcome: str = "running"
     seed: int | None = None
-    method: str = "posterior"  #: of the localizer: `thigmo.localize`
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
     stages: list[Stage] = field(default_factory=list)
     truth: Truth | None = None
@@ -170,4 +182,5 @@ class RunDocument:
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
+    method: str = "posterior"  #: of the localizer: `thigmo.localize`
     version: int = 1

@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.record.mcap_file import read_mcap
@@ -80,26 +83,21 @@ class LogWriter(Closing):
         epoch_s: float = 0.0,
         chunk_bytes: int = _CHUNK_BYTES,
     ) -> None:
-        from mcap.writer import IndexType, Writer
+        from thigmo.record.mcap_writer import McapWriter
 
         with RunFolderError.from_os(f"cannot write {path}", "choose another folder with --out"):
             self._stream = path.open("xb")
-        self._writer: Any = Writer(
-            self._stream,
-            chunk_size=chunk_bytes,
-            index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
-        )
+        library = f"thigmo {metadata.get('thigmo', '')}".strip()
+        self._writer = McapWriter(self._stream, library, chunk_bytes)
         self._epoch_ns = round(epoch_s * 1e9)
-        self._writer.start("", f"thigmo {metadata.get('thigmo', '')}".strip())
-        frame = self._writer.register_schema("thigmo.Frame", "text", _FRAME_SCHEMA.encode())
+        frame = self._writer.schema("thigmo.Frame", "text", _FRAME_SCHEMA.encode())
         note = json.dumps(_NOTE_SCHEMA).encode()
         self._frames = {
-            direction: self._writer.register_channel(topic, "cobs", frame)
+            direction: self._writer.channel(topic, "cobs", frame)
             for topic, direction in _TOPICS.items()
         }
         self._note = self.add_channel(_NOTES, "json", "thigmo.Note", "jsonschema", note)
-        self._writer.add_metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
-        self._sequence = 0
+        self._writer.metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
         self._stream.flush()
         self._closed = False
 
@@ -115,17 +113,23 @@ class LogWriter(Closing):
         self, topic: str, encoding: str, schema: str, schema_encoding: str, data: bytes
     ) -> int:
         """A further channel with its schema, as mcap.dev/spec/registry has them; its number."""
-        number = self._writer.register_schema(schema, schema_encoding, data)
-        return int(self._writer.register_channel(topic, encoding, number))
+        number = self._writer.schema(schema, schema_encoding, data)
+        return self._writer.channel(topic, encoding, number)
 
     def message(self, channel: int, data: bytes, t_s: float) -> None:
         """Keep a message of a channel; `t_s` is by the robot's time base."""
         if self._closed:
             return
-        t_ns = self._epoch_ns + max(int(t_s * 1e9), 0)
-        self._writer.add_message(channel, t_ns, data, t_ns, self._sequence)
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self._writer.message(channel, self._epoch_ns + max(int(t_s * 1e9), 0), data)
         self._stream.flush()  # a chunk that closed with it, out of this process's reach
+
+    def messages(self, channel: int, data: NDArray[np.uint8], t_s: NDArray[np.float64]) -> None:
+        """Keep messages of one channel and one size: bytes (n, size) and times (n,)."""
+        if self._closed:
+            return
+        t_ns = self._epoch_ns + np.maximum(t_s * 1e9, 0.0).astype(np.uint64)
+        self._writer.messages(channel, t_ns, data)
+        self._stream.flush()
 
     def close(self) -> None:
         """Write the index and close the file."""

@@ -34,7 +34,6 @@ _POLL_S = 0.1
 _LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
 _LAST_S = 5.0  # for all clients to take what is left when the run ends
 _PATIENCE_S = 2.0  # for a server's hello
-_BEGINS_WITHIN_S = 60.0  # from a socket's name to its listening, on a computer that is busy
 # How the names of this user's streams begin on Windows.
 _PIPE_PREFIX = f"thigmo-run-{os.environ.get('USERNAME', '')}-"
 
@@ -217,13 +216,7 @@ def attach(address: str) -> RemoteRun:
     """Listen to the run that is served at an address. Raises LinkError if nobody serves one."""
     hello: Message | None = None
     with contextlib.suppress(OSError, EOFError):
-        try:
-            connection = Client(address)
-        except ConnectionRefusedError:
-            # A killed run leaves its socket; one that just begins has it before it listens.
-            if time.time() - Path(address).stat().st_mtime > _BEGINS_WITHIN_S:
-                Path(address).unlink()
-            raise
+        connection = stop_socket.connect(address)
         if connection.poll(_PATIENCE_S):
             hello = from_json(connection.recv_bytes())
         if isinstance(hello, Hello):

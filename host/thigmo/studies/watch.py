@@ -1,5 +1,6 @@
-"""What watching costs, and how late it is: readings from the robot's port to the screen, and an
-exploration with three pages open against one that nobody watches.
+"""What watching costs, and how late it is: readings from the robot's port to the screen, an
+exploration with three pages open against one that nobody watches, and the share of an exploration's
+processor time that publishing and recording readings takes while nobody looks.
 
 The robot is emulated and served on a pseudo-terminal in real time, at its full rate: 200 readings a
 second. The pages are a real browser's. Everything runs on this computer, which should have nothing
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.errors import DataError
+from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3
@@ -41,6 +43,25 @@ with connect(sys.argv[1]) as robot:
     with Server(robot.hub, hello, lambda command: None):
         robot.wait(float(sys.argv[2]))
 """
+# The second of two explorations: the first one imports.
+_SHARE = """
+import sys, time
+from thigmo.exploration import explore
+from thigmo.robot.publishing import Publisher
+
+take, spent = Publisher.take, [0.0]
+
+def timed(self, frame):
+    began = time.thread_time()
+    take(self, frame)
+    spent[0] += time.thread_time() - began
+
+Publisher.take = timed
+for seed in (1, 2):
+    before, began = spent[0], time.thread_time()
+    explore("emulator://default", seed=seed, out=sys.argv[1])
+print((spent[0] - before) / (time.thread_time() - began))
+"""
 
 
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -50,15 +71,17 @@ Start = Callable[..., "subprocess.Popen[str]"]
 def run(context: Context) -> Outcome:
     """Age of readings on the screen; explorations watched and not."""
     with tempfile.TemporaryDirectory(prefix="tg") as folder:
-        sockets = {**os.environ, "XDG_RUNTIME_DIR": folder}
+        sockets = {**os.environ, OTHER_PLACE: folder}
         start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
-        context.progress("readings to the screen", 0, 3)
+        context.progress("readings to the screen", 0, 4)
         ages_s, rate_hz = _ages(start, 15.0 if context.scale == "quick" else 60.0)
-        context.progress("an exploration alone", 1, 3)
+        context.progress("an exploration alone", 1, 4)
         alone = _explored(start, 0)
-        context.progress("an exploration with three pages", 2, 3)
+        context.progress("an exploration with three pages", 2, 4)
         watched = _explored(start, _VIEWERS)
-    context.progress("an exploration with three pages", 3, 3)
+        context.progress("the share of publishing", 3, 4)
+        said, _ = start([sys.executable, "-c", _SHARE, folder]).communicate()
+    context.progress("the share of publishing", 4, 4)
     times = ("robot_time_s", "wall_time_s")
     late = zip(_PROMISED_S.items(), np.quantile(ages_s, [0.5, 0.95]).tolist(), strict=True)
     claims = [
@@ -71,6 +94,7 @@ def run(context: Context) -> Outcome:
         Claim("readings drawn", rate_hz, 0.98 * _RATE_HZ, at_most=False, unit="1/s"),
         Claim(f"robot time that {_VIEWERS} pages cost", cost_s, 0.0, unit="s"),
         Claim(f"results that differ with {_VIEWERS} pages", float(not same), 0.0),
+        Claim("share of processor time for publishing, nobody looks", float(said), 0.1),
     ]
     explorations = [
         {"pages": pages} | {what: found[what] for what in times}

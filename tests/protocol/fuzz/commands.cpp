@@ -32,6 +32,7 @@ class Board {
 
   uint32_t micros() { return tick * 1000 + 832; }
   uint16_t micros16() { return static_cast<uint16_t>(micros()); }
+  uint16_t frame_us() { return 832; }
   const AdcFrame* take_frame() {
     if (!ready) return nullptr;
     ready = false;
@@ -78,6 +79,7 @@ class Board {
     require(address < thigmo::kEepromUsed);
     eeprom_[address] = value;
   }
+  void eeprom_commit() {}
   protocol::ResetCause reset_cause() { return protocol::ResetCause::kPowerOn; }
   void task(uint8_t) {}
   void kick_watchdog() {}

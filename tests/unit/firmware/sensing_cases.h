@@ -8,6 +8,7 @@
 #include "sensing/eversion.h"
 #include "sensing/flex.h"
 #include "sensing/free_curvature.h"
+#include "sensing/narrowing.h"
 #include "sensing/pressure.h"
 #include "sensing/snapshot.h"
 #include "sensing/trigger.h"
@@ -24,6 +25,47 @@ inline bool convert(FlexReadings& readings, uint8_t sensor, uint16_t count) {
   const uint8_t slot = place == 0 ? sensor / 5 : static_cast<uint8_t>(place + 1);
   counts[slot] = count;
   return (readings.add_tick(sensor >= 5, counts) >> sensor & 1) != 0;
+}
+
+TEST(sums_of_a_finer_converter_err_by_less_than_a_count) {
+  for (const uint8_t bits : {10, 12, 16}) {
+    for (double share = 0.003; share < 0.997; share += 0.00171) {
+      Narrowing narrowing(bits);
+      const uint16_t wide = static_cast<uint16_t>(share * (1L << bits));
+      // A floor loses half a count on average, in the finer counts and in the core's.
+      const double mean = (wide + 0.5) * 1024 / (1L << bits) - 0.5;
+      double sum[3] = {};  // a pressure, a base sensor, one that is converted in every second tick
+      for (uint32_t tick = 0; tick < 32; ++tick) {
+        AdcFrame frame;
+        for (uint16_t& count : frame.count) count = wide;
+        frame.tick = tick;
+        narrowing.apply(&frame);
+        sum[0] += frame.count[0];
+        sum[1] += frame.count[2];
+        if (tick % 2 == 1) sum[2] += frame.count[5];
+        if (bits == 10) CHECK_EQUAL(frame.count[0], wide);
+      }
+      if (bits == 10) continue;
+      CHECK_NEAR(sum[0], 32 * mean, 1.0);
+      CHECK_NEAR(sum[1], 32 * mean, 1.0);
+      CHECK_NEAR(sum[2], 16 * mean, 1.0);
+    }
+  }
+}
+
+TEST(a_finer_converters_ends_are_the_ends_and_forgotten_at_once) {
+  Narrowing narrowing(12);
+  const auto convert_all = [&narrowing](uint16_t count) {
+    AdcFrame frame;
+    for (uint16_t& one : frame.count) one = count;
+    frame.tick = 0;
+    narrowing.apply(&frame);
+    return frame.count[0];
+  };
+  for (int i = 0; i < 1000; ++i) CHECK_EQUAL(convert_all(4095), 1023);
+  CHECK_NEAR(convert_all(2048), 512, 2.0);
+  for (int i = 0; i < 1000; ++i) CHECK_EQUAL(convert_all(0), 0);
+  CHECK_NEAR(convert_all(2048), 512, 2.0);
 }
 
 TEST(resistance_is_exact_for_every_count) {

@@ -16,6 +16,7 @@ using namespace thigmo;
 struct Eeprom {
   uint8_t cells[kEepromUsed];
   int writes = 0;
+  int commits = 0;
   int cut_at = -1;  // the write that is cut; -1 = none
   uint8_t garbage = 0;
   int worn = -1;  // a cell that keeps its value
@@ -23,6 +24,7 @@ struct Eeprom {
   Eeprom() { std::memset(cells, 0xFF, sizeof(cells)); }
   bool eeprom_ready() { return true; }
   uint8_t eeprom_read(uint16_t address) { return cells[address]; }
+  void eeprom_commit() { ++commits; }
   void eeprom_write(uint16_t address, uint8_t value) {
     if (writes++ == cut_at) {
       cells[address] = garbage;
@@ -104,6 +106,37 @@ TEST(a_stored_value_outside_its_limits_or_against_another_is_bad_and_no_silent_d
   CHECK(stored(Param::kVentCpsi, 4) == LoadResult::kOutOfLimits);
   CHECK(stored(Param::kOverPressureCpsi, 1700) == LoadResult::kOutOfLimits);
   CHECK(stored(Param::kHeartbeatMs, 5000) == LoadResult::kOutOfLimits);
+}
+
+TEST(a_save_is_done_and_a_boot_counted_after_the_commit_only) {
+  struct Slow : Eeprom {
+    int busy = 0;  // questions until it is ready again
+    int written_last = 0;
+    bool eeprom_ready() { return busy == 0 || --busy == 0; }
+    void eeprom_commit() {
+      ++commits;
+      written_last = writes;
+      busy = 5;
+    }
+  };
+  Slow eeprom;
+  ConfigStore store;
+  Configuration c;
+  store.begin(eeprom, &c);
+  const auto until = [&](auto done) {
+    for (int i = 0; i < 5000 && !done(); ++i) {
+    }
+  };
+  until([&] {
+    store.step(eeprom, c);
+    return store.counted();
+  });
+  CHECK(store.counted() && eeprom.commits == 1 && eeprom.busy == 0);
+  store.save();
+  until([&] { return store.step(eeprom, c) == ConfigStore::Step::kDone; });
+  CHECK_EQUAL(eeprom.commits, 2);
+  CHECK_EQUAL(eeprom.written_last, eeprom.writes);
+  CHECK_EQUAL(eeprom.busy, 0);
 }
 
 TEST(saves_alternate_slots_and_the_newest_is_loaded) {

@@ -1,0 +1,50 @@
+"""Who has a serial port open, in the operator's words.
+
+A port that is in use takes no stop from outside: whoever reads that must know which program to end.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+PROCESSES = Path("/proc")  # on Linux only; elsewhere nobody is named
+_MOST_LETTERS = 60
+
+
+def processes(port: str) -> Iterator[Path]:
+    """Folders in /proc of the other processes that have it open, as far as this user may look."""
+    device = os.path.realpath(port)
+    for process in PROCESSES.glob("[1-9]*"):
+        if process.name != str(os.getpid()) and _holds(process, device):
+            yield process
+
+
+def owner(port: str) -> str:
+    """ " by process 4242 (socat ...)", or several; empty where that cannot be known."""
+    found = []
+    for process in processes(port):
+        with suppress(OSError):  # it has just ended
+            words = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            said = " ".join(words).strip()
+            shown = said if len(said) <= _MOST_LETTERS else f"{said[: _MOST_LETTERS - 3]}..."
+            found.append(f"process {process.name} ({shown})")
+    if not found and PROCESSES.is_dir() and _others():
+        found = ["another user's program"]
+    return f" by {' and '.join(found)}" if found else ""
+
+
+def _others() -> bool:
+    """Whether processes are hidden from this one."""
+    return hasattr(os, "getuid") and os.getuid() != 0
+
+
+def _holds(process: Path, device: str) -> bool:
+    with suppress(OSError):  # it may have ended, or be another user's
+        for file in (process / "fd").iterdir():
+            with suppress(OSError):
+                if str(file.readlink()) == device:
+                    return True
+    return False

@@ -1,0 +1,92 @@
+"""`thigmo stop` beside explorations that emulate their robot."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from command import Thigmo
+from served import comes
+
+from thigmo.link import stop_socket
+from thigmo.record import RunFolder
+
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.usefixtures("own_sockets"),
+    pytest.mark.skipif(sys.platform == "win32", reason="needs sockets of files"),
+]
+URL = "emulator://mid_body"
+Explore = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def explore(tmp_path: Path) -> Iterator[Explore]:
+    """Starts explorations at the clock's pace."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*options: str) -> subprocess.Popen[str]:
+        count = len(stop_socket.owners(URL))
+        command = [sys.executable, "-m", "thigmo", "explore", "--realtime", "--robot", URL]
+        started.append(
+            subprocess.Popen(
+                [*command, "--out", str(tmp_path), *options],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        )
+        assert comes(lambda: len(stop_socket.owners(URL)) > count)
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.kill()
+        each.communicate()
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_an_emulated_run_is_stopped_and_its_board_has_confirmed_it(
+    explore: Explore, thigmo: Thigmo, tmp_path: Path, named: bool
+) -> None:
+    run = explore()
+    assert comes(lambda: any(tmp_path.glob("*/run.mcap")))
+    told = thigmo("stop", *(("--robot", URL) if named else ()))
+    assert (told.code, told.err) == (0, "")
+    assert told.out == f"Stopped: {URL}.\n"
+    _, said = run.communicate()
+    assert run.returncode == 1
+    assert "stopped" in said
+    (folder,) = tmp_path.glob("*-mid_body")
+    assert RunFolder(folder).read_document().outcome.startswith("aborted: ")
+    assert "stopped" in RunFolder(folder).read_document().outcome
+
+
+def test_all_runs_of_an_emulated_robot_are_stopped(explore: Explore, thigmo: Thigmo) -> None:
+    runs = [explore("--seed", "1"), explore("--name", "other")]
+    assert thigmo("stop", "--robot", URL).code == 0
+    assert [run.wait() for run in runs] == [1, 1]
+
+
+def test_nothing_that_runs_is_nothing_that_was_stopped(thigmo: Thigmo) -> None:
+    told = thigmo("stop", "--robot", URL)
+    assert told.code == 1
+    assert told.out == ""
+    assert told.err.startswith(
+        f"thigmo: NOT stopped: no program of yours runs {URL}; use the emergency stop"
+    )
+
+
+def test_a_run_that_hangs_is_told(explore: Explore, thigmo: Thigmo) -> None:
+    run = explore()
+    os.kill(run.pid, signal.SIGSTOP)
+    told = thigmo("stop", "--robot", URL)
+    os.kill(run.pid, signal.SIGCONT)
+    assert told.code == 1
+    assert told.err.startswith("thigmo: NOT stopped: the program behind ")
+    assert told.err.count("\n") == 1
