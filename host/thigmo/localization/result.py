@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isnan
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -36,15 +37,16 @@ class Contact:
     Attributes:
         arc: place along the body: median of the posterior.
         force: normal force over EI, positive towards positive curvature, at `arc`.
-        interval: hull of the 95 % highest-density set of the arc; the whole body if the status is
-            `point estimate`.
-        status: `localized` (the interval is no wider than the limit, and the number of contacts
-            is certain to 95 %), `ambiguous`, or `point estimate` (of a method that knows no
-            error: "l1", "l2" and "thesis").
+        interval: hull of the 95 % highest-density set of where the contact nearest to `arc` lies,
+            whatever the number of contacts; the whole body if the status is `point estimate`.
+        status: `localized` (the interval is no wider than the limit, and there is a contact with
+            95 %, whatever the number of contacts), `ambiguous`, or `point estimate` (of a method
+            that knows no error: "l1", "l2" and "thesis").
         intervals: that set; more than one piece if there are several modes. Of "l1" and "l2": where
             the minimum is attained, which is no measure of error.
         force_deviation: posterior standard deviation of the force.
-        probability: that there is such a contact at all; NaN for a `point estimate`.
+        probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
+            for a `point estimate`.
         end_offset: where a contact on the end of the body bears, left of the centreline; None for
             one on the side.
     """
@@ -88,15 +90,30 @@ class Contact:
         ]  # fmt: skip
 
 
-class OfBody(NamedTuple):
-    """Along a body of length one: edges of cells, mass in each, bend at even arcs."""
+class Marginal(NamedTuple):
+    """Where a contact lies: (M + 1,) edges of cells of its arc, and the (M,) mass in each."""
 
     edges: Array
     mass: Array
-    bend: Array
 
 
-_NOTHING = OfBody(np.zeros(0), np.zeros(0), np.zeros(0))
+class Joint(NamedTuple):
+    """Where two contacts lie together: edges of cells of both arcs, (M, K) mass of each pair."""
+
+    near_edges: Array
+    far_edges: Array
+    mass: Array
+
+
+class OfBody(NamedTuple):
+    """Along a body of length one: edges and masses of each contact, bend at even arcs."""
+
+    masses: Sequence[tuple[Array, Array]] = ()
+    bend: Array = np.zeros(0)
+    joint: tuple[Array, Array, Array] | None = None
+
+
+_NOTHING = OfBody()
 
 
 @dataclass(slots=True)
@@ -112,9 +129,11 @@ class LocalizeResult:
         log_odds: log posterior odds of any contact against none.
         hypotheses: posterior probability of each explanation that was weighed.
         discarded: indices of readings that the likeliest explanation takes for bad.
-        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `half_width`,
-            `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
+        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
+            (force on the end, towards the base), `tip_moment`, `end_offset`.
         objective: norm of the residual at the estimate, of `l1`, `l2` and `thesis` only.
+        number: (4,) probability that none, one, two or three contacts move the readings by three
+            standard errors or more. A weaker one is never excluded.
         length: of the body.
     """
 
@@ -128,6 +147,7 @@ class LocalizeResult:
     discarded: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     objective: float | None = None
+    number: tuple[float, ...] = ()
     length: float = 1.0
     _body: _posterior.Answer | OfBody = _NOTHING
 
@@ -163,9 +183,23 @@ class LocalizeResult:
         return draw("draw_posterior", self, axes, unit=unit)
 
     @property
+    def marginals(self) -> tuple[Marginal, ...]:
+        """Of each contact: where, by all explanations, the contact nearest to its `arc` lies."""
+        return tuple(Marginal(edges * self.length, mass) for edges, mass in self._body.masses)
+
+    @property
+    def joint(self) -> Joint | None:
+        """Of two contacts: where they lie together by the likeliest explanation; None of others."""
+        if self._body.joint is None or len(self.contacts) != 2:
+            return None
+        near, far, mass = self._body.joint
+        return Joint(near * self.length, far * self.length, mass)
+
+    @property
     def edges(self) -> Array:
         """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
-        return self._body.edges * self.length
+        masses = self._body.masses
+        return masses[-1][0] * self.length if masses else np.zeros(0)
 
     @property
     def places(self) -> Array:
@@ -175,7 +209,8 @@ class LocalizeResult:
     @property
     def probability(self) -> Array:
         """(M,) posterior mass in each of `places`."""
-        return self._body.mass
+        masses = self._body.masses
+        return masses[-1][1] if masses else np.zeros(0)
 
     @property
     def bend(self) -> Array:
