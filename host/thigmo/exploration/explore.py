@@ -15,7 +15,7 @@ from types import FrameType
 
 from thigmo import __version__
 from thigmo.config import RobotConfig
-from thigmo.errors import ConfigError, StoppedByViewerError, ThigmoError
+from thigmo.errors import ConfigError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.feel import check_method
 from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import read_prior
@@ -131,6 +131,7 @@ def explore(
             recording(robot.hub, log),
         ):
             robot.record_frames(log.frame)
+            robot.while_waiting(log.check)
             run = Exploration(robot, used, folder, log, document, tell, protocol, given, control)
             _walk(run)
     return ExplorationResult(run.document, folder.path)
@@ -140,9 +141,11 @@ def _walk(run: Exploration) -> None:
     """Walk the table while the record listens; whatever happens, the folder ends up whole."""
     start = time.monotonic()
     interrupted = False
+    failed: BaseException | None = None
     try:
         run.run()
     except BaseException as error:
+        failed = error
         interrupted = isinstance(error, KeyboardInterrupt | SystemExit | StoppedByViewerError)
         if isinstance(error, ThigmoError):
             why, told = str(error), (error.what, error.next_step)
@@ -164,7 +167,12 @@ def _walk(run: Exploration) -> None:
             robot_time_s=round(run.robot.elapsed_s, 3),
             wall_time_s=round(time.monotonic() - start, 3),
         )
-        run.keep()
+        try:
+            run.keep()
+        except RunFolderError as failure:  # a full disk: what was kept last stays
+            if failed is None:
+                raise
+            failed.add_note(failure.what)
         run.tell()
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.errors import RunFolderError
+from thigmo.files import whole_file
 from thigmo.record import Ellipse as Spread
 from thigmo.record import outline, passed
 from thigmo.report.axes import INK, MUTED, new_axes, plain, titled
@@ -49,8 +50,11 @@ def draw_map(
 
     figure = Figure(figsize=_SIZE_IN, layout="constrained", facecolor="white")
     plot_map(document, figure.add_subplot(), radius_cm=radius_cm, prior=prior)
-    with RunFolderError.from_os(f"cannot write {path}", "free some space, or check permissions"):
-        figure.savefig(path, dpi=160)
+    refused = RunFolderError.from_os(
+        f"cannot write {path}", "free some space, or check permissions"
+    )
+    with refused, whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=160)
 
 
 def plot_map(

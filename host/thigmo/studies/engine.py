@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.errors import DataError, RunFolderError
+from thigmo.files import whole_file, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -196,15 +197,16 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
     with RunFolderError.from_os(f"cannot write to {folder}", "choose another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         for label, rows in outcome.tables.items():
-            with path(label, "csv").open("w", newline="") as file:
+            with whole_file(path(label, "csv"), text=True) as file:
                 writer = csv.DictWriter(file, list(rows[0]))
                 writer.writeheader()
                 writer.writerows(rows)
             text = json.dumps(rows, indent=1, default=lambda number: number.item())
-            path(label, "json").write_text(text)
+            write_whole(path(label, "json"), text)
         for label, figure in outcome.figures.items():
             for axis in figure.axes:
                 axis.title.set_fontsize(9)  # `set_title` goes back to matplotlib's
-            figure.savefig(path(label, "png"), dpi=200)
-        path("claims", "json").write_text(json.dumps(outcome.record()["claims"], indent=1))
+            with whole_file(path(label, "png")) as file:
+                figure.savefig(file, format="png", dpi=200)
+        write_whole(path("claims", "json"), json.dumps(outcome.record()["claims"], indent=1))
     return paths
