@@ -13,6 +13,7 @@
 #include "actuators.h"
 #include "eeprom.h"
 #include "encoder.h"
+#include "guard.h"
 #include "pins.h"
 #include "restart.h"
 #include "sampler.h"

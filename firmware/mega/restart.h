@@ -101,16 +101,18 @@ protocol::ResetCause Restart::cause_;
 extern "C" void thigmo_watchdog_entry()
     __attribute__((naked, used, externally_visible, section(".watchdog_entry")));
 extern "C" void thigmo_watchdog_entry() {
-  __asm__ volatile("out %0, r25\n\tjmp 0" : : "I"(_SFR_IO_ADDR(GPIOR2)));
+  __asm__ volatile(
+      "out %0, r25\n\tjmp 0\n"
+      ".global thigmo_watchdog_entry_end\nthigmo_watchdog_entry_end:"
+      :
+      : "I"(_SFR_IO_ADDR(GPIOR2)));
 }
 
-// Before any constructor, and before the watchdog, which stays on after its own reset, can bite.
+// Before any constructor; the guard handed the cause on, and its watchdog runs.
 extern "C" void thigmo_first_instructions() __attribute__((naked, used, section(".init3")));
 extern "C" void thigmo_first_instructions() {
-  thigmo::mega::restart_record.mcusr = MCUSR | GPIOR2;
+  thigmo::mega::restart_record.mcusr = GPIOR2;
   GPIOR2 = 0;
-  MCUSR = 0;
-  wdt_disable();
 }
 
 #endif  // THIGMO_MEGA_RESTART_H_

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from math import isnan, nan, pi
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,18 +16,23 @@ from hypothesis import strategies as st
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
+from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
 from thigmo.robot.publishing import Publisher, bent
-from thigmo.stream import Telemetry
+from thigmo.stream import BodyShape, Telemetry, read_messages, recording
 
 TABLE = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 660.0))
 
 
 def _frame(
-    flex: list[int], left_cpsi: int = 0, right_cpsi: int = 0, length_um: int = 530_000
+    flex: list[int],
+    left_cpsi: int = 0,
+    right_cpsi: int = 0,
+    length_um: int = 530_000,
+    motor: int = -400,
 ) -> TelemetryFrame:
     message = wire.Telemetry(
-        5_000_000, tuple(flex), left_cpsi, right_cpsi, 1000, 0, 1599, 0, length_um, -400, 1234,
+        5_000_000, tuple(flex), left_cpsi, right_cpsi, 1000, 0, 1599, 0, length_um, motor, 1234,
         1200, wire.State.MOVING << 4 | wire.Activity.SWEEPING, wire.Fault.STOPPED.mask,
     )  # fmt: skip
     return TelemetryFrame(1, 6.0, 5_000_000, message.pack())
@@ -43,7 +50,7 @@ def _told(
 ) -> Telemetry:
     publisher = _publisher(table, epoch_s)
     publisher.supply_v = supply_v
-    return publisher.telemetry(frame)
+    return publisher.decoded([frame]).telemetry(0)
 
 
 @given(st.lists(st.integers(0, 16 * 1023), min_size=10, max_size=10))
@@ -61,6 +68,55 @@ def test_units_and_names() -> None:
     assert (told.length_cm, told.motor, told.supply_v) == (53.0, -0.5, 11.9)
     assert (told.base_per_cm, told.free_per_cm) == (0.01234, 0.012)
     assert (told.state, told.activity, told.faults) == ("moving", "sweeping", ("stopped",))
+
+
+def _frames(count: int, *, moves: bool = True) -> list[TelemetryFrame]:
+    """Readings 5 ms apart, of a robot under pressure or of one at rest."""
+    payload = _frame([10_000] * 10, 900 if moves else 0, motor=0).payload
+    times_us = range(10_000_000, 10_000_000 + 5000 * count, 5000)
+    return [TelemetryFrame(0, t_us * 1e-6, t_us, payload) for t_us in times_us]
+
+
+def _fed(publisher: Publisher, frames: list[TelemetryFrame]) -> int:
+    """Give frames to a publisher; the calls of Python and C functions that it took."""
+    calls = 0
+
+    def count(frame: object, event: str, argument: object) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    sys.setprofile(count)
+    try:
+        for frame in frames:
+            publisher.take(frame)
+    finally:
+        sys.setprofile(None)
+    return calls
+
+
+def test_readings_that_nobody_looks_at_are_recorded_in_blocks(
+    tmp_path: Path,
+) -> None:
+    publisher = _publisher(TABLE, 0.0)
+    with LogWriter(tmp_path / "run.mcap", {}) as log, recording(publisher.hub, log):
+        calls = _fed(publisher, _frames(2000))
+        with publisher.hub.subscribe({"telemetry"}) as heard:
+            _fed(publisher, _frames(100))
+            assert len(heard.take() or ()) == 100  # who looks gets each one at once
+    assert calls < 20 * 2000
+    kept = list(read_messages(tmp_path / "run.mcap"))
+    assert len([each for each in kept if isinstance(each, Telemetry)]) == 2100
+
+
+@pytest.mark.parametrize(("moves", "shapes"), [(True, 50), (False, 10)])
+def test_a_robot_at_rest_tells_its_shape_once_a_second(
+    tmp_path: Path, *, moves: bool, shapes: int
+) -> None:
+    publisher = _publisher(TABLE, 0.0)
+    with LogWriter(tmp_path / "run.mcap", {}) as log, recording(publisher.hub, log):
+        _fed(publisher, _frames(2000, moves=moves))
+    kept = list(read_messages(tmp_path / "run.mcap"))
+    assert sum(isinstance(each, BodyShape) for each in kept) == pytest.approx(shapes, abs=2)
 
 
 def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:

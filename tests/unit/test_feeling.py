@@ -1,16 +1,13 @@
-"""From a sweep to what is felt: how hard to press, what is free, what earlier sweeps rule out."""
+"""From a sweep to what is felt: how hard to press, and what is free."""
 
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig, Side
-from thigmo.exploration.feel import Felt, arc_grid, fused
-from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     fold_moment,
     held_sides,
@@ -18,10 +15,7 @@ from thigmo.exploration.measuring import (
     touch_curvature,
 )
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.stage import nearest_arc
-from thigmo.exploration.workspace import Bend
-from thigmo.localization import Contact
-from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
+from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
 
@@ -142,69 +136,3 @@ def test_what_one_zone_teaches_of_the_map_is_expected_of_the_next() -> None:
     feeling = np.arange(10) >= 5
     mean = response.expected("left", 1, 0.025, np.full(10, 0.0225), feeling).mean
     assert mean == pytest.approx(np.full(5, 0.0225), abs=8e-4)
-
-
-def test_a_contact_lies_on_what_has_grown_since_the_last_free_sweep() -> None:
-    def swept(side: Side, length_cm: float, free_curvature: float) -> Peak:
-        return Peak(side, 0.0, length_cm, np.zeros(10), free_curvature, 18.0, 0, 10, np.zeros(10))
-
-    untouched = [swept("left", 40, 0.029), swept("left", 50, 0.029), swept("right", 50, -0.028)]
-    assert nearest_arc(untouched, swept("left", 53, 0.03), 0.02) == pytest.approx(48.25)
-    assert nearest_arc(untouched, swept("left", 50, 0.03), 0.02) == pytest.approx(38.25)
-    assert nearest_arc(untouched, swept("left", 53, 0.03), 0.0288) == 0.0  # bent no further before
-    assert nearest_arc(untouched, swept("left", 40, 0.03), 0.02) == 0.0
-    assert nearest_arc(untouched, swept("left", 53, 0.03), None) == 0.0  # nothing touched it
-
-
-def _felt(
-    length: float, arc: float, deviation: float, side: Side = "left", turn: float = 0.02
-) -> Felt:
-    grid = arc_grid(53.0)
-    mass = np.exp(-0.5 * ((grid - arc) / deviation) ** 2) * (grid <= length)
-    interval = (arc - 1.96 * deviation, min(arc + 1.96 * deviation, length))
-    force = -2e-4 if side == "left" else 2e-4
-    bend = Bend(length, turn if side == "left" else -turn)
-    contact = Contact(arc, force, interval, "localized")
-    return Felt(side, length, bend, contact, mass / mass.sum(), "plain beam", 4)
-
-
-def test_a_peg_felt_at_several_stages_is_one_contact_and_known_better() -> None:
-    room = ContactMap(CONFIG)
-    for length, arc in ((40.0, 33.0), (50.0, 37.0), (53.0, 36.0)):
-        room.add(_felt(length, arc, 3.0))
-    (contact,) = room.contacts
-    assert contact.arc_cm == pytest.approx(np.mean([33.0, 37.0, 36.0]), abs=0.2)
-    width = contact.interval_cm[1] - contact.interval_cm[0]
-    assert width == pytest.approx(2 * 1.96 * 3.0 / 3**0.25, rel=0.15)
-    assert contact.merged == [40.0, 50.0]
-    assert contact.everted_length_cm == 53.0
-    assert contact.force_per_cm2 * contact.arc_cm == pytest.approx(-2e-4 * 36.0)
-
-
-def test_an_open_place_at_first_is_settled_by_the_stage_that_knows() -> None:
-    room = ContactMap(CONFIG)
-    first = _felt(40.0, 34.0, 3.0)
-    grid = arc_grid(53.0)
-    flat = ((grid >= 28.25) & (grid <= 40.0)).astype(float)
-    room.add(replace(first, mass=flat / flat.sum()))
-    room.add(_felt(50.0, 38.5, 2.0))
-    (contact,) = room.contacts
-    assert contact.arc_cm == pytest.approx(38.0, abs=0.6)
-
-
-def test_pegs_on_other_sides_places_or_of_the_same_stage_stay_apart() -> None:
-    room = ContactMap(CONFIG)
-    room.add(_felt(53.0, 45.0, 1.0))
-    room.add(_felt(53.0, 45.0, 1.0, side="right"))
-    room.add(_felt(53.0, 43.0, 1.0))  # the same stage and side: another peg
-    room.add(_felt(53.0, 20.0, 1.0))
-    assert len(room.contacts) == 4
-
-
-def test_one_wrong_stage_does_not_erase_the_others() -> None:
-    grid = arc_grid(53.0)
-    masses = [_felt(53.0, arc, 1.0).mass for arc in (30.0, 30.5, 29.5, 45.0)]
-    mass = fused(grid, masses)
-    assert mass.sum() == pytest.approx(1.0)
-    assert grid[mass.argmax()] == pytest.approx(30.0, abs=0.3)
-    assert mass[grid > 40].sum() < 2e-2

@@ -60,6 +60,7 @@ int bridge_hang(chip* c, int interrupts);
 // Run to an absolute cycle. 0, or 1 when the program died (bad address, sleep without interrupts).
 int bridge_run(chip* c, uint64_t cycle);
 uint64_t bridge_cycle(chip* c);
+uint32_t bridge_pc(chip* c);      // byte address of the next instruction
 uint64_t bridge_asleep(chip* c);  // cycles asleep since the last bridge_measure_reset
 uint64_t bridge_resets(chip* c, int cause);
 

@@ -287,6 +287,7 @@ int bridge_hang(chip* c, int interrupts) {
 }
 
 uint64_t bridge_cycle(chip* c) { return c->avr->cycle; }
+uint32_t bridge_pc(chip* c) { return c->avr->pc; }
 uint64_t bridge_asleep(chip* c) { return c->asleep; }
 uint64_t bridge_resets(chip* c, int cause) {
   for (int bit = 0; bit < 4; bit++)

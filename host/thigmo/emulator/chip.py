@@ -109,6 +109,8 @@ class Chip:
 
     cycle = _figure("cycle")
     """Cycles since the chip was made."""
+    pc = _figure("pc")
+    """Byte address of the next instruction."""
     asleep_cycles = _figure("asleep")
     """Cycles spent in sleep since the last `measure_again`."""
     tick_origin = _figure("tick_origin")

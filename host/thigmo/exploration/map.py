@@ -1,65 +1,101 @@
-"""The map that grows while the robot explores: the pegs, each felt at one stage or at several."""
+"""The map that grows while the robot explores: obstacles, each felt at one stage or at several.
+
+`room.py` says which sightings are one obstacle and where it is on the body; here it gets its place
+in the plane. The two muscles' rooms and what growth met share that plane: where one place explains
+two of their obstacles better than two places do, they are one, and the surer place stays.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, nan
 from typing import Any
 
 import numpy as np
 
-from thigmo.config import RobotConfig
-from thigmo.exploration.feel import WIDEST_CM, Felt, arc_grid, fused, median, shortest
+from thigmo.config import SIDES, RobotConfig
+from thigmo.display import POINT_ESTIMATE
+from thigmo.exploration.feel import LIKELY
 from thigmo.exploration.met import Lean, Met
 from thigmo.exploration.prior import match
+from thigmo.exploration.room import WIDEST_SHARE, Found, Room
+from thigmo.exploration.sighting import Passed, Sighting, arc_grid, shortest
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.record import MapContact, Obstacle, TrueContact
 
-# Two contacts are one if they differ by less than this many standard deviations in the plane...
-_SAME_SIGMA = 3.0
-# ...where no place is taken as known better than this: the peg's own size and the slide along it.
+# No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
+_REACH_CM2 = 3000.0  # of the plane, where an obstacle may be: what a 53 cm body sweeps
+_ANOTHER = 0.1  # prior odds of one more obstacle, as in the room
 _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
 class ContactMap:
-    """Contacts in the workspace; one that is an obstacle of the map that was given says so.
-
-    A contact that is the same as a known one within the uncertainty is fused with it: their
-    posteriors over the arc are multiplied, for the peg stands still and the body near it bends
-    alike at every length, and the result is placed through the newest shape.
-    """
+    """Obstacles in the workspace; one that is an obstacle of the map that was given says so."""
 
     def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
         self._config = config
         self._prior = prior
-        self._pegs: list[list[Felt]] = []
-        self._placed: list[MapContact] = []
+        self._arcs = arc_grid(config.body.length_cm)
+        self._seen: list[Sighting] = []
+        self._passed: list[Passed] = []
+        self._met: list[MapContact] = []
+        self._points: list[MapContact] = []  # by a method without intervals
+        self._known: list[MapContact] | None = []  # None: something was added since
+
+    def add(self, sighting: Sighting) -> None:
+        """Take a contact that a stage felt.
+
+        One without its error is a contact of its own: nothing tells whether it is another one.
+        """
+        if sighting.contact.status == POINT_ESTIMATE:
+            self._points.append(self._place_point(sighting))
+        else:
+            self._seen.append(sighting)
+        self._known = None
+
+    def add_passed(self, passed: Passed) -> None:
+        """Take what a sweep passed untouched."""
+        self._passed.append(passed)
+        self._known = None
+
+    def interval(self, sighting: Sighting) -> tuple[float, float]:
+        """The 95 % interval of a sighting's arc, with what earlier sweeps passed."""
+        room = Room(self._arcs, [sighting], self._passed, self._config.body.radius_cm)
+        return shortest(self._arcs, room.place(0))
 
     @property
     def contacts(self) -> list[MapContact]:
-        """One for each peg, in the order of their discovery."""
-        return list(self._placed)
+        """One for each obstacle, in the order of their discovery."""
+        if self._known is None:
+            self._known = self._explained()
+        return list(self._known)
 
-    def add(self, felt: Felt) -> None:
-        """Take a contact that a stage felt."""
-        alone = self._place([felt])
-        for index, (known, stages) in enumerate(zip(self._placed, self._pegs, strict=True)):
-            once_a_stage = all(abs(f.length_cm - felt.length_cm) > _FLOOR_CM for f in stages)
-            again = _apart(known, alone) < _SAME_SIGMA or self._agree(stages, felt)
-            if known.side == felt.side and once_a_stage and again:
-                stages.append(felt)
-                self._placed[index] = self._place(stages)
-                return
-            if _other_bend(known, alone):
-                self._keep_surer(index, alone, [felt])
-                return
-        self._pegs.append([felt])
-        self._placed.append(alone)
+    def _explained(self) -> list[MapContact]:
+        found: list[MapContact] = []
+        for side in SIDES:
+            mine = [sighting for sighting in self._seen if sighting.side == side]
+            passed = [each for each in self._passed if each.side == side]
+            room = Room(self._arcs, mine, passed, self._config.body.radius_cm)
+            found += [
+                self._place(room, each) for each in room.obstacles() if each.probability > LIKELY
+            ]
+        found.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
+        known: list[MapContact] = []
+        for contact in [*found, *self._met]:
+            same = next((n for n, other in enumerate(known) if _one_place(other, contact)), None)
+            if same is None:
+                known.append(contact)
+            else:
+                first, second = sorted((known[same], contact), key=_rank)
+                lengths = {*first.merged, *second.merged, second.everted_length_cm}
+                merged = sorted(lengths - {first.everted_length_cm})
+                known[same] = replace(first, merged=merged)
+        return known + self._points
 
     def add_met(self, met: Met) -> None:
-        """Take what growth met, which may have been felt before: of two, the surer stays."""
+        """Take what growth met."""
         low, high = met.interval_cm
         radius = self._config.body.radius_cm
         if isinstance(met, Lean):
@@ -78,58 +114,56 @@ class ContactMap:
             along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
             track = [(low, 0.0), (high, 0.0)]
             placed = PlacedContact(met.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
+        narrow = high - low <= WIDEST_SHARE * self._config.body.length_cm
         contact = self._contact(
             placed,
             arc_cm=met.arc_cm,
             force_per_cm2=met.force_per_cm2,
             interval_cm=met.interval_cm,
-            status=_status(met.interval_cm),
+            status="localized" if narrow else "ambiguous",
             everted_length_cm=met.length_cm,
             side="",
             model=model,
             readings=met.sensors,
         )
-        for index, known in enumerate(self._placed):
-            if _apart(known, contact) < _SAME_SIGMA:
-                self._keep_surer(index, contact, [])
-                return
-        self._pegs.append([])
-        self._placed.append(contact)
-
-    def _keep_surer(self, index: int, again: MapContact, stages: list[Felt]) -> None:
-        """Of a known peg and what is the same peg, the surer stays."""
-        known = self._placed[index]
-        if _rank(again) < _rank(known):
-            self._pegs[index] = stages
-            merged = [*known.merged, known.everted_length_cm]
-            self._placed[index] = replace(again, merged=merged)
+        self._met.append(contact)
+        self._known = None
 
     def _contact(self, placed: PlacedContact, **told: Any) -> MapContact:
         """A contact at its place, with the obstacle of the map that was given that it is."""
         found = MapContact(**told, **placed._asdict())
         return replace(found, known=match(self._prior, found))
 
-    def _agree(self, stages: Sequence[Felt], felt: Felt) -> bool:
-        """Whether one place explains a known peg's posterior and a new one better than two do.
+    def _place_point(self, sighting: Sighting) -> MapContact:
+        contact = sighting.contact
+        placed = place_contact(
+            sighting.bend,
+            contact.arc,
+            contact.force,
+            contact.interval,
+            radius_cm=self._config.body.radius_cm,
+            curvature_se=self._config.actuators.side(sighting.side).offset_se,
+        )
+        return self._contact(
+            placed,
+            arc_cm=contact.arc,
+            force_per_cm2=contact.force,
+            interval_cm=contact.interval,
+            status=contact.status,
+            everted_length_cm=sighting.length_cm,
+            side=sighting.side,
+            model=sighting.hypothesis,
+            readings=sighting.readings,
+            probability=nan,
+            peg_probability=nan,
+            wall_probability=nan,
+        )
 
-        The Bayes factor of one place against two, each anywhere along the body: a posterior with a
-        mode at the known peg and another elsewhere is the known peg.
-        """
-        if not stages:
-            return False  # what growth met has no posterior along the body
-        mass = fused(arc_grid(self._config.body.length_cm), [f.mass for f in stages])
-        return float(mass @ felt.mass) * len(mass) > 1.0
-
-    def _place(self, stages: list[Felt]) -> MapContact:
-        newest = stages[-1]
-        contact = newest.contact
-        arc, interval, status = contact.arc, contact.interval, str(contact.status)
-        if len(stages) > 1:
-            grid = arc_grid(self._config.body.length_cm)
-            mass = fused(grid, [felt.mass for felt in stages])
-            arc = median(grid, mass)
-            interval = shortest(grid, mass)
-            status = _status(interval)
+    def _place(self, room: Room, found: Found) -> MapContact:
+        """The obstacle where the longest body felt it."""
+        members = [room.seen[i] for i in found.members]
+        newest = members[-1]
+        contact, arc = newest.contact, found.arc_cm
         force = contact.force * contact.arc / arc if arc > 0 else contact.force
         offset = contact.end_offset
         if offset is not None and arc < contact.arc - _FLOOR_CM and newest.bend.excess:
@@ -139,7 +173,7 @@ class ContactMap:
             newest.bend,
             arc,
             force,
-            interval,
+            found.interval_cm,
             radius_cm=self._config.body.radius_cm,
             curvature_se=self._config.actuators.side(newest.side).offset_se,
             end_offset_cm=offset,
@@ -148,34 +182,38 @@ class ContactMap:
             placed,
             arc_cm=arc,
             force_per_cm2=force,
-            interval_cm=(float(interval[0]), float(interval[1])),
-            status=status,
+            interval_cm=found.interval_cm,
+            status=found.status,
             everted_length_cm=newest.length_cm,
             side=newest.side,
             model=newest.hypothesis,
             readings=newest.readings,
-            merged=[felt.length_cm for felt in stages[:-1]],
+            merged=[sighting.length_cm for sighting in members[:-1]],
+            kind=found.kind,
+            probability=round(found.probability, 4),
+            peg_probability=round(found.kinds["peg"], 4),
+            wall_probability=round(found.kinds["wall"], 4),
+            surface=[(round(x, 4), round(y, 4)) for x, y in found.surface]
+            if found.kind == "wall"
+            else [],
         )
 
 
-def _status(interval: tuple[float, float]) -> str:
-    return "localized" if interval[1] - interval[0] <= WIDEST_CM else "ambiguous"
+def _one_place(a: MapContact, b: MapContact) -> bool:
+    """Whether one place explains two obstacles better than two do.
 
-
-def _other_bend(known: MapContact, alone: MapContact) -> bool:
-    """Whether a contact is a known peg again, felt on the same side of the body by the other
-    muscle: a peg that touches the straight robot. The bends differ, so the surer one stays.
+    They are of the two muscles' sweeps, on the same skin of the body, or one of them was met by
+    growth: those of one muscle's sweeps the room has told apart.
     """
-    same_skin = known.force_per_cm2 * alone.force_per_cm2 > 0
-    return known.side != alone.side and same_skin and _apart(known, alone) < _SAME_SIGMA
-
-
-def _apart(a: MapContact, b: MapContact) -> float:
-    """Distance in the plane, in standard deviations."""
+    met = "" in (a.side, b.side)
+    if a.side == b.side or not (met or a.force_per_cm2 * b.force_per_cm2 > 0):
+        return False
     covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
     covariance += _FLOOR_CM**2 * np.eye(2)
     apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
-    return float(np.sqrt(apart @ np.linalg.solve(covariance, apart)))
+    squared = float(apart @ np.linalg.solve(covariance, apart))
+    density = np.exp(-0.5 * squared) / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
+    return bool(density * _REACH_CM2 > _ANOTHER)
 
 
 def _rank(contact: MapContact) -> tuple[bool, float]:

@@ -22,7 +22,7 @@ from thigmo.exploration.met import Lean, Met, lean, stall
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
-from thigmo.exploration.stage import Interpreter, placed
+from thigmo.exploration.stage import Interpreter
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
@@ -87,7 +87,7 @@ class Exploration:
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
-        self._found = Interpreter(self.config, self.prior)
+        self._found = Interpreter(self.config, self.prior, self.document.method)
         self._table = SensorTable.of(self.config)
         self._whole_cm = sum(stage_lengths(self.config))
 
@@ -288,7 +288,7 @@ class Exploration:
         feeling = self._found.so_far(so_far, self._zone)
         if feeling is not None and self.live.due:
             self.live.feels(self.length_cm, feeling, sweeping=True)
-        if feeling is None or not placed(feeling):
+        if feeling is None or not self._found.placed(feeling):
             return pressed_enough(held, self.config, self._zone)
         self._known.add(side)
         return True

@@ -23,9 +23,11 @@ from thigmo.exploration.measuring import (
 )
 from thigmo.exploration.missed import judged
 from thigmo.exploration.reference import FreeResponse, gain_errors
+from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
+from thigmo.robot.readings import Floats
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -37,22 +39,20 @@ _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 ENOUGH_CM = 3.0
 # Probability from which a contact counts although the trigger did not fire.
 _CERTAIN = 0.99
-# A contact on the earlier tip's rim may slide off it unfelt: one tube radius.
-_SLACK_CM = 1.75
-# Bends are compared with this much doubt: maps of different body pressures, hysteresis.
-_SAME_BEND = 0.95
 _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
 
 
 class Interpreter:
     """Reads a run's sweeps in their order, and learns from those without contact."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
+    def __init__(
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+    ) -> None:
         self._config = config
+        self._method = method
         self._prior = prior
         self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
-        self._untouched: list[Peak] = []
         self.map = ContactMap(config, prior)  # contacts so far
 
     def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
@@ -68,19 +68,20 @@ class Interpreter:
             if not self._table.usable(peak.side, peak.sensors).any():
                 continue  # nothing to feel with: no sensor is out and well
             side = peak.side
-            touch = touch_curvature(sweep.frames, side)
-            nearest = nearest_arc(self._untouched, peak, touch) if side in fired else 0.0
             for each in (sweep, measuring) if measuring else (sweep,):
-                _learn(self._response, each, side, zone, touch)
+                _learn(self._response, each, side, zone, touch_curvature(sweep.frames, side))
             told = measured.get(side, peak)
-            feeling = feel(told, self._config, zone, self._response, nearest, self._prior)
+            touch = touch_mass(sweep.frames, side)
+            feeling = self._feel(told, zone, self._response, touch)
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
             if side in fired or certain:
                 feelings.append(feeling)
             else:
                 self._response.learn(sweep, side, zone)
-            if feeling.result.status == "no contact":
-                self._untouched.append(peak)
+            if side in fired:
+                self.map.add_passed(passed_before(touch, peak))
+            elif feeling.result.status == "no contact":
+                self.map.add_passed(passed_freely(peak))
         return feelings
 
     def so_far(self, so_far: SweepResult, zone: int) -> Feeling | None:
@@ -89,10 +90,19 @@ class Interpreter:
         if not self._table.usable(peak.side, peak.sensors).any():
             return None
         response = deepcopy(self._response)
-        touch = touch_curvature(so_far.frames, peak.side)
-        _learn(response, so_far, peak.side, zone, touch)
-        nearest = nearest_arc(self._untouched, peak, touch)
-        return feel(peak, self._config, zone, response, nearest, self._prior)
+        _learn(response, so_far, peak.side, zone, touch_curvature(so_far.frames, peak.side))
+        touch = touch_mass(so_far.frames, peak.side)
+        return self._feel(peak, zone, response, touch)
+
+    def _feel(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> Feeling:
+        return feel(peak, self._config, zone, response, touch, self._prior, self._method)
+
+    def placed(self, feeling: Feeling) -> bool:
+        """Whether a feeling tells one contact's place well enough."""
+        if len(feeling.felt) != 1:
+            return False
+        low, high = self.map.interval(feeling.felt[0])
+        return feeling.felt[0].probability >= LEVEL and high - low <= ENOUGH_CM
 
     def add(self, feelings: Iterable[Feeling]) -> None:
         """Put what a stage felt on the map."""
@@ -134,33 +144,6 @@ def _learn(
     """Learn from a sweep what it read before its touch, at a free curvature, if it has one."""
     if touch is not None:
         response.learn(sweep, side, zone, abs(touch) - _TOUCH_MARGIN)
-
-
-def nearest_arc(untouched: Iterable[Peak], peak: Peak, touch: float | None) -> float:
-    """The arc (cm) below which a contact that was felt from a free curvature on cannot be.
-
-    Pegs stand still, and the free body bends alike at every length. So a peg on a part of the body
-    that had swept the same space before, untouched, would have been felt then: a contact that
-    appears lies on what has grown since, or at a bend that the earlier sweep did not reach.
-    """
-    arcs = [
-        each.length_cm - _SLACK_CM
-        for each in untouched
-        if touch is not None
-        and each.side == peak.side
-        and each.length_cm < peak.length_cm - 0.5
-        and abs(touch) <= _SAME_BEND * abs(each.free_curvature)
-    ]
-    return max(arcs, default=0.0)
-
-
-def placed(feeling: Feeling) -> bool:
-    """Whether it tells one contact's place well enough."""
-    if len(feeling.felt) != 1:
-        return False
-    contact = feeling.felt[0].contact
-    low, high = contact.interval
-    return contact.status == "localized" and high - low <= ENOUGH_CM
 
 
 def _swept_shapes(

@@ -12,17 +12,21 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError, SchemaMismatchError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
-from thigmo.link.image import Image, build_image, read_image
+from thigmo.link.image import PAGE, Image, build_image, read_hex, read_image, write_hex
 from thigmo.link.stored import StoredConfiguration
 from thigmo.link.transport import open_transport
 
 BOOT_LOADER_BAUD = 115_200
 _DEADLINE_S = 180.0
 _MEGA_2560 = "1e9801"
+HOLD = b"\xff\xcf" * (PAGE // 2)
+"""A page 0 that starts nothing: each word is a jump to itself, the outputs stay as a reset left
+them, off."""
 
 # What avrdude says, what it means, and what to do. First match counts.
 _FAILURES: dict[str, LinkError] = {
@@ -100,9 +104,26 @@ def flash(
     if port.startswith("/") and not Path(port).exists():  # avrdude would try for minutes
         raise PortError(f"there is no port {port}", "plug the board in and look which port appears")
     tell(f"writing and verifying {content.size} bytes")
-    _run(program, port, content.path)
+    with TemporaryDirectory() as folder:
+        for step, blocks in enumerate(in_safe_order(read_hex(content.path))):
+            _run(program, port, write_hex(Path(folder) / f"step-{step}.hex", blocks))
     tell("waiting for the board's hello")
     return Flashed(content, *_meet(port))
+
+
+def in_safe_order(
+    blocks: list[tuple[int, bytes]],
+) -> tuple[list[tuple[int, bytes]], list[tuple[int, bytes]]]:
+    """What to write first and last, for no program to start before all of it is there.
+
+    First a page 0 that holds, and all other pages behind it; last the true page 0. Two runs of
+    avrdude, because the boot loader erases one page after the other from page 0 on, whatever the
+    address that it writes next.
+    """
+    (start, program), *rest = sorted(blocks)
+    if start:
+        raise ConfigError(f"the image begins at {start:#x}, not at 0", "build the image again")
+    return [(0, HOLD + program[PAGE:]), *rest], [(0, program[:PAGE])]
 
 
 def _run(program: str, port: str, image: Path) -> None:

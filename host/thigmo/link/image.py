@@ -1,4 +1,4 @@
-"""Firmware images: reading Intel HEX, and what an image says it is.
+"""Firmware images: Intel HEX, what an image says it is, and the CRC by which it starts.
 
 The image carries a signature (firmware/mega/signature.h), so that an image of another schema is
 refused before it is written, not by the hello afterwards.
@@ -9,6 +9,8 @@ from __future__ import annotations
 import shutil
 import struct
 import subprocess
+import sys
+from binascii import crc_hqx
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,8 @@ PACKAGED = Path(__file__).parents[1] / "firmware" / "thigmo.hex"  # in a wheel
 MAGIC = b"thigmo-image"
 _SIGNATURE = struct.Struct("<IB")  # then board and version
 LARGEST = 253_952  # bytes below the Mega's boot loader
+PAGE = 256  # bytes that the flash erases and writes at once
+WATCHDOG_ENTRY = 0x20000  # firmware/mega/restart.h
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,42 @@ def read_hex(path: Path) -> list[tuple[int, bytes]]:
         elif kind in (2, 4):
             base = int.from_bytes(data, "big") << (4 if kind == 2 else 16)
     return [(start, bytes(data)) for start, data in blocks]
+
+
+def write_hex(path: Path, blocks: list[tuple[int, bytes]]) -> Path:
+    """Write blocks as an Intel HEX file; returns its path."""
+
+    def record(kind: int, address: int, data: bytes) -> str:
+        content = bytes([len(data), *(address & 0xFFFF).to_bytes(2, "big"), kind]) + data
+        return f":{content.hex()}{-sum(content) & 255:02x}".upper()
+
+    lines = []
+    for start, data in blocks:
+        at, end = start, start + len(data)
+        while at < end:
+            to = min(end, (at // 16 + 1) * 16)
+            if at == start or at % 0x10000 == 0:
+                lines.append(record(4, 0, (at >> 16).to_bytes(2, "big")))
+            lines.append(record(0, at, data[at - start : to - start]))
+            at = to
+    path.write_text("\n".join([*lines, record(1, 0, b""), ""]), encoding="ascii")
+    return path
+
+
+def seal(blocks: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """Put the CRC that firmware/mega/guard.h checks behind a program: over its entry, then itself.
+
+    The program is the block at 0, the entry after a watchdog's reset the one at `WATCHDOG_ENTRY`.
+    """
+    parts = dict(blocks)
+    if sorted(parts) != [0, WATCHDOG_ENTRY]:
+        raise ConfigError(
+            f"the program lies at {', '.join(f'{at:#x}' for at in sorted(parts))}, not at 0 and"
+            f" {WATCHDOG_ENTRY:#x}",
+            "link it as firmware/mega/Makefile does",
+        )
+    crc = crc_hqx(parts[WATCHDOG_ENTRY] + parts[0], 0xFFFF)
+    return [(0, parts[0] + crc.to_bytes(2, "big")), (WATCHDOG_ENTRY, parts[WATCHDOG_ENTRY])]
 
 
 def read_image(path: Path) -> Image:
@@ -108,7 +148,15 @@ def make(folder: Path, target: Path, *settings: str) -> Path:
 
             fcntl.flock(lock, fcntl.LOCK_EX)
         result = subprocess.run(
-            ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", *settings],
+            [
+                "make",
+                "-s",
+                "-C",
+                str(folder),
+                f"BUILD={BUILD}",
+                f"PYTHON={sys.executable}",
+                *settings,
+            ],
             capture_output=True,
             text=True,
             check=False,

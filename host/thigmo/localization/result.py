@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import isnan
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import Bar, body_strip, draw, html_card, html_table
+from thigmo.display import (
+    POINT_ESTIMATE,
+    Bar,
+    body_strip,
+    draw,
+    html_card,
+    html_table,
+    interval_text,
+)
 from thigmo.localization import _posterior
 from thigmo.localization.readings import Range
 
@@ -16,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = npt.NDArray[np.float64]
-Status = Literal["localized", "ambiguous", "below detection", "no contact"]
+Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
 _COLUMNS = ("arc", "interval", "force / EI", "probability", "status")
 
 
@@ -27,12 +37,16 @@ class Contact:
     Attributes:
         arc: place along the body: median of the posterior.
         force: normal force over EI, positive towards positive curvature, at `arc`.
-        interval: hull of the 95 % highest-density set of the arc.
-        status: `localized` (the interval is no wider than the limit, and the number of contacts
-            is certain to 95 %), or `ambiguous`.
-        intervals: that set; more than one piece if there are several modes.
+        interval: hull of the 95 % highest-density set of where the contact nearest to `arc` lies,
+            whatever the number of contacts; the whole body if the status is `point estimate`.
+        status: `localized` (the interval is no wider than the limit, and there is a contact with
+            95 %, whatever the number of contacts), `ambiguous`, or `point estimate` (of a method
+            that knows no error: "l1", "l2" and "thesis").
+        intervals: that set; more than one piece if there are several modes. Of "l1" and "l2": where
+            the minimum is attained, which is no measure of error.
         force_deviation: posterior standard deviation of the force.
-        probability: that there is such a contact at all.
+        probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
+            for a `point estimate`.
         end_offset: where a contact on the end of the body bears, left of the centreline; None for
             one on the side.
     """
@@ -54,30 +68,52 @@ class Contact:
 
     @property
     def _place(self) -> str:
-        low, high = self.interval
-        return f"arc {self.arc:.4g}, {low:.4g} to {high:.4g}"
+        return f"arc {self.arc:.4g}, {self.interval_text}"
+
+    @property
+    def interval_text(self) -> str:
+        """The interval for people."""
+        return interval_text(self.status, self.interval, ".4g")
+
+    @property
+    def probability_text(self) -> str:
+        """The probability for people."""
+        return "unknown" if isnan(self.probability) else f"{self.probability:.3g}"
 
     @property
     def _cells(self) -> list[str]:
-        low, high = self.interval
         force = f"{self.force:.3g}"
         if self.force_deviation > 0.0:
             force += f" ± {self.force_deviation:.2g}"
         return [
-            f"{self.arc:.4g}", f"{low:.4g} to {high:.4g}", force, f"{self.probability:.3g}",
-            self.status,
+            f"{self.arc:.4g}", self.interval_text, force, self.probability_text, self.status,
         ]  # fmt: skip
 
 
-class OfBody(NamedTuple):
-    """Along a body of length one: edges of cells, mass in each, bend at even arcs."""
+class Marginal(NamedTuple):
+    """Where a contact lies: (M + 1,) edges of cells of its arc, and the (M,) mass in each."""
 
     edges: Array
     mass: Array
-    bend: Array
 
 
-_NOTHING = OfBody(np.zeros(0), np.zeros(0), np.zeros(0))
+class Joint(NamedTuple):
+    """Where two contacts lie together: edges of cells of both arcs, (M, K) mass of each pair."""
+
+    near_edges: Array
+    far_edges: Array
+    mass: Array
+
+
+class OfBody(NamedTuple):
+    """Along a body of length one: edges and masses of each contact, bend at even arcs."""
+
+    masses: Sequence[tuple[Array, Array]] = ()
+    bend: Array = np.zeros(0)
+    joint: tuple[Array, Array, Array] | None = None
+
+
+_NOTHING = OfBody()
 
 
 @dataclass(slots=True)
@@ -93,10 +129,11 @@ class LocalizeResult:
         log_odds: log posterior odds of any contact against none.
         hypotheses: posterior probability of each explanation that was weighed.
         discarded: indices of readings that the likeliest explanation takes for bad.
-        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `half_width`,
-            `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only; the
-            `intervals` of their contacts are where it is attained.
+        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
+            (force on the end, towards the base), `tip_moment`, `end_offset`.
+        objective: norm of the residual at the estimate, of `l1`, `l2` and `thesis` only.
+        number: (4,) probability that none, one, two or three contacts move the readings by three
+            standard errors or more. A weaker one is never excluded.
         length: of the body.
     """
 
@@ -110,6 +147,7 @@ class LocalizeResult:
     discarded: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     objective: float | None = None
+    number: tuple[float, ...] = ()
     length: float = 1.0
     _body: _posterior.Answer | OfBody = _NOTHING
 
@@ -124,7 +162,10 @@ class LocalizeResult:
         title = f"{self.status}: {self.hypothesis}"
         if not self.contacts:
             return html_card(title, self.message)
-        bars = [Bar(c.arc, c.intervals or (c.interval,), c.status) for c in self.contacts]
+        bars = [
+            Bar(c.arc, () if c.status == POINT_ESTIMATE else c.intervals or (c.interval,), c.status)
+            for c in self.contacts
+        ]
         strip = body_strip(self.length, self.edges.tolist(), self.probability.tolist(), bars)
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
         return html_card(title, self.message, strip, table)
@@ -142,9 +183,23 @@ class LocalizeResult:
         return draw("draw_posterior", self, axes, unit=unit)
 
     @property
+    def marginals(self) -> tuple[Marginal, ...]:
+        """Of each contact: where, by all explanations, the contact nearest to its `arc` lies."""
+        return tuple(Marginal(edges * self.length, mass) for edges, mass in self._body.masses)
+
+    @property
+    def joint(self) -> Joint | None:
+        """Of two contacts: where they lie together by the likeliest explanation; None of others."""
+        if self._body.joint is None or len(self.contacts) != 2:
+            return None
+        near, far, mass = self._body.joint
+        return Joint(near * self.length, far * self.length, mass)
+
+    @property
     def edges(self) -> Array:
         """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
-        return self._body.edges * self.length
+        masses = self._body.masses
+        return masses[-1][0] * self.length if masses else np.zeros(0)
 
     @property
     def places(self) -> Array:
@@ -154,7 +209,8 @@ class LocalizeResult:
     @property
     def probability(self) -> Array:
         """(M,) posterior mass in each of `places`."""
-        return self._body.mass
+        masses = self._body.masses
+        return masses[-1][1] if masses else np.zeros(0)
 
     @property
     def bend(self) -> Array:

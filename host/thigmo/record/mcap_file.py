@@ -22,8 +22,8 @@ from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 
 from thigmo.errors import RunFolderError
+from thigmo.record.mcap_writer import MAGIC
 
-_MAGIC = b"\x89MCAP0\r\n"
 _HEADER = struct.Struct("<BQ")
 _CHUNK_BYTES = 28  # before a chunk's compression: start and end time, size (u64), checksum (u32)
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
@@ -52,13 +52,13 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
     """
     with RunFolderError.from_os(f"cannot read {path}", "give a run folder that holds run.mcap"):
         data = path.read_bytes()
-    truncated = not data.endswith(_MAGIC) or len(data) < 2 * len(_MAGIC)
+    truncated = not data.endswith(MAGIC) or len(data) < 2 * len(MAGIC)
     found: list[McapRecord] = []
-    place: int | None = len(_MAGIC)
-    broken = not data.startswith(_MAGIC)  # nothing whole has come since the last gap
+    place: int | None = len(MAGIC)
+    broken = not data.startswith(MAGIC)  # nothing whole has come since the last gap
     if broken:
         place = _next_chunk(data, 0)
-        if place is None and not _MAGIC.startswith(data[: len(_MAGIC)]):
+        if place is None and not MAGIC.startswith(data[: len(MAGIC)]):
             raise RunFolderError(f"{path} is not an MCAP file", "give a run folder")
     gaps = int(broken and place is not None)
     while place is not None and place + _HEADER.size <= len(data):

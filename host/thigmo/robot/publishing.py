@@ -1,13 +1,15 @@
 """What the robot publishes of itself: telemetry, events, and how its body lies, in units.
 
 It listens to the link beside whoever drives the robot, and commands nothing. What nobody listens
-to is not even decoded; what somebody does is plain arithmetic on ten numbers, for each frame.
+to is not even decoded. Live listeners get each reading as it comes; a record gets them in blocks.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import cache
+from inspect import get_annotations
 from math import isfinite, nan
 from typing import TYPE_CHECKING
 
@@ -19,28 +21,41 @@ from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
 from thigmo.robot.readings import SENSORS, SENSORS_A_SIDE, SensorTable, sensor_name
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
+from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.messages import Severity
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
-_OPEN_COUNT = 0.75  # mean count below which a circuit is open
-_IDLE_CPSI = 10  # below, no muscle bends the body
-_SIDE_OF = [SIDES[sensor // SENSORS_A_SIDE] for sensor in range(SENSORS)]
-_SHAPE_S = 0.1  # of the board's time, between two shapes
+_IDLE_PSI = 0.1  # below, no muscle bends the body
+_LEFT = np.arange(SENSORS) < SENSORS_A_SIDE
+# Of the board's time, between two shapes: in motion while somebody looks and else, and at rest.
+_LIVE_S, _KEPT_S, _REST_S = 0.1, 0.2, 1.0
+# Readings that a record takes at once, and seconds of this computer's that it waits for them.
+_BLOCK, _BLOCK_S = 5000, 0.5
+_LOOK = 20  # readings between two looks at the clock
 _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
-@cache
-def _phase(both: int) -> tuple[str, str]:
-    """Names of state and activity."""
-    return wire.State(both >> 4).key, wire.Activity(both & 0xF).key
+# The wire's telemetry as numpy reads it.
+_FRAME = np.dtype(
+    [
+        (name, f"<{code[-1]}", (int(code[:-1]),) if code[:-1] else ())
+        for name, of in get_annotations(wire.Telemetry).items()
+        for code in of.__metadata__
+    ]
+)
 
 
 @cache
-def _faults(mask: int) -> tuple[str, ...]:
-    return tuple(fault.key for fault in wire.Fault.from_mask(mask))
+def _phase(both: int, faults: int) -> Phase:
+    """Names of state, activity and faults."""
+    return (
+        wire.State(both >> 4).key,
+        wire.Activity(both & 0xF).key,
+        tuple(fault.key for fault in wire.Fault.from_mask(faults)),
+    )
 
 
 def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
@@ -76,100 +91,129 @@ class Publisher:
 
     def __init__(self, client: Client, config: RobotConfig, table: SensorTable) -> None:
         self.hub = Hub()
+        self.hub.publish_block = self._publish_block
         self.epoch_s = time.time() - client.now()  # UTC seconds at which the link's clock was 0
-        self.supply_v = nan  # as last asked for
+        self._supply_v = nan
+        self._gathered: list[TelemetryFrame] = []  # for the record
+        self._kept_s = 0.0  # when the last ones went
         self._shape_s = 0.0
         self.use(config, table)
-        client.on_telemetry.append(self._publish)
+        client.on_telemetry.append(self.take)
         client.on_event.append(lambda received: self.hub.publish(self.event(received)))
 
     def use(self, config: RobotConfig, table: SensorTable) -> None:
         """Decode with these constants and zeros from now on."""
+        self._publish_block()
         self._radius_cm = config.body.radius_cm
-        self._share = 1.0 / table.oversample
-        self._divider_ohm = table.divider_ohm
+        self._table = table
         self._centers = table.center_cm.tolist()
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(table.zero_sum)
-        self._sensors = list(
-            zip(
-                np.where(used, table.center_cm + table.span_cm / 2, np.inf).tolist(),
-                table.scale_per_ohm.tolist(),
-                table.resistance(table.zero_sum).tolist(),
-                _SIDE_OF,
-                strict=True,
-            )
-        )
+        self._out_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf)
 
-    def _publish(self, frame: TelemetryFrame) -> None:
-        shape = self.hub.wanted(BodyShape)
-        if not shape and not self.hub.wanted(Telemetry):
+    @property
+    def supply_v(self) -> float:
+        """The board's supply, as last asked for; NaN before."""
+        return self._supply_v
+
+    @supply_v.setter
+    def supply_v(self, value: float) -> None:
+        if value != self._supply_v:
+            self._publish_block()
+            self._supply_v = value
+
+    def take(self, frame: TelemetryFrame) -> None:
+        """Publish a frame to whoever listens, and gather it for the record."""
+        hub = self.hub
+        if hub.wanted(Telemetry) or (hub.keep is None and hub.wanted(BodyShape)):
+            block = self.decoded([frame])
+            hub.publish(block.telemetry(0))
+            if hub.wanted(BodyShape):
+                self._publish_shapes(block, _LIVE_S)
+        if hub.keep is not None:
+            self._gathered.append(frame)
+            if len(self._gathered) % _LOOK == 0 and self._block_due():
+                self._publish_block()
+
+    def _block_due(self) -> bool:
+        return len(self._gathered) >= _BLOCK or time.monotonic() - self._kept_s >= _BLOCK_S
+
+    def _publish_block(self) -> None:
+        """Hand what was gathered to the record."""
+        self._kept_s = time.monotonic()
+        if not self._gathered or self.hub.keep is None:
             return
-        telemetry = self.telemetry(frame)
-        self.hub.publish(telemetry)
-        # A board that restarted counts from 0 again.
-        if shape and not 0.0 <= telemetry.device_s - self._shape_s < _SHAPE_S:
-            self._shape_s = telemetry.device_s
-            self.hub.publish(self._shape(telemetry))
+        block = self.decoded(self._gathered)
+        self._gathered = []
+        self.hub.keep(block)
+        if not self.hub.wanted(Telemetry):  # else they went out with the readings
+            self._publish_shapes(block, _KEPT_S)
 
-    def telemetry(self, frame: TelemetryFrame) -> Telemetry:
-        """A frame in units."""
-        raw = frame.message
-        length_cm = raw.length_um / 1e4
-        free = raw.free_e5 / 1e5
-        drives = (raw.left_drive, raw.right_drive)
-        left_ma, right_ma = (level * _FULL_MA / _FULL_DRIVE for level in drives)
-        state, activity = _phase(raw.state_activity)
-        inflated = None
-        if max(raw.left_cpsi, raw.right_cpsi) >= _IDLE_CPSI:
-            inflated = SIDES[0] if raw.left_cpsi >= raw.right_cpsi else SIDES[1]
-        curvature, expected = [], []
-        for flex_sum, (out_cm, scale, zero_ohm, side) in zip(
-            raw.flex_sum, self._sensors, strict=True
-        ):
-            value = nan
-            count = flex_sum * self._share + 0.5
-            if out_cm <= length_cm and count > _OPEN_COUNT:
-                # As `SensorTable.curvature`, of one reading.
-                value = scale * (self._divider_ohm * (1024.0 - count) / count - zero_ohm)
-            curvature.append(value)
-            expected.append(nan if value != value or side == inflated else free)
-        return Telemetry(
-            t_s=frame.t_s,
-            epoch_s=self.epoch_s + frame.t_s,
-            device_s=frame.device_s,
-            pressure_psi=(raw.left_cpsi / 100, raw.right_cpsi / 100),
-            demand_psi=(raw.left_set_cpsi / 100, raw.right_set_cpsi / 100),
-            drive_ma=(left_ma, right_ma),
-            curvature_per_cm=tuple(curvature),
-            expected_per_cm=tuple(expected),
-            base_per_cm=raw.base_e5 / 1e5,
-            free_per_cm=free,
-            length_cm=length_cm,
-            motor=raw.motor / _FULL_MOTOR,
-            supply_v=self.supply_v,
-            state=state,
-            activity=activity,
-            faults=_faults(raw.faults),
-            flex_sum=raw.flex_sum,
-        )
+    def _publish_shapes(self, block: TelemetryBlock, least_s: float) -> None:
+        """Publish the shapes that are due, at least so far apart; fewer of a robot that rests."""
+        numbers = block.numbers
+        rests = (numbers["motor"] == 0.0) & (numbers["pressure_psi"].max(axis=1) < _IDLE_PSI)
+        every_s = np.where(rests, _REST_S, least_s).tolist()
+        for n, device_s in enumerate(numbers["device_s"].tolist()):
+            # A board that restarted counts from 0 again.
+            if not 0.0 <= device_s - self._shape_s < every_s[n]:
+                self._shape_s = device_s
+                self.hub.publish(self._shape(block, n))
+
+    def decoded(self, frames: Sequence[TelemetryFrame]) -> TelemetryBlock:
+        """Frames in units."""
+        raw = np.frombuffer(b"".join([frame.payload for frame in frames]), dtype=_FRAME)
+        t_s = np.array([frame.t_s for frame in frames])
+        length_cm = raw["length_um"] / 1e4
+        free = raw["free_e5"] / 1e5
+        out = self._out_cm <= length_cm[:, None]
+        curvature = np.where(out, self._table.curvature(raw["flex_sum"]), nan)
+        left, right = raw["left_cpsi"], raw["right_cpsi"]
+        inflated = np.maximum(left, right) >= _IDLE_PSI * 100
+        hidden = inflated[:, None] & ((left >= right)[:, None] == _LEFT)
+        numbers = {
+            "t_s": t_s,
+            "epoch_s": self.epoch_s + t_s,
+            "device_s": np.array([frame.device_us for frame in frames]) * 1e-6,
+            "pressure_psi": np.column_stack([left, right]) / 100,
+            "demand_psi": np.column_stack([raw["left_set_cpsi"], raw["right_set_cpsi"]]) / 100,
+            "drive_ma": np.column_stack([raw["left_drive"], raw["right_drive"]])
+            * _FULL_MA
+            / _FULL_DRIVE,
+            "curvature_per_cm": curvature,
+            "expected_per_cm": np.where(hidden | np.isnan(curvature), nan, free[:, None]),
+            "base_per_cm": raw["base_e5"] / 1e5,
+            "free_per_cm": free,
+            "length_cm": length_cm,
+            "motor": raw["motor"] / _FULL_MOTOR,
+            "supply_v": np.full(len(frames), self._supply_v),
+            "flex_sum": raw["flex_sum"],
+        }
+        phases = map(_phase, raw["state_activity"].tolist(), raw["faults"].tolist())
+        return TelemetryBlock(numbers, list(phases))
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""
         return Event(received.t_s, self.epoch_s + received.t_s, *_told(received.message))
 
-    def _shape(self, told: Telemetry) -> BodyShape:
+    def _shape(self, block: TelemetryBlock, n: int) -> BodyShape:
         """The body by what its sensors read now: those of the inflated side wrinkle, and do not
         count; without any it bends as the free body would."""
+        told = {name: block.numbers[name][n].tolist() for name in _SHAPED_BY}
         read: dict[float, list[float]] = {}
         for center, value, expected in zip(
-            self._centers, told.curvature_per_cm, told.expected_per_cm, strict=True
+            self._centers, told["curvature_per_cm"], told["expected_per_cm"], strict=True
         ):
-            if isfinite(value) and isfinite(expected):
+            if isfinite(expected):  # only where the sensor's own is known
                 read.setdefault(center, []).append(value)
         knots = sorted((center, sum(values) / len(values)) for center, values in read.items())
-        poses = bent(told.length_cm, knots or [(0.0, told.free_per_cm)])
-        return BodyShape(told.t_s, told.epoch_s, poses, self._radius_cm)
+        poses = bent(told["length_cm"], knots or [(0.0, told["free_per_cm"])])
+        return BodyShape(told["t_s"], told["epoch_s"], poses, self._radius_cm)
+
+
+_SHAPED_BY = (
+    "t_s", "epoch_s", "length_cm", "free_per_cm", "curvature_per_cm", "expected_per_cm",
+)  # fmt: skip
 
 
 def bent(

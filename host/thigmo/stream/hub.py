@@ -1,7 +1,8 @@
 """Where messages are published, and the bounded queues of those who listen.
 
 Publishing takes no longer for a slow listener: a full queue loses its oldest message. Publishers
-of frequent messages ask `wanted` first, so that nobody listening costs next to nothing.
+of frequent messages ask `wanted` first, so that nobody listening costs next to nothing. A record
+takes readings in blocks, whether or not somebody listens to them one by one.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 
 from thigmo.closing import Closing
+from thigmo.stream.blocks import TelemetryBlock
 from thigmo.stream.messages import CHANNELS, RETAINED, Event, Message
 
 QUEUE = 2048  # messages: ten seconds of telemetry
 _KEPT_EVENTS = 100
 Sink = Callable[[Message], None]
+BlockSink = Callable[[TelemetryBlock], None]
+_Entry = tuple[Sink, frozenset[str], Callable[[], None]]  # its channels; called when the hub closes
 
 
 class Subscription(Closing):
@@ -80,10 +84,23 @@ class Hub:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._sinks: list[tuple[Sink, frozenset[str], Callable[[], None]]] = []
+        self._listen([])
         self._last: dict[str, Message] = {}
         self._events: deque[Message] = deque(maxlen=_KEPT_EVENTS)
         self._closed = False
+        self._keep: BlockSink | None = None
+        # Publishes the block that is being gathered; its publisher sets it.
+        self.publish_block: Callable[[], None] = lambda: None
+
+    @property
+    def keep(self) -> BlockSink | None:
+        """Takes all readings in blocks; None if nothing does."""
+        return self._keep
+
+    @keep.setter
+    def keep(self, sink: BlockSink | None) -> None:
+        self.publish_block()  # what has been gathered is the one's before
+        self._keep = sink
 
     def publish(self, message: Message) -> None:
         """Hand a message to all that listen to its channel; waits for none of them."""
@@ -99,7 +116,7 @@ class Hub:
 
     def wanted(self, kind: type[Message]) -> bool:
         """Whether anybody listens to messages of a kind."""
-        return any(kind.CHANNEL in channels for _, channels, _ in self._sinks)
+        return kind.CHANNEL in self._wanted
 
     def subscribe(self, channels: Iterable[str] | None = None, size: int = QUEUE) -> Subscription:
         """Listen to channels, by the names of `CHANNELS`; None takes all.
@@ -128,12 +145,16 @@ class Hub:
             if self._closed:
                 closed()
                 return
-            self._sinks.append((sink, names, closed))
+            self._listen([*self._sinks, (sink, names, closed)])
 
     def detach(self, sink: Sink) -> None:
         """Call `sink` no more; nothing happens if it is not attached."""
         with self._lock:
-            self._sinks = [entry for entry in self._sinks if entry[0] != sink]
+            self._listen([entry for entry in self._sinks if entry[0] != sink])
+
+    def _listen(self, sinks: list[_Entry]) -> None:
+        self._sinks = sinks
+        self._wanted = frozenset[str]().union(*(channels for _, channels, _ in sinks))
 
     def retained(self) -> list[Message]:
         """The last message of each slow channel, and the last events."""
@@ -143,6 +164,7 @@ class Hub:
     def close(self) -> None:
         """End all subscriptions; may be called twice."""
         with self._lock:
-            sinks, self._sinks, self._closed = self._sinks, [], True
+            sinks, self._closed = self._sinks, True
+            self._listen([])
             for _, _, closed in sinks:
                 closed()

@@ -21,10 +21,20 @@ from typing import Any
 
 from thigmo.config import SIDES
 from thigmo.errors import RunFolderError
+from thigmo.files import whole_file
 from thigmo.record import LogWriter
 from thigmo.record.mcap_file import read_mcap
+from thigmo.stream.blocks import TelemetryBlock
 from thigmo.stream.hub import Hub
-from thigmo.stream.messages import RECORDED, BodyShape, Contacts, Grid, Message, Posterior
+from thigmo.stream.messages import (
+    RECORDED,
+    BodyShape,
+    Contacts,
+    Grid,
+    Message,
+    Posterior,
+    Telemetry,
+)
 
 Row = dict[str, Any]
 # What of a message becomes a row for each entry, and what no table has.
@@ -34,7 +44,7 @@ _APART = {"contacts", "places_cm", "probability", "poses", "radius_cm"}
 @contextmanager
 def recording(hub: Hub, log: LogWriter) -> Iterator[None]:
     """Keep all that a hub's publishers tell in a record while the block runs."""
-    from thigmo.stream.protobuf import encoded, topics
+    from thigmo.stream.protobuf import encoded, packed, topics
 
     channels = {
         topic: log.add_channel(topic, "protobuf", name, "protobuf", data)
@@ -45,17 +55,23 @@ def recording(hub: Hub, log: LogWriter) -> Iterator[None]:
         for topic, data in encoded(message):
             log.message(channels[topic], data, message.t_s)
 
-    hub.attach(keep, RECORDED)
+    def keep_block(block: TelemetryBlock) -> None:
+        for rows, data in packed(block):
+            log.messages(channels[f"/{Telemetry.CHANNEL}"], data, block.numbers["t_s"][rows])
+
+    hub.attach(keep, set(RECORDED) - {Telemetry.CHANNEL})
+    hub.keep = keep_block
     try:
         yield
     finally:
+        hub.keep = None
         hub.detach(keep)
 
 
 def read_messages(
     run: str | os.PathLike[str], channels: Iterable[str] | None = None
 ) -> Iterator[Message]:
-    """The messages that a run published, in their order, from its folder or its run.mcap.
+    """The messages that a run published, in the order of time, from its folder or its run.mcap.
 
     Those of the `channels` that are named, or all that are recorded; those that are whole, if the
     record is damaged. Raises RunFolderError if there is no record, or it holds raw frames alone (of
@@ -71,7 +87,8 @@ def read_messages(
         )
     from thigmo.stream.protobuf import from_protobuf
 
-    return (from_protobuf(topic[1:], data) for topic, _, data in found.messages)
+    ordered = sorted(found.messages, key=lambda each: each[1])  # readings are kept in blocks
+    return (from_protobuf(topic[1:], data) for topic, _, data in ordered)
 
 
 def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
@@ -90,8 +107,8 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
                 channel = message.CHANNEL
                 for row in _rows(message):
                     if channel not in writers:
-                        file = (target / f"{channel}.csv").open("w", newline="")
-                        writers[channel] = csv.DictWriter(stack.enter_context(file), row)
+                        file = stack.enter_context(whole_file(target / f"{channel}.csv", text=True))
+                        writers[channel] = csv.DictWriter(file, row)
                         writers[channel].writeheader()
                     writers[channel].writerow(
                         {name: "" if value != value else value for name, value in row.items()}

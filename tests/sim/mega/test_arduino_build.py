@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from cut_uploads import Board, mixtures, pages, some
 
+from thigmo.emulator import mega_build
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder
@@ -77,3 +80,36 @@ def test_the_sketch_starts_and_announces_itself(sketch: Path) -> None:
     announce = frames[0].message()
     assert isinstance(announce, wire.Announce)
     assert announce.board is wire.Board.MEGA
+
+
+STAMP = re.compile(rb"[A-Z][a-z]{2} [ \d]\d \d{4} \d\d:\d\d:\d\d")
+
+
+def test_the_sketch_ends_with_the_time_of_compilation_that_its_guard_looks_for(
+    sketch: Path,
+) -> None:
+    program = dict(read_hex(sketch))[0]
+    (guard,) = STAMP.findall(program[0x100:0x200])
+    assert program.endswith(guard)
+
+
+@pytest.mark.parametrize("before", ["another compilation", "the Makefile's image"])
+def test_a_cut_upload_of_the_sketch_starts_nothing_once_page_1_is_written(
+    sketch: Path, before: str
+) -> None:
+    new = pages(read_hex(sketch))
+    old = pages(read_hex(mega_build.firmware_hex()))
+    if before == "another compilation":
+        old = pages(
+            [(at, STAMP.sub(b"Jan  1 2026 00:00:00", data)) for at, data in read_hex(sketch)]
+        )
+    entry = max(new)  # its page is not run before a watchdog bites, and avrdude verifies it
+    program = {number: page for number, page in new.items() if number != entry}
+    board = Board()
+    for written, state, flash in mixtures(old, new, cuts=some(len(new))):
+        outcome = board.outcome_of(flash)
+        if written < 2:
+            assert outcome != "energises", (written, state)
+        else:
+            whole = program.items() <= flash.items()
+            assert outcome == ("starts" if whole else "stays"), (written, state)

@@ -24,7 +24,7 @@ from thigmo.errors import (
 from thigmo.link import client as client_module
 from thigmo.link import flash as flasher
 from thigmo.link import protocol as wire
-from thigmo.link.image import MAGIC, read_hex, read_image
+from thigmo.link.image import MAGIC, read_hex, read_image, write_hex
 
 needs_avrdude = pytest.mark.skipif(
     shutil.which("avrdude") is None or not mega_build.BOOT_LOADER.exists(),
@@ -39,19 +39,7 @@ def image() -> Path:
 
 def patched(image: Path, target: Path, old: bytes, new: bytes) -> Path:
     """A copy of an image with some bytes replaced."""
-
-    def record(kind: int, address: int, data: bytes) -> str:
-        content = bytes([len(data), *(address & 0xFFFF).to_bytes(2, "big"), kind]) + data
-        return f":{content.hex()}{-sum(content) & 255:02x}"
-
-    lines = []
-    for start, content in read_hex(image):
-        data = content.replace(old, new)
-        for at in range(0, len(data), 16):
-            lines.append(record(4, 0, ((start + at) >> 16).to_bytes(2, "big")))
-            lines.append(record(0, start + at, data[at : at + 16]))
-    target.write_text("\n".join([*lines, ":00000001ff"]))
-    return target
+    return write_hex(target, [(start, data.replace(old, new)) for start, data in read_hex(image)])
 
 
 def test_the_image_says_what_it_is(image: Path) -> None:
@@ -74,6 +62,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("patient")
 def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> None:
     with PtyMega() as mega:
+        mega.chip.write("flash", 0, bytes(range(256)) * 0x1C0)  # a program of before
         result = CliRunner().invoke(
             app, ["flash", "--robot", mega.path, "--image", str(image), "--json"]
         )
@@ -81,7 +70,7 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
         told = json.loads(result.stdout)
         assert told["bytes"] == read_image(image).size
         assert told["schema_hash"] == f"{wire.SCHEMA_HASH:08x}"
-        assert mega.opened == 2, "once by avrdude, once for the hello"
+        assert mega.opened == 3, "by avrdude for all but page 0, for page 0, and for the hello"
         for start, data in read_hex(image):
             assert mega.chip.read("flash", start, len(data)) == data
 

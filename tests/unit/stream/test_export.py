@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 
 import pytest
-from test_hub import ONE_OF_EACH, a_telemetry
+from test_hub import ONE_OF_EACH, a_block, a_telemetry
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
@@ -22,7 +22,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     hub = Hub()
     with LogWriter(folder / "run.mcap", {}, epoch_s=1.7e9) as log, recording(hub, log):
-        hub.publish(a_telemetry(0.5, supply_v=nan))
+        assert hub.keep is not None
+        hub.keep(a_block([a_telemetry(0.5, supply_v=nan), a_telemetry()]))
         for message in ONE_OF_EACH:
             hub.publish(message)
     return folder

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from math import isnan, nan
 
+import numpy as np
 import pytest
 
 from thigmo.errors import DataError
@@ -25,6 +27,7 @@ from thigmo.stream import (
     from_json,
     to_json,
 )
+from thigmo.stream.blocks import TelemetryBlock
 
 
 def a_telemetry(t_s: float = 1.0, supply_v: float = 5.0) -> Telemetry:
@@ -32,6 +35,15 @@ def a_telemetry(t_s: float = 1.0, supply_v: float = 5.0) -> Telemetry:
         t_s, 1.7e9 + t_s, t_s, (1.5, 0.0), (1.5, 0.0), (12.0, 0.0), (0.01,) * 10, (0.011,) * 10,
         0.01, 0.011, 30.0, -0.25, supply_v, "ready", "sweeping", ("stopped",), tuple(range(10)),
     )  # fmt: skip
+
+
+def a_block(readings: list[Telemetry]) -> TelemetryBlock:
+    """Readings as columns."""
+    words = {"state", "activity", "faults"}
+    names = [each.name for each in fields(Telemetry) if each.name not in words]
+    numbers = {name: np.array([getattr(each, name) for each in readings]) for name in names}
+    phases = [(each.state, each.activity, each.faults) for each in readings]
+    return TelemetryBlock(numbers, phases)
 
 
 def an_event(t_s: float = 1.0, name: str = "contact") -> Event:
