@@ -95,7 +95,7 @@ class MicroPythonBoard:
         self._supply_mv = 5000
         self._estop = self._hung = False
         self._encoder = (0.0, 0.0)
-        self._encoder_origin = 0
+        self._encoder_origin = np.int32(0)
         self._now_ms = 0
         self._ticks = 0  # of the running firmware
         self._direction = 1
@@ -144,7 +144,6 @@ class MicroPythonBoard:
                 f"MicroPython has not started the controller: {problem or 'it is silent'}",
                 "see firmware/micropython/README.md, and correct main.py and pins.py",
             )
-        self._encoder_origin = int(np.floor(self._encoder[0]))
         self._ticks = 0
         self._running = True
         self.boots += 1
@@ -271,8 +270,11 @@ class MicroPythonBoard:
         counts = self._analog.frames(self._ticks, count, begun, 1.0 / ticks)
         at, to = self._encoder
         shares = (begun + np.arange(count)[:, None] + self._passes) * (1.0 / ticks)
-        places = np.floor(at + (to - at) * shares).astype("<i4") - self._encoder_origin
-        rows = np.hstack([counts.astype("<u2").view("u1"), places.astype("<i4").view("u1")])
+        places = np.floor(at + (to - at) * shares).astype("<i4")
+        if self._ticks == 0:  # the controller counts from where it began
+            self._encoder_origin = places[0, 0]
+        places -= self._encoder_origin
+        rows = np.hstack([counts.astype("<u2").view("u1"), places.view("u1")])
         flags = self._estop | self._hung << 1
         line = bytes(self._sent)
         self._sent.clear()
