@@ -66,6 +66,11 @@ class Obstacle:
     # everted lengths at which it was felt, the last measured one last
     felt_at_cm: list[float] = field(default_factory=list)
     force_per_cm2: float | None = None  # F/EI at the last measurement
+    kind: str = "peg"  # or "wall"
+    probability: float = 1.0  # that it is real
+    wall_probability: float = 0.0  # that all its stages felt one wall
+    # of a wall: points of its surface; between them it is drawn straight
+    surface: list[Point] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
