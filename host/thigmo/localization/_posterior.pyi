@@ -24,8 +24,9 @@ class Answer:
     hypotheses: dict[str, float]
     def contacts(self, length: float) -> list[tuple[Any, ...]]: ...
     def parameters(self, length: float) -> dict[str, float]: ...
-    edges: _Array
-    mass: _Array
+    touched: float
+    masses: list[tuple[_Array, _Array]]
+    joint: tuple[_Array, _Array, _Array] | None
     bend: _Array
 
 class Localizer:
@@ -48,6 +49,7 @@ class Localizer:
         contacts: int,
         within: tuple[float, float],
         width_limit: float,
+        number_level: float,
         norm: int,
         priors: Priors,
     ) -> None: ...

@@ -1,10 +1,13 @@
 // From weighed hypotheses to an answer: a mixture over them, intervals, one rule for statuses.
 //
-// The number of contacts is chosen by its mass, and the hypotheses of that number are mixed. A
-// contact is localized if its 95 % interval is no wider than the limit and no other number of
-// contacts keeps more than 5 %.
+// Two claims are kept apart. The number of contacts counts those that move the readings by enough
+// (`felt`), over all hypotheses. Each contact that is listed has the set of places where, in every
+// hypothesis and whatever its number, the contact nearest to its median lies. A contact is
+// localized if that set is no wider than the limit, and the contact is there with the level's
+// probability.
 #pragma once
 
+#include <deque>
 #include <tuple>
 
 #include "hypotheses.h"
@@ -15,6 +18,8 @@ struct FeltContact {
   double arc, force, low, high, deviation, offset = NAN;
   bool localized;
   std::vector<std::pair<double, double>> pieces;
+  double probability = 1.0;  // that a contact lies nearer to it than to the others
+  Row edges{}, mass{};       // cells of the body, and the share of each
 };
 
 enum class Status { no_contact, below_detection, ambiguous, localized };
@@ -24,11 +29,11 @@ struct Answer {
   Problem problem = Problem::none;
   double shows = 0.0;  // a number that shows the problem
   std::vector<FeltContact> contacts;
-  std::array<double, 4> number{};  // probability of so many contacts
+  std::array<double, 4> number{};  // probability that so many contacts are felt
+  double touched = 0.0;            // of any contact
   std::vector<Hypothesis> hypotheses;
   Row probability;  // of each
   int best = 0;     // the likeliest of the chosen number
-  Row edges, mass;  // cells of the most distal contact
   Row bend;         // at the nodes, curvature above that of the free body, by the best
   int discarded = -1;
   bool end_open = false;  // only the end, which something may hold, leaves a place open
@@ -144,8 +149,128 @@ class Mixture {
   }
 };
 
+// Places of the contacts that are felt together, or of the only one.
+struct Arcs {
+  std::size_t count;
+  std::array<double, kMostContacts> at;
+  const double* begin() const { return at.data(); }
+  const double* end() const { return at.data() + count; }
+};
+
+// Hypotheses and their probabilities, asked for places of contacts.
+class Posterior {
+ public:
+  // `asked`: number of contacts that is known, or -1.
+  Posterior(const std::vector<Hypothesis>& hypotheses, const Row& probability, int asked)
+      : hypotheses_(hypotheses), probability_(probability), asked_(asked) {
+    for (std::size_t k = 0; k < hypotheses.size(); ++k) {
+      const Hypothesis& h = hypotheses[k];
+      if (h.contacts.empty()) felt[0] += probability[k];
+      for (const Marginal& of : h.contacts) {
+        for (std::size_t m = 0; m < of.mass.size(); ++m) {
+          const double share = probability[k] * of.mass[m];
+          listed[1] += share, felt[1] += share * of.felt[m], felt[0] += share * (1.0 - of.felt[m]);
+        }
+      }
+      for (const FeltSet& set : h.sets) {
+        listed[set.count] += probability[k] * set.mass;
+        felt[set.count] += probability[k] * set.mass;
+      }
+      if (counts(h)) most_ = std::max(most_, probability[k]);
+    }
+    for (std::array<double, 4>* shares : {&felt, &listed}) {  // what is unlikely was left out
+      const double sum = std::accumulate(shares->begin(), shares->end(), 0.0);
+      for (double& share : *shares) share /= std::max(sum, 1e-300);
+    }
+  }
+
+  // Probability of so many contacts that are felt; and of so many to be listed, one at least.
+  std::array<double, 4> felt{}, listed{};
+
+  // Where the contacts lie that `choose` picks. Of a set and its arcs it returns one's index, or
+  // -1; a contact that is felt alone is a set as well.
+  template <class Choose>
+  Mixture mixture(Window within, const Choose& choose) const {
+    constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
+    std::vector<std::pair<double, const Marginal*>> parts;
+    std::deque<Marginal> kept;
+    for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
+      const Hypothesis& h = hypotheses_[k];
+      if (!counts(h) || probability_[k] <= kNegligible * most_) continue;
+      const bool alone = choose(Arcs{1, {}}) == 0;
+      if (h.contacts.size() == 1) {
+        if (alone) parts.emplace_back(probability_[k], &h.contacts[0]);
+        continue;
+      }
+      const std::size_t from = kept.size();
+      for (const Marginal& of : h.contacts) {
+        Marginal& to = kept.emplace_back(of);
+        for (std::size_t m = 0; m < of.mass.size(); ++m) {
+          to.force[m] = to.spread[m] = to.mass[m] = 0.0;
+          if (alone) to.add(m, of.mass[m], of.force[m], of.spread[m]);
+        }
+      }
+      for (const FeltSet& set : h.sets) {
+        const int i = choose(arcs(h, set));
+        if (i < 0) continue;
+        kept[from + set.contact[i]].add(set.cell[i], set.mass, set.force[i], set.spread[i]);
+      }
+      for (std::size_t j = from; j < kept.size(); ++j) {
+        kept[j].average();
+        parts.emplace_back(probability_[k], &kept[j]);
+      }
+    }
+    return Mixture(parts, within);
+  }
+
+  // Of each of the arcs: probability that a contact lies nearer to it than to the others.
+  Row present(const Row& of) const {
+    Row out(of.size());
+    for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
+      const Hypothesis& h = hypotheses_[k];
+      for (const Marginal& contact : h.contacts) {
+        for (std::size_t m = 0; m < contact.place.size(); ++m) {
+          out[nearest(of, contact.place[m])] += probability_[k] * contact.mass[m];
+        }
+      }
+      for (const FeltSet& set : h.sets) {
+        std::array<bool, kMostContacts> there{};
+        for (const double arc : arcs(h, set)) there[nearest(of, arc)] = true;
+        for (std::size_t j = 0; j < of.size(); ++j) {
+          out[j] += there[j] * probability_[k] * set.mass;
+        }
+      }
+    }
+    return out;
+  }
+
+  // Index of the one that is nearest to an arc.
+  template <class Places>
+  static int nearest(const Places& of, double arc) {
+    const auto nearer = [&](double a, double b) { return std::abs(a - arc) < std::abs(b - arc); };
+    return static_cast<int>(std::min_element(of.begin(), of.end(), nearer) - of.begin());
+  }
+
+ private:
+  bool counts(const Hypothesis& h) const {
+    const int size = static_cast<int>(h.contacts.size());
+    return asked_ > 0 ? size == asked_ : size > 0;
+  }
+  static Arcs arcs(const Hypothesis& h, const FeltSet& set) {
+    Arcs out{static_cast<std::size_t>(set.count), {}};
+    for (int i = 0; i < set.count; ++i) {
+      out.at[i] = h.contacts[set.contact[i]].place[set.cell[i]];
+    }
+    return out;
+  }
+
+  const std::vector<Hypothesis>& hypotheses_;
+  const Row& probability_;
+  int asked_;
+  double most_ = 0.0;
+};
+
 inline Answer answer(const Input& input, const Priors& priors, const Settings& settings) {
-  constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
   constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
   Answer out;
   std::tie(out.problem, out.shows) = problem_of(input);
@@ -154,7 +279,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   weighing.run();
   const Readings& readings = weighing.readings;
   out.hypotheses = std::move(weighing.found);
-  double top = -INFINITY, total = 0.0;
+  double top = -INFINITY, total = 0.0, none = 0.0;
   for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
   for (const Hypothesis& h : out.hypotheses) {
     out.probability.push_back(std::exp(h.log_weight - top));
@@ -162,14 +287,17 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   }
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     out.probability[k] /= total;
-    out.number[out.hypotheses[k].contacts.size()] += out.probability[k];
+    (out.hypotheses[k].contacts.empty() ? none : out.touched) += out.probability[k];
   }
-  const double touched = out.number[1] + out.number[2] + out.number[3];
-  out.log_odds = std::log(std::max(touched, 1e-300) / std::max(out.number[0], 1e-300));
+  out.log_odds = std::log(std::max(out.touched, 1e-300) / std::max(none, 1e-300));
+  const Posterior posterior(out.hypotheses, out.probability, settings.contacts);
+  out.number = posterior.felt;
   std::size_t count = 1;
-  for (std::size_t k = 2; k < 4; ++k) count = out.number[k] > out.number[count] ? k : count;
+  for (std::size_t k = 2; k < 4; ++k) {
+    if (posterior.listed[k] > posterior.listed[count]) count = k;
+  }
   // Likelier than not; or five standard errors off a free body whose readings are all good.
-  if (touched < 0.5 && weighing.explained < priors.five_sigma) count = 0;
+  if (out.touched < 0.5 && weighing.explained < priors.five_sigma) count = 0;
   if (settings.contacts >= 0) count = static_cast<std::size_t>(settings.contacts);
   double most = -1.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
@@ -196,26 +324,32 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   // A hand that holds the end explains what a contact beside it does.
   const bool perhaps = settings.held_end == Settings::Held::perhaps &&
                        std::min(held, all - held) > priors.held_excluded * all;
-  const bool sure = (settings.contacts >= 0 || out.number[count] > 1.0 - priors.excluded) &&
-                    touched > 1.0 - priors.excluded && open <= priors.excluded * all;
+  const bool asked = settings.contacts > 0;
+  const bool sure = out.touched > 1.0 - priors.excluded && open <= priors.excluded * all &&
+                    (asked || out.number[count] >= settings.number_level);
+  const Window within = count == 1 ? settings.within : Window{0.0, 1.0};
+  Row medians(count);
   for (std::size_t j = 0; j < count; ++j) {
-    std::vector<std::pair<double, const Marginal*>> parts;
-    for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
-      const Hypothesis& h = out.hypotheses[k];
-      if (h.contacts.size() == count && out.probability[k] > kNegligible * most) {
-        parts.emplace_back(out.probability[k], &h.contacts[j]);
-      }
-    }
-    Mixture mixture(parts, count == 1 ? settings.within : Window{0.0, 1.0});
+    const auto ordinal = [&](const Arcs& arcs) {
+      return arcs.count == count ? static_cast<int>(j) : -1;
+    };
+    medians[j] = posterior.mixture(within, ordinal).quantile(0.5);
+  }
+  const Row present = count > 0 ? posterior.present(medians) : Row{};
+  for (std::size_t j = 0; j < count; ++j) {
+    Mixture mixture = posterior.mixture(
+        within, [&](const Arcs& arcs) { return Posterior::nearest(arcs, medians[j]); });
     FeltContact felt;
-    felt.arc = mixture.quantile(0.5);
+    felt.arc = medians[j];
+    felt.probability = present[j];
     felt.pieces = mixture.densest(priors.level);
     felt.low = felt.pieces.front().first;
     felt.high = felt.pieces.back().second;
     const std::size_t at = mixture.cell(felt.arc);
     felt.force = mixture.force[at];
     felt.deviation = std::sqrt(mixture.variance[at]);
-    const bool placed = sure && felt.high - felt.low <= settings.width_limit;
+    const bool placed = sure && (asked || felt.probability > 1.0 - priors.excluded) &&
+                        felt.high - felt.low <= settings.width_limit;
     felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
     out.end_open |= placed && !felt.localized;
     if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
@@ -230,12 +364,11 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
         }
       }
     }
+    felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.mass);
     out.contacts.push_back(std::move(felt));
-    out.edges = std::move(mixture.edges), out.mass = std::move(mixture.mass);
   }
-  const bool asked = settings.contacts > 0;
-  if (count == 0 || (asked && touched < 0.5)) {
-    const bool hint = touched > 2.0 * priors.excluded || count > 0;
+  if (count == 0 || (asked && out.touched < 0.5)) {
+    const bool hint = out.touched > 2.0 * priors.excluded || count > 0;
     out.status = hint ? Status::below_detection : Status::no_contact;
   } else {
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),

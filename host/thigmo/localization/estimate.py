@@ -23,6 +23,7 @@ from thigmo.localization.readings import (
     everted_length,
     positive,
     refusal,
+    share,
     share_of_length,
     vector,
 )
@@ -54,6 +55,7 @@ def localize(
     tube_radius: float | None = None,
     held_end: bool | None = None,
     width_limit: float | None = None,
+    number_level: float = 0.0,
     within: Range | None = None,
 ) -> LocalizeResult:
     """Find the contacts that a body of known length feels.
@@ -88,6 +90,8 @@ def localize(
             not given, that is possible only where no tube radius is.
         width_limit: widest 95 % interval that counts as localized; 10/53 of the length (10 cm of
             the 53 cm body) if not given.
+        number_level: probability that the number of contacts must have before any of them counts
+            as localized. 0 leaves the number open: each contact is a claim by itself.
         within: arcs between which a single contact is known to lie, by whatever else is known
             (a sweep that felt nothing, say). It does not decide how many contacts there are.
 
@@ -102,7 +106,7 @@ def localize(
         position, k.size, length,
         span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
         contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
-        width_limit, within, method,
+        width_limit, number_level, within, method,
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
@@ -145,6 +149,7 @@ def _checked(
     tube_radius: float | None = None,
     held_end: bool | None = None,
     width_limit: float | None = None,
+    number_level: float = 0.0,
     within: Range | None = None,
     method: str = "posterior",
 ) -> _posterior.Localizer:
@@ -195,6 +200,7 @@ def _checked(
         -1 if contacts == "auto" else int(contacts),
         share_of_length(within, total),
         limit,
+        share(number_level, "number_level"),
         METHODS.index(method),
         rules,
     )
@@ -233,6 +239,7 @@ def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
         found.hypotheses,
         () if found.discarded < 0 else (found.discarded,),
         found.parameters(total),
+        number=tuple(found.number),
         length=total,
         _body=found,
     )
@@ -249,18 +256,14 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
         return "the readings are those of the free body" + bad
     if status == "below detection":
         return "a contact is not certain; average more readings or bend further" + bad
-    number = found.number
-    others = sum(number[count + 1 :])
-    more = ""
-    if others > priors.EXCLUDED:
-        more = f"; another contact is not excluded (probability {others:.2f})"
-    elif count == 1:
-        more = "; further contacts on the same side are not excluded"
+    felt = f"{count} felt with probability {found.number[count]:.2f}"
+    if count < MOST_CONTACTS:
+        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
     if status == "localized":
-        places = ("one place explains", "two places explain", "three places explain")[count - 1]
-        return f"{places} the readings{more}{bad}"
-    if number[0] > priors.EXCLUDED:
-        return f"a contact has probability {1.0 - number[0]:.2f}{more}{bad}"
+        places = "a contact lies" if count == 1 else "contacts lie"
+        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
+    if found.touched < 1.0 - priors.EXCLUDED:
+        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
     if found.end_open:
-        return f"something may hold the end: give tube_radius or held_end{more}{bad}"
-    return f"the readings do not fix the place; see `intervals`{more}{bad}"
+        return f"something may hold the end: give tube_radius or held_end; {felt}{bad}"
+    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"

@@ -373,7 +373,7 @@ class ContactFilter:
             "fold_angle": way * body.fold_angle,
         }
         bend = np.interp(LENGTH * edges, body.s, body.curvature - self._free)
-        result._body = OfBody(edges, share, way * LENGTH * bend)
+        result._body = OfBody([(edges, share)], way * LENGTH * bend)
 
 
 def _precision(deviation: Array) -> Array:

@@ -1,11 +1,12 @@
 // Which explanations of a frame are weighed, and how likely each is.
 //
-// Every frame weighs a free body, one contact, and each of them with one bad reading. What a scene
+// Every frame weighs a free body, one contact, each of them with one bad reading, and two contacts.
+// Three are weighed unless what they could explain beside two keeps them negligible. What a scene
 // calls for comes in order of cost: a contact on the end of a bent body, a folded base near its
-// critical moment; and where one contact and good readings leave a misfit, a hinge, a contact that
-// is spread out, two contacts, three. What then still leaves a misfit is weighed with one bad
-// reading, of those that may bring it within reach of the best. All evidences are densities of the
-// same readings, so they compare directly; prior odds are those of priors.py.
+// critical moment, and a hinge where one contact leaves a misfit. What then still leaves a misfit
+// is weighed with one bad reading, of those that may bring it within reach of the best. All
+// evidences are densities of the same readings, so they compare directly; prior odds are those of
+// priors.py.
 #pragma once
 
 #include <functional>
@@ -24,28 +25,32 @@ struct Settings {
   int contacts;  // how many there are known to be, or -1
   Window within;
   double width_limit;
-  int norm;  // 1 or 2 for a point fit, 0 for the posterior
+  double number_level;  // probability of the number, below which nothing is localized
+  int norm;             // 1 or 2 for a point fit, 0 for the posterior
 };
 
-enum class Load { none, hinge, contact, end, fold, spread, contact_hinge, two, three, end_fold };
+enum class Load { none, hinge, contact, end, fold, contact_hinge, two, three, end_fold };
 
 struct Hypothesis : Fit {
   Load load;
   double log_weight;                 // log evidence plus log prior odds
   std::vector<Marginal> contacts{};  // base to tip
+  std::vector<FeltSet> sets{};       // of more than one that is felt
   int numbers = 0;                   // how many numbers of its own it fits
   int bad = -1;                      // index of the bad reading
   bool held = false;                 // whether something holds the end
-  // Further numbers: fold's or hinge's angle, place of the hinge, half width of a spread contact;
-  // force that pushes the end back, couple on it, where that bears left of the centreline.
-  double angle = NAN, at = NAN, half_width = NAN, push = NAN, couple = NAN, offset = NAN;
+  // Further numbers: fold's or hinge's angle, place of the hinge; force that pushes the end back,
+  // couple on it, where that bears left of the centreline.
+  double angle = NAN, at = NAN, push = NAN, couple = NAN, offset = NAN;
 };
 
 class Weighing {
  public:
   static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
-  static constexpr int kPairCells = 30, kTripleCells = 16, kSecondCells = 24;
+  static constexpr int kPairCells = 30, kTripleCells = 16;
+  static constexpr double kNegligible = 0.01;  // probability of three contacts, which are left out
+  static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
   static constexpr std::size_t kMostSuspects = 5;  // bad readings weighed beside one explanation
 
   Readings readings;
@@ -57,8 +62,8 @@ class Weighing {
         frame_(readings.frame),
         priors_(priors),
         settings_(settings),
-        prior_{priors.moments, priors.least_lever, settings.critical, priors.straight,
-               priors.shape_rests},
+        prior_{priors.moments,  priors.least_lever, settings.critical,
+               priors.straight, priors.shape_rests, priors.felt},
         white_(frame_, frame_.shared),
         contact_(readings.known ? priors.contact : priors.contact_unsure),
         bad_(readings.bad) {
@@ -98,19 +103,18 @@ class Weighing {
       fold(bent);
     }
     const bool several = frame_.size() >= 2 && settings_.contacts != 0 && settings_.contacts != 1;
-    bool poor = misfit;
-    if (!readings.known && several && frame_.size() >= 5) {
-      poor = gain_of_second(found[one]) > priors_.second_gain;
-    }
+    double two = -INFINITY;  // log weight of two contacts
+    if (several) two = weigh_two();
+    // Noise that is not known hides a misfit.
+    const bool poor = readings.known ? misfit : two > found[one].log_weight;
     // A moment that few contacts have may be a kink.
     const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
     if (poor || strong) hinge(bent, strong);
-    if (poor) spread(bent);
     // What bends a straight body so far may hold its end.
     const bool held_perhaps =
         poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
     if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
-    if (several && (poor || settings_.contacts > 1)) weigh_several(found[one].log_evidence);
+    if (two > -INFINITY) weigh_three();
     for (const Doubt& doubt : doubts_) {
       for (const int i : suspects(doubt)) doubt.weigh(i);
     }
@@ -194,7 +198,7 @@ class Weighing {
 
   Hypothesis hypothesis(Load load, const Fit& fit, double weight, int numbers, int bad) const {
     const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
-    return {fit, load, fit.log_evidence + odds, {}, numbers, bad};
+    return {fit, load, fit.log_evidence + odds, {}, {}, numbers, bad};
   }
 
   Hypothesis contact(Load load, OneContact fit, double weight, int numbers, int bad) const {
@@ -211,14 +215,14 @@ class Weighing {
     const double weight = contact_ + std::log(unfolded_);
     const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless, doubtful};
     ContactsBeside beside;
-    OneContact alone = one_contact(white_, prior_, kCells, 0.0, start, &rivals, &beside);
+    OneContact alone = one_contact(white_, prior_, kCells, start, &rivals, &beside);
     const std::size_t first = found.size();
     found.push_back(contact(Load::contact, std::move(alone), weight, 2, -1));
     const double matters = best() + kMatters;
     for (auto& [index, other] : beside) {
       const double odds = weight + log_odds[index];
       if (other.log_evidence + odds > matters) {
-        other = one_contact(with(column, index), prior_, kCells, 0.0, found[first].curvature);
+        other = one_contact(with(column, index), prior_, kCells, found[first].curvature);
       }
       found.push_back(contact(Load::contact, std::move(other), odds, 2, -1));
       found.back().bad = index;
@@ -230,7 +234,8 @@ class Weighing {
     const EndWrench fit = end_wrench(white, prior_, settings_.radius, held, start);
     Hypothesis out = hypothesis(Load::end, fit, weight, 3, bad);
     const double cell = priors_.end_cell;
-    out.contacts.push_back({{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}});
+    out.contacts.push_back(
+        {{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}, {fit.felt}});
     out.held = held;
     out.push = fit.load[1];
     out.couple = fit.load[2];
@@ -294,16 +299,6 @@ class Weighing {
     return true;
   }
 
-  void spread(const Nodes& start) {
-    const double weight =
-        contact_ + priors_.spread - std::log(static_cast<double>(priors_.half_widths.size()));
-    for (const double half : priors_.half_widths) {
-      OneContact fit = one_contact(white_, prior_, kCells, half, start);
-      found.push_back(contact(Load::spread, std::move(fit), weight, 3, -1));
-      found.back().half_width = half;
-    }
-  }
-
   // `folds`: the base may have folded, for a moment that folds most bodies acts there.
   void hinge(const Nodes& start, bool folds) {
     Row edges = frame_.low;
@@ -344,8 +339,7 @@ class Weighing {
         continue;
       for (int h = 0; h < columns.size(); ++h) {
         if (columns[h].from != found[k].bad || columns[h].count != 1) continue;
-        OneContact fit =
-            one_contact(with(columns, h), prior_, kCells, 0.0, Nodes(found[k].curvature));
+        OneContact fit = one_contact(with(columns, h), prior_, kCells, Nodes(found[k].curvature));
         found.push_back(contact(Load::contact_hinge, std::move(fit), one + log_odds[h], 3, -1));
         found.back().at = place[h];
         log_odds[h] = -INFINITY;
@@ -359,50 +353,52 @@ class Weighing {
     }
   }
 
-  // Log likelihood that a second contact adds to a first, which stays where it is, where the noise
-  // is unknown.
-  double gain_of_second(const Hypothesis& one) const {
-    const int n = frame_.size();
-    Row place = middles({0.0, 1.0}, kSecondCells);
-    place.push_back(one.contacts[0].likeliest());
-    Body body(frame_, prior_, one.curvature);
-    const Levers& levers = body.levers(place);
-    const Row unit = prior_deviations(prior_, levers.largest);
-    const double scale = *std::max_element(prior_.scales.begin(), prior_.scales.end());
-    const Whitened::At& at = *std::find_if(white_.levels.begin(), white_.levels.end(),
-                                           [&](const auto& a) { return a.factor == one.noise; });
-    Matrix loads(2, n);
-    const auto gain = [&](int m, int load) {
-      for (int i = 0; i < n; ++i) loads[load][i] = scale * unit[m] * levers.sensor[i][m];
-      return solve(at, loads).gain;
-    };
-    const double alone = at.square - gain(kSecondCells, 0);
-    double least = alone;
-    for (int m = 0; m < kSecondCells; ++m) least = std::min(least, at.square - gain(m, 1));
-    return 0.5 * n * std::log(alone / std::max(least, 1e-9 * alone));
-  }
-
-  // Returns the misfit; infinite where no set of places is possible.
-  double add_several(int count, int cells, int bad) {
-    const SeveralContacts fit =
-        several_contacts(with(bad_, bad), prior_, count, cells, frame_.rest);
-    if (!(fit.log_evidence > -INFINITY)) return INFINITY;
+  // Returns whether any set of places is possible.
+  bool add_several(int count, int cells, int bad) {
     const double weight = contact_ + (count - 1) * priors_.another;
+    const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
+    SeveralContacts fit =
+        several_contacts(with(bad_, bad), prior_, count, cells, frame_.rest,
+                         settings_.contacts == count, best() - odds + kSeveralMatter);
+    if (!(fit.log_evidence > -INFINITY)) return false;
     Hypothesis& out = found.emplace_back(
         hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
-    out.contacts = fit.contacts;
+    out.contacts = std::move(fit.contacts), out.sets = std::move(fit.sets);
     if (count == 2 && bad < 0) {
       doubt(out, priors_.another, [this](int i) { add_several(2, kPairCells, i); });
     }
-    return fit.misfit;
+    return true;
   }
 
-  // A third contact only where the second makes the readings likelier.
-  void weigh_several(double evidence_of_one) {
-    const double misfit = add_several(2, kPairCells, -1);
-    const bool more = settings_.contacts < 0 && misfit > limit_ && frame_.size() >= 6 &&
-                      found.back().log_evidence > evidence_of_one;
-    if (misfit < INFINITY && (settings_.contacts == 3 || more)) add_several(3, kTripleCells, -1);
+  // Returns the log weight.
+  double weigh_two() {
+    if (!add_several(2, kPairCells, -1)) return -INFINITY;
+    two_ = found.size() - 1;
+    return found[two_].log_weight;
+  }
+
+  // About the probability that three contacts are felt: a third one beside the likeliest two.
+  double share_of_third() const {
+    const Hypothesis& two = found[two_];
+    const Whitened white(frame_, stacked(frame_.shared, two.loads));
+    Body body(frame_, prior_, two.curvature);
+    OneContact third;
+    third.place = middles({0.0, 1.0}, kCells);
+    third.width = 1.0 / kCells;
+    if (!OneContactGrid(white, prior_).weigh(body.levers(third.place), third)) return 0.0;
+    double felt = 0.0, both = 0.0;
+    for (int m = 0; m < kCells; ++m) felt += third.mass[m] * third.felt[m];
+    for (const FeltSet& set : two.sets) both += set.mass;
+    const double more = third.log_evidence - white.log_density() + priors_.another;
+    return felt * both * std::exp(std::min(two.log_weight + more - best(), 0.0));
+  }
+
+  void weigh_three() {
+    if (settings_.contacts >= 0 && settings_.contacts != 3) return;
+    // A third contact that moves the likeliest two to other places is one that they do not fit.
+    const bool fits = found[two_].misfit < misfit_at(priors_.noise_deviate);
+    const bool negligible = frame_.size() < 3 || (fits && share_of_third() < kNegligible);
+    if (settings_.contacts == 3 || !negligible) add_several(3, kTripleCells, -1);
   }
 
   const Frame& frame_;
@@ -413,8 +409,9 @@ class Weighing {
   double contact_;  // log prior odds of one
   Columns bad_;
   std::vector<Doubt> doubts_;
-  double unfolded_;  // prior share of contacts that leave the base as it is
-  double limit_;     // misfit beyond which an explanation is poor
+  std::size_t two_ = 0;  // index of two contacts
+  double unfolded_;      // prior share of contacts that leave the base as it is
+  double limit_;         // misfit beyond which an explanation is poor
 };
 
 }  // namespace thigmo

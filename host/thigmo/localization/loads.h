@@ -24,6 +24,7 @@ struct ForcePrior {
   double critical;  // base moment at which the base folds; infinite if it does not
   double straight;  // turn (rad) below which a body counts as straight
   double rests;     // change of curvature below which a shape rests
+  double felt;      // standard errors by which a contact that counts moves the readings
 };
 
 struct Window {
@@ -71,12 +72,20 @@ inline double probability_within(double mean, double variance, double limit) {
   return 0.5 * (std::erf((limit - mean) * scale) + std::erf((limit + mean) * scale));
 }
 
+// Probability that a load which moves the readings by `moved` standard errors, give or take
+// `deviation` of them, moves them by `least` or more.
+inline double probability_felt(double moved, double deviation, double least) {
+  const double deviate = (moved - least) / std::max(deviation, 1e-12);
+  if (std::abs(deviate) > 3.5) return deviate > 0.0;
+  return 0.5 * std::erfc(-deviate / std::numbers::sqrt2);
+}
+
 // Normal density of up to four loads. `gram` and `told` are products of their whitened columns, in
 // units of prior deviations, with each other and with the readings; so the prior is N(0, I).
 struct Solution {
   static constexpr int kMost = 4;
   using Square = std::array<std::array<double, kMost>, kMost>;
-  double gain = 0.0, log_volume = 0.0;  // log evidence is gain / 2 - log_volume / 2
+  double gain = 0.0, volume = 1.0;  // log evidence is gain / 2 - log(volume)
   std::array<double, kMost> mean{}, deviation{};
 
   Solution(int count, Square gram, const std::array<double, kMost>& told) {
@@ -88,7 +97,7 @@ struct Solution {
         if (k < j) gram[j][k] /= gram[k][k];
       }
       gram[j][j] = std::sqrt(gram[j][j]);
-      log_volume += 2.0 * std::log(gram[j][j]);
+      volume *= gram[j][j];
       double half = 0.0;
       for (int k = 0; k <= j; ++k) {
         double sum = j == k;
@@ -151,28 +160,12 @@ class Body {
     straight_ = !bends && turn_of(start) < prior.straight;
   }
 
-  // Of normal forces; of loads spread evenly over `half` to either side. Kept until the next call.
-  const Levers& levers(const Row& place, double half = 0.0) {
-    constexpr int kPoints = 5;  // of a spread load
+  // Of normal forces, until the next call. `keep`: for the next frame, if the body is straight.
+  const Levers& levers(const Row& place, bool keep = false) {
     if (!straight_) shape_ = Shape(curvature);
     const bool first = !std::exchange(asked_, true);
-    if (first && straight_ && half == 0.0) return first_levers(place);
-    if (half == 0.0) return levers_ = point_levers(place);
-    Levers& out = levers_ = Levers(frame_.size(), static_cast<int>(place.size()));
-    for (int p = 0; p < kPoints; ++p) {
-      Row moved = place;
-      for (double& arc : moved) {
-        arc = std::clamp(arc + half * (2.0 * p / (kPoints - 1) - 1.0), 0.0, 1.0);
-      }
-      const Levers part = point_levers(moved);
-      const auto add = [](Row& to, const Row& from) {
-        for (std::size_t k = 0; k < to.size(); ++k) to[k] += from[k] / kPoints;
-      };
-      add(out.sensor.value, part.sensor.value);
-      add(out.largest, part.largest);
-      add(out.base, part.base);
-    }
-    return out;
+    if (first && straight_ && keep) return first_levers(place);
+    return levers_ = point_levers(place);
   }
 
   // Its shape when levers were last asked for.
@@ -257,8 +250,18 @@ struct Marginal {
   double width = 0.0;  // of a cell
   Row mass;            // (M,) of sum one
   Row force, spread;   // (M,) its mean and standard deviation
-  double likeliest() const {
-    return place[std::max_element(mass.begin(), mass.end()) - mass.begin()];
+  Row felt;            // (M,) probability that it moves the readings by enough to count
+  // Adds a force's moments; `average` then makes mean and deviation of their sums.
+  void add(std::size_t cell, double share, double mean, double deviation) {
+    mass[cell] += share, force[cell] += share * mean;
+    spread[cell] += share * (mean * mean + deviation * deviation);
+  }
+  void average() {
+    for (std::size_t m = 0; m < mass.size(); ++m) {
+      if (mass[m] == 0.0) continue;
+      force[m] /= mass[m], felt[m] /= mass[m];
+      spread[m] = std::sqrt(std::max(spread[m] / mass[m] - force[m] * force[m], 0.0));
+    }
   }
 };
 
@@ -414,7 +417,7 @@ class OneContactGrid {
       best_of[s] = of.constant + 0.5 * largest(weight, count);
       top = std::max(top, best_of[s]);
     }
-    for (Row* of : {&out.mass, &out.force, &out.spread}) of->assign(count, 0.0);
+    for (Row* of : {&out.mass, &out.force, &out.spread, &out.felt}) of->assign(count, 0.0);
     double* __restrict mass = out.mass.data(), * __restrict first = out.force.data();
     double* __restrict second = out.spread.data();
     for (std::size_t s = 0; s < products.size(); ++s) {
@@ -455,7 +458,14 @@ class OneContactGrid {
         static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
     const double scales = static_cast<double>(prior_.scales.size());
     out.log_evidence = top + std::log(total * out.width / scales);
-    for (double& mass : out.mass) mass /= total;
+    const Row& square = products[level_].square;
+    for (int m = 0; m < count; ++m) {
+      out.mass[m] /= total;
+      if (out.mass[m] < kOutside) continue;
+      const double unit = std::sqrt(std::max(square[m], 0.0));
+      out.felt[m] =
+          probability_felt(std::abs(out.force[m]) * unit, out.spread[m] * unit, prior_.felt);
+    }
     return true;
   }
 
@@ -482,7 +492,7 @@ class OneContactGrid {
 
 // One contact anywhere on the body; and beside rivals, those that are worth weighing.
 inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior, int cells,
-                              double half, const Nodes& start, const Rivals* rivals = nullptr,
+                              const Nodes& start, const Rivals* rivals = nullptr,
                               ContactsBeside* beside = nullptr) {
   const Frame& frame = *readings.frame;
   OneContactGrid grid(readings, prior);
@@ -493,7 +503,7 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
   for (int turn = 0; turn < kMostTurns; ++turn) {
     out.place = middles(part, cells);
     out.width = (part.far - part.near) / cells;
-    if (!grid.weigh(body.levers(out.place, half), out)) break;
+    if (!grid.weigh(body.levers(out.place, true), out)) break;
     out.curvature = frame.rest;
     body.shape().add_moment(body.shape().at(out.place[out.top]), out.force[out.top], out.curvature);
     if (!body.settle(out.curvature)) continue;
@@ -516,9 +526,21 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
   return out;
 }
 
-// Posterior of two or three contacts, base to tip, each in a window of its own.
+// Two or three contacts that are felt together, base to tip: of each its index among those that
+// were placed, its cell there, and its force.
+constexpr std::size_t kMostContacts = 3;
+struct FeltSet {
+  double mass = 0.0;
+  int count = 0;
+  std::array<int, kMostContacts> contact{}, cell{};
+  std::array<double, kMostContacts> force{}, spread{};
+};
+
+// Posterior of two or three contacts, each in a window of its own. In `contacts` is the mass of
+// sets of which no other contact is felt, in `sets` that of the others.
 struct SeveralContacts : Fit {
-  std::vector<Marginal> contacts;  // with the forces of the likeliest set of places
+  std::vector<Marginal> contacts;
+  std::vector<FeltSet> sets;
 };
 
 // Weighs all sets of places, one of each contact's cells, by eliminating one contact after another
@@ -526,16 +548,20 @@ struct SeveralContacts : Fit {
 class SetsGrid {
  public:
   SetsGrid(int count, int cells)
-      : count_(count), cells_(cells), at_(count), left_(count), weight_(count * cells) {}
+      : count_(count), cells_(cells), at_(count), left_(count), weight_(count * cells) {
+    std::size_t sets = 1;
+    for (int j = 0; j < count; ++j) sets *= static_cast<std::size_t>(cells);
+    mass.resize(sets);
+  }
 
   Row place, width;       // (k M,) of all columns; (k,)
-  std::vector<Row> mass;  // (k, M)
+  Row mass;               // of each set, cells of the last contact next to each other
   std::vector<int> best;  // (k,) columns of the likeliest set
   std::size_t level = 0;  // of the noise and scale of the forces that suit it
   double scale = 0.0, total = 0.0, top = -INFINITY;
 
   void clear() {
-    mass.assign(count_, Row(cells_, 0.0));
+    std::fill(mass.begin(), mass.end(), 0.0);
     place.clear(), width.clear();
     total = 0.0, top = -INFINITY, peak_ = -1.0;
   }
@@ -564,16 +590,46 @@ class SetsGrid {
     }
   }
 
-  // Adds the weights of all sets at that level and one prior of the forces.
-  void weigh(const Row& variance, double constant, double critical, std::size_t at_level,
-             double at_scale) {
+  // Take a prior of the forces: deviations (k M,) for a largest moment of one, times a scale.
+  void prepare(const Row& unit, double scale) {
     gap_ = *std::min_element(width.begin(), width.end()) * 0.5;
-    critical_ = critical, level_ = at_level, scale_ = at_scale;
-    variance_ = variance;
-    for (std::size_t k = 0; k < variance.size(); ++k) {
-      left_[0].diagonal[k] = 1.0 / variance[k] + square_[k];
+    variance_.resize(unit.size());
+    for (std::size_t k = 0; k < unit.size(); ++k) {
+      variance_[k] = scale * scale * unit[k] * unit[k];
+      left_[0].diagonal[k] = 1.0 / variance_[k] + square_[k];
     }
+  }
+
+  // Adds the weights of all sets at that level and one prior of the forces.
+  void weigh(const Row& unit, double constant, double critical, std::size_t at_level,
+             double at_scale) {
+    prepare(unit, at_scale);
+    critical_ = critical, level_ = at_level, scale_ = at_scale;
     place_contact(0, {constant, 1.0, 0.0});
+  }
+
+  // Forces of one set, of its columns, as they were last prepared; and how likely they are felt.
+  struct Forces {
+    std::array<double, kMostContacts> mean{}, deviation{}, felt{};
+  };
+  Forces forces(const std::vector<int>& columns, double felt) const {
+    Solution::Square gram{};
+    std::array<double, Solution::kMost> told{}, unit{};
+    for (int j = 0; j < count_; ++j) {
+      const int m = columns[j];
+      unit[j] = std::sqrt(variance_[m]);
+      told[j] = unit[j] * left_[0].told[m];
+      gram[j][j] = variance_[m] * square_[m];
+      for (int k = 0; k < j; ++k) gram[j][k] = unit[j] * unit[k] * left_[0].gram[columns[k]][m];
+    }
+    const Solution found(count_, gram, told);
+    Forces out;
+    for (int j = 0; j < count_; ++j) {
+      out.mean[j] = found.mean[j] * unit[j], out.deviation[j] = found.deviation[j] * unit[j];
+      const double moves = std::sqrt(square_[columns[j]]);
+      out.felt[j] = probability_felt(std::abs(out.mean[j]) * moves, out.deviation[j] * moves, felt);
+    }
+    return out;
   }
 
  private:
@@ -639,19 +695,18 @@ class SetsGrid {
     if (!(most > -INFINITY) || most < top - kNothing) return;
     if (most > top + kNothing) {  // what was added so far is small beside this
       const double shrink = std::exp(top - most);
-      for (Row& row : mass) {
-        for (double& value : row) value *= shrink;
-      }
+      for (double& value : mass) value *= shrink;
       total *= shrink, peak_ *= shrink, top = most;
     }
     for (int m = first; m < wide; ++m) {
       const double volume = sum.volume * diagonal[m] * variance[m];
       weight[m] = exponential(weight[m] - top) / std::sqrt(volume);
     }
-    for (int m = first; m < wide; ++m) mass.back()[m - wide + cells_] += weight[m];
-    const double added = std::accumulate(weight + first, weight + wide, 0.0);
-    total += added;
-    for (int j = 0; j + 1 < count_; ++j) mass[j][at_[j] - j * cells_] += added;
+    std::size_t row = 0;
+    for (int j = 0; j + 1 < count_; ++j) row = row * cells_ + at_[j] - j * cells_;
+    double* __restrict to = mass.data() + row * cells_;
+    for (int m = first; m < wide; ++m) to[m - wide + cells_] += weight[m];
+    total += std::accumulate(weight + first, weight + wide, 0.0);
     const double heaviest = largest(weight + first, wide - first);
     if (heaviest <= peak_) return;
     peak_ = heaviest, level = level_, scale = scale_;
@@ -667,8 +722,8 @@ class SetsGrid {
   std::size_t level_ = 0;
 };
 
-// The likeliest set of a grid: forces, misfit, and the body at rest under them, from a shape near
-// it. `unit`: prior deviations of the forces for a largest moment of one.
+// The likeliest set of a grid: misfit, and the body at rest under its forces, from a shape near it.
+// `unit`: prior deviations of the forces for a largest moment of one.
 inline void likeliest_set(const Whitened& readings, const ForcePrior& prior, const SetsGrid& sets,
                           const Row& unit, const Nodes& start, SeveralContacts& out) {
   const Frame& frame = *readings.frame;
@@ -688,26 +743,91 @@ inline void likeliest_set(const Whitened& readings, const ForcePrior& prior, con
     out.noise = at.factor, out.misfit = at.square - found.gain;
     out.curvature = frame.rest;
     for (int j = 0; j < count; ++j) {
-      const double deviation = sets.scale * unit[sets.best[j]];
-      const double force = found.mean[j] * deviation;
-      out.contacts[j].force.assign(sets.mass[j].size(), force);
-      out.contacts[j].spread.assign(sets.mass[j].size(), found.deviation[j] * deviation);
+      const double force = found.mean[j] * sets.scale * unit[sets.best[j]];
       body.shape().add_moment(body.shape().at(best[j]), force, out.curvature);
     }
   } while (!body.settle(out.curvature));
 }
 
+// Mass in each cell of each contact (k, M).
+inline std::vector<Row> marginals(const SetsGrid& sets, int cells) {
+  std::vector<Row> out(sets.width.size(), Row(cells, 0.0));
+  for (std::size_t k = 0; k < sets.mass.size(); ++k) {
+    if (sets.mass[k] == 0.0) continue;
+    std::size_t left = k;
+    for (auto mass = out.rbegin(); mass != out.rend(); ++mass, left /= cells) {
+      (*mass)[left % cells] += sets.mass[k] / sets.total;
+    }
+  }
+  return out;
+}
+
+// Shares the mass of a grid out among the contacts that are felt, by forces at the noise and prior
+// that suit the likeliest set. All are taken for felt if `all` says so. Leaves out `nothing` of it.
+inline void share_out(const Whitened& readings, const Levers& levers, const Row& unit, double felt,
+                      bool all, double nothing, int cells, SetsGrid& sets, SeveralContacts& out) {
+  constexpr double kUnlikely = 1e-3;
+  const Whitened::At& at = readings.levels[sets.level];
+  const int count = static_cast<int>(sets.width.size());
+  const Row none(cells, 0.0);
+  for (int j = 0; j < count; ++j) {
+    const auto first = sets.place.begin() + j * cells;
+    out.contacts[j] = {{first, first + cells}, sets.width[j], none, none, none, none};
+  }
+  Matrix white;
+  at.by(levers.sensor, white);
+  sets.set(white, at.read, levers.base);
+  sets.prepare(unit, sets.scale);
+  double kept = 0.0;
+  for (const double mass : sets.mass) kept += mass < nothing * sets.total ? 0.0 : mass;
+  std::vector<int> columns(count), cell(count);
+  for (std::size_t k = 0; k < sets.mass.size(); ++k) {
+    if (sets.mass[k] < nothing * sets.total) continue;
+    std::size_t left = k;
+    for (int j = count; j-- > 0; left /= cells) {
+      cell[j] = static_cast<int>(left % cells);
+      columns[j] = j * cells + cell[j];
+    }
+    const SetsGrid::Forces force = sets.forces(columns, felt);
+    const auto strongest = std::max_element(force.felt.begin(), force.felt.begin() + count);
+    for (int way = all ? (1 << count) - 1 : 0; way < 1 << count; ++way) {
+      FeltSet set{sets.mass[k] / kept};
+      for (int j = 0; j < count; ++j) {
+        const bool counts = way >> j & 1;
+        if (!all) set.mass *= counts ? force.felt[j] : 1.0 - force.felt[j];
+        if (counts) set.contact[set.count++] = j;
+      }
+      if (set.mass < kUnlikely * sets.mass[k] / kept) continue;
+      for (int i = 0; i < set.count; ++i) {
+        const int j = set.contact[i];
+        set.cell[i] = cell[j], set.force[i] = force.mean[j], set.spread[i] = force.deviation[j];
+      }
+      if (set.count > 1) {
+        out.sets.push_back(set);
+        continue;
+      }
+      const auto only = set.count ? set.contact[0] : strongest - force.felt.begin();
+      out.contacts[only].add(cell[only], set.mass, force.mean[only], force.deviation[only]);
+      out.contacts[only].felt[cell[only]] += set.count * set.mass;
+    }
+  }
+  for (Marginal& contact : out.contacts) contact.average();
+}
+
+// `all`: how many there are is known. `matters`: log evidence from which a grid is laid finer even
+// where it tells most places apart.
 inline SeveralContacts several_contacts(const Whitened& readings, const ForcePrior& prior,
-                                        int count, int cells, const Nodes& start) {
+                                        int count, int cells, const Nodes& start, bool all,
+                                        double matters) {
+  constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
+  constexpr double kNothingOfAll = 1e-4;
   const Frame& frame = *readings.frame;
-  const int wide = count * cells;
   SeveralContacts out;
   out.contacts.resize(count);
   std::vector<Window> window(count, Window{0.0, 1.0});
   Body body(frame, prior, start);
   SetsGrid sets(count, cells);
   Matrix white;
-  Row variance(wide);
   for (int turn = 0; turn < kMostTurns; ++turn) {
     sets.clear();
     double log_volume = 0.0;
@@ -724,31 +844,30 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       at.by(levers.sensor, white);
       sets.set(white, at.read, levers.base);
       for (const double scale : prior.scales) {
-        for (int k = 0; k < wide; ++k) variance[k] = scale * scale * unit[k] * unit[k];
-        sets.weigh(variance, at.log_density, prior.critical, s, scale);
+        sets.weigh(unit, at.log_density, prior.critical, s, scale);
       }
     }
     if (!(sets.total > 0.0)) return out;
     const double scales = static_cast<double>(prior.scales.size());
     out.log_evidence = sets.top + std::log(sets.total / scales) + log_volume;
-    for (int j = 0; j < count; ++j) {
-      for (double& mass : sets.mass[j]) mass /= sets.total;
-      const auto first = sets.place.begin() + j * cells;
-      out.contacts[j] = {{first, first + cells}, sets.width[j], sets.mass[j], {}, {}};
-    }
     likeliest_set(readings, prior, sets, unit, body.curvature, out);
-    if (!body.settle(out.curvature)) continue;
+    const bool rests = body.settle(out.curvature);
     bool finer = false;
-    for (int j = 0; j < count; ++j) {
-      const Row& mass = out.contacts[j].mass;
-      if (*std::max_element(mass.begin(), mass.end()) < kResolved) continue;
+    const std::vector<Row> each = rests ? marginals(sets, cells) : std::vector<Row>{};
+    const double coarse = all || out.log_evidence > matters ? kResolved : kCoarse;
+    for (std::size_t j = 0; j < each.size(); ++j) {
+      const Row& mass = each[j];
+      if (*std::max_element(mass.begin(), mass.end()) < coarse) continue;
       const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside);
       if (part.far - part.near < 0.75 * (window[j].far - window[j].near) && sets.width[j] > 1e-6) {
         window[j] = part;
         finer = true;
       }
     }
-    if (!finer) return out;
+    if (finer || !(rests || turn + 1 == kMostTurns)) continue;
+    const double nothing = kNothingOfAll * std::exp(std::min(matters - out.log_evidence, 3.0));
+    share_out(readings, levers, unit, prior.felt, all, nothing, cells, sets, out);
+    return out;
   }
   return out;
 }
@@ -756,6 +875,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
 // A load on the end of the body: normal and tangential force and a couple there.
 struct EndWrench : Fit {
   std::array<double, 3> load{}, spread{};  // normal and tangential force, couple
+  double felt = 0.0;                       // probability that it moves the readings enough to count
 };
 
 // `radius`: of the tube, the longest arm of a tangential force, unless something `held` the end.
@@ -786,7 +906,7 @@ inline EndWrench end_wrench(const Whitened& readings, const ForcePrior& prior, d
       }
       for (const Whitened::At& at : readings.levels) {
         const Solution found = solve(at, loads);
-        double log_weight = at.log_density + 0.5 * found.gain - 0.5 * found.log_volume;
+        double log_weight = at.log_density + 0.5 * found.gain - std::log(found.volume);
         if (!held) {  // a peg pushes the end back, and never pulls it
           const double pushed =
               std::erfc(-found.mean[1] / (std::numbers::sqrt2 * found.deviation[1]));
@@ -797,6 +917,7 @@ inline EndWrench end_wrench(const Whitened& readings, const ForcePrior& prior, d
         best = log_weight;
         out.noise = at.factor, out.loads = loads;
         out.misfit = at.square - found.gain;
+        out.felt = probability_felt(std::sqrt(found.gain), 1.0, prior.felt);
         for (int j = 0; j < 3; ++j) {
           out.load[j] = found.mean[j] * unit[j];
           out.spread[j] = found.deviation[j] * unit[j];
@@ -830,7 +951,7 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
   Body body(frame, prior, start, true);
   out.place = middles({0.0, 1.0}, cells);
   out.width = 1.0 / cells;
-  out.force = out.spread = out.angle = Row(cells);
+  out.force = out.spread = out.felt = out.angle = Row(cells);
   Matrix white;
   do {
     const Levers& levers = body.levers(out.place);
@@ -861,13 +982,16 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
           const double share = std::erfc(z / std::numbers::sqrt2);
           const double free = at.square - mean * (2.0 * told - mean * square);
           const double log_weight = at.by.log_det - 0.5 * free + 0.5 * found.gain -
-                                    0.5 * found.log_volume + std::log(std::max(share, 1e-300));
+                                    std::log(found.volume) + std::log(std::max(share, 1e-300));
           each[m].push_back(log_weight);
           if (log_weight <= top[m]) continue;
           top[m] = log_weight;
           out.force[m] = mean * (1.0 + tolerance * found.mean[0]);
           out.spread[m] = tolerance * std::abs(out.force[m]);
           out.angle[m] = found.mean[1];
+          const double moves = std::sqrt(square);
+          out.felt[m] = probability_felt(std::abs(out.force[m]) * moves,
+                                         std::max(out.spread[m] * moves, 1.0), prior.felt);
           if (log_weight <= best) continue;
           best = log_weight;
           out.top = m, out.noise = at.factor, out.misfit = free - found.gain;

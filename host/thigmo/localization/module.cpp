@@ -42,7 +42,6 @@ constexpr const char* kLoads[] = {"free body",
                                   "one contact",
                                   "end wrench",
                                   "one contact, folded base",
-                                  "contact spread out",
                                   "one contact, hinge",
                                   "two contacts",
                                   "three contacts",
@@ -60,12 +59,11 @@ constexpr std::size_t kOfRow = 8, kContacts = 3, kOfContact = 5;
 
 // Write them in the order in which batch.py names them.
 void write(const Answer& from, double length, double* row, double* contact) {
-  const double touched = from.problem == Problem::none ? 1.0 - from.number[0] : 0.0;
   const std::array of_row{static_cast<double>(from.status),
                           static_cast<double>(from.contacts.size()),
                           static_cast<double>(from.problem),
                           from.shows,
-                          touched,
+                          from.touched,
                           from.log_odds,
                           static_cast<double>(from.discarded),
                           from.objective};
@@ -94,17 +92,22 @@ NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
     const auto numbers = [&](const char* name) { return nb::cast<Row>(values[name]); };
-    new (self) Priors{numbers("MOMENTS"),       numbers("HALF_WIDTHS"),  numbers("NOISE_LEVELS"),
-                      number("LEAST_LEVER"),    number("CONTACT"),       number("END"),
-                      number("END_STRAIGHT"),   number("HELD"),          number("HELD_STRAIGHT"),
-                      number("ANOTHER"),        number("SPREAD"),        number("HINGE"),
-                      number("BASE_FOLD"),      number("BAD_DEVIATION"), number("ANGLE"),
-                      number("NEAR_FOLD"),      number("STRONG"),        number("STRAIGHT"),
-                      number("END_TURN"),       number("SHAPE_RESTS"),   number("LEVEL"),
-                      number("EXCLUDED"),       number("HELD_EXCLUDED"), number("FIVE_SIGMA"),
-                      number("SECOND_GAIN"),    number("NOISE_FACTOR"),  number("NOISE_ODDS"),
-                      number("HOPELESS"),       number("TRUST"),         number("END_CELL"),
-                      number("MISFIT_DEVIATE"), number("NOISE_DEVIATE"), number("CONTACT_UNSURE")};
+    new (self) Priors{numbers("MOMENTS"),      numbers("NOISE_LEVELS"),
+                      number("LEAST_LEVER"),   number("CONTACT"),
+                      number("END"),           number("END_STRAIGHT"),
+                      number("HELD"),          number("HELD_STRAIGHT"),
+                      number("ANOTHER"),       number("HINGE"),
+                      number("BASE_FOLD"),     number("BAD_DEVIATION"),
+                      number("ANGLE"),         number("NEAR_FOLD"),
+                      number("STRONG"),        number("STRAIGHT"),
+                      number("END_TURN"),      number("SHAPE_RESTS"),
+                      number("LEVEL"),         number("EXCLUDED"),
+                      number("HELD_EXCLUDED"), number("FIVE_SIGMA"),
+                      number("NOISE_FACTOR"),  number("NOISE_ODDS"),
+                      number("HOPELESS"),      number("TRUST"),
+                      number("END_CELL"),      number("MISFIT_DEVIATE"),
+                      number("NOISE_DEVIATE"), number("CONTACT_UNSURE"),
+                      number("FELT")};
   });
 
   nb::class_<Answer>(m, "Answer")
@@ -129,12 +132,12 @@ NB_MODULE(_posterior, m) {
                }
                const Status lowest = c.localized ? Status::localized : Status::ambiguous;
                const bool hint = a.status == Status::below_detection;
-               out.append(nb::make_tuple(
-                   c.arc * length, c.force / (length * length),
-                   nb::make_tuple(c.low * length, c.high * length),
-                   kStatuses[static_cast<int>(hint ? a.status : lowest)], nb::tuple(pieces),
-                   c.deviation / (length * length), 1.0 - a.number[0],
-                   std::isnan(c.offset) ? nb::none() : nb::cast(c.offset * length)));
+               out.append(
+                   nb::make_tuple(c.arc * length, c.force / (length * length),
+                                  nb::make_tuple(c.low * length, c.high * length),
+                                  kStatuses[static_cast<int>(hint ? a.status : lowest)],
+                                  nb::tuple(pieces), c.deviation / (length * length), c.probability,
+                                  std::isnan(c.offset) ? nb::none() : nb::cast(c.offset * length)));
              }
              return out;
            })
@@ -172,33 +175,63 @@ NB_MODULE(_posterior, m) {
                if (!std::isnan(value)) out[name] = value;
              };
              add("fold_angle", h.angle), add("hinge_arc", h.at * length);
-             add("half_width", h.half_width * length), add("push_back", h.push / (length * length));
+             add("push_back", h.push / (length * length));
              add("tip_moment", h.couple / length), add("end_offset", h.offset * length);
              return out;
            })
-      .def_prop_ro(
-          "edges", [](const Answer& a) { return array(a.edges); }, nb::rv_policy::reference)
-      .def_prop_ro(
-          "mass", [](const Answer& a) { return array(a.mass); }, nb::rv_policy::reference)
+      // Of each contact: edges of cells of the body, and the mass in each.
+      .def_prop_ro("masses",
+                   [](const Answer& a) {
+                     nb::list out;
+                     for (const FeltContact& c : a.contacts) {
+                       out.append(nb::make_tuple(array(c.edges), array(c.mass)));
+                     }
+                     return out;
+                   })
+      // Of two contacts, by the likeliest explanation: edges of cells of each, mass of each pair.
+      .def_prop_ro("joint",
+                   [](const Answer& a) -> nb::object {
+                     const Hypothesis& h = a.hypotheses[a.best];
+                     if (h.contacts.size() != 2) return nb::none();
+                     const auto edges = [](const Marginal& of) {
+                       Row out{of.place.front() - 0.5 * of.width};
+                       for (const double place : of.place) out.push_back(place + 0.5 * of.width);
+                       return array(out);
+                     };
+                     const std::size_t near = h.contacts[0].place.size();
+                     const std::size_t far = h.contacts[1].place.size();
+                     Row mass(near * far);
+                     for (const FeltSet& set : h.sets) {
+                       mass[set.cell[0] * far + set.cell[1]] += set.mass;
+                     }
+                     return nb::make_tuple(edges(h.contacts[0]), edges(h.contacts[1]),
+                                           array<2>(std::move(mass), {near, far}));
+                   })
+      .def_ro("touched", &Answer::touched)
       .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
 
   nb::class_<Localizer>(m, "Localizer")
-      .def(
-          "__init__",
-          [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
-             Numbers bad_odds, Table shared, double offset, double map, double length,
-             double radius, double critical, double critical_error, int held_end, int contacts,
-             std::pair<double, double> within, double width_limit, int norm, const Priors& priors) {
-            Input in{};
-            in.position = row(position), in.span = row(span), in.noise = row(noise);
-            in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
-            in.offset = offset, in.map = map, in.length = length, in.radius = radius;
-            const Settings settings{critical,        critical_error,
-                                    radius / length, Settings::Held(held_end),
-                                    contacts,        {within.first, within.second},
-                                    width_limit,     norm};
-            new (self) Localizer{in, settings, priors};
-          })
+      .def("__init__",
+           [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
+              Numbers bad_odds, Table shared, double offset, double map, double length,
+              double radius, double critical, double critical_error, int held_end, int contacts,
+              std::pair<double, double> within, double width_limit, double number_level, int norm,
+              const Priors& priors) {
+             Input in{};
+             in.position = row(position), in.span = row(span), in.noise = row(noise);
+             in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
+             in.offset = offset, in.map = map, in.length = length, in.radius = radius;
+             const Settings settings{critical,
+                                     critical_error,
+                                     radius / length,
+                                     Settings::Held(held_end),
+                                     contacts,
+                                     {within.first, within.second},
+                                     width_limit,
+                                     number_level,
+                                     norm};
+             new (self) Localizer{in, settings, priors};
+           })
       .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
       .def("localize",
            [](const Localizer& self, Numbers curvature, Numbers free, Numbers body) {

@@ -35,9 +35,8 @@ END_STRAIGHT = -7.0
 # it, and where nothing else does.
 HELD = -1.0
 HELD_STRAIGHT = 0.0
-# Of one more contact, of a contact that is spread out, of a kink anywhere on the body.
+# Of one more contact, of a kink anywhere on the body.
 ANOTHER = -1.7
-SPREAD = -3.0
 HINGE = -5.0
 # Of a kink near the base, where the contact alone would bear a moment that folds most bodies.
 BASE_FOLD = 0.0
@@ -47,8 +46,6 @@ BAD_READING = 1e-3
 BAD_DEVIATION = 0.5
 # Standard deviation of a fold's or a hinge's angle (rad).
 ANGLE = 0.5
-# Half widths of a contact that is spread out.
-HALF_WIDTHS = (0.05, 0.12)
 
 # Relative standard error of the critical moment, where the caller does not say.
 CRITICAL_ERROR = 0.1
@@ -67,9 +64,12 @@ SHAPE_RESTS = 0.02
 # A contact on the end is drawn as one on this last share of the body.
 END_CELL = 0.01
 
-# Mass of the intervals; probability below which another number of contacts is excluded.
+# Mass of the intervals; probability below which something is excluded.
 LEVEL = 0.95
 EXCLUDED = 0.05
+# Standard errors by which a contact moves the readings, from which it counts: a weaker one can
+# never be excluded.
+FELT = 3.0
 # The same of a held end, whose odds nobody knows to a factor of ten.
 HELD_EXCLUDED = 0.005
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
@@ -81,9 +81,6 @@ FIVE_SIGMA = 25.0
 HOPELESS = -7.0
 # Standard normal deviate of the misfit that calls for further explanations: 2 % of right ones.
 MISFIT_DEVIATE = 2.0
-
-# Where the noise is unknown: log likelihood that a second contact must add to be weighed.
-SECOND_GAIN = 1.75
 
 # Readings are never trusted to more than this share of the largest of them or of the free
 # curvature: no beam model and no sensor constant is better.

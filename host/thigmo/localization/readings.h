@@ -9,12 +9,12 @@ namespace thigmo {
 
 // Constants of priors.py, passed with every call.
 struct Priors {
-  Row moments, half_widths, noise_levels;
-  double least_lever, contact, end, end_straight, held, held_straight, another, spread, hinge,
-      base_fold, bad_deviation, angle;
+  Row moments, noise_levels;
+  double least_lever, contact, end, end_straight, held, held_straight, another, hinge, base_fold,
+      bad_deviation, angle;
   double near_fold, strong, straight, end_turn, shape_rests, level, excluded, held_excluded,
-      five_sigma, second_gain, noise_factor, noise_odds;
-  double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure;
+      five_sigma, noise_factor, noise_odds;
+  double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure, felt;
 };
 
 // What the caller gives: arrays of N numbers, or of one for all sensors.

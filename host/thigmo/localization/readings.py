@@ -47,6 +47,14 @@ def positive(value: float, name: str) -> float:
     return number
 
 
+def share(value: float, name: str) -> float:
+    """A number from 0 to 1; anything else is a DataError."""
+    number = positive(value, name)
+    if number > 1.0:
+        raise DataError(f"{name} is {value!r}", f"give {name} from 0 to 1")
+    return number
+
+
 def everted_length(length: float) -> float:
     """The length, if it is one; a DataError if not."""
     total = positive(length, "length")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -27,12 +28,13 @@ class Contact:
     Attributes:
         arc: place along the body: median of the posterior.
         force: normal force over EI, positive towards positive curvature, at `arc`.
-        interval: hull of the 95 % highest-density set of the arc.
-        status: `localized` (the interval is no wider than the limit, and the number of contacts
-            is certain to 95 %), or `ambiguous`.
+        interval: hull of the 95 % highest-density set of where the contact nearest to `arc` lies,
+            whatever the number of contacts.
+        status: `localized` (the interval is no wider than the limit, and there is a contact with
+            95 %, whatever the number of contacts), or `ambiguous`.
         intervals: that set; more than one piece if there are several modes.
         force_deviation: posterior standard deviation of the force.
-        probability: that there is such a contact at all.
+        probability: that there is such a contact: nearer to `arc` than to that of another one.
         end_offset: where a contact on the end of the body bears, left of the centreline; None for
             one on the side.
     """
@@ -69,15 +71,30 @@ class Contact:
         ]  # fmt: skip
 
 
-class OfBody(NamedTuple):
-    """Along a body of length one: edges of cells, mass in each, bend at even arcs."""
+class Marginal(NamedTuple):
+    """Where a contact lies: (M + 1,) edges of cells of its arc, and the (M,) mass in each."""
 
     edges: Array
     mass: Array
-    bend: Array
 
 
-_NOTHING = OfBody(np.zeros(0), np.zeros(0), np.zeros(0))
+class Joint(NamedTuple):
+    """Where two contacts lie together: edges of cells of both arcs, (M, K) mass of each pair."""
+
+    near_edges: Array
+    far_edges: Array
+    mass: Array
+
+
+class OfBody(NamedTuple):
+    """Along a body of length one: edges and masses of each contact, bend at even arcs."""
+
+    masses: Sequence[tuple[Array, Array]] = ()
+    bend: Array = np.zeros(0)
+    joint: tuple[Array, Array, Array] | None = None
+
+
+_NOTHING = OfBody()
 
 
 @dataclass(slots=True)
@@ -93,10 +110,12 @@ class LocalizeResult:
         log_odds: log posterior odds of any contact against none.
         hypotheses: posterior probability of each explanation that was weighed.
         discarded: indices of readings that the likeliest explanation takes for bad.
-        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `half_width`,
-            `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
+        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
+            (force on the end, towards the base), `tip_moment`, `end_offset`.
         objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only; the
             `intervals` of their contacts are where it is attained.
+        number: (4,) probability that none, one, two or three contacts move the readings by three
+            standard errors or more. A weaker one is never excluded.
         length: of the body.
     """
 
@@ -110,6 +129,7 @@ class LocalizeResult:
     discarded: tuple[int, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     objective: float | None = None
+    number: tuple[float, ...] = ()
     length: float = 1.0
     _body: _posterior.Answer | OfBody = _NOTHING
 
@@ -142,9 +162,23 @@ class LocalizeResult:
         return draw("draw_posterior", self, axes, unit=unit)
 
     @property
+    def marginals(self) -> tuple[Marginal, ...]:
+        """Of each contact: where, by all explanations, the contact nearest to its `arc` lies."""
+        return tuple(Marginal(edges * self.length, mass) for edges, mass in self._body.masses)
+
+    @property
+    def joint(self) -> Joint | None:
+        """Of two contacts: where they lie together by the likeliest explanation; None of others."""
+        if self._body.joint is None or len(self.contacts) != 2:
+            return None
+        near, far, mass = self._body.joint
+        return Joint(near * self.length, far * self.length, mass)
+
+    @property
     def edges(self) -> Array:
         """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
-        return self._body.edges * self.length
+        masses = self._body.masses
+        return masses[-1][0] * self.length if masses else np.zeros(0)
 
     @property
     def places(self) -> Array:
@@ -154,7 +188,8 @@ class LocalizeResult:
     @property
     def probability(self) -> Array:
         """(M,) posterior mass in each of `places`."""
-        return self._body.mass
+        masses = self._body.masses
+        return masses[-1][1] if masses else np.zeros(0)
 
     @property
     def bend(self) -> Array:

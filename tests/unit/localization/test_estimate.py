@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 
 import numpy as np
 import pytest
 
 import thigmo
-from thigmo.localization import arc_bounds, priors
+from thigmo.localization import arc_bounds
 from thigmo.studies.rod import readings as true_readings
+from thigmo.studies.rod import solve
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
@@ -240,18 +240,58 @@ def test_three_contacts_are_not_one_and_a_row_of_outliers(seed: int) -> None:
     assert [contact.arc for contact in result.contacts] == pytest.approx(arcs, abs=1.0)
 
 
-def test_three_contacts_are_weighed_only_where_a_second_makes_the_readings_likelier():
-    rng, weighed, two_only = np.random.default_rng(7), 0, 0
-    for _ in range(1000):
-        arc = rng.uniform(15.0, 53.0)
-        force = rng.choice([-1.0, 1.0]) * rng.uniform(0.0024, 0.008) / arc
-        shares = find(felt(arc, force) + SIGMA * rng.standard_normal(10)).hypotheses
-        if "three contacts" in shares:
-            assert shares["two contacts"] > math.exp(priors.ANOTHER) * shares["one contact"]
-            weighed += 1
-        two_only += "two contacts" in shares and "three contacts" not in shares
-    assert weighed > 0
-    assert two_only > weighed
+def test_three_contacts_are_left_out_of_frames_that_hardly_have_them():
+    rng = np.random.default_rng(7)
+    fine = np.linspace(2.75, 50.25, 20)
+
+    def weighed(position, arcs, forces):
+        noisy = felt(arcs, forces, position) + SIGMA * rng.standard_normal(position.size)
+        return "three contacts" in find(noisy, position).hypotheses
+
+    one = [weighed(BOTH, [arc], [0.006 / arc]) for arc in rng.uniform(15.0, 53.0, 200)]
+    three = [weighed(fine, [20.0, 35.0, 50.0], [9e-4, -6e-4, 3e-4]) for _ in range(50)]
+    assert np.mean(one) < 0.5
+    assert np.mean(three) > 0.9
+
+
+def test_number_and_places_of_two_bent_contacts_are_two_claims():
+    # One contact explains these readings too, 500 times worse: a gate on misfit missed the second.
+    x, arcs, forces = np.linspace(2.75, 50.25, 20), [22.9, 45.8], [-2.68e-4, -2.03e-4]
+    body = solve(np.array([arcs]), np.array([forces]), length=LENGTH, free_curvature=0.0031)
+    clean = body.readings(x, SPAN)[0]
+    for seed in range(20):
+        noisy = clean + SIGMA * np.random.default_rng(seed).standard_normal(20)
+        found = find(noisy, x, free_curvature=0.0031)
+        assert sum(found.number) == pytest.approx(1.0)
+        assert found.number[2] + found.number[3] > 0.3
+        for contact in found.contacts:
+            low, high = contact.interval
+            assert contact.status != "localized" or any(low <= arc <= high for arc in arcs)
+
+
+def test_a_number_that_is_not_certain_enough_localizes_nothing_if_asked():
+    frame = felt(47.0, 2e-4) + SIGMA * np.random.default_rng(4).standard_normal(10)
+    found = find(frame)
+    assert found.status == "localized"
+    assert find(frame, number_level=found.number[1] - 0.01).status == "localized"
+    assert find(frame, number_level=found.number[1] + 0.01).status == "ambiguous"
+
+
+def test_every_contact_has_its_mass_and_two_have_a_joint_one():
+    clean = felt(20.0, -9e-4) + felt(48.0, 5e-4)
+    found = find(clean + SIGMA * np.random.default_rng(3).standard_normal(10))
+    assert len(found.contacts) == len(found.marginals) == 2
+    for contact, (edges, mass) in zip(found.contacts, found.marginals, strict=True):
+        assert mass.sum() == pytest.approx(1.0)
+        assert (edges[0], edges[-1]) == (0.0, pytest.approx(LENGTH))
+        low, high = contact.interval
+        inside = mass[(edges[:-1] >= low - 1e-9) & (edges[1:] <= high + 1e-9)].sum()
+        assert inside >= 0.95
+    assert found.joint is not None
+    assert 0.9 < found.joint.mass.sum() <= 1.0 + 1e-9
+    near = 0.5 * (found.joint.near_edges[1:] + found.joint.near_edges[:-1])
+    assert found.joint.mass.sum(axis=1) @ near == pytest.approx(found.contacts[0].arc, abs=2.0)
+    assert find(felt(40.0, 2e-4)).joint is None
 
 
 def test_what_a_contact_explains_is_listed_even_if_sensors_are_said_to_be_bad():

@@ -115,16 +115,6 @@ def test_a_suspected_fold_is_not_answered_with_a_confident_wrong_place():
     assert wrong <= 4
 
 
-def test_a_spread_load_is_told_from_a_point_by_dense_sensors():
-    position = np.linspace(1.0, 52.0, 52)
-    arcs = np.linspace(24.0, 36.0, 41)
-    clean = np.mean([felt(a, 4e-4, position) for a in arcs], axis=0)
-    result = thigmo.localize(clean, position, length=LENGTH, span=SPAN, noise=5e-5, contacts=1)
-    assert "spread out" in result.hypothesis
-    assert result.contacts[0].arc == pytest.approx(30.0, abs=1.0)
-    assert result.parameters["half_width"] == pytest.approx(6.0, abs=1.0)
-
-
 def on_the_end(pressure_curvature, peg_radius, place):
     """A body that has bent against a peg just off its tip, by the large-deflection rod."""
     touch = 0.021

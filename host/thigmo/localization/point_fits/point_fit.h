@@ -38,6 +38,7 @@ inline Answer point_fit(const Input& input, const Settings& settings) {
   for (FeltContact& contact : out.contacts) contact.force *= size * input.length;
   out.status = Status::ambiguous;
   out.number.fill(NAN);
+  out.touched = NAN;
   out.log_odds = NAN;
   return out;
 }
