@@ -41,7 +41,7 @@ def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
     assert document.missed == document.false == []
     assert result.length_cm == pytest.approx(40.0, abs=0.1)  # the slack is wound in again
     (obstacle,) = read_obstacles(result.folder / OBSTACLES_FILE).obstacles
-    assert obstacle.body_side == "tip"
+    assert obstacle.kind == "peg"
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -74,13 +74,17 @@ def feel(
         tube_radius=body.radius_cm,
         width_limit=WIDEST_SHARE * body.length_cm,
     )
-    found = [c for c in result.contacts if c.status in _PLACED and c.probability > LIKELY]
+    found = [
+        (contact, marginal)
+        for contact, marginal in zip(result.contacts, result.marginals, strict=True)
+        if contact.status in _PLACED and contact.probability > LIKELY
+    ]
     if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
     unfolded = peak.curvature[use] - free.mean - fold * fold_share(centers, spans, body.diameter_cm)
-    last = max((contact.arc for contact in found), default=0.0)
+    last = max((contact.arc for contact, _ in found), default=0.0)
     bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
     curve, arcs = centreline(bend), arc_grid(body.length_cm)
     expected = None
@@ -92,9 +96,9 @@ def feel(
         expected = boost(prior, np.array(skin), bend.length_cm)
     felt = [
         Sighting(
-            peak.side, peak.length_cm, bend, contact, contact_mass(result, contact, arcs), touch,
+            peak.side, peak.length_cm, bend, contact, contact_mass(marginal, arcs), touch,
             result.hypothesis, int(use.sum()), alone=len(found) == 1, expected=expected,
         )
-        for contact in found
+        for contact, marginal in found
     ]  # fmt: skip
     return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
