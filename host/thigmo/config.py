@@ -27,6 +27,7 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from thigmo.errors import ConfigError
+from thigmo.files import write_whole
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -39,6 +40,11 @@ class Model(BaseModel):
     """A strict record: unknown keys are errors, so that a typing slip is never ignored."""
 
     model_config = ConfigDict(extra="forbid", validate_assignment=True)
+
+    def _write(self, path: str | os.PathLike[str]) -> None:
+        """Write the record as TOML, with every entry that has a value; ConfigError if it cannot."""
+        with ConfigError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
+            write_whole(path, tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
 
 
 class PressureZone(Model):
@@ -219,10 +225,7 @@ class RobotConfig(Model):
             )
             backup = target.with_name(f"{target.name}.{number}.bak")
             shutil.copy2(target, backup)
-        partial = target.with_name(target.name + ".partial")
-        with ConfigError.from_os(f"cannot write {target}", "choose a folder that you may write to"):
-            partial.write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
-            partial.replace(target)
+        self._write(target)
         return backup
 
 

@@ -22,6 +22,7 @@ from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import SIDES
 from thigmo.errors import DataError
+from thigmo.files import whole_file
 from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
 
 _MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
@@ -30,8 +31,11 @@ _MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
 def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
     mark, color = ("good", "black") if verdict.good else ("BAD", RED)
     figure.suptitle(f"{mark}: {verdict.reason}", fontsize=10, color=color, wrap=True)
-    with DataError.from_os(f"cannot write {path}", "choose another folder"):
-        figure.savefig(path, dpi=110)
+    with (
+        DataError.from_os(f"cannot write {path}", "choose another folder"),
+        whole_file(path) as file,
+    ):
+        figure.savefig(file, format="png", dpi=110)
 
 
 @contextmanager

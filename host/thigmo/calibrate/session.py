@@ -20,6 +20,9 @@ from typing import Any
 from thigmo.calibrate.verdict import StepResult, plain
 from thigmo.config import SIDES, FlexSensor, RobotConfig, ZoneMap
 from thigmo.errors import DataError
+from thigmo.files import write_whole
+
+_FULL = "free some space, then run it again"
 
 
 class Session:
@@ -64,10 +67,9 @@ class Session:
         path = self.folder / f"{procedure}.jsonl"
         if path.exists():
             text = path.read_bytes()
-            if text and not text.endswith(b"\n"):
-                path.write_bytes(text[: text.rfind(b"\n") + 1])
-        cure = "free some space, then run it again"
-        with DataError.from_os(f"cannot write {path}", cure), path.open("a") as file:
+            if text and not text.endswith(b"\n"):  # what a full disk did not take
+                os.truncate(path, text.rfind(b"\n") + 1)
+        with DataError.from_os(f"cannot write {path}", _FULL), path.open("a") as file:
             file.write(json.dumps(plain(row)) + "\n")
             file.flush()
             os.fsync(file.fileno())
@@ -90,7 +92,9 @@ class Session:
         """Store a result and its figure; a good one goes into robot.toml. Returns what to say."""
         from thigmo.calibrate.figures import draw  # takes Matplotlib with it
 
-        (self.folder / f"{step}.json").write_text(json.dumps(result.as_data(), indent=1))
+        file = self.folder / f"{step}.json"
+        with DataError.from_os(f"cannot write {file}", _FULL):
+            write_whole(file, json.dumps(result.as_data(), indent=1))
         draw(result, self.folder / f"{step}.png")
         good, reason, notes = result.verdict.good, result.verdict.reason, result.verdict.notes
         said = [f"{step}: {'good' if good else 'BAD'}: {reason}", *(f"  {note}" for note in notes)]

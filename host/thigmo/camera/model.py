@@ -24,6 +24,7 @@ from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, Valida
 from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
 from thigmo.camera.sheet import Sheet, board, dictionary
 from thigmo.config import invalid_entry
+from thigmo.files import write_whole
 
 Picture = NDArray[np.uint8]
 Points = Annotated[
@@ -49,7 +50,7 @@ class Kept:
         """Write the file; raises CameraError where the folder cannot be written."""
         data = TypeAdapter(type(self)).dump_python(self, by_alias=True)
         with CameraError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
-            Path(path).write_text(json.dumps(data.pop("lens", {}) | data, indent=1))
+            write_whole(path, json.dumps(data.pop("lens", {}) | data, indent=1))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import tomlkit
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from pydantic import Field, model_validator
 
 from thigmo.camera.errors import CameraError
 from thigmo.config import Finite, Model, Positive, load_toml
+from thigmo.files import whole_file
 
 Gray = NDArray[np.uint8]
 Points = NDArray[np.float64]
@@ -102,7 +102,7 @@ class Sheet(Model):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the sheet file (TOML)."""
-        Path(path).write_text(tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
+        self._write(path)
 
     @property
     def card_cm(self) -> float:
@@ -290,11 +290,12 @@ def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:
     names = [target]
     with CameraError.from_os(f"cannot write {target}", "choose a folder that you may write to"):
         if target.suffix == ".pdf":
-            with PdfPages(target) as book:
+            with whole_file(target) as file, PdfPages(file) as book:
                 for figure in figures:
                     book.savefig(figure)
         else:
             names = [target.with_name(f"{target.stem}-{n + 1}.png") for n in range(len(figures))]
             for name, figure in zip(names, figures, strict=True):
-                figure.savefig(name)
+                with whole_file(name) as file:
+                    figure.savefig(file, format="png")
     return names

@@ -29,6 +29,7 @@ from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_stil
 from thigmo.camera.obstacles import OBSTACLE_PX_CM, Obstacle, circle_through, find_obstacles
 from thigmo.camera.sheet import Sheet
 from thigmo.errors import DataError
+from thigmo.files import write_whole
 
 Array = NDArray[np.float64]
 
@@ -309,11 +310,11 @@ def _raised(x: Array | float, y: Array | float, height_cm: float) -> Array:
 def write_picture(path: str | Path, picture: Picture) -> None:
     """Write a picture file; raises CameraError for an unknown suffix or an unwritable folder."""
     try:
-        written = cv2.imwrite(str(path), picture)
+        _, data = cv2.imencode(Path(path).suffix, picture)
     except cv2.error as error:
         raise CameraError(f"cannot write {path}", "end the name in .png or .jpg") from error
-    if not written:
-        raise CameraError(f"cannot write {path}", "choose a folder that you may write to")
+    with CameraError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
+        write_whole(path, data.tobytes())
 
 
 def _at(point: Array) -> tuple[int, int]:

@@ -12,6 +12,7 @@ import typer
 from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
 from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
 from thigmo.errors import DataError
+from thigmo.files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,8 +111,9 @@ def _fit(seed: int, out: Path) -> None:
 
     with study_progress("fit to section 3.2") as tell:
         found = json.dumps(fit(seed, tell), indent=1)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "constants.json").write_text(f"{found}\n")
+    with DataError.from_os(f"cannot write to {out}", "choose another --out"):
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(out / "constants.json", f"{found}\n")
     typer.echo(found)
 
 

@@ -69,8 +69,10 @@ def arc_grid(full_cm: float) -> Floats:
     return np.linspace(0.0, full_cm, round(full_cm / _GRID_CM) + 1)
 
 
-def contact_mass(marginal: Marginal, arcs: Floats) -> Floats:
-    """A contact's posterior on the grid."""
+def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
+    """A contact's posterior on the grid; flat where a point estimate has none."""
+    if marginal is None:
+        return np.full(len(arcs), 1 / len(arcs))
     step = arcs[1] - arcs[0]
     edges = np.concatenate((arcs - 0.5 * step, [arcs[-1] + 0.5 * step]))
     below = np.concatenate(([0.0], np.cumsum(marginal.mass)))

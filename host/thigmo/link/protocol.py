@@ -13,7 +13,7 @@ from thigmo.link.message import Command, Documented, Message, OpenDocumented
 from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x4981A348
+SCHEMA_HASH = 0x7C7BEAD7
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -21,7 +21,7 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-PARAMETER_COUNT = 90
+PARAMETER_COUNT = 95
 
 
 class State(Documented):  # The supervisor's states.
@@ -89,7 +89,6 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     BAD_LENGTH = 2  # The message has the wrong size; flash the firmware of this host's version.
     BAD_VALUE = 3  # A value is outside its range; see the range in PROTOCOL.md.
     BAD_SESSION = 4  # The frame belongs to another conversation; say hello again.
-    BAD_SEQUENCE = 5  # The frame is stale or out of order; say hello again.
     WRONG_SCHEMA = 6  # Host and board were built from different schemas
     WRONG_STATE = 7  # The supervisor's state does not allow it
     BUSY = 8  # Another activity runs; stop it or wait for its end.
@@ -108,6 +107,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     CONTRADICTION = 23  # Parameters contradict each other, and none of those that were set runs
     NO_BASE_SENSOR = 22  # Neither base sensor can feel a contact
     HOST_SILENT = 21  # No heartbeat has arrived lately; keep the host beating, then arm again.
+    OTHER_HOST = 25  # Another program has taken the robot over; close one of the two.
     STOPPED_AGAIN = 24  # The robot was stopped once more since
 
 
@@ -118,8 +118,8 @@ class Fault(Documented):  # Latched faults, by bit number.
     PRESSURE_STUCK = 3  # Muscle pressure does not follow its set point
     FLEX_OPEN = 4  # A flex sensor's circuit is open
     FLEX_SHORT = 5  # A flex sensor's circuit is shorted
-    SPOOL_STALL = 6  # The motor is driven but the encoder stands still
-    SPOOL_SLIP = 7  # The spool turned while its motor was off, or ran ahead of it
+    SPOOL_STALL = 6  # The motor is driven, and the encoder stands still or shows less than it must
+    SPOOL_SLIP = 7  # The spool turned while its motor was off, ran ahead of it, or the other way
     BROWN_OUT = 8  # The supply sagged below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
     BAD_CONFIG = 10  # No valid configuration is stored
@@ -129,6 +129,13 @@ class Fault(Documented):  # Latched faults, by bit number.
     LINK_OVERRUN = 13  # The board's receive buffer overran
     # The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or died
     STOPPED = 15
+
+
+class StallCause(Documented):  # By what a spool_stall was noticed (value of its event).
+    STILL = 0  # The encoder stands still.
+    SLOW = 1  # The encoder shows less speed than the motor must have at its duty.
+    JUMPS = 2  # The encoder's signals jump: edges are lost, or there is noise.
+    EVERTED = 3  # Two sensors have passed the tip before the encoder has come so far.
 
 
 # Condition bits that the supervisor's transition table reads, by bit number.
@@ -175,8 +182,8 @@ class Ack(Reply, number=0x80):  # Answer of commands that return nothing else, a
 
 
 class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this session from now on.
-    status: Status  # refused when the schema differs.
-    reason: Reason  # wrong_schema, or none.
+    status: Status  # refused when the schema differs, or there is no session to go on with.
+    reason: Reason  # wrong_schema, bad_session, or none.
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
     firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
@@ -324,10 +331,11 @@ class Event(Message, number=0xE0):  # Something happened; repeated until acknowl
     value: I32  # As the code's doc says.
 
 
-class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):  # Opens a session.
+# Opens a session and resets the sequence.
+class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of this schema.
-    host_nonce: U32  # Random; echoed, so that a replayed reply is told apart.
+    host_nonce: U32  # Counts up from a random start; the same where a host goes on. Echoed.
 
 
 class GetStatus(Command[StatusReport], number=0x02): ...  # The board's whole state.

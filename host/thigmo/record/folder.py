@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from thigmo import files
 from thigmo.config import RobotConfig, invalid_entry
 from thigmo.errors import RunFolderError
 from thigmo.record.document import RunDocument
@@ -84,13 +85,8 @@ class RunFolder:
 
 def write_whole(path: Path, data: bytes) -> None:
     """Replace a file's content; on disk on return. Raises RunFolderError if that fails."""
-    partial = path.with_name(f"{path.name}.partial")
     with RunFolderError.from_os(f"cannot write {path}", "free some space, or check permissions"):
-        with partial.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        files.write_whole(path, data)
 
 
 def read_json(

@@ -3,16 +3,18 @@
 Written by the exploration through the link's tap, read by `thigmo replay` and `thigmo info`, and
 by any MCAP tool. Frames are kept as they were on the wire and decoded on reading, so that a later
 localizer or decoder can go over an old run; others may add channels of their own. Log times are
-UTC, so that tools show when it was. Chunks are small and flushed as they close: a killed process
-loses less than a second, and the reader takes what is whole and says so.
+UTC, so that tools show when it was. Chunks are small and written as they close: a killed process
+loses less than a second, and the reader takes what is whole and says so. On a full disk the record
+ends with its last whole chunk, and whoever keeps it is told when he asks.
 """
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +76,8 @@ class LogWriter(Closing):
     The metadata are facts of the run (versions, schema hash, URL, seed); `epoch_s` is when the
     robot's time base was 0, in UTC seconds since 1970; `chunk_bytes` is what a killed process loses
     at most. Raises RunFolderError if the file cannot be created.
+
+    It is written to while the robot is commanded, and so never raises then: `check` does.
     """
 
     def __init__(
@@ -86,9 +90,12 @@ class LogWriter(Closing):
         from thigmo.record.mcap_writer import McapWriter
 
         with RunFolderError.from_os(f"cannot write {path}", "choose another folder with --out"):
-            self._stream = path.open("xb")
+            self._stream = _Pieces(io.FileIO(path, "xb"))
+        self._path = path
+        self._refused: OSError | None = None
+        self._closed = False
         library = f"thigmo {metadata.get('thigmo', '')}".strip()
-        self._writer = McapWriter(self._stream, library, chunk_bytes)
+        self._writer = McapWriter(cast("IO[bytes]", self._stream), library, chunk_bytes)
         self._epoch_ns = round(epoch_s * 1e9)
         frame = self._writer.schema("thigmo.Frame", "text", _FRAME_SCHEMA.encode())
         note = json.dumps(_NOTE_SCHEMA).encode()
@@ -98,8 +105,7 @@ class LogWriter(Closing):
         }
         self._note = self.add_channel(_NOTES, "json", "thigmo.Note", "jsonschema", note)
         self._writer.metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
-        self._stream.flush()
-        self._closed = False
+        self._end_piece()
 
     def frame(self, direction: Direction, frame: bytes, t_s: float) -> None:
         """Keep one frame. Signature of the link's tap."""
@@ -118,26 +124,87 @@ class LogWriter(Closing):
 
     def message(self, channel: int, data: bytes, t_s: float) -> None:
         """Keep a message of a channel; `t_s` is by the robot's time base."""
-        if self._closed:
+        if self._closed or self._refused is not None:
             return
         self._writer.message(channel, self._epoch_ns + max(int(t_s * 1e9), 0), data)
-        self._stream.flush()  # a chunk that closed with it, out of this process's reach
+        self._end_piece()  # a chunk that closed with it, out of this process's reach
 
     def messages(self, channel: int, data: NDArray[np.uint8], t_s: NDArray[np.float64]) -> None:
         """Keep messages of one channel and one size: bytes (n, size) and times (n,)."""
-        if self._closed:
+        if self._closed or self._refused is not None:
             return
         t_ns = self._epoch_ns + np.maximum(t_s * 1e9, 0.0).astype(np.uint64)
         self._writer.messages(channel, t_ns, data)
-        self._stream.flush()
+        self._end_piece()
+
+    def check(self) -> None:
+        """Raise RunFolderError if the disk has not taken what was to be kept."""
+        if self._refused is not None:
+            raise RunFolderError(
+                f"cannot write {self._path}: {self._refused.strerror}; it ends early",
+                "free some space, then go on with a new run",
+            ) from self._refused
 
     def close(self) -> None:
         """Write the index and close the file."""
         if self._closed:
             return
         self._closed = True
-        self._writer.finish()
+        if self._refused is None:
+            self._writer.finish()
+            self._end_piece()
         self._stream.close()
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+        if error[1] is None:
+            self.check()
+
+    def _end_piece(self) -> None:
+        try:
+            self._stream.end_piece()
+        except OSError as error:
+            self._refused = error
+
+
+class _Pieces:
+    """A file that grows by whole pieces; one that the disk does not take is cut off again."""
+
+    def __init__(self, file: io.FileIO) -> None:
+        self._file = file
+        self._size = 0
+        self._piece = bytearray()
+
+    def write(self, data: bytes) -> int:
+        """Add to the piece."""
+        self._piece += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Bytes so far, the piece's included."""
+        return self._size + len(self._piece)
+
+    def flush(self) -> None:
+        """Pieces are ended by `end_piece`."""
+
+    def end_piece(self) -> None:
+        """Write the piece. Raises OSError if the disk does not take it: the file is as it was."""
+        if not self._piece:
+            return
+        rest = bytes(self._piece)
+        self._piece.clear()
+        size = self._size + len(rest)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            self._file.truncate(self._size)
+            raise
+        self._size = size
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 def read_log(path: Path) -> Log:

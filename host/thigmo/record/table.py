@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.errors import DataError
+from thigmo.files import whole_file
 
 Array = NDArray[np.float64]
 
@@ -164,7 +165,7 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[obj
         return f"{value:.9g}" if isinstance(value, float) else str(value)
 
     refused = DataError.from_os(f"cannot write {path}", "choose another folder")
-    with refused, Path(path).open("w", newline="", encoding="utf-8") as file:
+    with refused, whole_file(path, text=True) as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):

@@ -21,6 +21,7 @@ from typing import Any
 
 from thigmo.config import SIDES
 from thigmo.errors import RunFolderError
+from thigmo.files import whole_file
 from thigmo.record import LogWriter
 from thigmo.record.mcap_file import read_mcap
 from thigmo.stream.blocks import TelemetryBlock
@@ -106,8 +107,8 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
                 channel = message.CHANNEL
                 for row in _rows(message):
                     if channel not in writers:
-                        file = (target / f"{channel}.csv").open("w", newline="")
-                        writers[channel] = csv.DictWriter(stack.enter_context(file), row)
+                        file = stack.enter_context(whole_file(target / f"{channel}.csv", text=True))
+                        writers[channel] = csv.DictWriter(file, row)
                         writers[channel].writeheader()
                     writers[channel].writerow(
                         {name: "" if value != value else value for name, value in row.items()}

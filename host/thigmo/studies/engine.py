@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.errors import DataError, RunFolderError
+from thigmo.files import whole_file, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,6 +55,7 @@ class Claim:
     limit: float
     at_most: bool = True
     unit: str = ""
+    standard_error: float = 0.0  # of the value, by the size of its sample; NaN if it is not known
 
     @property
     def holds(self) -> bool:
@@ -68,6 +71,10 @@ class Claim:
     def __str__(self) -> str:
         sign = "<=" if self.at_most else ">="
         verdict = "holds" if self.holds else "MISSED"
+        if not self.holds and not abs(self.value - self.limit) > 2 * self.standard_error:
+            verdict = "not met, and not decided by so small a sample"
+            if math.isfinite(self.standard_error):
+                verdict += f" (+- {self.standard_error:.2g} {self.unit})"
         return (
             f"{self.text}: {self.value:.4g} {self.unit} (promised {sign} {self.limit:g}): {verdict}"
         )
@@ -190,15 +197,16 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
     with RunFolderError.from_os(f"cannot write to {folder}", "choose another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         for label, rows in outcome.tables.items():
-            with path(label, "csv").open("w", newline="") as file:
+            with whole_file(path(label, "csv"), text=True) as file:
                 writer = csv.DictWriter(file, list(rows[0]))
                 writer.writeheader()
                 writer.writerows(rows)
             text = json.dumps(rows, indent=1, default=lambda number: number.item())
-            path(label, "json").write_text(text)
+            write_whole(path(label, "json"), text)
         for label, figure in outcome.figures.items():
             for axis in figure.axes:
                 axis.title.set_fontsize(9)  # `set_title` goes back to matplotlib's
-            figure.savefig(path(label, "png"), dpi=200)
-        path("claims", "json").write_text(json.dumps(outcome.record()["claims"], indent=1))
+            with whole_file(path(label, "png")) as file:
+                figure.savefig(file, format="png", dpi=200)
+        write_whole(path("claims", "json"), json.dumps(outcome.record()["claims"], indent=1))
     return paths
