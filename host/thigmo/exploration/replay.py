@@ -206,7 +206,8 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
         ConfigError: its robot.toml cannot be read.
     """
     folder = RunFolder(run)
-    config, log = folder.read_config(), folder.read_log()
+    log = folder.read_log()  # first: a folder that is no run has none, and says so
+    config = folder.read_config()
     reader = _read(folder, config, log)
     prior = kept_prior(folder)
     if method is not None:
