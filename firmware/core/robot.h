@@ -94,7 +94,7 @@ class Robot {
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
     // A pin or a timer that a disturbance has changed is right again a control period later.
-    if (controller_.now() % 5 == 0) written_ = kUnwritten;
+    if (controller_.period_begins()) written_ = kUnwritten;
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     write_outputs();
     board_.air(may_energise(controller_.state()), controller_.body_air());
