@@ -191,6 +191,13 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
             *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
             solid_capstyle="round", label="95 % interval along the body",
         )  # fmt: skip
+    if contact.surface:
+        # Dashed while it may be something else: then it is drawn, and not occupied.
+        sure = contact.wall_probability >= 0.95
+        axes.plot(
+            *np.asarray(contact.surface).T, color=INK, lw=2.2, zorder=6, marker="s", ms=3.5,
+            ls="-" if sure else (0, (3, 2)), label="wall" if sure else "wall, likely",
+        )  # fmt: skip
     around = Spread.of(contact.covariance_cm2)
     ellipse = Ellipse(
         (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
@@ -205,7 +212,7 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         # Hollow while it is not sure: the two differ in grey as well.
         mfc=color if contact.status == "localized" else "white",
         mec="white" if contact.status == "localized" else color, mew=1.2,
-        label=f"{named}: {contact.status}, {contact.arc_cm:.1f} of "
+        label=f"{named}: {contact.kind}, {contact.status}, {contact.arc_cm:.1f} of "
         f"{contact.everted_length_cm:.1f} cm ({'95 %: ' * placed}{contact.interval_text})",
     )  # fmt: skip
     if number is not None:
