@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+RUNNING, KILLED = "running", "killed"
+
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
 
 
@@ -152,9 +154,9 @@ class RunDocument:
     name: str
     url: str
     started: str
-    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or, with the
-    #: reason, "aborted"
-    outcome: str = "running"
+    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), with the reason
+    #: "aborted", or "killed" (its process ended without a word; length and times are the record's)
+    outcome: str = RUNNING
     seed: int | None = None
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
     stages: list[Stage] = field(default_factory=list)
@@ -168,4 +170,5 @@ class RunDocument:
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
+    resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
     version: int = 1
