@@ -5,11 +5,10 @@
 // over the five ticks of a control period, so that no tick has more than one loop's load:
 //
 //   tick % 5   every tick: conversions, trigger, peak readings, emergency stop, supervisor
-//      0       sweep generator; left pressure loop, left muscle's lag and branch
-//      1       right pressure loop, right muscle's lag and branch
-//      2       spool: profile, position loop, stall; slip
-//      3       everted length, eversion, settle clocks, vented, quiet
-//      4       free curvature by the maps, conditions, faults
+//      0       sweep generator; left pressure loop, left muscle's lag and branch; sensors in the
+//      fold 1       right pressure loop, right muscle's lag and branch 2       spool: profile,
+//      position loop, stall; slip, motion by duty 3       everted length, eversion, settle clocks,
+//      vented, quiet 4       free curvature by the maps, conditions, faults
 //
 // Commands (commands.h) call the public methods between ticks.
 #ifndef THIGMO_CORE_CONTROLLER_H_
@@ -21,6 +20,7 @@
 #include "config/derived.h"
 #include "config/staged.h"
 #include "config/store.h"
+#include "control/motion_watch.h"
 #include "control/pressure_loop.h"
 #include "control/spool.h"
 #include "control/sweep.h"
@@ -29,6 +29,7 @@
 #include "safety/supervisor.h"
 #include "sensing/eversion.h"
 #include "sensing/flex.h"
+#include "sensing/fold_watch.h"
 #include "sensing/free_curvature.h"
 #include "sensing/pressure.h"
 #include "sensing/snapshot.h"
@@ -146,7 +147,9 @@ class Controller {
   static constexpr int32_t kBackOffUmS = 5000;
   static constexpr uint16_t kBackOffMs = 1500;
   static constexpr int16_t kBackOffDuty = kMotorFull / 8;  // beyond the dead zone
-  static constexpr int32_t kTouchUm = 1500;                // between the two touches
+  // Jumps of the encoder in a move that are no fault, beside one in 32 counts.
+  static constexpr uint16_t kJumps = 8;
+  static constexpr int32_t kTouchUm = 1500;  // between the two touches
   static constexpr int32_t kHomeUm = 10000;  // between the base and a known length's 0
   // What test_output may do, whatever the parameters say.
   static constexpr int16_t kTestDriveMost = 400;  // 5 mA: 5.6 psi of a 2..60 psi transducer
@@ -175,6 +178,8 @@ class Controller {
     return activity_ == Activity::kTesting && test_.output == output;
   }
   void spool_step();
+  void watch_motion(int16_t duty);
+  void stall(protocol::StallCause cause);
   uint16_t follow_length();
   void body_step();
   void free_step();
@@ -228,6 +233,8 @@ class Controller {
   PressureLoop loop_[kSides];
   SpoolLoop spool_;
   SlipWatch slip_;
+  MotionWatch motion_;
+  FoldWatch fold_;
   Sweep sweep_;
   ContactTrigger trigger_;
   Snapshots snapshots_;
@@ -254,6 +261,8 @@ class Controller {
   int32_t length_um_ = 0;
   uint16_t conditions_ = 0;
   uint16_t encoder_errors_ = 0;
+  uint16_t errors_before_ = 0;  // when the move began
+  int32_t moved_from_ = 0;      // where it began
   uint16_t supply_raw_mv_ = 0;  // against a reference of 1.1 V
   uint16_t supply_mv_ = 0;
   uint16_t rx_overruns_ = 0;

@@ -67,6 +67,7 @@ inline Outcome Controller::clear_stop(uint32_t nonce) {
 inline Outcome Controller::clear_faults(uint16_t wanted) {
   if ((wanted & mask(Fault::kSpoolSlip)) != 0) {
     slip_.accept(encoder_);
+    motion_.restart(encoder_);
     slipping_ = false;
   }
   const uint16_t left = faults_.clear(wanted, causes());
@@ -99,8 +100,18 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
 }
 
 inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
-  spool_.start(encoder_, target_counts, derived_.speed_q16(speed_um_s), derived_.accel_q16,
-               activity == Activity::kHoming ? SpoolLoop::kHomingDuty : kMotorFull);
+  const bool homing = activity == Activity::kHoming;
+  // A line cannot be pushed: what winds in is bounded by what the line holds.
+  const int32_t speed =
+      activity == Activity::kGrowing
+          ? speed_um_s
+          : lesser(speed_um_s, homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s);
+  spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
+               homing ? derived_.homing_duty : derived_.top_duty);
+  motion_.restart(encoder_);
+  errors_before_ = encoder_errors_;
+  moved_from_ = encoder_;
+  if (activity == Activity::kGrowing) fold_.begin(length_um_, derived_.enabled_mask, config_);
   start(activity);
 }
 

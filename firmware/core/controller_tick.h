@@ -78,6 +78,10 @@ inline void Controller::run_phase(uint8_t phase) {
   switch (phase) {
     case 0:
       if (activity_ == Activity::kSweeping) advance_sweep();
+      // Muscles rest while the body grows, so this turn has room.
+      if (activity_ == Activity::kGrowing && fold_.step(flex_, length_um_, config_, derived_)) {
+        stall(protocol::StallCause::kEverted);
+      }
       pressure_step(0);
       break;
     case 1:
@@ -145,6 +149,7 @@ __attribute__((always_inline)) inline void Controller::pressure_step(uint8_t sid
 }
 
 inline void Controller::spool_step() {
+  watch_motion(outputs_.motor);
   if (winding()) {
     SpoolLoop::Outcome outcome = spool_.step(encoder_, config_, derived_);
     if (activity_ == Activity::kHoming && homing_ == Homing::kBackOff &&
@@ -163,9 +168,30 @@ inline void Controller::spool_step() {
                          : static_cast<int16_t>(0);
   }
   slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts) ||
-              (winding() && spool_.overrun());
+              (winding() && spool_.overrun()) || motion_.astray(derived_);
   // Drift is known of a spool that stands still, whose turn is a light one.
   drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
+}
+
+// Before the next duty is known, of the one since the last step. A driver under test is watched by
+// whoever tests it.
+inline void Controller::watch_motion(int16_t duty) {
+  if (activity_ == Activity::kTesting) return motion_.restart(encoder_);
+  const bool growing = activity_ == Activity::kGrowing;
+  motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing, config_, derived_);
+  if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
+  if (!winding()) return;
+  const uint16_t jumps = static_cast<uint16_t>(encoder_errors_ - errors_before_);
+  if (jumps > kJumps && jumps > magnitude(encoder_ - moved_from_) >> 5) {
+    stall(protocol::StallCause::kJumps);
+  }
+}
+
+// The supervisor ends the activity.
+THIGMO_NOINLINE inline void Controller::stall(protocol::StallCause cause) {
+  outputs_.motor = 0;
+  length_known_ = false;
+  raise(Fault::kSpoolStall, static_cast<uint8_t>(cause));
 }
 
 inline void Controller::finish_spool(bool arrived) {
@@ -174,11 +200,7 @@ inline void Controller::finish_spool(bool arrived) {
     finish_homing_stage(arrived);
     return;
   }
-  if (!arrived) {
-    length_known_ = false;
-    raise(Fault::kSpoolStall, length_um_);
-    return;  // the supervisor ends the activity
-  }
+  if (!arrived) return stall(protocol::StallCause::kStill);
   length_um_ = derived_.um(encoder_ - zero_count_);
   finish_activity(protocol::EventCode::kActivityDone, length_um_);
   body_step();
@@ -202,12 +224,9 @@ THIGMO_NOINLINE inline void Controller::finish_homing_stage(bool arrived) {
     case Homing::kBackOff:
       if (!arrived) {
         // Nothing turns, or the encoder does not see it: the stall was not the base's.
-        length_known_ = false;
-        raise(Fault::kSpoolStall, length_um_);
-        return;
+        return stall(protocol::StallCause::kStill);
       }
-      wind(Homing::kTouch, -2 * kBackOffUm, config_.get(Param::kHomeSpeedUmS),
-           SpoolLoop::kHomingDuty);
+      wind(Homing::kTouch, -2 * kBackOffUm, derived_.home_speed_um_s, derived_.homing_duty);
       return;
     case Homing::kTouch:
       break;

@@ -60,6 +60,7 @@ NB_MODULE(_board, m) {
           nb::arg("sigma"))
       .def("set_encoder", &VirtualBoard::set_encoder, nb::arg("start"), nb::arg("end"))
       .def("set_supply_mv", &VirtualBoard::set_supply_mv, nb::arg("supply_mv"))
+      .def("set_encoder_errors", &VirtualBoard::set_encoder_errors, nb::arg("errors"))
       .def("set_estop", &VirtualBoard::set_estop, nb::arg("pressed"))
       .def(
           "reset",

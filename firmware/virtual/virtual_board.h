@@ -91,6 +91,8 @@ class VirtualBoard {
     encoder_end_ = end;
   }
   void set_supply_mv(uint16_t supply) { supply_mv_ = supply; }
+  // Illegal transitions of the encoder that have happened since the start.
+  void set_encoder_errors(uint16_t errors) { encoder_errors_ = errors; }
   void set_estop(bool pressed) { estop_ = pressed; }
 
   // Restarts the chip: outputs off, rings empty, boot loader, then the firmware from its start.
@@ -184,7 +186,7 @@ class VirtualBoard {
   }
 
   int32_t encoder_count() { return static_cast<int32_t>(encoder_now() - encoder_at_start_); }
-  uint16_t encoder_errors() { return 0; }  // counts are given, not decoded
+  uint16_t encoder_errors() { return encoder_errors_; }
   uint16_t supply_mv() { return supply_mv_; }
   bool estop() { return estop_; }
 
@@ -321,6 +323,7 @@ class VirtualBoard {
   int64_t encoder_at_start_ = 0;
   uint16_t supply_mv_ = 5000;
   uint16_t overruns_ = 0;
+  uint16_t encoder_errors_ = 0;
   uint32_t cut_after_ = 0;
   protocol::ResetCause cause_ = protocol::ResetCause::kPowerOn;
   bool estop_ = false;

@@ -174,7 +174,9 @@ def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
         _event(wire.EventCode.EVERTED, 0),
         _event(wire.EventCode.FAULT, wire.Fault.SPOOL_STALL),
     ]
-    with pytest.raises(RobotFaultError, match="encoder stands still; free the spool"):
+    with pytest.raises(
+        RobotFaultError, match=r"less than it must \(The encoder stands still\); free the spool"
+    ):
         robot.grow_to(10.0)
 
 

@@ -17,6 +17,14 @@ constexpr int32_t kControlHz = 200;
 constexpr int32_t kDriveMarginCpsi = 100;
 // The tip is never driven further ahead of its profile, whatever the gains.
 constexpr int32_t kLeadUm = 1000;
+// Motion that nothing commanded: a fault once it has gone this far, faster than a body that pulls
+// at a braked motor.
+constexpr int32_t kAstrayUm = 800;
+constexpr int32_t kAstrayUmS = 10000;
+// Growth that the encoder may miss before the motor's speed tells.
+constexpr int32_t kMissedUm = 3000;
+// Share of the line's rating for a winding spool's momentum.
+constexpr int32_t kMomentumShare = 4;
 constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
 
 // A gain below 1 as 16 bits and a shift: gain = mantissa / 2^(16 + shift). Products then take two
@@ -58,11 +66,21 @@ struct Derived {
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t lead_counts;
-  int32_t slew_q8;  // fastest set-point change in a control step, 1/256 of 0.01 psi
+  int16_t top_duty;  // that the line holds, a sudden stop included
+  int16_t homing_duty;
+  int32_t winding_speed_um_s;  // fastest tip of a retraction
+  int32_t home_speed_um_s;
+  int32_t motor_slope_q16;   // counts a control step for each duty beyond the dead zone
+  int32_t speed_margin_q16;  // the same of speed_margin_duty
+  int32_t missed_q16;        // counts, in 1/65536
+  int32_t astray_q16;
+  int32_t astray_speed_q16;  // counts a control step
+  int32_t slew_q8;           // fastest set-point change in a control step, 1/256 of 0.01 psi
   uint16_t stuck_steps;
   uint16_t stall_steps;
   uint16_t enabled_mask = 0;
   bool telemetry_aligned;
+  bool judges_speed;  // by the motor's duty
   uint8_t oversample_log2;
   uint8_t trigger_log2;
 
@@ -75,6 +93,8 @@ struct Derived {
     }
     update_scale(c);
     update_distances(c);
+    update_motor(c);
+    update_force(c);
     update_acceleration(c);
     update_drive(c);
     update_top_speed(c);
@@ -84,7 +104,7 @@ struct Derived {
     update_telemetry(c);
   }
 
-  // What the encoder's scale changes besides the scale itself comes with two later parameters,
+  // What the encoder's scale changes besides the scale itself comes with later parameters,
   // which are then due as well: all in one pass would be too long.
   static bool is_scale(uint16_t index) {
     return index == static_cast<uint16_t>(Param::kCountsPerM) ||
@@ -92,7 +112,9 @@ struct Derived {
   }
   static bool is_scaled(uint16_t index) {
     return index == static_cast<uint16_t>(Param::kSpoolAccelUmS2) ||
-           index == static_cast<uint16_t>(Param::kSlipUm);
+           index == static_cast<uint16_t>(Param::kSlipUm) ||
+           index == static_cast<uint16_t>(Param::kSpeedMarginDuty) ||
+           index == static_cast<uint16_t>(Param::kTouchNSM);
   }
 
   // After a change of one parameter: only what follows from it, to keep the pass short.
@@ -108,6 +130,11 @@ struct Derived {
       update_scale(c);
     } else if (within(Param::kSlipUm, 1) || within(Param::kSpoolToleranceUm, 1)) {
       update_distances(c);
+    } else if (within(Param::kSpoolDeadZone, 1) || within(Param::kLineSpeedUmS, 2)) {
+      update_motor(c);
+      update_force(c);
+    } else if (within(Param::kMotorStallN, 3) || within(Param::kHomeSpeedUmS, 1)) {
+      update_force(c);
     } else if (within(Param::kPressureSpan, kSides)) {
       update_gain(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kPressureSpan)));
     } else if (within(Param::kPressureFullCpsi, 1)) {
@@ -203,6 +230,35 @@ struct Derived {
     slip_counts = greater<int32_t>(counts(c.get(Param::kSlipUm)), 2);
     tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
     lead_counts = greater<int32_t>(counts(kLeadUm), 1);
+  }
+
+  void update_motor(const Configuration& c) {
+    const int32_t tip_um_s = c.get(Param::kLineSpeedUmS) * 256 / c.get(Param::kPayoutQ8);
+    motor_slope_q16 = speed_q16(tip_um_s) / (kMotorFull - c.get(Param::kSpoolDeadZone));
+    speed_margin_q16 = c.get(Param::kSpeedMarginDuty) * motor_slope_q16;
+    judges_speed = c.get(Param::kSpeedMarginDuty) < kMotorFull;
+    missed_q16 = speed_q16(kMissedUm * kControlHz);
+    astray_q16 = greater<int32_t>(speed_q16(kAstrayUm * kControlHz), 3 * 65536);
+    astray_speed_q16 = speed_q16(kAstrayUmS);
+  }
+
+  // A line that is stopped at once bears the motor's pull and its momentum. The momentum may take a
+  // quarter of what line and tail are rated for, in homing an eighth; and homing pulls half as
+  // hard.
+  void update_force(const Configuration& c) {
+    const int32_t rating_n = c.get(Param::kLineRatingN);
+    const int32_t stall_n = c.get(Param::kMotorStallN) * 9 / 8;
+    top_duty = static_cast<int16_t>(
+        lesser<int32_t>((rating_n - rating_n / kMomentumShare) * kMotorFull / stall_n, kMotorFull));
+    const int32_t turns = c.get(Param::kSpoolDeadZone) + kMotorFull / 8;
+    homing_duty =
+        static_cast<int16_t>(lesser<int32_t>(greater<int32_t>(top_duty / 2, turns), top_duty));
+    // um/s of the tip at which the momentum takes its share: N / (N s/m) is m/s of line.
+    const int32_t touch = greater<int32_t>(c.get(Param::kTouchNSM), 1);
+    const int32_t line_um_s = rating_n * 1000 / touch * (1000 / kMomentumShare);
+    const int32_t most = line_um_s / c.get(Param::kPayoutQ8) * 256;
+    winding_speed_um_s = most;
+    home_speed_um_s = lesser(c.get(Param::kHomeSpeedUmS), most / 2);
   }
 
   void update_drive(const Configuration& c) {

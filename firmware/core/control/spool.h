@@ -17,8 +17,6 @@ class SpoolLoop {
  public:
   enum class Outcome : uint8_t { kMoving, kArrived, kStalled };
 
-  // Homing pulls the tail tight against the base: half of full duty is enough for that.
-  static constexpr int16_t kHomingDuty = kMotorFull / 2;
   static constexpr int32_t kIntegralDuty = kMotorFull / 2;
   // A profile this far ahead means that the motor ought to be turning.
   static constexpr int32_t kStallLag = 4;
@@ -84,6 +82,8 @@ class SpoolLoop {
   }
 
   int16_t duty() const { return duty_; }
+  // Speed of the profile, counts a control step, signed, in 1/65536.
+  int32_t wanted_q16() const { return profile_.speed_q16(); }
   // The tail is further ahead of the profile than a brake that holds would let it.
   bool overrun() const { return overrun_; }
 

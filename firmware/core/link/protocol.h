@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x4981A348u;
+constexpr uint32_t kSchemaHash = 0x0DF59729u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -156,10 +156,11 @@ enum class Fault : uint8_t {
                   // then clear.
   kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
                     // robot.toml, then clear.
-  kSpoolStall = 6,  // The motor is driven but the encoder stands still; free the spool or the tail,
-                    // then clear and confirm the length.
-  kSpoolSlip = 7,   // The spool turned while its motor was off, or ran ahead of it; shut the body
-                    // air, check the brake, then clear and confirm the length.
+  kSpoolStall = 6,  // The motor is driven, and the encoder stands still or shows less than it must;
+                    // free the spool and the tail, check the encoder (J5) and its coupling, then
+                    // clear and confirm the length.
+  kSpoolSlip = 7,   // The spool turned while its motor was off, ran ahead of it, or the other way;
+                    // shut the body air, check brake and driver, then clear and confirm the length.
   kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
   kBadConfig = 10,  // No valid configuration is stored; configure and save (`thigmo params --robot
@@ -176,6 +177,15 @@ enum class Fault : uint8_t {
                   // died; see that nobody is in its way, then clear.
 };
 constexpr uint8_t kFaultCount = 16;
+
+// By what a spool_stall was noticed (value of its event).
+enum class StallCause : uint8_t {
+  kStill = 0,    // The encoder stands still.
+  kSlow = 1,     // The encoder shows less speed than the motor must have at its duty.
+  kJumps = 2,    // The encoder's signals jump: edges are lost, or there is noise.
+  kEverted = 3,  // Two sensors have passed the tip before the encoder has come so far.
+};
+constexpr uint8_t kStallCauseCount = 4;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
@@ -1417,17 +1427,32 @@ enum class Param : uint16_t {
                        // profile without a count: the encoder may be what fails. (ms)
   kSlipUm = 84,        // Movement with the motor off that is a slip. (um)
   kHomeSpeedUmS = 85,  // Tip speed of homing. (um/s)
-  kHeartbeatMs = 86,   // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
-                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
-                       // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 87,   // Supply below this is a brown-out. Default: 4.7 V, read against a reference
-                       // that is 10 % off. (mV)
-  kReferenceMv = 88,   // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
-                       // supply / supply_mv as the board reports it. (mV)
+  kLineSpeedUmS = 86,  // Speed of the line at full duty, without load (default: 225 rpm on a spool
+                       // of 2 cm). The encoder is judged by it, so calibrate it. (um/s)
+  kSpeedMarginDuty =
+      87,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say,
+           // before it is a spool_stall for an encoder that loses counts; 1/16 for supply and heat
+           // comes on top. Negative where a calibration has seen how much the body's pull saves.
+           // 800 = the speed is not judged. (1/800 of full)
+  kMotorStallN =
+      88,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
+           // a spool of 2 cm). 1/8 is added for a high supply and a cold winding. (N)
+  kLineRatingN = 89,  // What line and tail may be pulled with. Bounds the duty, and the speed of
+                      // winding in. (N)
+  kTouchNSM = 90,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
+                   // root of its stiffness times the mass that the turning motor is to the line.
+                   // Default: 5 N/mm and 40 kg. (N s/m)
+  kHeartbeatMs = 91,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+                      // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
+                      // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
+  kSupplyMinMv = 92,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+                      // that is 10 % off. (mV)
+  kReferenceMv = 93,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+                      // supply / supply_mv as the board reports it. (mV)
   kTelemetryMs =
-      89,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+      94,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
 };
-constexpr uint16_t kParamCount = 90;
+constexpr uint16_t kParamCount = 95;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1518,6 +1543,11 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {50, 2000, 400},             // stall_ms
     {100, 100000, 3000},         // slip_um
     {100, 100000, 8000},         // home_speed_um_s
+    {10000, 2000000, 236000},    // line_speed_um_s
+    {-200, 800, 5},              // speed_margin_duty
+    {5, 2000, 147},              // motor_stall_n
+    {5, 2000, 100},              // line_rating_n
+    {0, 20000, 450},             // touch_n_s_m
     {50, 10000, 500},            // heartbeat_ms
     {3000, 5500, 4250},          // supply_min_mv
     {950, 1250, 1100},           // reference_mv
@@ -1528,7 +1558,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 50;
+constexpr uint8_t kParamKeys = 55;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {1, 10},  // flex_enabled
     {2, 10},  // flex_center_um
@@ -1576,6 +1606,11 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {43, 1},  // stall_ms
     {44, 1},  // slip_um
     {45, 1},  // home_speed_um_s
+    {51, 1},  // line_speed_um_s
+    {52, 1},  // speed_margin_duty
+    {53, 1},  // motor_stall_n
+    {54, 1},  // line_rating_n
+    {55, 1},  // touch_n_s_m
     {46, 1},  // heartbeat_ms
     {47, 1},  // supply_min_mv
     {50, 1},  // reference_mv

@@ -43,6 +43,8 @@ class Spool:
     damping: float  # force per line speed, N s/cm
     sliding_n: float  # friction of the moving line
     line_cm: float  # line paid out
+    line_n: float  # pull on the line
+    stop_cm: float  # line at which the tail is tight, and winds in no further
 
 class FlexSensor:
     """A flex sensor on its divider, in the tail at first."""

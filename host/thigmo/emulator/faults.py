@@ -24,6 +24,7 @@ _DEFAULTS = {
     "pressure_noisy": 1.0,  # psi, one sigma
     "flex_noisy": 40.0,  # counts, one sigma
     "motor_shorted": 800.0,  # duty
+    "encoder_share": 0.7,  # of the counts are seen
     "spool_slip": 2.0,  # cm/s of line to which a failing brake lets it run
     "brown_out": 3800.0,  # mV
     "power_cut_saving": 100.0,  # bytes written before the cut
@@ -108,8 +109,12 @@ class FaultInjector:
                 plant.forced_outlet[:] = 0.0 if on else math.nan
             case "motor_shorted":
                 plant.motor_forced = int(value) if on else None
-            case "motor_lost" | "encoder_lost" | "spool_stall":
+            case "motor_lost" | "spool_stall":
                 setattr(plant, fault.kind, on)
+            case "encoder_lost" | "encoder_share":
+                plant.encoder_share = value if on else 1.0
+            case "tail_jam":
+                plant.tail_jammed = on
             case "spool_slip":
                 plant.slip_cm_s = value if on else 0.0
             case "host_silent":

@@ -131,13 +131,21 @@ class Swing {
 // take as much force as the line is fast, and none at rest. What holds at rest is friction; it
 // falls from holding to sliding as the line begins to move.
 struct Spool {
-  double damping, lag_s, stall_n, sliding_n, holding_n, line_cm;
+  double damping, lag_s, stall_n, sliding_n, holding_n, touch_n_s_cm, line_cm;
 
   double speed = 0.0;
+  double stop_cm = 0.0;  // line at which the tail is tight: against the base, or jammed
+  double line_n = 0.0;   // pull on the line; at a stop, with the momentum that it takes up
 
   // pull_n: the tail's tension, which pays out.
   void advance(int duty, bool shorted, bool stuck, double pull_n) {
     const double drive = stall_n * duty / kDutyFull + pull_n;
+    line_n = pull_n;
+    const double wound_n = std::max(-stall_n * duty / kDutyFull, 0.0);
+    if (line_cm <= stop_cm && speed == 0.0) {
+      line_n += wound_n;
+      if (drive < 0.0) return;
+    }
     const double friction =
         sliding_n + (holding_n - sliding_n) * std::exp(-std::fabs(speed) / kStickingCmS);
     if (speed == 0.0 && std::fabs(drive) <= friction) return;
@@ -148,9 +156,10 @@ struct Spool {
     if (speed * way <= 0.0 && std::fabs(drive) <= holding_n) speed = 0.0;
     if (stuck) speed = 0.0;
     line_cm += speed * kStepS;
-    if (line_cm < 0.0) {
-      // The tail is home: pulled tight against the base.
-      line_cm = speed = 0.0;
+    if (line_cm < stop_cm) {
+      line_n = pull_n + wound_n - touch_n_s_cm * std::min(speed, 0.0);
+      line_cm = stop_cm;
+      speed = 0.0;
     }
   }
 };
@@ -242,11 +251,14 @@ NB_MODULE(_plant, m) {
       .def("follow", &Swing::follow)
       .def_prop_ro("curvature", &Swing::curvature);
   nb::class_<Spool>(m, "Spool")
-      .def(nb::init<D, D, D, D, D, D>(), nb::kw_only(), nb::arg("damping"), nb::arg("lag_s"),
-           nb::arg("stall_n"), nb::arg("sliding_n"), nb::arg("holding_n"), nb::arg("line_cm"))
+      .def(nb::init<D, D, D, D, D, D, D>(), nb::kw_only(), nb::arg("damping"), nb::arg("lag_s"),
+           nb::arg("stall_n"), nb::arg("sliding_n"), nb::arg("holding_n"), nb::arg("touch_n_s_cm"),
+           nb::arg("line_cm"))
       .def("advance", &Spool::advance)
       .def_ro("damping", &Spool::damping)
       .def_ro("sliding_n", &Spool::sliding_n)
+      .def_ro("line_n", &Spool::line_n)
+      .def_rw("stop_cm", &Spool::stop_cm)
       .def_ro("line_cm", &Spool::line_cm);
   nb::class_<FlexSensor>(m, "FlexSensor")
       .def(nb::init<D, D, D, D, D, D, D, D, D, D, D, D, D, D, D, D, D>(), nb::kw_only(),

@@ -74,7 +74,7 @@ class Plant:
         self.slip_cm_s = 0.0  # speed to which a failing brake lets the body pull the line
         self.motor_lost = False  # the motor's circuit is broken: neither drive nor damping
         self.motor_forced: int | None = None  # duty that a failed driver gives the motor
-        self.encoder_lost = False  # it stands still
+        self.encoder_share = 1.0  # of the counts that the encoder shows: 0 = it stands still
         self._encoder_missed = 0.0
         self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
         self.flex_noise: dict[int, float] = {}  # counts, by sensor, left base first
@@ -106,6 +106,7 @@ class Plant:
         self._spool = Spool(
             damping=(s.stall_n - sliding) / s.line_cm_s, lag_s=s.lag_s, stall_n=s.stall_n,
             sliding_n=sliding, holding_n=max(s.holding_n, sliding),
+            touch_n_s_cm=s.touch_n_s_m / 100,
             line_cm=robot.spool.payout_ratio * scene.start_length_cm,
         )  # fmt: skip
         self.length_cm = scene.start_length_cm
@@ -224,6 +225,20 @@ class Plant:
         return self._spool.line_cm
 
     @property
+    def line_n(self) -> float:
+        """Pull on the line, N."""
+        return self._spool.line_n
+
+    @property
+    def tail_jammed(self) -> bool:
+        """Whether the tail cannot be wound in beyond where it jammed."""
+        return self._spool.stop_cm > 0.0
+
+    @tail_jammed.setter
+    def tail_jammed(self, jammed: bool) -> None:
+        self._spool.stop_cm = self._spool.line_cm if jammed else 0.0
+
+    @property
     def free_curvature(self) -> float:
         """Present free curvature of the swinging body, 1/cm."""
         return self._swing.curvature
@@ -293,9 +308,10 @@ class Plant:
             motor, braked = 0, False
         self._spool.advance(motor, braked or motor != 0, self.spool_stall, self.pull_n)
         after = self._encoder()
-        if self.encoder_lost:
-            self._encoder_missed += after - before
-            after = before
+        if self.encoder_share != 1.0:
+            lost = (1.0 - self.encoder_share) * (after - before)
+            self._encoder_missed += lost
+            after -= lost
         self.encoder = (before, after)
         length = self._grown()
         moved = abs(self._swing.curvature - self._solved_g) > 1e-8

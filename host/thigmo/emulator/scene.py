@@ -104,7 +104,8 @@ class SpoolMotor(Model):
     line_cm_s: Positive = 23.6  # no-load speed of the line at full duty
     lag_s: Positive = 0.07
     dead_zone: NonNegative = 60.0  # duty, of 800, that overcomes sliding friction
-    stall_n: Positive = 60.0  # pull on the line at which full duty stalls
+    stall_n: Positive = 147.0  # pull on the line at which full duty stalls
+    touch_n_s_m: NonNegative = 450.0  # pull that a sudden stop adds for each m/s of line
     holding_n: NonNegative = 6.0  # pull that friction, or a power-off brake, holds at rest
     wiring: Literal["right", "motor_swapped", "encoder_swapped", "encoder_unplugged"] = "right"
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
@@ -168,6 +169,8 @@ FaultKind = Literal[
     "motor_lost",
     "motor_shorted",
     "encoder_lost",
+    "encoder_share",
+    "tail_jam",
     "host_silent",
     "brown_out",
     "power_cut",

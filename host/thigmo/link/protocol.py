@@ -13,7 +13,7 @@ from thigmo.link.message import Command, Documented, Message, OpenDocumented
 from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x4981A348
+SCHEMA_HASH = 0x0DF59729
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -21,7 +21,7 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-PARAMETER_COUNT = 90
+PARAMETER_COUNT = 95
 
 
 class State(Documented):  # The supervisor's states.
@@ -118,8 +118,8 @@ class Fault(Documented):  # Latched faults, by bit number.
     PRESSURE_STUCK = 3  # Muscle pressure does not follow its set point
     FLEX_OPEN = 4  # A flex sensor's circuit is open
     FLEX_SHORT = 5  # A flex sensor's circuit is shorted
-    SPOOL_STALL = 6  # The motor is driven but the encoder stands still
-    SPOOL_SLIP = 7  # The spool turned while its motor was off, or ran ahead of it
+    SPOOL_STALL = 6  # The motor is driven, and the encoder stands still or shows less than it must
+    SPOOL_SLIP = 7  # The spool turned while its motor was off, ran ahead of it, or the other way
     BROWN_OUT = 8  # The supply sagged below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
     BAD_CONFIG = 10  # No valid configuration is stored
@@ -129,6 +129,13 @@ class Fault(Documented):  # Latched faults, by bit number.
     LINK_OVERRUN = 13  # The board's receive buffer overran
     # The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or died
     STOPPED = 15
+
+
+class StallCause(Documented):  # By what a spool_stall was noticed (value of its event).
+    STILL = 0  # The encoder stands still.
+    SLOW = 1  # The encoder shows less speed than the motor must have at its duty.
+    JUMPS = 2  # The encoder's signals jump: edges are lost, or there is noise.
+    EVERTED = 3  # Two sensors have passed the tip before the encoder has come so far.
 
 
 # Condition bits that the supervisor's transition table reads, by bit number.

@@ -126,6 +126,8 @@ class Supervised(Connected):
         channel = self._fault_channels.get(first)
         if first in _OF_A_MUSCLE and channel is not None:
             what += f" ({SIDES[channel]} muscle)"
+        if first == wire.Fault.SPOOL_STALL and channel in list(wire.StallCause):
+            what += f" ({wire.StallCause(channel).doc.rstrip('.')})"
         if first in _BAD_SENSOR:
             flags = _BAD_SENSOR[first] | _ENABLED
             reports = (self._client.request(wire.GetSensor(n)) for n in range(SENSORS))

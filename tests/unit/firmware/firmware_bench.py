@@ -64,6 +64,7 @@ class TurningSpool:
         self.pull = 0.0  # counts/s while braked
         self.wall = -math.inf
         self.unseen = False  # the encoder is unplugged
+        self.share = 1.0  # of the counts that it shows
         self.seen = 0.0
 
     def step(self, board: VirtualBoard, dt: float) -> None:
@@ -77,7 +78,7 @@ class TurningSpool:
         before = self.counts
         self.counts = max(self.wall, self.counts + self.speed * dt)
         if not self.unseen:
-            self.seen += self.counts - before
+            self.seen += self.share * (self.counts - before)
 
 
 @dataclass

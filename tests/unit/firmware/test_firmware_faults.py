@@ -337,6 +337,23 @@ def test_spool_stall() -> None:
     bench.do(wire.GrowTo(200_000, 0))
 
 
+def test_an_encoder_whose_signals_jump_is_a_stall() -> None:
+    bench = growing()
+    for errors in range(1, 9):  # a few are no fault
+        bench.board.set_encoder_errors(errors)
+        bench.step(10)
+    assert not bench.safe()
+    bench.board.set_encoder_errors(60)
+    expect(bench, F.SPOOL_STALL, 10, value=wire.StallCause.JUMPS)
+
+
+def test_an_encoder_that_shows_half_of_the_way_is_a_stall() -> None:
+    bench = growing()
+    bench.until(lambda: bench.spool.speed > 250, 3000)
+    bench.spool.share = 0.5
+    expect(bench, F.SPOOL_STALL, 1500, value=wire.StallCause.SLOW)
+
+
 def test_spool_slip_ends_the_bend() -> None:
     bench = bending()
     bench.spool.pull = 400.0
@@ -433,7 +450,7 @@ def test_half_everted_in_a_bend() -> None:
     bench.zeroed(108_000, slip_um=30_000, trigger_e5=10_000)
     bench.do(wire.Sweep(1500, 0, 20_000, 1, 0))
     bench.until(lambda: bench.air.psi[0] > 10)
-    bench.spool.pull = 200.0
+    bench.spool.pull = 140.0
     expect(bench, F.INTERLOCK, 3000, value=0b0001000010)
     bench.spool.pull = 0.0
     bench.step(2000)

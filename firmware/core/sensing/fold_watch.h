@@ -1,0 +1,69 @@
+// What a growing body's own sensors say of its length: the tip's fold bends each as it passes.
+//
+// A sensor in the tail rests. While the fold passes, its reading swings out and back, and is
+// furthest out when its centre is in the fold. If that top has passed while the encoder is still
+// short of the sensor's centre, the body is longer than the encoder says: it loses counts. How far
+// a sensor swings is not needed, only that it does. Two sensors must say so, for one may be bad.
+#ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
+#define THIGMO_CORE_SENSING_FOLD_WATCH_H_
+
+#include <stdint.h>
+
+#include "flex.h"
+
+namespace thigmo {
+
+class FoldWatch {
+ public:
+  static constexpr int32_t kSwingE5 = 5000;  // 0.05/cm: more than a sensor in the tail is bent
+  // A top is noticed some 0.7 cm behind the centre, once an eighth of the swing is gone. Places of
+  // sensors and the confirmed length may be off by 1.1 cm.
+  static constexpr int32_t kEarlyUm = 4000;
+
+  // Growth begins from here. A sensor whose near end lies in the fold already still swings enough.
+  void begin(int32_t length_um, uint16_t enabled, const Configuration& c) {
+    watched_ = 0;
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      const bool ahead = length_um < c.get(Param::kFlexCenterUm, i) - 2 * kEarlyUm;
+      if (ahead) watched_ = static_cast<uint16_t>(watched_ | (enabled & 1u << i));
+    }
+    unseen_ = watched_;
+    next_ = early_ = 0;
+  }
+
+  // Looks at one sensor, in turn. True when the second one has passed the tip too early.
+  bool step(const FlexReadings& flex, int32_t length_um, const Configuration& c, const Derived& d) {
+    const uint8_t i = next_;
+    next_ = static_cast<uint8_t>(next_ + 1 == kSensors ? 0 : next_ + 1);
+    const uint16_t bit = static_cast<uint16_t>(1u << i);
+    if ((watched_ & bit) == 0) return false;
+    const int32_t total = total_ohm_q4(count_q6(flex.latest(i), flex.log2()));
+    if ((unseen_ & bit) != 0) {
+      unseen_ = static_cast<uint16_t>(unseen_ & ~bit);
+      rest_[i] = total;
+      top_e5_[i] = 0;
+      return false;
+    }
+    const int32_t swing = magnitude(curvature_e5(total, rest_[i], d.flex_gain_q16[i]));
+    if (swing > top_e5_[i]) {
+      top_e5_[i] = saturated16(swing);
+      return false;
+    }
+    if (top_e5_[i] < kSwingE5 || swing > top_e5_[i] - (top_e5_[i] >> 3)) return false;
+    watched_ = static_cast<uint16_t>(watched_ & ~bit);
+    if (length_um >= c.get(Param::kFlexCenterUm, i) - kEarlyUm) return false;
+    return ++early_ == 2;
+  }
+
+ private:
+  int32_t rest_[kSensors] = {};  // total resistance, in the tail
+  int16_t top_e5_[kSensors] = {};
+  uint16_t watched_ = 0;
+  uint16_t unseen_ = 0;  // no resting value yet
+  uint8_t next_ = 0;
+  uint8_t early_ = 0;  // sensors that passed too early
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_SENSING_FOLD_WATCH_H_

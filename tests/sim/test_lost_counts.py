@@ -1,0 +1,82 @@
+"""An encoder that loses counts: the tip must not grow far beyond what was asked.
+
+The loop closes on the encoder, so it drives a body further than asked without an error of its own.
+Only the motor's speed at its duty, and the sensors that pass the tip's fold, tell.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.errors import RobotFaultError
+from thigmo.link.client import Client
+from thigmo.robot import Robot
+
+MOST_CM, TENTH = 2.0, 1.1  # a figure within a tenth of its promise is met
+SHARES = (0.9, 0.7, 0.5, 0.3)
+
+
+def robot_in(scene: Scene, seed: int = 1) -> tuple[Robot, EmulatorTransport]:
+    """Configured and armed, at its confirmed length."""
+    transport = EmulatorTransport(scene, VirtualBoard(seed), seed=seed)
+    robot = Robot(Client(transport))
+    robot.configure(transport.config)
+    robot.arm()
+    robot.confirm_length(scene.start_length_cm, settled=True)
+    return robot, transport
+
+
+def scene_at(length_cm: float) -> Scene:
+    scene = Scene.load("empty")
+    scene.start_length_cm = length_cm
+    return scene
+
+
+@pytest.mark.parametrize("share", SHARES)
+@pytest.mark.parametrize(("start_cm", "asked_cm"), [(0, 20), (12, 32), (20, 40), (28, 48)])
+def test_the_tip_grows_little_beyond_what_is_counted(
+    share: float, start_cm: float, asked_cm: float
+) -> None:
+    robot, transport = robot_in(scene_at(start_cm))
+    plant = transport.lockstep.plant
+    transport.lockstep.faults.inject(
+        FaultTable(kind="encoder_share", at_s=robot.now(), value=share)
+    )
+    with pytest.raises(RobotFaultError, match="spool_stall"):
+        robot.grow_to(asked_cm)
+    robot.wait(0.5, despite_faults=True)
+    counted_cm = robot.read(0.05, despite_faults=True).length_cm
+    assert 0.1 < plant.length_cm - counted_cm <= MOST_CM * TENTH
+    assert plant.length_cm <= asked_cm + MOST_CM
+
+
+@pytest.mark.parametrize("supply", [0.95, 1.05])
+@pytest.mark.parametrize("friction_duty", [48.0, 72.0])
+@pytest.mark.parametrize("psi", [0.49, 1.47])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_sound_robot_within_its_tolerances_grows_and_retracts_without_a_fault(
+    supply: float, friction_duty: float, psi: float, seed: int
+) -> None:
+    scene = scene_at(3.0)
+    scene.spool.line_cm_s *= supply
+    scene.spool.stall_n *= supply
+    scene.spool.dead_zone = friction_duty
+    robot, transport = robot_in(scene, seed)
+    plant = transport.lockstep.plant
+    plant.set_body_pressure(psi)
+    for length_cm in (20.0, 50.0, 0.0):
+        (robot.grow_to if length_cm > 0 else robot.retract_to)(length_cm)
+        assert plant.length_cm == pytest.approx(length_cm, abs=0.2)
+    assert robot.status().faults == ()
+
+
+def test_a_spool_speed_that_is_not_judged_stays_unjudged() -> None:
+    """Half of the counts; no sensor lies ahead."""
+    robot, transport = robot_in(scene_at(46.0))
+    robot.set_parameter("speed_margin_duty", [800])
+    transport.lockstep.faults.inject(FaultTable(kind="encoder_share", at_s=robot.now(), value=0.5))
+    robot.grow_to(48.0)
+    assert transport.lockstep.plant.length_cm > 49.5
