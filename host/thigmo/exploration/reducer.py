@@ -101,6 +101,7 @@ class Reducer:
 
     def ended(self, t_s: float, length_cm: float) -> None:
         """The stage is over, at a length."""
+        t_s = round(t_s, 6)  # a record's times are whole nanoseconds
         entry = self.found.entry(t_s, length_cm, self.looked, self.feelings, self._zone)
         self.stages.append(entry)
         self.looked, self.measured, self.feelings = SweepResult(), None, []
