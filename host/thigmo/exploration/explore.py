@@ -16,6 +16,7 @@ from types import FrameType
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
+from thigmo.exploration.feel import check_method
 from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
@@ -41,6 +42,7 @@ def explore(
     name: str | None = None,
     realtime: bool = False,
     protocol: Protocol = "measure",
+    method: str = "posterior",
     prior: str | os.PathLike[str] | None = None,
     resume: str | os.PathLike[str] | None = None,
     operator: Operator | None = None,
@@ -61,10 +63,12 @@ def explore(
         protocol: "measure" looks for contacts on the way up only, without waiting for young
             sensors, and sweeps a side with a contact again, to the pressure at which the contact
             is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
+        method: of `thigmo.localize`. Without intervals ("l1", "l2", "thesis") every stage's place
+            is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. It is believed as far as the readings allow.
         resume: folder of a run that was cut short, to go on from what it had learnt, swept and
-            felt, with its constants, map and protocol. An emulated robot begins anew, and so at its
+            felt, with its constants, map, protocol and method. An emulated robot begins anew, and so at its
             first length.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: told what the robot is doing.
@@ -80,13 +84,16 @@ def explore(
             raise DataError("a run that is resumed keeps the map it was given", "leave --map out")
         url, name, config = url or past.document.url, name or past.document.name, past.config
         protocol = "thesis" if past.protocol == "thesis" else "measure"
-        seed = past.document.seed if seed is None else seed
+        seed, method = past.document.seed if seed is None else seed, past.document.method
     url = url or "emulator://default"
     given = past.prior if past else [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     begun = started.isoformat(timespec="seconds")
-    document = RunDocument(thigmo=__version__, name=label, url=url, started=begun, seed=seed)
+    check_method(method)
+    document = RunDocument(
+        thigmo=__version__, name=label, url=url, started=begun, seed=seed, method=method
+    )
     if past is not None:
         document = replace(
             past.knows.found.judged(document),

@@ -170,10 +170,14 @@ class RecordedRun:
     """
 
     def __init__(
-        self, folder: RunFolder, config: RobotConfig, prior: Sequence[Obstacle] = ()
+        self,
+        folder: RunFolder,
+        config: RobotConfig,
+        prior: Sequence[Obstacle] = (),
+        method: str = "posterior",
     ) -> None:
         self.logs = folder.read_logs()
-        self.known = Reducer(config, prior)
+        self.known = Reducer(config, prior, method)
         self.sweeps: list[RecordedSweep] = []
         self.bad = 0
         for log in self.logs:

@@ -36,10 +36,12 @@ class Reducer:
         straight_cm: up to this length the body is known not to be held bent.
     """
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
+    def __init__(
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+    ) -> None:
         self._table = SensorTable.of(config)
         self._zone = 0
-        self.found = Interpreter(config, prior)
+        self.found = Interpreter(config, prior, method)
         self.stages: list[Stage] = []
         self.looked = SweepResult()
         self.measured: SweepResult | None = None

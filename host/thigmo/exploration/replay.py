@@ -8,11 +8,13 @@ on an old run, and a doubtful result can be checked.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from thigmo import __version__
 from thigmo.errors import RunFolderError
+from thigmo.exploration.feel import check_method
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.recorded import RecordedRun
@@ -41,11 +43,15 @@ class ReplayResult:
         return {**document, **facts}
 
 
-def replay(run: str | os.PathLike[str]) -> ReplayResult:
+def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayResult:
     """Localize again from the raw record of a run folder.
 
     Writes `replay.json`, `replay.png`, `replay-obstacles.json` and `replay-map.yaml` with its
     picture into it.
+
+    Args:
+        run: its folder.
+        method: of `thigmo.localize`; that of the run if not given.
 
     Raises:
         RunFolderError: no record, or one of another protocol schema.
@@ -53,33 +59,32 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     """
     folder = RunFolder(run)
     config, prior = folder.read_config(), kept_prior(folder)
-    recorded = RecordedRun(folder, config, prior)
-    document = recorded.known.found.judged(_document(folder, recorded))
-    radius = config.body.radius_cm
-    folder.write_document(document, "replay.json")
-    export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
-    draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
-    log = recorded.logs[-1]
-    gaps = sum(each.gaps for each in recorded.logs)
-    return ReplayResult(
-        document, len(recorded.sweeps), recorded.bad, log.truncated, gaps, log.missing
-    )
-
-
-def _document(folder: RunFolder, recorded: RecordedRun) -> RunDocument:
-    """The replay's document; name, truth and outcome are the run's own, if it got so far."""
-    log = recorded.logs[-1]
-    recorded_s = log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0
-    try:
+    if method is not None:
+        check_method(method)
+    known: RunDocument | None = None
+    with suppress(RunFolderError):  # it was cut short before it knew anything
         known = folder.read_document()
-    except RunFolderError:
+    used = method or (known.method if known else "posterior")
+    recorded = RecordedRun(folder, config, prior, used)
+    log = recorded.logs[-1]
+    if known is None:
         url, started = (log.metadata.get(name, "") for name in ("url", "started"))
         known = RunDocument(__version__, folder.path.name, url, started, "cut short")
-    return replace(
+    document = replace(
         known,
         thigmo=__version__,
         outcome=f"replayed; {known.outcome}",
         stages=recorded.known.stages,
-        robot_time_s=recorded_s,
+        robot_time_s=log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0,
         wall_time_s=0.0,
+        method=used,
+    )
+    document = recorded.known.found.judged(document)
+    radius = config.body.radius_cm
+    folder.write_document(document, "replay.json")
+    export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
+    draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
+    gaps = sum(each.gaps for each in recorded.logs)
+    return ReplayResult(
+        document, len(recorded.sweeps), recorded.bad, log.truncated, gaps, log.missing
     )

@@ -43,6 +43,6 @@ def interrupted(run: str | os.PathLike[str], config: RobotConfig | None = None) 
             f"{folder.path} has come to its end ({document.outcome})", "begin a new exploration"
         )
     used, prior = config or folder.read_config(), kept_prior(folder)
-    recorded = RecordedRun(folder, used, prior)
+    recorded = RecordedRun(folder, used, prior, document.method)
     protocol = recorded.logs[-1].metadata.get("protocol", "")
     return Interrupted(folder, document, used, prior, recorded.known, protocol)

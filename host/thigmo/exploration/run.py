@@ -81,7 +81,7 @@ class Exploration:
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
-        self._knows = self.knows or Reducer(self.config, self.prior)
+        self._knows = self.knows or Reducer(self.config, self.prior, self.document.method)
         self._found = self._knows.found
         self._table = SensorTable.of(self.config)
         self._whole_cm = sum(stage_lengths(self.config))
