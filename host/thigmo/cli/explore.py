@@ -71,6 +71,8 @@ def explore(
     if robot is not None and scene is not None:
         raise ConfigError("--robot and --scene are both given", "give one of them")
     url = f"emulator://{scene}" if scene else robot
+    if resume is not None and method is not None:
+        raise ConfigError("a run that is resumed keeps its method", "leave --method out")
     if resume is None:
         url = url or "emulator://default"
     if watch:
