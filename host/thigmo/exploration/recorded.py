@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
+from thigmo.exploration.plan import trial_zone
 from thigmo.exploration.reducer import Profile, Reducer
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
@@ -57,7 +58,7 @@ class _Frames:
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._before = self.table  # the last zeroing
-        self._zone = 0
+        self.zone = 0  # of the body pressure
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
         self._events: set[int] = set()
@@ -92,7 +93,7 @@ class _Frames:
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
-                self._zone = message.zone
+                self.zone = message.zone
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
@@ -145,7 +146,7 @@ class _Frames:
         watcher = SweepWatcher(self.table, mask, length, young, self._standing)
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = {side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0}
-        self.sweeps.append(RecordedSweep(self._zone, sides, t_s, watcher))
+        self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
 
     def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
         if message.index == 0:
@@ -161,22 +162,24 @@ class RecordedRun:
     """A run as its records tell it: its own, and before it those of the runs that it resumes.
 
     Attributes:
-        logs: oldest first.
+        logs: its records (`RunFolder.read_logs`), oldest first.
         known: what the run knew at the end of its record.
         sweeps: of all records.
         bad: frames that could not be decoded.
 
-    Raises RunFolderError: no record, or one of another protocol schema, or without notes.
+    Raises RunFolderError: a record of another protocol schema.
     """
 
     def __init__(
         self,
         folder: RunFolder,
+        logs: list[Log],
         config: RobotConfig,
         prior: Sequence[Obstacle] = (),
         method: str = "posterior",
     ) -> None:
-        self.logs = folder.read_logs()
+        self._config = config
+        self.logs = logs
         self.known = Reducer(config, prior, method)
         self.sweeps: list[RecordedSweep] = []
         self.bad = 0
@@ -207,7 +210,13 @@ class RecordedRun:
                 known.zeroed(frames.profile(), frames.zeros())
             case "ZERO", "as before: the zeros moved" if known.met:
                 known.let_go(frames.zeros())
-            case ("BACK_OFF", "peg ahead") | ("ZERO", "straight again: peg ahead"):
+            case "GROW", "whole pitch":
+                known.moved_on()
+            case "BACK_OFF", "stalled: more pressure":
+                higher = trial_zone(self._config, frames.zone)
+                known.tries_more_pressure(frames.zone if higher is None else higher)
+                frames.growth = GrowthWatcher()
+            case ("BACK_OFF", "stalled" | "peg ahead") | ("ZERO", "straight again: peg ahead"):
                 known.ended_at_met()
             case "SWEEP", _ if new:
                 known.has_looked(_joined(new), new[-1].zone)

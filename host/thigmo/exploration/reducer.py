@@ -13,7 +13,7 @@ from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Feeling
 from thigmo.exploration.met import Lean, Met, lean, stall
 from thigmo.exploration.stage import Interpreter
-from thigmo.record import Obstacle, Stage
+from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import SensorTable, SweepResult
 from thigmo.robot.readings import Floats
 
@@ -33,6 +33,8 @@ class Reducer:
         measured: its second sweep, which measures one; None without.
         feelings: what the stage's sweeps told.
         met: by growth, and not yet on the map.
+        tried: the stall that is tried again at a higher body pressure.
+        raised: zone whose pressure growth has needed since it stalled.
         straight_cm: up to this length the body is known not to be held bent.
     """
 
@@ -47,6 +49,8 @@ class Reducer:
         self.measured: SweepResult | None = None
         self.feelings: list[Feeling] = []
         self.met: Met | None = None
+        self.tried: Met | None = None
+        self.raised: int | None = None
         self.straight_cm = 0.0
 
     # Growth.
@@ -76,11 +80,26 @@ class Reducer:
         self.met, self.straight_cm = None, held.length_cm
         return False
 
-    def ended_at_met(self) -> None:
-        """The run has ended at what growth met, which goes on the map."""
-        if self.met is not None:
-            self.found.map.add_met(self.met)
-        self.met = None
+    def tries_more_pressure(self, zone: int) -> None:
+        """What stopped the tip is tried again, at the body pressure of a zone."""
+        self.tried, self.met, self.raised = self.met, None, zone
+
+    def moved_on(self) -> None:
+        """At the higher pressure the stage has grown to its end."""
+        if self.tried is not None:
+            self.found.map.tried(self.tried, moved_on=True)
+        self.tried = None
+
+    def ended_at_met(self) -> Stall | None:
+        """The run has ended at what growth met, which goes on the map; what a stall may be."""
+        met, self.met = self.met, None
+        if met is None:
+            return None
+        if self.tried is None or isinstance(met, Lean):
+            self.found.map.add_met(met)
+        else:
+            self.found.map.tried(met, moved_on=False)
+        return None if isinstance(met, Lean) else self.found.map.stall
 
     # A stage's sweeps.
 

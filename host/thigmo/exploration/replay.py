@@ -58,6 +58,7 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
         ConfigError: its robot.toml cannot be read.
     """
     folder = RunFolder(run)
+    logs = folder.read_logs()  # first: a folder that is no run has none, and says so
     config, prior = folder.read_config(), kept_prior(folder)
     if method is not None:
         check_method(method)
@@ -65,8 +66,7 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     with suppress(RunFolderError):  # it was cut short before it knew anything
         known = folder.read_document()
     used = method or (known.method if known else "posterior")
-    recorded = RecordedRun(folder, config, prior, used)
-    log = recorded.logs[-1]
+    recorded, log = RecordedRun(folder, logs, config, prior, used), logs[-1]
     if known is None:
         url, started = (log.metadata.get(name, "") for name in ("url", "started"))
         known = RunDocument(__version__, folder.path.name, url, started, "cut short")
@@ -84,7 +84,7 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
     draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
-    gaps = sum(each.gaps for each in recorded.logs)
+    gaps = sum(each.gaps for each in logs)
     return ReplayResult(
         document, len(recorded.sweeps), recorded.bad, log.truncated, gaps, log.missing
     )

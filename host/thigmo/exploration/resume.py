@@ -12,7 +12,7 @@ from thigmo.exploration.recorded import RecordedRun
 from thigmo.exploration.reducer import Reducer
 from thigmo.record import RUNNING, Obstacle, RunDocument, RunFolder
 
-_ENDS = ("full length", "peg ahead")
+_ENDS = ("full length", "peg ahead", "growth stalled")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +38,12 @@ def interrupted(run: str | os.PathLike[str], config: RobotConfig | None = None) 
     document = folder.read_document()
     if document.outcome == RUNNING:
         raise RunFolderError(f"{folder.path} is under way", "end it first, as with `thigmo stop`")
-    if document.outcome in _ENDS:
+    if document.outcome.startswith(_ENDS):
         raise RunFolderError(
             f"{folder.path} has come to its end ({document.outcome})", "begin a new exploration"
         )
+    logs = folder.read_logs()
     used, prior = config or folder.read_config(), kept_prior(folder)
-    recorded = RecordedRun(folder, used, prior, document.method)
-    protocol = recorded.logs[-1].metadata.get("protocol", "")
+    recorded = RecordedRun(folder, logs, used, prior, document.method)
+    protocol = logs[-1].metadata.get("protocol", "")
     return Interrupted(folder, document, used, prior, recorded.known, protocol)

@@ -20,7 +20,13 @@ from thigmo.exploration.measuring import held_now, held_sides, measuring_pressur
 from thigmo.exploration.met import Lean
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
+from thigmo.exploration.plan import (
+    growth_target,
+    growth_zone,
+    next_stage,
+    stage_lengths,
+    trial_zone,
+)
 from thigmo.exploration.reducer import Profile, Reducer
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
@@ -164,6 +170,10 @@ class Exploration:
 
     def _pressurize(self) -> str:
         self._zone = growth_zone(self.config, self.length_cm, self._stage_cm)
+        zones = self.config.body.zones
+        raised = self._knows.raised
+        if raised is not None and zones[raised].pressure_psi > zones[self._zone].pressure_psi:
+            self._zone = raised
         pressure = self.config.body.zones[self._zone].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
@@ -178,6 +188,9 @@ class Exploration:
             self.length_cm = self.robot.grow_to(target, self._growth)
             if self._knows.grown(self._grown()) is not None:
                 return "no eversion"
+            if self._knows.tried is not None and target == self._stage_cm:
+                self._knows.moved_on()
+                self._note(stall=self._found.map.stall)
         return "whole pitch" if target == self._stage_cm else "pressure boundary"
 
     def _grown(self) -> Profile:
@@ -194,18 +207,24 @@ class Exploration:
         assert met is not None
         leaning = isinstance(met, Lean)
         if truth is not None:
-            ahead = truth.contacts if leaning else met_ahead(truth.pegs, met.arc_cm)
+            ahead = truth.contacts if leaning else met_ahead(truth.pegs, met, self.config)
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
         clear_cm = met.clear_cm if isinstance(met, Lean) else self._start_cm
         self.length_cm = self.robot.retract_to(min(self._start_cm, clear_cm))
         if leaning:
             return "clear of what held it"
+        higher = trial_zone(self.config, self._zone)
+        if self._knows.tried is None and higher is not None:
+            self._knows.tries_more_pressure(higher)
+            self._growth = GrowthWatcher()
+            self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
+            return "stalled: more pressure"
         self._end_at_met()
-        return "peg ahead"
+        return "stalled"
 
     def _end_at_met(self) -> None:
-        self._knows.ended_at_met()
-        self._note(outcome="peg ahead")
+        stalled = self._knows.ended_at_met()
+        self._note(outcome="peg ahead" if stalled is None else stalled.words)
         self._judge()
 
     def _settle(self) -> str:

@@ -20,7 +20,7 @@ _LINES = 20
 
 def in_the_run(url: str) -> bool:
     """Whether a robot is emulated inside the run, so that its pace can be chosen."""
-    return url.partition("://")[0] in ("emulator", "mega-sim")
+    return url.partition("://")[0] in ("emulator", "mega-sim", "micropython")
 
 
 class StartedRun:
