@@ -25,7 +25,8 @@ virtual board in the emulated body, at the body pressure that pulls hardest at t
 
 The first table is of the thesis's robot, whose muscles 0 mA alone empties. In the second one valves
 empty muscles and body as soon as the board stops ([air](hardware/air.md)). In the third one a brake
-holds the spool besides, and contacts cut the motor's supply ([electronics](hardware/electronics.md)).
+holds the spool besides, and contacts cut the motor's supply
+([electronics](hardware/electronics.md)).
 
 - *noticed as*: the faults by which the board stopped; `reset`: it started anew, outputs off.
 - *safe*: seconds from the failure until both valves carry 0 mA and the motor is braked.

@@ -14,7 +14,7 @@ The errors stated hold from sweep to sweep (`flex_lines`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, cast
 
@@ -113,7 +113,10 @@ class FlexResult(StepResult):
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
 
 
-def guided(bench: Bench) -> FlexResult:
+Fit = Callable[[FlexReadings, RobotConfig], FlexResult]
+
+
+def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
     """From tip places and free bends (which it takes if there are none yet)."""
     last = len(bench.config.body.zones) - 1
     tips = tip_rows(bench)
@@ -121,14 +124,14 @@ def guided(bench: Bench) -> FlexResult:
     if len(bends) < 2 * len(bend_set_points(bench, "left")):
         bends = bend_rows(bench, [last])
     readings = FlexReadings.of_rows([*tips, *bends], bench.config.body.length_cm)
-    result = fit_flex(readings, bench.config)
+    result = (fit or fit_flex)(readings, bench.config)
     readings.write(bench.session.folder / "flex.csv", bench.config)
     return result
 
 
-def of_csv(table: Table, config: RobotConfig) -> FlexResult:
+def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> FlexResult:
     """Rows of any kinds; see `FlexReadings.read`."""
-    return fit_flex(FlexReadings.read(table, config), config)
+    return (fit or fit_flex)(FlexReadings.read(table, config), config)
 
 
 def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:

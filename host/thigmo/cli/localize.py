@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json
+from thigmo.cli.output import JsonOption, MethodOption, print_json
 
 if TYPE_CHECKING:
     from thigmo.localization import LocalizeResult
@@ -56,7 +56,7 @@ def localize(
         str | None, typer.Option(help="Inflated muscle, for --config: left or right.")
     ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
-    method: Annotated[str, typer.Option(help="posterior, l1 or l2.")] = "posterior",
+    method: MethodOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""
@@ -91,7 +91,7 @@ def localize(
         span=span if table.span is None else table.span,
         free_curvature=free_curvature,
         contacts="auto" if contacts == "auto" else int(contacts),
-        method=method,
+        method=method or "posterior",
         **told,
     )
     if as_json:
@@ -160,10 +160,9 @@ def _show(result: LocalizeResult, table: ReadingsTable) -> None:
     if result.contacts:
         rows = Table("arc", "force / EI", "95 % interval", "probability", "status", box=None)
         for contact in result.contacts:
-            low, high = contact.interval
             rows.add_row(
-                f"{contact.arc:.4g}", f"{contact.force:.3g}", f"{low:.4g} to {high:.4g}",
-                f"{contact.probability:.2f}", contact.status,
+                f"{contact.arc:.4g}", f"{contact.force:.3g}", contact.interval_text,
+                contact.probability_text, contact.status,
             )  # fmt: skip
         console.print(rows)
     for reading in result.discarded:

@@ -16,6 +16,7 @@ from types import FrameType
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, RunFolderError, StoppedByViewerError, ThigmoError
+from thigmo.exploration.feel import check_method
 from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
@@ -40,6 +41,7 @@ def explore(
     name: str | None = None,
     realtime: bool = False,
     protocol: Protocol = "measure",
+    method: str = "posterior",
     prior: str | os.PathLike[str] | None = None,
     operator: Operator | None = None,
     progress: Progress | None = None,
@@ -58,6 +60,8 @@ def explore(
         protocol: "measure" looks for contacts on the way up only, without waiting for young
             sensors, and sweeps a side with a contact again, to the pressure at which the contact
             is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
+        method: of `thigmo.localize`. Without intervals ("l1", "l2", "thesis") every stage's place
+            is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. It is believed as far as the readings allow.
         operator: answers what the board cannot know; the emulator brings its own.
@@ -72,7 +76,10 @@ def explore(
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     begun = started.isoformat(timespec="seconds")
-    document = RunDocument(thigmo=__version__, name=label, url=url, started=begun, seed=seed)
+    check_method(method)
+    document = RunDocument(
+        thigmo=__version__, name=label, url=url, started=begun, seed=seed, method=method
+    )
     with (
         ExitStack() as afterwards,
         _sigterm_raises(),

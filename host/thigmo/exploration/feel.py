@@ -14,13 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import RobotConfig
+from thigmo.display import POINT_ESTIMATE
+from thigmo.errors import DataError
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.room import WIDEST_SHARE
 from thigmo.exploration.sighting import Sighting, arc_grid, contact_mass
 from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
-from thigmo.localization import LocalizeResult, localize
+from thigmo.localization import METHODS, LocalizeResult, localize
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
@@ -48,11 +50,12 @@ def feel(
     response: FreeResponse,
     touch: Floats,
     prior: Sequence[Obstacle] = (),
+    method: str = "posterior",
 ) -> Feeling:
     """Localize the contacts behind a peak's readings, at a body-pressure zone.
 
     `touch` (145,) says where the sweep's first touch began; `prior` are obstacles that are
-    expected. Raises DataError if no sensor is usable.
+    expected; `method` is that of `localize`. Raises DataError if no sensor is usable.
     """
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
@@ -73,8 +76,13 @@ def feel(
         ),
         tube_radius=body.radius_cm,
         width_limit=WIDEST_SHARE * body.length_cm,
+        method=method,
     )
-    found = [c for c in result.contacts if c.status in _PLACED and c.probability > LIKELY]
+    found = [
+        c
+        for c in result.contacts
+        if c.status == POINT_ESTIMATE or (c.status in _PLACED and c.probability > LIKELY)
+    ]
     if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
@@ -98,3 +106,9 @@ def feel(
         for contact in found
     ]  # fmt: skip
     return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
+
+
+def check_method(method: str) -> None:
+    """Raises DataError if the localizer has no such method."""
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, nan
 from typing import Any
 
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
+from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.feel import LIKELY
 from thigmo.exploration.met import Lean, Met
 from thigmo.exploration.prior import match
@@ -40,11 +41,18 @@ class ContactMap:
         self._seen: list[Sighting] = []
         self._passed: list[Passed] = []
         self._met: list[MapContact] = []
+        self._points: list[MapContact] = []  # by a method without intervals
         self._known: list[MapContact] | None = []  # None: something was added since
 
     def add(self, sighting: Sighting) -> None:
-        """Take a contact that a stage felt."""
-        self._seen.append(sighting)
+        """Take a contact that a stage felt.
+
+        One without its error is a contact of its own: nothing tells whether it is another one.
+        """
+        if sighting.contact.status == POINT_ESTIMATE:
+            self._points.append(self._place_point(sighting))
+        else:
+            self._seen.append(sighting)
         self._known = None
 
     def add_passed(self, passed: Passed) -> None:
@@ -84,7 +92,7 @@ class ContactMap:
                 lengths = {*first.merged, *second.merged, second.everted_length_cm}
                 merged = sorted(lengths - {first.everted_length_cm})
                 known[same] = replace(first, merged=merged)
-        return known
+        return known + self._points
 
     def add_met(self, met: Met) -> None:
         """Take what growth met."""
@@ -125,6 +133,31 @@ class ContactMap:
         """A contact at its place, with the obstacle of the map that was given that it is."""
         found = MapContact(**told, **placed._asdict())
         return replace(found, known=match(self._prior, found))
+
+    def _place_point(self, sighting: Sighting) -> MapContact:
+        contact = sighting.contact
+        placed = place_contact(
+            sighting.bend,
+            contact.arc,
+            contact.force,
+            contact.interval,
+            radius_cm=self._config.body.radius_cm,
+            curvature_se=self._config.actuators.side(sighting.side).offset_se,
+        )
+        return self._contact(
+            placed,
+            arc_cm=contact.arc,
+            force_per_cm2=contact.force,
+            interval_cm=contact.interval,
+            status=contact.status,
+            everted_length_cm=sighting.length_cm,
+            side=sighting.side,
+            model=sighting.hypothesis,
+            readings=sighting.readings,
+            probability=nan,
+            peg_probability=nan,
+            wall_probability=nan,
+        )
 
     def _place(self, room: Room, found: Found) -> MapContact:
         """The obstacle where the longest body felt it."""

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
+from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.map import errors, of_stage
 from thigmo.exploration.obstacles import GONE, occupancy
 from thigmo.record import (
@@ -85,7 +86,10 @@ def felt_pegs(document: RunDocument) -> set[int]:
 def _same(contact: MapContact, true: TrueContact) -> bool:
     covariance = np.asarray(contact.covariance_cm2) + _FLOOR_CM**2 * np.eye(2)
     apart = np.array([contact.x_cm - true.x_cm, contact.y_cm - true.y_cm])
-    if apart @ np.linalg.solve(covariance, apart) < _SAME_SIGMA**2:
+    if (
+        contact.status != POINT_ESTIMATE
+        and apart @ np.linalg.solve(covariance, apart) < _SAME_SIGMA**2
+    ):
         return True
     low, high = contact.interval_cm
     held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM

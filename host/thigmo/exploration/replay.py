@@ -16,6 +16,7 @@ from typing import Any
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
+from thigmo.exploration.feel import check_method
 from thigmo.exploration.met import lean, stall
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
@@ -24,7 +25,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
-from thigmo.record import Entry, Log, RunDocument, RunFolder, Stage
+from thigmo.record import Entry, Log, RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import (
     SENSORS,
@@ -189,11 +190,15 @@ class _Reader:
             watcher.peaks.append(self._snapshots)
 
 
-def replay(run: str | os.PathLike[str]) -> ReplayResult:
+def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayResult:
     """Localize again from the raw record of a run folder.
 
     Writes `replay.json`, `replay.png`, `replay-obstacles.json` and `replay-map.yaml` with its
     picture into it.
+
+    Args:
+        run: its folder.
+        method: of `thigmo.localize`; that of the run if not given.
 
     Raises:
         RunFolderError: no record, or one of another protocol schema.
@@ -203,7 +208,11 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     config, log = folder.read_config(), folder.read_log()
     reader = _read(folder, config, log)
     prior = kept_prior(folder)
-    found, table = Interpreter(config, prior), SensorTable.of(config)
+    if method is not None:
+        check_method(method)
+    known = _document(folder, log)
+    known = replace(known, method=method or known.method)
+    found, table = Interpreter(config, prior, known.method), SensorTable.of(config)
     stages = []
     for looked, measured in _stages(reader.sweeps):
         sweep = looked[-1]
@@ -219,7 +228,7 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
             found.map.add_met(stalled)
         elif (held := lean(*grown, *reader.zeros_ahead, table)) and held.released(*reader.zeros()):
             found.map.add_met(held)
-    document = found.judged(_document(folder, log, stages))
+    document = found.judged(replace(known, stages=stages))
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
@@ -269,8 +278,8 @@ def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[list[_Sweep], list[_Sweep]]]
         yield looked, measured
 
 
-def _document(folder: RunFolder, log: Log, stages: list[Stage]) -> RunDocument:
-    """The replay's document; name, truth and outcome are the run's own, if it got so far."""
+def _document(folder: RunFolder, log: Log) -> RunDocument:
+    """The replay's document without stages; name, truth, outcome are the run's own, if known."""
     recorded = log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0
     try:
         known = folder.read_document()
@@ -281,7 +290,6 @@ def _document(folder: RunFolder, log: Log, stages: list[Stage]) -> RunDocument:
         known,
         thigmo=__version__,
         outcome=f"replayed; {known.outcome}",
-        stages=stages,
         robot_time_s=recorded,
         wall_time_s=0.0,
     )

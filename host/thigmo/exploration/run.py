@@ -87,7 +87,7 @@ class Exploration:
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
-        self._found = Interpreter(self.config, self.prior)
+        self._found = Interpreter(self.config, self.prior, self.document.method)
         self._table = SensorTable.of(self.config)
         self._whole_cm = sum(stage_lengths(self.config))
 

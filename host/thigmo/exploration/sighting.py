@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import Side
+from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.measuring import held_back
 from thigmo.exploration.workspace import Bend
 from thigmo.localization import Contact, LocalizeResult
@@ -70,7 +71,9 @@ def arc_grid(full_cm: float) -> Floats:
 
 def contact_mass(result: LocalizeResult, contact: Contact, arcs: Floats) -> Floats:
     """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
-    if len(result.contacts) == 1:
+    if result.status == POINT_ESTIMATE:
+        mass = np.ones(len(arcs))
+    elif len(result.contacts) == 1:
         step = arcs[1] - arcs[0]
         edges = np.concatenate((arcs - 0.5 * step, [arcs[-1] + 0.5 * step]))
         below = np.concatenate(([0.0], np.cumsum(result.probability)))

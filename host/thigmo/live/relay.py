@@ -80,6 +80,7 @@ class Watched:
         self._robot = url and _socket(url)
         self._waiting: deque[Message | None] = deque()
         self._run: RemoteRun | None = None
+        self._ended = threading.Event()  # the run that is attached to
         self._closed = threading.Event()
         self.looked = threading.Event()  # once a run that was under way at the start is known
         self.heard_s = time.monotonic()  # when the run was last heard of
@@ -96,6 +97,19 @@ class Watched:
         if run is None:
             raise LinkError("no run is under way", "start one with `thigmo explore`")
         run.send(command)
+
+    def stop(self, seconds: float) -> None:
+        """Tell the run to stop, if one is under way, and wait until it has ended, from any thread.
+
+        Raises LinkError if it has not ended in time.
+        """
+        ended, run = self._ended, self._run
+        if run is None:
+            return
+        with suppress(LinkError):  # it has just ended
+            run.send("stop")
+        if not ended.wait(seconds):
+            raise LinkError(f"the run {run.hello.name} does not answer")
 
     def close(self) -> None:
         """Look no more."""
@@ -114,7 +128,7 @@ class Watched:
             self._closed.wait(_SEARCH_S)
 
     def _read(self, run: RemoteRun) -> None:
-        self._run = run
+        self._run, self._ended = run, threading.Event()
         self._take(run.hello)
         self.looked.set()
         # It ends, or speaks another version of the stream.
@@ -125,6 +139,7 @@ class Watched:
                 elif (message := run.get(0.2)) is not None:
                     self._take(message)
         self._run = None
+        self._ended.set()
         self._waiting.append(None)
 
     def _take(self, message: Message) -> None:

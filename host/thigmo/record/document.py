@@ -8,7 +8,15 @@ robot, y to its left.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
+from typing import Annotated
 
+from pydantic import BeforeValidator
+
+from thigmo.display import interval_text
+
+# JSON has null where a number is not known.
+Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
 
 
@@ -44,7 +52,9 @@ class MapContact:
     y_cm: float  #: of the same point
     force_per_cm2: float  #: signed, F/EI; positive pushes towards +y of the body there
     interval_cm: tuple[float, float]  #: 95 % interval of the arc
-    status: str  #: "localized" or "ambiguous"
+    #: "localized", "ambiguous", or "point estimate": of a method that knows no error, and whose
+    #: interval is therefore the whole body
+    status: str
     everted_length_cm: float  #: stage at which it was felt
     #: active muscle; empty for a peg that growth met, which stopped the tip or bent it aside
     side: str
@@ -58,19 +68,23 @@ class MapContact:
     #: index of the prior map's obstacle (prior.json) that this is; null if it is new or none given
     known: int | None = None
     kind: str = "peg"  #: "peg", or "wall": a surface along which the tip slid from stage to stage
-    probability: float = 1.0  #: that it is real
+    probability: Number = 1.0  #: that it is real; null of a point estimate, also below
     #: that just these stages felt one peg, and one wall; the rest is that they did not
-    peg_probability: float = 1.0
-    wall_probability: float = 0.0
+    peg_probability: Number = 1.0
+    wall_probability: Number = 0.0
     #: of a wall: points of its surface, one for each stage, in the order of `merged`
     surface: list[tuple[float, float]] = field(default_factory=list)
 
     def __repr__(self) -> str:
-        low, high = self.interval_cm
         return (
             f"MapContact(x {self.x_cm:.1f}, y {self.y_cm:.1f} cm; arc {self.arc_cm:.1f} of "
-            f"{self.everted_length_cm:.1f} cm, 95 % {low:.1f} to {high:.1f} cm; {self.status})"
+            f"{self.everted_length_cm:.1f} cm, 95 % {self.interval_text}; {self.status})"
         )
+
+    @property
+    def interval_text(self) -> str:
+        """The interval for people."""
+        return interval_text(self.status, self.interval_cm, ".1f", " cm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,4 +182,5 @@ class RunDocument:
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
+    method: str = "posterior"  #: of the localizer: `thigmo.localize`
     version: int = 1

@@ -55,7 +55,7 @@ class Obstacle:
     # "felt" in this run; "prior", shown by the map given and not reached; "felt, prior"; "prior,
     # not felt", where the robot swept through its place
     source: str
-    status: str  # "localized" or "ambiguous", as in contacts.json
+    status: str  # "localized", "ambiguous" or "point estimate", as in contacts.json
     # direction from the body into the obstacle; None for a grid's obstacle
     normal_rad: float | None = None
     # part of the robot that it touched: "left", "right" or "tip"; empty for a grid's

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.display import COLORS, OTHER_COLOR
+from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.errors import RunFolderError
 from thigmo.files import whole_file
 from thigmo.record import Ellipse as Spread
@@ -174,7 +174,8 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
     from matplotlib.patheffects import withStroke
 
     color = COLORS.get(contact.status, OTHER_COLOR)
-    if len(contact.track) > 1:
+    placed = contact.status != POINT_ESTIMATE
+    if placed and len(contact.track) > 1:
         axes.plot(
             *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
             solid_capstyle="round", label="95 % interval along the body",
@@ -185,8 +186,8 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color, lw=1.0,
         ls=(0, (4, 2)), zorder=5, label="95 % ellipse in the plane",
     )  # fmt: skip
-    axes.add_patch(ellipse)
-    low, high = contact.interval_cm
+    if placed:
+        axes.add_patch(ellipse)
     named = "contact" if number is None else f"{number}"
     axes.plot(
         contact.x_cm, contact.y_cm, "o", color=color, ms=7, zorder=7, linestyle="none",
@@ -194,7 +195,7 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         mfc=color if contact.status == "localized" else "white",
         mec="white" if contact.status == "localized" else color, mew=1.2,
         label=f"{named}: {contact.status}, {contact.arc_cm:.1f} of "
-        f"{contact.everted_length_cm:.1f} cm (95 %: {low:.1f} to {high:.1f})",
+        f"{contact.everted_length_cm:.1f} cm ({'95 %: ' * placed}{contact.interval_text})",
     )  # fmt: skip
     if number is not None:
         away_x, away_y = -11 * np.cos(contact.normal_rad), -11 * np.sin(contact.normal_rad)

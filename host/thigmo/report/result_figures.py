@@ -59,15 +59,17 @@ def draw_posterior(found: LocalizeResult, axes: Axes | None = None, *, unit: str
 def _contact(axes: Axes, contact: Contact, body: float, height: float, *, point_fit: bool) -> None:
     """A contact on the body: its interval's pieces, its place, and its words."""
     color, arc = COLORS.get(contact.status, OTHER_COLOR), contact.arc
-    for low, high in contact.intervals or (contact.interval,):
+    whole = () if point_fit else (contact.interval,)
+    for low, high in contact.intervals or whole:
         axes.plot([low, high], [body, body], color=color, lw=7, solid_capstyle="butt", zorder=3)
     axes.plot(arc, body, "o", color=color, ms=8, mec="white", mew=1.2, zorder=4)
     axes.plot([arc, arc], [body, 1.04 * height], color=color, lw=0.8, ls=(0, (4, 2)))
-    low, high = contact.interval
     right = arc < 0.5 * axes.dataLim.x1
     words = f"{arc:.4g}"
-    if not point_fit:
-        words += f"  ({low:.4g} to {high:.4g}, 95 %)\n"
+    if point_fit:
+        words += f"  ({contact.interval_text})"
+    else:
+        words += f"  ({contact.interval_text}, 95 %)\n"
         words += f"probability {contact.probability:.3g}, {contact.status}"
     axes.annotate(
         words,

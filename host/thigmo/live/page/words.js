@@ -1,6 +1,6 @@
 // What is told in words: the header, banners, contacts and events.
 
-import { $, COLUMN, element, latest, store, time } from "./store.js";
+import { $, COLUMN, element, latest, pointEstimate, store, time } from "./store.js";
 
 const ICONS = {
   info: '<svg class="icon" viewBox="0 0 12 12" aria-label="info"><circle cx="6" cy="6" r="3" fill="var(--faint)"/></svg>',
@@ -67,10 +67,11 @@ function drawContactRows() {
   $("contact-rows").replaceChildren(...found.map((contact) => {
     const row = element("tr");
     const [low, high] = contact.interval_cm.map((value) => fixed(value, 1));
+    const range = pointEstimate(contact) ? "no interval;" : `${low} to ${high}`;
     const certain = Number.isFinite(contact.probability) ? `, ${percent(contact.probability)}` : "";
     row.innerHTML = `
       <td><b>${fixed(contact.x_cm, 1)}, ${fixed(contact.y_cm, 1)}</b></td>
-      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${low} to ${high} of ${fixed(contact.everted_length_cm, 0)}</span></td>
+      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${range} of ${fixed(contact.everted_length_cm, 0)}</span></td>
       <td>${Number.isFinite(contact.force_per_cm2) ? contact.force_per_cm2.toExponential(1).replaceAll("-", "−") : "–"}</td>`;
     const chip = element("span", { class: "chip" }, `${contact.status}${certain}`);
     if (contact.status !== "localized") chip.classList.add("ambiguous");
