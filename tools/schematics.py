@@ -368,9 +368,7 @@ def sensors() -> schemdraw.Drawing:
         _text(d, (18.0, at + 0.2), name)
         _text(d, (21.8, at), where)
     _text(d, (14.0, y - 3.0), "A leads B while paying out; pull-ups are in the Mega")
-    _text(
-        d, (14.0, y - 3.6), "in A and B, at the Mega: R71, R72 1k, C71, C72 1 nF to GND,"
-    )
+    _text(d, (14.0, y - 3.6), "in A and B, at the Mega: R71, R72 1k, C71, C72 1 nF to GND,")
     _text(d, (14.0, y - 4.2), "then two inverters each of U2 (74HC14)")
     _text(d, (0.2, -11.0), "A12 is spare: R63 100k to GND")
     return d
