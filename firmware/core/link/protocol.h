@@ -80,11 +80,10 @@ constexpr uint8_t kBranchCount = 2;
 enum class Board : uint8_t {
   kVirtual = 0,   // Inside the emulator.
   kMega = 1,      // Arduino Mega 2560, real or simulated.
-  kPico = 2,      // Raspberry Pi Pico under MicroPython.
   kCortexM3 = 3,  // MicroPython on QEMU's Cortex-M3; its hardware is injected.
   kUnix = 4,      // MicroPython's unix port; its hardware is injected.
 };
-constexpr uint8_t kBoardCount = 5;
+constexpr uint8_t kBoardCount = 4;
 
 // Why the board last started.
 enum class ResetCause : uint8_t {

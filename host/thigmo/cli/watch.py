@@ -39,7 +39,7 @@ def watch(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
     foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Serve the run to Foxglove, too (thigmo[foxglove]).")
+        bool, typer.Option("--foxglove", help="Serve it to Foxglove, too (thigmo\\[foxglove]).")
     ] = False,
     foxglove_port: Annotated[
         int, typer.Option(help="For Foxglove; 0 takes any.", min=0, max=65535)

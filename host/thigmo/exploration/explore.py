@@ -71,7 +71,14 @@ def explore(
         ThigmoError: with the next step for the operator. The robot is vented and braked, and the
             run folder says how far it came.
     """
-    tell = progress or (lambda doing, fraction: None)
+    reached = 0.0
+
+    def tell(doing: str, fraction: float) -> None:
+        nonlocal reached
+        reached = fraction
+        if progress is not None:
+            progress(doing, fraction)
+
     given = [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
@@ -102,7 +109,7 @@ def explore(
             write_obstacles(kept, folder.path / PRIOR_FILE)
 
         def draw(kind: object, error: BaseException | None, trace: object) -> None:
-            tell("drawing the map", 1.0)
+            tell("drawing the map", 1.0 if error is None else reached)
             try:
                 known, radius_cm = folder.read_document(), used.body.radius_cm
                 draw_map(known, folder.map_path, radius_cm=radius_cm, prior=given)

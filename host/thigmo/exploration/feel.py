@@ -78,17 +78,19 @@ def feel(
         width_limit=WIDEST_SHARE * body.length_cm,
         method=method,
     )
+    marginals = result.marginals or (None,) * len(result.contacts)
     found = [
-        c
-        for c in result.contacts
-        if c.status == POINT_ESTIMATE or (c.status in _PLACED and c.probability > LIKELY)
+        (contact, marginal)
+        for contact, marginal in zip(result.contacts, marginals, strict=False)
+        if contact.status == POINT_ESTIMATE
+        or (contact.status in _PLACED and contact.probability > LIKELY)
     ]
     if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
     unfolded = peak.curvature[use] - free.mean - fold * fold_share(centers, spans, body.diameter_cm)
-    last = max((contact.arc for contact in found), default=0.0)
+    last = max((contact.arc for contact, _ in found), default=0.0)
     bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
     curve, arcs = centreline(bend), arc_grid(body.length_cm)
     expected = None
@@ -100,10 +102,10 @@ def feel(
         expected = boost(prior, np.array(skin), bend.length_cm)
     felt = [
         Sighting(
-            peak.side, peak.length_cm, bend, contact, contact_mass(result, contact, arcs), touch,
+            peak.side, peak.length_cm, bend, contact, contact_mass(marginal, arcs), touch,
             result.hypothesis, int(use.sum()), alone=len(found) == 1, expected=expected,
         )
-        for contact in found
+        for contact, marginal in found
     ]  # fmt: skip
     return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
 

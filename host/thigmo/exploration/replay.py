@@ -19,6 +19,7 @@ from thigmo.errors import RunFolderError
 from thigmo.exploration.feel import check_method
 from thigmo.exploration.met import lean, stall
 from thigmo.exploration.obstacles import export_obstacles
+from thigmo.exploration.plan import growth_zone
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.stage import Interpreter
 from thigmo.link import protocol as wire
@@ -86,7 +87,7 @@ class _Reader:
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._before = self.table  # the last zeroing
-        self._zone = 0
+        self.zone = 0  # of the body pressure
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
         self._events: set[int] = set()
@@ -128,7 +129,7 @@ class _Reader:
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
-                self._zone = message.zone
+                self.zone = message.zone
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
@@ -178,7 +179,7 @@ class _Reader:
         watcher = SweepWatcher(self.table, mask, length, young, self._standing)
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = {side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0}
-        self.sweeps.append(_Sweep(self._zone, sides, t_s, watcher))
+        self.sweeps.append(_Sweep(self.zone, sides, t_s, watcher))
 
     def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
         if message.index == 0:
@@ -205,7 +206,8 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
         ConfigError: its robot.toml cannot be read.
     """
     folder = RunFolder(run)
-    config, log = folder.read_config(), folder.read_log()
+    log = folder.read_log()  # first: a folder that is no run has none, and says so
+    config = folder.read_config()
     reader = _read(folder, config, log)
     prior = kept_prior(folder)
     if method is not None:
@@ -225,7 +227,9 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     if reader.backed_off:
         grown = reader.growth.profile(reader.table)
         if (stalled := stall(*grown, table)) is not None:
-            found.map.add_met(stalled)
+            # A growth at another pressure than the length's was the trial of an earlier stall.
+            usual = growth_zone(config, float(grown[0][0]), float(grown[0][-1]))
+            found.map.add_met(stalled, moved_on=None if reader.zone == usual else False)
         elif (held := lean(*grown, *reader.zeros_ahead, table)) and held.released(*reader.zeros()):
             found.map.add_met(held)
     document = found.judged(replace(known, stages=stages))

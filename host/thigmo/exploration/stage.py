@@ -135,7 +135,10 @@ class Interpreter:
 
     def judged(self, document: RunDocument) -> RunDocument:
         """The document with the map's contacts, their errors, and what was missed or is false."""
-        return judged(replace(document, contacts=self.map.contacts), self._config, self._prior)
+        known = replace(
+            document, contacts=self.map.contacts, stall=self.map.stall or document.stall
+        )
+        return judged(known, self._config, self._prior)
 
 
 def _learn(

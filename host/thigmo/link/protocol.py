@@ -67,7 +67,6 @@ class Branch(Documented):  # Which of a muscle's two maps.
 class Board(OpenDocumented):  # Where the firmware runs.
     VIRTUAL = 0  # Inside the emulator.
     MEGA = 1  # Arduino Mega 2560, real or simulated.
-    PICO = 2  # Raspberry Pi Pico under MicroPython.
     CORTEX_M3 = 3  # MicroPython on QEMU's Cortex-M3; its hardware is injected.
     UNIX = 4  # MicroPython's unix port; its hardware is injected.
 

@@ -159,6 +159,34 @@ class FalseContact:
 
 
 @dataclass(frozen=True, slots=True)
+class Stall:
+    """A growth that stopped, and what may have stopped it, with probabilities."""
+
+    length_cm: float  # where the tip stood, by the best guess
+    interval_cm: tuple[float, float]  # it stood within these
+    obstacle: float  # something stands ahead
+    wall: float  # a wall does
+    pressure: float  # the body pressure was too little for the tail's friction
+    # whether the tip moved on when the body pressure was raised; null: nobody tried
+    moved_on: bool | None = None
+
+    @property
+    def words(self) -> str:
+        """For the operator."""
+        shares = sorted(
+            (
+                (self.obstacle, "an obstacle ahead"),
+                (self.wall, "a wall ahead"),
+                (self.pressure, "too little body pressure for the tail's friction"),
+            ),
+            reverse=True,
+        )
+        said = ", ".join(f"{what} ({100 * share:.0f} %)" for share, what in shares)
+        tried = "" if self.moved_on is None else ", after a trial at a higher body pressure"
+        return f"growth stalled at {self.length_cm:.1f} cm: {said}{tried}"
+
+
+@dataclass(frozen=True, slots=True)
 class RunDocument:
     """The whole of contacts.json."""
 
@@ -166,8 +194,8 @@ class RunDocument:
     name: str
     url: str
     started: str
-    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or, with the
-    #: reason, "aborted"
+    #: "running", "full length", "peg ahead" (felt, or by a body that growth bent aside), "growth
+    #: stalled" with its possible causes, or, with the reason, "aborted"
     outcome: str = "running"
     seed: int | None = None
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
@@ -179,6 +207,7 @@ class RunDocument:
     error_cm: float | None = None  #: distance in the plane from it to the true contact point
     missed: list[MissedContact] | None = None  #: known otherwise; null if nothing else is known
     false: list[FalseContact] | None = None  #: not in the room; null without truth
+    stall: Stall | None = None  #: what stopped the growth; null if nothing did
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on

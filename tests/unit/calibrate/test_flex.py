@@ -397,3 +397,34 @@ def test_the_thesis_s_fit_needs_the_straight_robot_and_tips():
     lab = Lab(4)
     with pytest.raises(DataError, match="0 rows of the straight robot"):
         thesis.fit_flex(lab.flex(straight=0), lab.config)
+
+
+def up_and_back(lab: Lab, back: bool, loop: float) -> FlexReadings:
+    """Six sweeps a side, sensors with a loop of that half width (1/cm); `back`: down as well."""
+    up = np.linspace(0, 1, 12)
+    ramp = np.concatenate([up, up[-2::-1]]) if back else up
+    parts, n = [], len(ramp)
+    for number in range(12):
+        sign, side = ((1, "left"), (-1, "right"))[number % 2]
+        k = np.repeat(sign * 0.035 * ramp[:, None], 10, axis=1)
+        turned = k + loop * loop_turns(k, np.zeros(n, np.int64), 5e-3)
+        turned[:, slice(0, 5) if side == "left" else slice(5, 10)] *= 0.3  # the muscle's side
+        parts.append(
+            FlexReadings(
+                ("bend",) * n, np.full((n, 2), np.nan), k[:, 0], np.full(n, 1e-4), (side,) * n,
+                lab.ohm(turned), LENGTH, np.full(n, np.nan), np.full(n, number, np.int64),
+            )
+        )  # fmt: skip
+    return reduce(merge, parts)
+
+
+@pytest.mark.parametrize("loop", [3e-3, 1e-2])
+def test_bends_that_only_grow_do_not_hide_what_the_loop_took(loop):
+    lab = Lab(2, sigma=3e-4)
+    grew = fit_flex(up_and_back(lab, False, loop), lab.config)
+    assert not grew.verdict.good
+    assert any("only ever grew" in note for note in grew.verdict.notes)
+    wrong = [abs(f.scale_per_ohm / s - 1) for f, s in zip(grew.sensors, lab.scale, strict=True)]
+    assert (np.array(wrong) < 2 * np.array([fit.scale_se for fit in grew.sensors])).all()
+    both = fit_flex(up_and_back(lab, True, loop), lab.config)
+    assert not any("only ever grew" in note for note in both.verdict.notes)
