@@ -42,13 +42,13 @@ struct Machine {
   bool again;           // the program has begun before, without a reset
   uint32_t tick;        // since the controller began
   volatile bool alive;
-  alignas(InjectedBoard) uint8_t board[sizeof(InjectedBoard)];
-  alignas(Robot<InjectedBoard>) uint8_t robot[sizeof(Robot<InjectedBoard>)];
   uint8_t received[kFlashSize + kStepHeader + kMostLine];
   uint32_t filled;
   uint8_t answer[kFlashSize + kEepromUsed + 32];
 };
 Machine machine;
+alignas(InjectedBoard) uint8_t board_storage[sizeof(InjectedBoard)];
+alignas(Robot<InjectedBoard>) uint8_t robot_storage[sizeof(Robot<InjectedBoard>)];
 
 StopLatch kept() {
   StopLatch stop;
@@ -57,8 +57,8 @@ StopLatch kept() {
   return stop;
 }
 
-InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(machine.board); }
-Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(machine.robot); }
+InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(board_storage); }
+Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(robot_storage); }
 
 template <typename T>
 T take(const uint8_t*& at) {
@@ -162,7 +162,7 @@ void describe(const uint8_t* at) {
   memcpy(machine.flash.cells, at, kFlashSize);
   machine.flash.cut_after = UINT32_MAX;
   machine.flash.powered = true;
-  new (machine.board)
+  new (board_storage)
       InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits, machine.cause, kept());
   machine.known = true;
 }
@@ -240,10 +240,10 @@ const char* thigmo_begin(const int8_t*) {
     if (!stream_wait()) return "the injected hardware has gone";
   }
   stream_lock();
-  new (machine.board)
+  new (board_storage)
       InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
                     machine.again ? protocol::ResetCause::kExternal : machine.cause, kept());
-  new (machine.robot) Robot<InjectedBoard>(board());
+  new (robot_storage) Robot<InjectedBoard>(board());
   robot().begin();
   machine.tick = 0;
   machine.again = true;
