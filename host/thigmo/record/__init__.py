@@ -34,7 +34,7 @@ from thigmo.record.obstacles import (
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.swept_shapes import outline, passed
-from thigmo.record.table import ReadingsTable, read_readings
+from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_readings
 
 __all__ = [
     "OBSTACLES_FILE",
@@ -42,6 +42,7 @@ __all__ = [
     "Ellipse",
     "Entry",
     "FalseContact",
+    "FramesTable",
     "FreeArea",
     "Log",
     "LogWriter",
@@ -63,6 +64,7 @@ __all__ = [
     "Truth",
     "outline",
     "passed",
+    "read_frames",
     "read_log",
     "read_obstacles",
     "read_readings",
