@@ -31,8 +31,9 @@ _BACKLOG = 1024
 _STOP_PATIENCE_S = 2.0  # for the rest of a stop's request
 _FULL = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
-Stop = Callable[[], dict[str, Any]]
-"""Stops the robot, from any thread, which may take seconds: what came of it, for the page."""
+Stop = Callable[[str], dict[str, Any]]
+"""Stops the robot for a computer at an address, from any thread, which may take seconds: what came
+of it, for the page."""
 
 
 class Door(Closing):
@@ -145,7 +146,7 @@ class _StopRequest(BaseHTTPRequestHandler):
         if refused:
             self._say(403, "text/plain", refused)
         else:
-            self._say(200, "application/json", json.dumps(self._stop()))
+            self._say(200, "application/json", json.dumps(self._stop(self.client_address[0])))
 
     def _say(self, status: int, kind: str, text: str) -> None:
         self.send_response(status)

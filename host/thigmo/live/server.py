@@ -36,6 +36,7 @@ from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
 _MOST_VIEWERS = 16
+_LOOK_S = 2.0  # between two looks at which runs there are
 _TICK_S = 0.03
 _PULSE_S = 0.25  # the page calls its connection lost after six of them
 _MOST_ROWS_A_TICK = 40  # an emulator at full speed makes more than a chart has pixels for
@@ -98,7 +99,10 @@ class PageServer:
         self._started: StartedRun | None = None
         self._way: Way = "none"
         self._stopping = threading.Lock()
+        self._last_stop: dict[str, Any] | None = None  # it stays told, whatever runs next
+        self._choices: list[Hello] = []  # runs that could be looked at
         self._left_s = time.monotonic()  # when somebody last looked
+        self._looked_s = float("-inf")  # when the runs were last looked for
 
     # The application.
 
@@ -194,8 +198,20 @@ class PageServer:
             run = self._run
             if run.moving is not None:
                 run.pegs = await asyncio.to_thread(pegs, run.moving.folder)
+            if self._watched is not None:
+                await self._look_around(self._watched)
             self._tell()
             await asyncio.sleep(_PULSE_S)
+
+    async def _look_around(self, watched: Watched) -> None:
+        """See which runs there are, now and then; forget one that was started in vain."""
+        started = self._started
+        if started is not None and not started.runs and watched.chosen == started.pid:
+            watched.choose(None)
+        now_s = time.monotonic()
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            self._choices = await asyncio.to_thread(watched.runs)
 
     def _tell(self) -> None:
         for viewer in self._viewers:
@@ -224,6 +240,12 @@ class PageServer:
             "operated": self._operator not in (None, viewer),
             "viewers": len(self._viewers),
             "stop": self._way,
+            "last_stop": self._last_stop,
+            "choices": [
+                {"pid": each.pid, "name": each.name, "url": each.url, "folder": each.folder}
+                for each in self._choices
+            ],
+            "shown": run.moving.pid if run.moving else None,
             "silent_s": round(time.monotonic() - heard_s, 1),
         }
 
@@ -282,6 +304,10 @@ class PageServer:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = viewer
+        elif command == "choose" and operates and self._watched is not None:
+            pid = told.get("pid")
+            if any(each.pid == pid for each in self._choices):
+                self._watched.choose(pid)
         elif command == "start" and operates:
             await self._start(realtime=told.get("realtime") is not False)
         elif command == "answer" and operates and self._started is not None:
@@ -298,11 +324,18 @@ class PageServer:
         if url is None or self._run.moving is not None or self._starting:
             return
         self._started = await asyncio.to_thread(StartedRun, url, explore, realtime=realtime)
+        if self._watched is not None:
+            self._watched.choose(self._started.pid)
 
-    def stop(self) -> dict[str, Any]:
-        """Stop the robot, from any thread, and wait for the board: what the page is told of it."""
+    def stop(self, peer: str) -> dict[str, Any]:
+        """Stop the robot for a computer at an address, from any thread, and wait for the board.
+
+        What the page is told of it.
+        """
+        stopped: list[str] = []
+        failed = ""
         with self._stopping:  # two who press at once are one after the other
-            run = self._run.moving
+            run, at_s = self._run.moving, time.time()
             try:
                 if run is not None and run.virtual and self._watched is not None:
                     self._watched.stop(_STOP_S)
@@ -310,8 +343,11 @@ class PageServer:
                 else:
                     stopped = stop_port(run)
             except ThigmoError as error:
-                return {"stopped": [], "failed": str(error)}
-        return {"stopped": stopped, "failed": ""}
+                failed = str(error)
+            if stopped or failed:
+                by = "this computer" if peer in ("127.0.0.1", "::1") else peer
+                self._last_stop = {"at_s": at_s, "by": by, "stopped": stopped, "failed": failed}
+        return {"stopped": stopped, "failed": failed}
 
     async def _looked_back(self) -> PastRun:
         """The record of the run that is to be looked at, or has just ended."""

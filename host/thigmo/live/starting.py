@@ -44,6 +44,11 @@ class StartedRun:
         self._listener.start()
 
     @property
+    def pid(self) -> int:
+        """Its process."""
+        return self._process.pid
+
+    @property
     def runs(self) -> bool:
         """Whether it is still under way."""
         return self._process.poll() is None

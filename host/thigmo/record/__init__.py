@@ -35,7 +35,7 @@ from thigmo.record.obstacles import (
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.swept_shapes import outline, passed
-from thigmo.record.table import ReadingsTable, read_readings
+from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_readings
 
 __all__ = [
     "OBSTACLES_FILE",
@@ -44,6 +44,7 @@ __all__ = [
     "Ellipse",
     "Entry",
     "FalseContact",
+    "FramesTable",
     "FreeArea",
     "Log",
     "LogWriter",
@@ -66,6 +67,7 @@ __all__ = [
     "Truth",
     "outline",
     "passed",
+    "read_frames",
     "read_log",
     "read_obstacles",
     "read_readings",

@@ -36,9 +36,19 @@ export function drawWords(lost) {
   $("clock").textContent = any ? fixed(store.now, 1) : "–";
   $("length").textContent = any ? fixed(latest(COLUMN.length), 1) : "–";
   $("phase").textContent = board.state ? board.state.replaceAll("_", " ") : "–";
+  $("last-stop").textContent = lastStop();
   drawContactRows();
   drawEvents();
   drawBanners(lost);
+}
+
+// Who stopped last, and what came of it: it stays told, whatever runs next.
+function lastStop() {
+  const stop = store.page?.last_stop;
+  if (!stop) return "";
+  const at = new Date(1000 * stop.at_s).toLocaleTimeString();
+  const came = stop.failed ? `not confirmed: ${stop.failed}` : `confirmed by ${stop.stopped.join(", ")}`;
+  return `Last stop: ${at}, pressed on ${stop.by}, ${came}.`;
 }
 
 function doing(lost) {
@@ -125,7 +135,8 @@ function drawBanners(lost) {
   }
   if (document.body.dataset.stop === "stopped" && !lost) {
     const robot = page?.run?.virtual === false ? ` --robot ${page.run.url}` : "";
-    told.push(["note", "Stopped: the robot is vented and braked, and keeps its length.", `Look at it, then \`thigmo clear${robot}\` lets it move again.`]);
+    const by = page?.last_stop ? ` by ${page.last_stop.by}` : "";
+    told.push(["note", `Stopped${by}: the robot is vented and braked, and keeps its length.`, `Look at it, then \`thigmo clear${robot}\` lets it move again.`]);
   }
   for (const fault of board.faults) {
     const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
