@@ -76,8 +76,49 @@ def _experiments(found: list[dict[str, Any]]) -> list[Row]:
             f"in that measure {_number(row['bound_measured_mean'])}",
         )
         for experiment in found
-        for row in experiment["rows"]
+        for full in experiment["rows"]
+        for row in (full, *_one_frame(full))
     ]
+
+
+def _one_frame(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """One frame against one frame, where ours has used more."""
+    if row["alone_mean"] is None:
+        return []
+    ours = {f"ours_{what}": row[f"alone_{what}"] for what in ("mean", "workspace_mean")}
+    plain = {"bound_mean": "not computed", "bound_measured_mean": "not computed"}
+    plain |= {"beaten": True, "mean_beaten": True}  # nothing was promised
+    return [row | ours | plain | {"condition": f"{row['condition']}, last frame alone"}]
+
+
+def _predictions(found: list[dict[str, Any]]) -> list[Row]:
+    """What the fitted constants predict, with the tool's own verdict."""
+    rows = []
+    for study in found:
+        for note in study["notes"] if study["study"] == "predictions" else []:
+            name, said = note.split(": ", 1)
+            verdict = said.split("(")[1].split(";")[0]
+            rows.append((f"prediction: {name}", verdict, said.replace(f"{verdict}; ", "")))
+    return rows
+
+
+def _many_robots(found: list[dict[str, Any]]) -> list[Row]:
+    """Ours less its method, with the standard error over the robots."""
+    rows = []
+    for row in (row for experiment in found for row in experiment["rows"]):
+        tie = abs(row["less_mean"]) < 2 * row["less_se"]
+        verdict = "a tie" if tie else "ours" if row["less_mean"] > 0 else "its method"
+        places = ", ".join(
+            f"{place} {its:.2f} / {ours:.2f}" for place, (its, ours) in row["by_place"].items()
+        )
+        rows.append((
+            f"{row['condition']}: x error in the room, its method less ours",
+            f"{row['less_mean']:.2f} +- {row['less_se']:.2f} cm",
+            f"nearer: {verdict}; its method / ours {row['here_workspace_mean']:.2f} / "
+            f"{row['ours_workspace_mean']:.2f}, at {places}; in the thesis's measure "
+            f"{row['here_mean']:.2f} / {row['ours_mean']:.2f}",
+        ))  # fmt: skip
+    return rows
 
 
 def _above(beaten: bool) -> str:
@@ -85,7 +126,8 @@ def _above(beaten: bool) -> str:
 
 
 def _experiments_and_claims(found: list[dict[str, Any]]) -> list[Row]:
-    return _experiments(found) + _claims([e for e in found if not e["rows"]])
+    claims = _claims([e for e in found if not e["rows"]])
+    return _experiments(found) + claims + _predictions(found)
 
 
 def _claims(found: list[dict[str, Any]]) -> list[Row]:
@@ -225,9 +267,9 @@ def _budgets(found: dict[str, Any]) -> list[Row]:
     ]
 
 
-def _number(value: float | None) -> str:
-    if value is None:
-        return "unbounded"
+def _number(value: float | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or "unbounded"
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
@@ -254,6 +296,11 @@ SOURCES: dict[str, Source] = {
             "two-contacts-errors.png": "two-contacts.png",
             "sensitivity-sensitivity.png": "sensitivity.png",
         },
+    ),
+    "experiments-robots": Source(
+        (THIGMO, "experiment", "single-contact", "--robots", "100", "--trials", "1", "--json"),
+        _many_robots,
+        {},
     ),
     **{
         f"bench-{study}": Source(

@@ -25,7 +25,7 @@ class Commands {
   Timing& timing() { return timing_; }
 
   void heartbeat() { controller_.beat(); }
-  void hello() { controller_.greet(); }
+  void hello(bool same_host) { controller_.greet(same_host); }
   void stop(uint32_t nonce) {
     controller_.stop(nonce);
     stop_changed_ = true;

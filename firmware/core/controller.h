@@ -98,8 +98,8 @@ class Controller {
   // Somebody stops the robot; at once, in every state.
   void stop(uint32_t nonce);
 
-  // A host said hello; a heartbeat arrived.
-  void greet();
+  // A host said hello, the one of before or another; a heartbeat arrived.
+  void greet(bool same_host);
   void beat() {
     beat_tick_ = tick_;
     beaten_ = true;

@@ -12,7 +12,12 @@ namespace thigmo {
 
 constexpr Outcome kAccepted = {Reason::kNone, 0};
 
-inline void Controller::greet() {
+// What one host began is not for another one to find moving.
+inline void Controller::greet(bool same_host) {
+  if (greeted_ && !same_host) {
+    make_safe(Reason::kOtherHost);
+    supervise(bit(Signal::kDisarm));
+  }
   greeted_ = true;
   staged_.clear();  // what another host has left
   events_.resend();

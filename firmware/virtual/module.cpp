@@ -11,14 +11,15 @@
 #include "virtual_board.h"
 
 namespace nb = nanobind;
+using thigmo::Analog;
 using thigmo::VirtualBoard;
 
 namespace {
 
-using Analog =
-    nb::ndarray<const double, nb::shape<VirtualBoard::kChannels, 2>, nb::c_contig, nb::device::cpu>;
+using Levels =
+    nb::ndarray<const double, nb::shape<Analog::kChannels, 2>, nb::c_contig, nb::device::cpu>;
 using Noise =
-    nb::ndarray<const double, nb::shape<VirtualBoard::kChannels>, nb::c_contig, nb::device::cpu>;
+    nb::ndarray<const double, nb::shape<Analog::kChannels>, nb::c_contig, nb::device::cpu>;
 using Trace = nb::ndarray<const int64_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
 
 std::string text(const nb::bytes& bytes) { return std::string(bytes.c_str(), bytes.size()); }
@@ -30,20 +31,62 @@ void check_eeprom(const std::string& image) {
   }
 }
 
+void check_profile(uint8_t adc_bits, uint16_t frame_us) {
+  if (adc_bits < thigmo::kAdcBits || adc_bits > 16 || frame_us == 0 || frame_us >= 1000) {
+    throw std::invalid_argument("a converter has 10 to 16 bits and a frame 1 to 999 us");
+  }
+}
+
 }  // namespace
 
 NB_MODULE(_board, m) {
   m.doc() = "The firmware core on a virtual board.";
   m.attr("SCHEMA_HASH") = thigmo::protocol::kSchemaHash;
+  nb::class_<Analog>(m, "Analog")
+      .def(
+          "__init__",
+          [](Analog* self, uint64_t seed, uint8_t adc_bits, uint16_t frame_us) {
+            check_profile(adc_bits, frame_us);
+            new (self) Analog(seed, adc_bits, frame_us);
+          },
+          nb::arg("seed"), nb::arg("adc_bits"), nb::arg("frame_us"))
+      .def(
+          "set_levels", [](Analog& self, const Levels& counts) { self.set_levels(counts.data()); },
+          nb::arg("counts"))
+      .def(
+          "set_noise", [](Analog& self, const Noise& sigma) { self.set_noise(sigma.data()); },
+          nb::arg("sigma"))
+      .def("settle", &Analog::settle)
+      .def(
+          "feed", [](Analog& self, const Trace& rows) { self.feed(rows.data(), rows.shape(0)); },
+          nb::arg("rows"))
+      .def(
+          "frames",
+          [](Analog& self, uint32_t tick, uint32_t ticks, uint32_t begun, double each) {
+            auto* counts = new std::vector<uint16_t>;
+            for (uint32_t i = 0; i < ticks; ++i) {
+              const thigmo::AdcFrame frame = self.frame(tick + i, (begun + i) * each, each);
+              counts->insert(counts->end(), frame.count, frame.count + thigmo::kAdcSlots);
+            }
+            nb::capsule owner(
+                counts, [](void* p) noexcept { delete static_cast<std::vector<uint16_t>*>(p); });
+            return nb::ndarray<nb::numpy, uint16_t, nb::ndim<2>>(counts->data(),
+                                                                 {ticks, thigmo::kAdcSlots}, owner);
+          },
+          nb::arg("tick"), nb::arg("ticks"), nb::arg("begun"), nb::arg("each"));
   nb::class_<VirtualBoard>(m, "VirtualBoard")
       .def(
           "__init__",
-          [](VirtualBoard* self, uint64_t seed, const nb::bytes& eeprom) {
+          [](VirtualBoard* self, uint64_t seed, const nb::bytes& eeprom, uint8_t adc_bits,
+             uint16_t frame_us) {
             const std::string image = text(eeprom);
             check_eeprom(image);
-            new (self) VirtualBoard(seed, image);
+            check_profile(adc_bits, frame_us);
+            new (self) VirtualBoard(seed, image, adc_bits, frame_us);
           },
-          nb::arg("seed"), nb::arg("eeprom") = nb::bytes("", 0))
+          nb::arg("seed"), nb::arg("eeprom") = nb::bytes("", 0),
+          nb::arg("adc_bits") = thigmo::kAdcBits,
+          nb::arg("frame_us") = static_cast<int>(VirtualBoard::kFrameUs))
       .def("step", &VirtualBoard::step, nb::arg("ticks"))
       .def_prop_ro("now_us", &VirtualBoard::now_us)
       .def(
@@ -52,11 +95,11 @@ NB_MODULE(_board, m) {
       .def("read", [](VirtualBoard& self) { return bytes(self.read()); })
       .def(
           "set_analog",
-          [](VirtualBoard& self, const Analog& counts) { self.set_analog(counts.data()); },
+          [](VirtualBoard& self, const Levels& counts) { self.analog().set_levels(counts.data()); },
           nb::arg("counts"))
       .def(
           "set_adc_noise",
-          [](VirtualBoard& self, const Noise& sigma) { self.set_adc_noise(sigma.data()); },
+          [](VirtualBoard& self, const Noise& sigma) { self.analog().set_noise(sigma.data()); },
           nb::arg("sigma"))
       .def("set_encoder", &VirtualBoard::set_encoder, nb::arg("start"), nb::arg("end"))
       .def("set_supply_mv", &VirtualBoard::set_supply_mv, nb::arg("supply_mv"))
@@ -77,13 +120,15 @@ NB_MODULE(_board, m) {
       .def(
           "feed_trace",
           [](VirtualBoard& self, const Trace& rows) {
-            self.feed_trace(rows.data(), rows.shape(0));
+            self.analog().feed(rows.data(), rows.shape(0));
           },
           nb::arg("rows"))
-      .def("record_trace", &VirtualBoard::record_trace, nb::arg("on"))
+      .def(
+          "record_trace", [](VirtualBoard& self, bool on) { self.analog().record(on); },
+          nb::arg("on"))
       .def("recorded_trace",
            [](const VirtualBoard& self) {
-             const auto& rows = self.recorded();
+             const auto& rows = self.analog().recorded();
              auto* copy = new std::vector<std::array<int64_t, 3>>(rows);
              nb::capsule owner(copy, [](void* p) noexcept {
                delete static_cast<std::vector<std::array<int64_t, 3>>*>(p);

@@ -16,29 +16,34 @@
 #include <deque>
 #include <memory>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include "../core/robot.h"
-#include "adc_noise.h"
+#include "../core/sensing/narrowing.h"
+#include "analog.h"
 
 namespace thigmo {
 
 class VirtualBoard {
  public:
   static constexpr protocol::Board kKind = protocol::Board::kVirtual;
-  static constexpr int kChannels = 16;
   static constexpr uint32_t kEepromSize = 4096;
   static constexpr uint64_t kByteUs = 40;  // 250 kbaud, 8N1
   static constexpr uint64_t kEepromWriteUs = 3400;
   static constexpr uint64_t kBootLoaderUs = 840000;
   static constexpr uint64_t kWatchdogUs = 1000ull * kWatchdogMs;
-  static constexpr uint16_t kFrameUs = kAdcSlots * 104;  // as the Mega's converter takes
-  static constexpr uint64_t kSampleUs = 12;              // sample-and-hold: 1.5 clocks of 125 kHz
-  static constexpr uint64_t kConversionUs = 104;
-  static constexpr uint64_t kAirHoldUs = 60000;  // a charge pump's longest (docs/hardware)
+  static constexpr uint16_t kFrameUs = kAdcSlots * 104;  // of the Mega's converter
+  static constexpr uint64_t kAirHoldUs = 60000;          // a charge pump's longest (docs/hardware)
 
-  VirtualBoard(uint64_t seed, const std::string& eeprom) : seed_(seed) {
+  VirtualBoard(uint64_t seed, const std::string& eeprom, uint8_t adc_bits = kAdcBits,
+               uint16_t frame_us = kFrameUs)
+      : seed_(seed),
+        frame_us_(frame_us),
+        pass_us_{250, 500, frame_us, 990},
+        analog_(seed, adc_bits, frame_us),
+        adc_bits_(adc_bits),
+        narrowing_(adc_bits) {
+    std::sort(pass_us_.begin(), pass_us_.end());
     eeprom_.fill(0xFF);
     std::memcpy(eeprom_.data(), eeprom.data(), std::min<size_t>(eeprom.size(), eeprom_.size()));
     reset(protocol::ResetCause::kPowerOn);
@@ -54,17 +59,17 @@ class VirtualBoard {
     const double each = ticks > 0 ? 1.0 / ticks : 0.0;
     for (uint32_t i = 0; i < ticks; ++i) {
       const uint64_t tick_us = now_us_;
-      for (const uint64_t at : kPassUs) {
+      for (const uint64_t at : pass_us_) {
         now_us_ = tick_us + at;
         share_ = (i + static_cast<double>(at) * 1e-3) * each;
-        if (at == kFrameUs && running_) convert(i * each, each);
+        if (at == frame_us_ && running_) convert(i * each, each);
         pass();
       }
       now_us_ = tick_us + 1000;
       move_lines();
       if (running_ && now_us_ - kicked_us_ > kWatchdogUs) reset(protocol::ResetCause::kWatchdog);
     }
-    for (auto& channel : analog_) channel[0] = channel[1];
+    analog_.settle();
     encoder_start_ = encoder_end_;
     share_ = 0.0;
   }
@@ -82,10 +87,8 @@ class VirtualBoard {
     return bytes;
   }
 
-  void set_analog(const double* counts) {
-    for (int c = 0; c < kChannels; ++c) analog_[c] = {counts[2 * c], counts[2 * c + 1]};
-  }
-  void set_adc_noise(const double* sigma) { std::copy(sigma, sigma + kChannels, noise_.begin()); }
+  Analog& analog() { return analog_; }
+  const Analog& analog() const { return analog_; }
   void set_encoder(double start, double end) {
     encoder_start_ = start;
     encoder_end_ = end;
@@ -126,20 +129,6 @@ class VirtualBoard {
     cut_after_ = bytes;
   }
 
-  // Replaces conversions by recorded ones: tick (since the firmware's start), channel, count.
-  void feed_trace(const int64_t* rows, size_t count) {
-    fed_.clear();
-    for (size_t i = 0; i < count; ++i) {
-      fed_[static_cast<uint64_t>(rows[3 * i]) * kChannels +
-           static_cast<uint64_t>(rows[3 * i + 1])] = static_cast<uint16_t>(rows[3 * i + 2]);
-    }
-  }
-  void record_trace(bool on) {
-    recording_ = on;
-    recorded_.clear();
-  }
-  const std::vector<std::array<int64_t, 3>>& recorded() const { return recorded_; }
-
   const std::array<int, kSides>& drive() const { return drive_; }
   const std::array<bool, kSides>& drive_enabled() const { return drive_enabled_; }
   int motor() const { return motor_; }
@@ -159,7 +148,7 @@ class VirtualBoard {
   uint32_t micros() { return static_cast<uint32_t>(now_us_ - start_us_); }
   uint16_t micros16() { return static_cast<uint16_t>(now_us_ - start_us_); }
 
-  uint16_t frame_us() { return kFrameUs; }
+  uint16_t frame_us() { return frame_us_; }
   const AdcFrame* take_frame() {
     if (frames_.empty()) return nullptr;
     taken_ = frames_.front();
@@ -226,32 +215,11 @@ class VirtualBoard {
   void task(uint8_t) {}
 
  private:
-  // Main-loop passes within a tick, the third when the tick's conversions are complete. The Mega
-  // makes more; what the line carries is the same, but for a quarter of a millisecond.
-  static constexpr std::array<uint64_t, 4> kPassUs = {250, 500, kFrameUs, 990};
-
   void convert(double from, double each) {
     if (frames_.size() >= kAdcFrames) return;
-    AdcFrame frame;
-    frame.tick = static_cast<uint32_t>((now_us_ - start_us_) / 1000);
-    for (uint8_t slot = 0; slot < kAdcSlots; ++slot) {
-      const uint8_t channel = adc_channel((frame.tick & 1) != 0, slot);
-      frame.count[slot] =
-          conversion(frame.tick, channel, from + each * 1e-3 * (slot * kConversionUs + kSampleUs));
-      if (recording_) recorded_.push_back({frame.tick, channel, frame.count[slot]});
-    }
-    frames_.push_back(frame);
-  }
-
-  uint16_t conversion(uint32_t tick, uint8_t channel, double share) const {
-    if (!fed_.empty()) {
-      const auto found = fed_.find(static_cast<uint64_t>(tick) * kChannels + channel);
-      if (found != fed_.end()) return found->second;
-    }
-    double ideal = analog_[channel][0] + (analog_[channel][1] - analog_[channel][0]) * share;
-    if (noise_[channel] > 0.0) ideal += noise_[channel] * adc_noise(seed_, tick, channel);
-    if (!(ideal > 0.0)) return 0;
-    return ideal >= kAdcTop ? kAdcTop : static_cast<uint16_t>(ideal);
+    frames_.push_back(
+        analog_.frame(static_cast<uint32_t>((now_us_ - start_us_) / 1000), from, each));
+    narrowing_.apply(&frames_.back());
   }
 
   void pass() {
@@ -264,12 +232,13 @@ class VirtualBoard {
     }
     if (!running_) {
       // A tick begins where the boot loader ends, so that ticks stay whole milliseconds.
-      if (now_us_ < start_us_ || now_us_ % 1000 != kPassUs[0]) return;
-      start_us_ = now_us_ - kPassUs[0];
+      if (now_us_ < start_us_ || now_us_ % 1000 != pass_us_[0]) return;
+      start_us_ = now_us_ - pass_us_[0];
       running_ = true;
       ++boots_;
       kicked_us_ = now_us_;
       encoder_at_start_ = encoder_now();
+      narrowing_ = Narrowing(adc_bits_);
       robot_ = std::make_unique<Robot<VirtualBoard>>(*this);
       robot_->begin();
     }
@@ -309,6 +278,13 @@ class VirtualBoard {
   }
 
   const uint64_t seed_;
+  const uint16_t frame_us_;
+  // Main-loop passes within a tick, one when its conversions are complete. The Mega makes more;
+  // what the line carries is the same, but for a quarter of a millisecond.
+  std::array<uint64_t, 4> pass_us_;
+  Analog analog_;
+  const uint8_t adc_bits_;
+  Narrowing narrowing_;
   uint64_t now_us_ = 0;
   uint64_t start_us_ = 0;  // when the firmware began: its tick 0
   uint64_t kicked_us_ = 0;
@@ -332,9 +308,6 @@ class VirtualBoard {
   bool powered_ = true;
   bool hung_ = false;
   bool cut_armed_ = false;
-  bool recording_ = false;
-  std::array<std::array<double, 2>, kChannels> analog_{};
-  std::array<double, kChannels> noise_{};
   std::array<uint8_t, kEepromSize> eeprom_{};
   std::deque<uint8_t> to_board_;
   std::deque<uint8_t> rx_;
@@ -342,8 +315,6 @@ class VirtualBoard {
   std::deque<AdcFrame> frames_;
   AdcFrame taken_{};
   std::string to_host_;
-  std::unordered_map<uint64_t, uint16_t> fed_;
-  std::vector<std::array<int64_t, 3>> recorded_;
   std::array<int, kSides> drive_{};
   std::array<bool, kSides> drive_enabled_{};
   int motor_ = 0;
@@ -351,8 +322,6 @@ class VirtualBoard {
   std::array<uint64_t, 2> air_us_{};  // when each air enable last toggled
   std::unique_ptr<Robot<VirtualBoard>> robot_;
 };
-
-constexpr std::array<uint64_t, 4> VirtualBoard::kPassUs;
 
 }  // namespace thigmo
 

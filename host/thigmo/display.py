@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 # Of Okabe and Ito's palette, which people with any common colour blindness tell apart.
 COLORS = {"localized": "#d55e00", "ambiguous": "#e69f00"}
 OTHER_COLOR = "#5b6b7a"
+# Status of a contact by a method that gives a place and no measure of its error.
+POINT_ESTIMATE: Literal["point estimate"] = "point estimate"
 
 
 def draw(function: str, result: object, axes: Axes | None, **options: Any) -> Axes:
@@ -29,6 +31,14 @@ class Bar(NamedTuple):
     arc: float
     pieces: Sequence[tuple[float, float]]
     status: str
+
+
+def interval_text(status: str, interval: tuple[float, float], number: str, unit: str = "") -> str:
+    """An interval for people, its numbers by a format: "36.2 to 43.3"."""
+    if status == POINT_ESTIMATE:
+        return "no interval"
+    low, high = (format(end, number) for end in interval)
+    return f"{low} to {high}{unit}"
 
 
 def html_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

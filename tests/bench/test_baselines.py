@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from thigmo.errors import DataError
+from thigmo.localization.thesis import best_forces, influence, objective
 from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.baselines.problem import best_forces, influence, objective
 from thigmo.studies.rod import readings
 
 LENGTH = 53.0

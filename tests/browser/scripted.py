@@ -47,13 +47,22 @@ class ScriptedRun(Closing):
         asked: commands that viewers have sent.
     """
 
-    def __init__(self, *, name: str = "scripted", folder: str = "", virtual: bool = True) -> None:
+    def __init__(
+        self,
+        *,
+        name: str = "scripted",
+        folder: str = "",
+        virtual: bool = True,
+        url: str = "emulator://scripted",
+        pid: int = 0,
+    ) -> None:
         self.hub = Hub()
         self.asked: list[Command] = []
         self.heard = threading.Event()
         self.t_s = 0.0
         self._began_s = time.time()
-        hello = Hello(*self._now(), "emulator://scripted", name, folder, os.getpid(), "0", virtual)
+        pid = pid or os.getpid()
+        hello = Hello(*self._now(), url, name, folder, pid, "0", virtual)
         self._server = Server(self.hub, hello, self._command)
 
     def close(self) -> None:

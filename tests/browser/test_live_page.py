@@ -204,9 +204,10 @@ async def _stall(
 ) -> None:
     """A viewer that answers nothing until it may, and then reads on until it is told what it
     missed."""
-    origin = address.rstrip("/")
+    origin = address.partition("/?")[0]
     async with (
-        aiohttp.ClientSession() as session,
+        aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session,
+        session.get(address),
         session.ws_connect(f"{origin}/stream", headers={"Origin": origin}) as socket,
     ):
         await socket.receive()

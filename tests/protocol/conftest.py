@@ -13,7 +13,7 @@ from thigmo.errors import PortError
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "desk" in metafunc.fixturenames:
         port = metafunc.config.getoption("--robot")
-        backends = ["virtual", "mega-sim", *([port] if port else [])]
+        backends = ["virtual", "mega-sim", "micropython", *([port] if port else [])]
         metafunc.parametrize("desk", backends, indirect=True, scope="module")
 
 
@@ -34,7 +34,17 @@ def simulated_mega() -> Board:
         pytest.skip(str(error))
 
 
-SIMULATED = {"virtual": virtual_board, "mega-sim": simulated_mega}
+def micropython() -> Board:
+    """The core as a module of MicroPython's unix port."""
+    from thigmo.emulator.micropython import MicroPythonBoard
+    from thigmo.emulator.micropython_build import missing
+
+    if reason := missing("unix"):
+        pytest.skip(reason)
+    return MicroPythonBoard(1)
+
+
+SIMULATED = {"virtual": virtual_board, "mega-sim": simulated_mega, "micropython": micropython}
 
 
 @pytest.fixture(scope="module")

@@ -106,17 +106,19 @@ class RawHost:
         assert echo is not None, "no echo of a stop"
         assert echo.message() == wire.Stopped(nonce)
 
-    def hello(self, nonce: int | None = None, seq: int = 0) -> wire.HelloReply:
-        """Open a conversation."""
+    def hello(self, nonce: int | None = None, seq: int = 0, resumes: int = 0) -> wire.HelloReply:
+        """Open a conversation, or go on with one under another number."""
         if nonce is None:
             self._nonce += 1
             nonce = self._nonce
         hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, nonce)
-        self.send(hello, seq=seq, session=0)
+        self.send(hello, seq=seq, session=resumes)
         frame = self.answer(seq, 0)
         assert frame is not None, "no answer to hello"
         reply = frame.message()
         assert isinstance(reply, wire.HelloReply)
+        if reply.status is wire.Status.REFUSED:
+            return reply
         self.session, self.seq = reply.session, seq
         self.beating = False
         self._beat, self._beat_s = 0, 0.0

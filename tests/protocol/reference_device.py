@@ -48,6 +48,7 @@ class ReferenceDevice:
         self.boot_nonce = self._rng.getrandbits(32)
         self.cause = cause
         self.session = 0
+        self._left = 0  # the session before this one, if its host came back
         self._decoder = Decoder()
         self._out = bytearray()
         self._last_seq = 0
@@ -167,13 +168,22 @@ class ReferenceDevice:
         if hello.schema_hash != self.schema_hash:
             self._send(self._hello_reply(hello, wire.Reason.WRONG_SCHEMA), frame.seq, 0)
             return
-        if hello.host_nonce == self._nonce:
-            self.counters["repeats"] += 1
-            self._out += self._hello
+        if frame.session and (not self.session or hello.host_nonce != self._nonce):
+            self._send(self._hello_reply(hello, wire.Reason.BAD_SESSION), frame.seq, 0)
             return
-        if hello.host_nonce in self._nonces:
+        returns = frame.session != 0 and frame.session == self.session
+        if hello.host_nonce == self._nonce and not returns:
+            if frame.session in (0, self._left):
+                self.counters["repeats"] += 1
+                self._out += self._hello
+            else:
+                self.counters["stale"] += 1
+            return
+        late = self._nonce is not None and self._nonce - hello.host_nonce & 0xFFFF_FFFF < NONCES
+        if (late or hello.host_nonce in self._nonces) and not returns:
             self.counters["stale"] += 1
             return
+        self._left = frame.session
         self._nonce = hello.host_nonce
         self._nonces.append(hello.host_nonce)
         self.session = self._rng.randrange(1, 0x10000)

@@ -13,6 +13,7 @@ from thigmo.errors import (
     BoardResetError,
     CommandRefusedError,
     CommandTimeoutError,
+    LinkError,
     NotARobotError,
     SchemaMismatchError,
 )
@@ -324,13 +325,45 @@ def test_a_stalled_main_thread_finds_its_answer_and_not_a_time_out(
     assert client.stats.timeouts == 0
 
 
-def test_a_stolen_conversation_is_taken_back_and_nothing_is_done_twice(
+def other_host(device: ReferenceDevice, nonce: int) -> None:
+    """Somebody else on the same line."""
+    device.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, nonce), 0, 0))
+
+
+def test_a_host_whose_robot_was_taken_over_says_so_and_does_not_take_it_back(
+    client: Client, device: ReferenceDevice
+) -> None:
+    other_host(device, 12345)
+    session = device.session
+    for _ in range(2):
+        with pytest.raises(LinkError, match="another program has taken the robot over"):
+            client.request(wire.SetParameter(SETTLE, 3))
+    assert device.executed == []
+    assert device.session == session
+    client.connect()  # asked for, it may
+    assert client.request(wire.SetParameter(SETTLE, 4)).value == 4
+
+
+def test_a_host_that_only_waits_hears_that_its_robot_was_taken_over(
+    client: Client, device: ReferenceDevice
+) -> None:
+    wait(client, 0.1)
+    other_host(device, 12345)
+    with pytest.raises(LinkError, match="another program has taken the robot over"):
+        wait(client, 0.2)
+
+
+def test_a_spoilt_session_goes_on_with_the_same_nonce_under_another_number(
     client: Client, device: ReferenceDevice, transport: LoopTransport
 ) -> None:
-    device.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 12345), 0, 0))
-    assert client.request(wire.SetParameter(SETTLE, 3)).value == 3
-    assert len(device.executed) == 1
-    assert client.stats.hellos == 2
+    before = client.hello
+    transport.cut = True
+    with pytest.raises(CommandTimeoutError):
+        client.request(wire.GetParameter(SETTLE))
+    transport.cut = False
+    client.request(wire.GetParameter(SETTLE))
+    assert client.hello.host_nonce == before.host_nonce
+    assert client.hello.session == device.session != before.session
 
 
 def test_an_orphan_that_was_repeated_is_left_open(
@@ -343,7 +376,9 @@ def test_an_orphan_that_was_repeated_is_left_open(
         if device.executed and device.session == session:
             swallow()
             if client.stats.repeats:
-                device.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 777), 0, 0))
+                nonce = client.hello.host_nonce
+                resumes = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, nonce)
+                device.write(encode(resumes, 0, session))
 
     session = device.session
     original = device.step

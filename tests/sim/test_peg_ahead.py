@@ -32,14 +32,29 @@ def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
 ) -> None:
     result = explored(room(tmp_path, STALLS), tmp_path, seed)
     document = result.document
-    assert document.outcome == "peg ahead"
+    assert document.outcome == "peg ahead" or document.outcome.startswith("growth stalled at ")
+    assert document.stall is not None
+    assert document.stall.pressure < 0.05  # it was tried again at a higher one
     (contact,) = document.contacts
     assert contact.x_cm == pytest.approx(44.0 - 0.8, abs=1.0)
     assert abs(contact.y_cm) < 1.75
     assert document.missed == document.false == []
     assert result.length_cm == pytest.approx(40.0, abs=0.1)  # the slack is wound in again
     (obstacle,) = read_obstacles(result.folder / OBSTACLES_FILE).obstacles
-    assert obstacle.body_side == "tip"
+    assert obstacle.kind == "peg"
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_stall_for_want_of_pressure_is_overcome_and_is_no_peg(tmp_path: Path, seed: int) -> None:
+    scene = Scene.load("empty")
+    scene.body.growth_psi_per_cm = 0.008
+    scene.save(tmp_path / "room.toml")
+    document = explored(f"emulator://{tmp_path / 'room.toml'}", tmp_path, seed).document
+    assert document.stall is not None
+    assert document.stall.moved_on  # when the body pressure was raised
+    assert document.stall.pressure > 0.95
+    assert document.contacts == []
+    assert document.outcome == "full length"
 
 
 @pytest.mark.parametrize(("x", "y", "seed"), [(34.0, 0.3, 1), (18.4, 1.3, 2), (27.3, -1.6, 3)])

@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x0DF59729u;
+constexpr uint32_t kSchemaHash = 0x7C7BEAD7u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -77,11 +77,10 @@ constexpr uint8_t kBranchCount = 2;
 enum class Board : uint8_t {
   kVirtual = 0,   // Inside the emulator.
   kMega = 1,      // Arduino Mega 2560, real or simulated.
-  kPico = 2,      // Raspberry Pi Pico under MicroPython.
   kCortexM3 = 3,  // MicroPython on QEMU's Cortex-M3; its hardware is injected.
   kUnix = 4,      // MicroPython's unix port; its hardware is injected.
 };
-constexpr uint8_t kBoardCount = 5;
+constexpr uint8_t kBoardCount = 4;
 
 // Why the board last started.
 enum class ResetCause : uint8_t {
@@ -107,10 +106,9 @@ enum class Reason : uint8_t {
   kNone = 0,  // No reason: the command was accepted.
   kUnknownId =
       1,  // This firmware does not know that message; flash the firmware of this host's version.
-  kBadLength = 2,    // The message has the wrong size; flash the firmware of this host's version.
-  kBadValue = 3,     // A value is outside its range; see the range in PROTOCOL.md.
-  kBadSession = 4,   // The frame belongs to another conversation; say hello again.
-  kBadSequence = 5,  // The frame is stale or out of order; say hello again.
+  kBadLength = 2,   // The message has the wrong size; flash the firmware of this host's version.
+  kBadValue = 3,    // A value is outside its range; see the range in PROTOCOL.md.
+  kBadSession = 4,  // The frame belongs to another conversation; say hello again.
   kWrongSchema =
       6,  // Host and board were built from different schemas; run `thigmo flash --robot PORT`.
   kWrongState =
@@ -137,6 +135,7 @@ enum class Reason : uint8_t {
   kNoBaseSensor =
       22,  // Neither base sensor can feel a contact; grow past them, and mend, enable or zero one.
   kHostSilent = 21,  // No heartbeat has arrived lately; keep the host beating, then arm again.
+  kOtherHost = 25,   // Another program has taken the robot over; close one of the two.
   kStoppedAgain =
       24,  // The robot was stopped once more since; look at it again, then clear that stop.
 };
@@ -377,15 +376,17 @@ inline uint32_t get32(const uint8_t* in) {
 }
 }  // namespace detail
 
-// Opens a session. The only command accepted with session 0; resets the sequence. A repeat with the
-// running session's nonce gets the stored reply; nonces of the last 8 hellos that come again are
-// dropped.
+// Opens a session and resets the sequence. With session 0, a host's first. Where another host holds
+// a session, that ends what moves, the robot is disarmed, and the other's session is over. With the
+// number of the session that a host lost, and its nonce, it is the same host that goes on: what
+// moves, moves on. Such a hello is refused (bad_session) where the board restarted or another host
+// came. A repeat gets the same reply; nonces of the last 8 hosts that come again are dropped.
 struct Hello {
   static constexpr uint8_t kId = kHello;
   static constexpr uint8_t kSize = 9;
   uint8_t protocol;      // Protocol version.
   uint32_t schema_hash;  // Hash of this schema.
-  uint32_t host_nonce;   // Random; echoed, so that a replayed reply is told apart.
+  uint32_t host_nonce;   // Counts up from a random start; the same where a host goes on. Echoed.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(protocol));
     detail::put32(out + 1, static_cast<uint32_t>(schema_hash));
@@ -858,10 +859,10 @@ struct Ack {
 struct HelloReply {
   static constexpr uint8_t kId = kHelloReply;
   static constexpr uint8_t kSize = 24;
-  Status status;                // refused when the schema differs.
-  Reason reason;                // wrong_schema, or none.
-  uint8_t protocol;             // Protocol version.
-  uint32_t schema_hash;         // Hash of the board's schema.
+  Status status;         // refused when the schema differs, or there is no session to go on with.
+  Reason reason;         // wrong_schema, bad_session, or none.
+  uint8_t protocol;      // Protocol version.
+  uint32_t schema_hash;  // Hash of the board's schema.
   uint8_t firmware_version[3];  // Major, minor, patch.
   Board board;                  // Where it runs.
   uint32_t boot_nonce;          // Differs at each boot.

@@ -56,7 +56,7 @@ class Session {
   // Deals with the frame that was heard, at a time. `handler` has
   //   Handled execute(const Frame& command, Frame* reply);
   //   void heartbeat();
-  //   void hello();
+  //   void hello(bool same_host);  // it goes on after a session that was spoilt
   //   void stop(uint32_t nonce);
   template <typename Handler>
   void answer(uint32_t now_us, Handler& handler) {
@@ -147,7 +147,7 @@ class Session {
 
   // An answer that is not a command's reply, so that it must not displace the stored one.
   struct Notice {
-    enum Kind : uint8_t { kNone, kAck, kHello, kWrongSchema };
+    enum Kind : uint8_t { kNone, kAck, kHello, kNoHello };
     Kind kind;
     protocol::Status status;
     protocol::Reason reason;
@@ -182,41 +182,67 @@ class Session {
   template <typename Handler>
   void take_hello(const Frame& frame, Handler& handler) {
     protocol::Hello hello;
-    if (frame.session() != 0 ||
-        !protocol::Hello::decode(frame.payload(), frame.payload_size(), &hello)) {
+    if (!protocol::Hello::decode(frame.payload(), frame.payload_size(), &hello)) {
       ++counters_.rx_stale;
       return;
     }
     if (hello.protocol != protocol::kProtocol || hello.schema_hash != protocol::kSchemaHash) {
-      notice_ = {Notice::kWrongSchema,
-                 protocol::Status::kRefused,
-                 protocol::Reason::kWrongSchema,
-                 frame.seq(),
-                 0,
-                 hello.host_nonce};
+      refuse(protocol::Reason::kWrongSchema, frame.seq(), hello.host_nonce);
+      return;
+    }
+    if (frame.session() != 0) {
+      take_return(frame, hello.host_nonce, handler);
       return;
     }
     if (session_ == 0 || hello.host_nonce != host_nonce_) {
+      // A late copy of what this host said before, to an earlier boot maybe: its nonces count up.
+      bool stale = session_ != 0 && host_nonce_ - hello.host_nonce < kNonces;
       for (uint8_t i = 0; i < nonce_count_; ++i) {
-        if (nonces_[i] == hello.host_nonce) {
-          ++counters_.rx_stale;  // a replay of a conversation that is over
-          return;
-        }
+        stale = stale || nonces_[i] == hello.host_nonce;  // of a conversation that is over
       }
-      open_session(hello.host_nonce, frame.seq());
-      handler.hello();
+      if (stale) {
+        ++counters_.rx_stale;
+        return;
+      }
+      nonces_[nonce_next_] = hello.host_nonce;
+      nonce_next_ = static_cast<uint8_t>((nonce_next_ + 1) % kNonces);
+      if (nonce_count_ < kNonces) ++nonce_count_;
+      host_nonce_ = hello.host_nonce;
+      left_ = 0;
+      open_session(frame.seq());
+      handler.hello(false);
     } else {
       ++counters_.rx_repeats;
     }
-    notice_ = {Notice::kHello,  protocol::Status::kOk, protocol::Reason::kNone, frame.seq(), 0,
-               hello.host_nonce};
+    welcome(frame.seq());
   }
 
-  void open_session(uint32_t host_nonce, uint16_t seq) {
-    nonces_[nonce_next_] = host_nonce;
-    nonce_next_ = static_cast<uint8_t>((nonce_next_ + 1) % kNonces);
-    if (nonce_count_ < kNonces) ++nonce_count_;
-    host_nonce_ = host_nonce;
+  // A hello with a session: its host lost that one and proves by its nonce that it is the same.
+  template <typename Handler>
+  void take_return(const Frame& frame, uint32_t host_nonce, Handler& handler) {
+    if (session_ == 0 || host_nonce != host_nonce_) {
+      refuse(protocol::Reason::kBadSession, frame.seq(), host_nonce);
+    } else if (frame.session() == session_) {
+      left_ = session_;
+      open_session(frame.seq());
+      handler.hello(true);
+      welcome(frame.seq());
+    } else if (frame.session() == left_) {
+      ++counters_.rx_repeats;
+      welcome(frame.seq());
+    } else {
+      ++counters_.rx_stale;
+    }
+  }
+
+  void welcome(uint16_t seq) {
+    notice_ = {Notice::kHello, protocol::Status::kOk, protocol::Reason::kNone, seq, 0, host_nonce_};
+  }
+  void refuse(protocol::Reason reason, uint16_t seq, uint32_t host_nonce) {
+    notice_ = {Notice::kNoHello, protocol::Status::kRefused, reason, seq, 0, host_nonce};
+  }
+
+  void open_session(uint16_t seq) {
     // Differs at each hello, and from other boots' as well as 16 bits can.
     session_ = static_cast<uint16_t>(
         session_ == 0 ? identity_.boot_nonce ^ identity_.boot_nonce >> 16 : session_ + 1);
@@ -359,6 +385,7 @@ class Session {
   uint32_t heartbeat_ = 0;
   uint32_t announced_tick_ = 0;
   uint16_t session_ = 0;
+  uint16_t left_ = 0;  // the session before this one, if its host came back
   uint16_t last_seq_ = 0;
   uint16_t telemetry_seq_ = 0;
   uint8_t last_id_ = 0;

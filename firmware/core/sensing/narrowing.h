@@ -35,7 +35,7 @@ class Narrowing {
   }
 
  private:
-  const uint8_t extra_;
+  uint8_t extra_;
   int32_t carry_[kPressureChannel + kSides] = {};  // of each channel
 };
 

@@ -7,6 +7,7 @@ fitted; the thesis's line through their curvatures, read off at s = 0, takes two
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +41,10 @@ class BucklingResult(StepResult):
         config.body.critical_pressure_psi = self.body_pressure_psi
 
 
-def guided(bench: Bench) -> BucklingResult:
+Fit = Callable[[Array, float, float, RobotConfig], BucklingResult]
+
+
+def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     """Critical curvature from hard pushes, sides in turn, each with its own straight reading.
 
     Run it after flex.
@@ -71,17 +75,18 @@ def guided(bench: Bench) -> BucklingResult:
         loop = np.nan_to_num(column(flex["sensors"], "hysteresis"))
         rest -= loop * turn[0::2]
         gone -= loop * turn[1::2]
-    return fit_buckling(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
+    fitted = fit or fit_buckling
+    return fitted(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
 
 
-def of_csv(table: Table, config: RobotConfig) -> BucklingResult:
+def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> BucklingResult:
     """Pushes at one body pressure and length."""
     body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
     length = table.numbers("length_cm", config.body.length_cm)
     if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
         raise DataError(f"{table.name}: body pressure or length varies", "one file for each")
     curvature = of_sensors(table, "curvature", config)
-    return fit_buckling(curvature, float(body[0]), float(length[0]), config)
+    return (fit or fit_buckling)(curvature, float(body[0]), float(length[0]), config)
 
 
 def fit_buckling(

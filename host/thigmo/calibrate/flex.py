@@ -14,7 +14,7 @@ The errors stated hold from sweep to sweep (`flex_lines`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, cast
 
@@ -38,10 +38,13 @@ from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
+_TOLD = 0.02  # share of the scale from which one-way bends are said
 Direction = Literal[-1, 0, 1]
 
 _CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
 _LEAST_NOISE = 5e-5  # 1/cm
+# A bend goes back if it falls by this share of the largest; so many rows of that show the loop.
+_FALL, _LEAST_BACK = 0.02, 3
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class FlexFit:
     # and too little after bending to the right
     hysteresis: float = np.nan
     hysteresis_se: float = np.nan  # its standard error
+    # share of the scale that the loop may have taken, where bends only grew; 0 where they went back
+    one_way: float = 0.0
 
     @property
     def name(self) -> str:
@@ -113,7 +118,10 @@ class FlexResult(StepResult):
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
 
 
-def guided(bench: Bench) -> FlexResult:
+Fit = Callable[[FlexReadings, RobotConfig], FlexResult]
+
+
+def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
     """From tip places and free bends (which it takes if there are none yet)."""
     last = len(bench.config.body.zones) - 1
     tips = tip_rows(bench)
@@ -121,14 +129,14 @@ def guided(bench: Bench) -> FlexResult:
     if len(bends) < 2 * len(bend_set_points(bench, "left")):
         bends = bend_rows(bench, [last])
     readings = FlexReadings.of_rows([*tips, *bends], bench.config.body.length_cm)
-    result = fit_flex(readings, bench.config)
+    result = (fit or fit_flex)(readings, bench.config)
     readings.write(bench.session.folder / "flex.csv", bench.config)
     return result
 
 
-def of_csv(table: Table, config: RobotConfig) -> FlexResult:
+def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> FlexResult:
     """Rows of any kinds; see `FlexReadings.read`."""
-    return fit_flex(FlexReadings.read(table, config), config)
+    return (fit or fit_flex)(FlexReadings.read(table, config), config)
 
 
 def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
@@ -206,14 +214,16 @@ def _sensor(
     """Nonlinearity, hysteresis and noise of a sensor that answers."""
     used = int(line.used.sum())
     scale = 1.0 / float(line.coefficients[1])
-    se = float(np.hypot(line.se(1) * abs(scale), _CAMERA_SCALE_SE))
+    one_way = _one_way(column, line)
+    se = float(np.hypot(np.hypot(line.se(1) * abs(scale), _CAMERA_SCALE_SE), one_way))
     left = line.residuals[line.used]
     spread = float(np.sqrt(left @ left / max(1, used - 3)))
     bend, bend_se, misfit = curve
     curves = abs(bend) > 0.05 and abs(bend) > 4 * bend_se
     reason = f"scale known to {100 * se:.1f} %"
     if se > 0.1:
-        reason = f"has a scale known to {100 * se:.0f} % only: take more places and bends"
+        cure = "read bends on the way back, too" if one_way > 0.05 else "take more places and bends"
+        reason = f"has a scale known to {100 * se:.0f} % only: {cure}"
     elif curves:
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
@@ -223,7 +233,24 @@ def _sensor(
         noise=max(spread * abs(scale), _LEAST_NOISE), lasting=line.lasting,
         nonlinearity=bend, misfit=misfit if curves else 0.0,
         hysteresis=float(line.coefficients[2] * scale), hysteresis_se=line.se(2) * abs(scale),
+        one_way=one_way,
     )  # fmt: skip
+
+
+def _one_way(column: Column, line: OrderedFit) -> float:
+    """Share of the scale that the loop may have taken from it; 0 where bends went both ways.
+
+    Where bends only grow, the loop stands at one end, and a slope is told from it by the first few
+    thousandths of curvature alone: what the fit gave to the loop may be the slope's.
+    """
+    rows = np.flatnonzero(column.seen)
+    k, block = column.model[rows], column.block[rows]
+    top = float(np.abs(k).max(initial=0.0))
+    falls = np.abs(k[:-1]) - np.abs(k[1:]) > _FALL * top
+    back = falls & (k[:-1] * k[1:] >= 0.0) & (block[:-1] == block[1:]) & (k[1:] != 0.0)
+    if back.sum() >= _LEAST_BACK or top == 0.0:
+        return 0.0
+    return float(abs(line.coefficients[2] / line.coefficients[1])) / top
 
 
 def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
@@ -236,6 +263,14 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
         notes.append(
             f"left out {sum(fit.rejected for fit in dropped)} of {total} single readings as "
             f"outliers ({each}); many of one sensor mean a loose wire"
+        )
+    grew = [fit for fit in everted if fit.one_way > _TOLD]
+    if grew:
+        worst_loop = max(grew, key=lambda fit: fit.one_way)
+        notes.append(
+            f"bends of {len(grew)} sensors only ever grew, so their scale cannot be told from "
+            f"their loop: up to {100 * worst_loop.one_way:.0f} % ({worst_loop.name}) is added to "
+            "its error; read the sensors on the way back, too"
         )
     notes.extend(
         f"the answer of {fit.name} curves: {100 * fit.nonlinearity:+.0f} % of it at full bend goes "

@@ -24,6 +24,7 @@ from thigmo.calibrate import (
     noise,
     pressure,
     stiffness,
+    thesis,
 )
 from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.verdict import StepResult
@@ -36,12 +37,17 @@ from thigmo.record.table import MissingColumnError, Table
 class Step:
     """One step of the calibration."""
 
-    guided: Callable[[Bench], StepResult]
-    of_csv: Callable[[Table, RobotConfig], StepResult] | None = None
+    guided: Callable[..., StepResult]  # of a Bench, and of another fit than its own
+    of_csv: Callable[..., StepResult] | None = None  # of a Table and a RobotConfig, and the same
     columns: str = ""  # of its CSV; those in brackets may be left out
     rows: tuple[str, ...] = ()  # names of the tables of readings that are its own
     # without it later steps would measure nonsense; a bad other one spoils nothing else
     needed: bool = False
+    thesis: Callable[..., StepResult] | None = None  # the thesis's fit of the same readings
+
+    def other_fit(self, method: str | None) -> tuple[Callable[..., StepResult], ...]:
+        """The argument that makes its functions fit by a method; none for its own."""
+        return (self.thesis,) if method == "thesis" and self.thesis else ()
 
 
 _CURVATURES = "curvature_left_0 .. curvature_right_4"
@@ -61,14 +67,14 @@ STEPS = {
         flex.guided, flex.of_csv,
         "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_4 "
         "[t_s, curvature_se, active, length_cm, intended_y_cm, block, name]",
-        ("tips",), needed=True,
+        ("tips",), needed=True, thesis=thesis.fit_flex,
     ),
     "hysteresis": Step(
         hysteresis.guided, hysteresis.of_csv, "side, index, t_s, curvature [eversion]", ("growth",)
     ),
     "buckling": Step(
         buckling.guided, buckling.of_csv, f"{_CURVATURES} [body_pressure_psi, length_cm]",
-        ("pushes",),
+        ("pushes",), thesis=thesis.fit_buckling,
     ),
     "stiffness": Step(
         stiffness.guided, stiffness.of_csv, "picture, x_cm, y_cm, force_arc_cm", ("bows",)
@@ -78,8 +84,8 @@ STEPS = {
 }  # fmt: skip
 
 
-def run(bench: Bench, step: str, *, again: bool = False) -> StepResult:
-    """One guided step of `STEPS`; `again` takes its readings anew."""
+def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
+    """One guided step of `STEPS`; `again` takes its readings anew. `method`: of `fit_csv`."""
     if again:
         for procedure in STEPS[step].rows:
             bench.session.forget(procedure)
@@ -87,13 +93,18 @@ def run(bench: Bench, step: str, *, again: bool = False) -> StepResult:
         bench.configure()  # no length is taken from a robot that does not look vented
     else:
         bench.start()
-    result = STEPS[step].guided(bench)
+    result = STEPS[step].guided(bench, *STEPS[step].other_fit(method))
     bench.finish(step, result)
     return result
 
 
-def fit_csv(step: str, path: str | os.PathLike[str], config: RobotConfig) -> StepResult:
-    """Fit a step of `STEPS` to readings that a lab already has: no robot, no camera."""
+def fit_csv(
+    step: str, path: str | os.PathLike[str], config: RobotConfig, method: str | None = None
+) -> StepResult:
+    """Fit a step of `STEPS` to readings that a lab already has: no robot, no camera.
+
+    The method "thesis" fits flex and buckling as the thesis did; None is the step's own.
+    """
     made = {name: (one.of_csv, one.columns) for name, one in STEPS.items() if one.of_csv}
     if step not in made:
         raise DataError(
@@ -101,7 +112,7 @@ def fit_csv(step: str, path: str | os.PathLike[str], config: RobotConfig) -> Ste
         )
     fit, columns = made[step]
     try:
-        return fit(Table.read(path), config)
+        return fit(Table.read(path), config, *STEPS[step].other_fit(method))
     except MissingColumnError as error:
         error.add_note(f"columns of {step}: {columns}; those in brackets may be left out")
         raise

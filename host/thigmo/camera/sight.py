@@ -229,7 +229,7 @@ class _Glance:
         line = fit_centerline(
             middle, seen_end if end is None else end, constant=wanted.constant, good=good
         )
-        return line, _doubts(track, good, line, wanted)
+        return line, _doubts(track, middle, good, line, wanted)
 
     def obstacles(self) -> list[Obstacle]:
         """Dowels: those clicked, and others that are seen."""
@@ -242,13 +242,22 @@ class _Glance:
         return given + [one for one in found if all(one.apart_cm(g) > g.radius_cm for g in given)]
 
 
-def _doubts(track: Track, good: NDArray[np.bool_], line: Centerline, wanted: Seen) -> list[str]:
+def _doubts(
+    track: Track, middle: Array, good: NDArray[np.bool_], line: Centerline, wanted: Seen
+) -> list[str]:
     """Why an axis that was followed may not be the body's, or not all of it."""
     doubts = []
     if track.lost:
         doubts.append(f"the body was lost sight of {line.length_cm:.0f} cm from its base")
     if np.mean(good) < _GOOD_SHARE:
         doubts.append(f"both flanks were seen at only {np.mean(good):.0%} of the axis")
+    axis = np.column_stack([line.x_cm, line.y_cm])
+    away = float(np.linalg.norm(middle[:, None] - axis, axis=2).min(axis=1)[good].max(initial=0.0))
+    if away > wanted.diameter_cm / 2:
+        doubts.append(
+            f"the axis passes the body's own middle by {away:.1f} cm: the body is kinked, or "
+            "something beside it was taken for it"
+        )
     if wanted.length_cm is not None and abs(line.length_cm - wanted.length_cm) > wanted.diameter_cm:
         doubts.append(
             f"the axis that was seen is {line.length_cm:.1f} cm long, and the body is "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -45,6 +45,13 @@ def calibrate(
     ] = 12,
     zone: Annotated[
         list[int] | None, typer.Option(help="Only these body-pressure zones (0 = first); repeat.")
+    ] = None,
+    method: Annotated[
+        Literal["thesis"] | None,
+        typer.Option(
+            help="Of flex and buckling: thesis fits them as the thesis did, without errors.",
+            show_default=False,
+        ),
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Take the readings anew.")] = False,
     seed: Annotated[int, typer.Option(help="Of the emulator.", min=0)] = 0,
@@ -88,11 +95,13 @@ def calibrate(
 
     if step not in (*STEPS, "all", "status"):
         raise DataError(f"there is no step {step!r}", f"use all, status, {', '.join(STEPS)}")
+    if method and step not in ("all", "status") and STEPS[step].thesis is None:
+        raise DataError(f"{step} has one method only", "give --method with flex or buckling")
     start = RobotConfig.load(config) if config else None
     if csv is not None:
         held = folder / "robot.toml"
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()
-        result = fit_csv(step, csv, base)  # before a folder is made: a bad file leaves none
+        result = fit_csv(step, csv, base, method)  # before a folder is made: a bad file leaves none
         show(as_json, result.as_data(), *Session(folder, start).keep(step, result))
         if not result.verdict.good:
             raise typer.Exit(2)
@@ -128,7 +137,7 @@ def calibrate(
             if step == "all" and not again and session.done(name):
                 say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
                 continue
-            found[name] = run(bench, name, again=again)
+            found[name] = run(bench, name, again=again, method=method)
             if not found[name].verdict.good and STEPS[name].needed:
                 break
     if as_json:

@@ -129,7 +129,7 @@ class Console:
                 table.add_row(
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
                     f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f} cm",
-                    f"{c.interval_cm[0]:.1f} to {c.interval_cm[1]:.1f} cm",
+                    c.interval_text,
                     f"{c.force_per_cm2:.2g} 1/cm²", c.status,
                 )  # fmt: skip
             say(table)

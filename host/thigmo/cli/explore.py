@@ -8,7 +8,13 @@ from typing import Annotated, Literal
 import typer
 
 from thigmo.cli import ending
-from thigmo.cli.output import AnyRobotOption, JsonOption, KnownConfigOption, print_json
+from thigmo.cli.output import (
+    AnyRobotOption,
+    JsonOption,
+    KnownConfigOption,
+    MethodOption,
+    print_json,
+)
 
 
 def explore(
@@ -32,6 +38,7 @@ def explore(
             "best, or at the full sweep's peak, as in the thesis."
         ),
     ] = "measure",
+    method: MethodOption = None,
     prior: Annotated[
         Path | None,
         typer.Option(
@@ -72,6 +79,7 @@ def explore(
             name=name,
             realtime=realtime,
             protocol=protocol,
+            method=method or "posterior",
             prior=prior,
             operator=console,
             progress=show,

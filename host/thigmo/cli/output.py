@@ -51,6 +51,16 @@ KnownConfigOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
+MethodOption = Annotated[
+    str | None,
+    typer.Option(
+        help="How contacts are localized: posterior (the default; a replay's is its run's), or "
+        "without intervals: exact point fits (l1, l2), or the thesis's alternating fit (thesis).",
+        show_default=False,
+    ),
+]
+
+
 def print_json(value: Any) -> None:
     """Print strict JSON: a number that is not finite becomes null."""
     typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))

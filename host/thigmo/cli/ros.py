@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thigmo.cli.output import extra, named
+from thigmo.errors import DataError
 
 if TYPE_CHECKING:
     from thigmo.live.relay import Relay
@@ -36,6 +37,9 @@ def ros(
     domain: Annotated[
         int, typer.Option(envvar="ROS_DOMAIN_ID", help="ROS domain.", min=0, max=232)
     ] = 0,
+    run: Annotated[
+        int | None, typer.Option(help="Process of the run to follow, where several are under way.")
+    ] = None,
     interface: Annotated[
         str | None,
         typer.Option(help="Network interface, by name or address; else this machine alone."),
@@ -58,7 +62,7 @@ def ros(
                 _publish_folder(node, past)
                 threading.Event().wait()
             else:
-                _relay(node, target, stop)
+                _relay(node, target, run, stop)
         except KeyboardInterrupt:
             raise typer.Exit from None
 
@@ -76,10 +80,15 @@ def _publish_folder(node: RosNode, folder: Path) -> None:
     node.publish(Contacts(0.0, now, tuple(document.contacts)))
 
 
-def _relay(node: RosNode, url: str | None, stop: threading.Event) -> None:
+def _relay(node: RosNode, url: str | None, pid: int | None, stop: threading.Event) -> None:
     from thigmo.live.relay import Relay, Watched
 
-    relay = Relay(Watched(url))
+    watched = Watched(url, pid)
+    if pid is None and len(runs := watched.runs()) > 1:
+        watched.close()
+        listed = "; ".join(f"--run {each.pid}: {each.name} at {each.url}" for each in runs)
+        raise DataError(f"{len(runs)} runs are under way", f"choose one: {listed}")
+    relay = Relay(watched)
     # A stop waits for the board; neither DDS nor the messages may wait with it.
     threading.Thread(target=_obey, args=(relay, stop), daemon=True).start()
     try:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, print_json, robot_option, show
+from thigmo.cli.output import JsonOption, MethodOption, print_json, robot_option, show
 
 _OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
 _OF_THE_HOST = ("thigmo", "url", "seed", "started")  # in a record's metadata; the rest: the board's
@@ -16,19 +16,19 @@ _OF_THE_HOST = ("thigmo", "url", "seed", "started")  # in a record's metadata; t
 
 def replay(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
+    method: MethodOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the localizer again over a run's raw record; writes replay.json and its maps."""
     from thigmo.exploration import replay as again
 
-    result = again(run)
+    result = again(run, method=method)
     lines = [f"{run}: {result.missing}"] if result.missing else []
-    for contact in result.document.contacts:
-        low, high = contact.interval_cm
-        lines.append(
-            f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
-            f"({low:.1f} to {high:.1f}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm"
-        )
+    lines += [
+        f"{contact.status}: {contact.arc_cm:.1f} cm of {contact.everted_length_cm:.1f} cm "
+        f"({contact.interval_text}), x {contact.x_cm:.1f} cm, y {contact.y_cm:.1f} cm"
+        for contact in result.document.contacts
+    ]
     if not result.document.contacts:
         lines.append("no contact in what is left" if result.missing else "no contact")
     lines.append(f"{result.sweeps} sweeps; {run / 'replay.json'}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -60,14 +61,26 @@ def report(name: str, outcome: Outcome, out: Path, as_json: bool) -> dict[str, A
     return {"study": name, **outcome.record(), "files": [str(path) for path in paths]}
 
 
+_ROW_NAME = 20  # characters that the name of a row has at least
+
+
 def _show(name: str, rows: Sequence[Record]) -> None:
+    from rich import box
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
 
-    shown = RichTable(*rows[0], title=name)
+    shown = RichTable(title=name, box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
+    first, *others = rows[0]
+    widest = max(len(str(row[first])) for row in rows)
+    shown.add_column(first, min_width=min(widest, _ROW_NAME))
+    for column in others:
+        shown.add_column(column, justify="right")
     for row in rows:
-        cells = (f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row.values())
+        cells = (
+            str(cell) if not isinstance(cell, float) else f"{cell:.2f}" if isfinite(cell) else "-"
+            for cell in row.values()
+        )
         shown.add_row(*cells)
     console = Console()
     # Words are not cut: a table whose words need more than the terminal has goes beyond it.

@@ -26,8 +26,8 @@ def watch(
     ] = None,
     host: Annotated[
         str,
-        typer.Option(help="Address to serve at. Other machines reach the page at 0.0.0.0, with the "
-                     "token that is printed."),
+        typer.Option(help="Address to serve at. With 0.0.0.0 phones and other machines reach the "
+                     "page: the address is printed, also as a code to scan."),
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
@@ -39,7 +39,7 @@ def watch(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
     foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Serve the run to Foxglove, too (thigmo[foxglove]).")
+        bool, typer.Option("--foxglove", help="Serve it to Foxglove, too (thigmo\\[foxglove]).")
     ] = False,
     foxglove_port: Annotated[
         int, typer.Option(help="For Foxglove; 0 takes any.", min=0, max=65535)
@@ -65,6 +65,8 @@ def watch(
 
     def announce(address: str) -> None:
         typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)
+        if host not in ("127.0.0.1", "::1", "localhost"):
+            _draw_code(address)
         if browser:
             _open_browser(address)
 
@@ -135,6 +137,17 @@ def open_page(url: str, out: Path, config: Path | None) -> None:
         typer.echo(page.stderr.readline(), nl=False, err=True)
 
     threading.Thread(target=tell_address, daemon=True).start()
+
+
+def _draw_code(address: str) -> None:
+    """Draw an address for a phone's camera, in the terminal."""
+    import io
+
+    import segno
+
+    drawn = io.StringIO()
+    segno.make(address, error="l").terminal(drawn, compact=True)
+    typer.echo(drawn.getvalue(), err=True)
 
 
 def _open_browser(address: str) -> None:

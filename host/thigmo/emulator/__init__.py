@@ -1,4 +1,4 @@
-"""The emulated robot and room, behind the URLs `emulator://SCENE` and `mega-sim://SCENE`.
+"""The emulated robot and room, behind the URLs `emulator://`, `mega-sim://`, `micropython://`.
 
 Whoever uses a robot reaches it through the link and never imports this package; the tests do.
 """

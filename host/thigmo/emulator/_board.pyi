@@ -6,6 +6,36 @@ from numpy.typing import NDArray
 SCHEMA_HASH: int
 """Hash of the schema that the firmware was built from."""
 
+class Analog:
+    """The analog inputs of an emulated board, and their converter.
+
+    Counts are in 1/1024 of the reference; those that are converted have `adc_bits`.
+    """
+
+    def __init__(self, seed: int, adc_bits: int, frame_us: int) -> None:
+        """A frame of eight conversions is complete `frame_us` into its tick.
+
+        Raises ValueError for other than 10 to 16 bits and 1 to 999 us.
+        """
+
+    def set_levels(self, counts: NDArray[np.float64]) -> None:
+        """Levels at the next step's start and end, shape (16, 2)."""
+
+    def set_noise(self, sigma: NDArray[np.float64]) -> None:
+        """White noise of each channel, shape (16,)."""
+
+    def settle(self) -> None:
+        """The step is over: levels stay at its end."""
+
+    def feed(self, rows: NDArray[np.int64]) -> None:
+        """Replace conversions by recorded ones, shape (n, 3): tick, channel, count."""
+
+    def frames(self, tick: int, ticks: int, begun: int, each: float) -> NDArray[np.uint16]:
+        """Conversions of ticks from one on, the `begun`-th of a step and those after it.
+
+        A tick lasts the share `each` of the step. Shape (ticks, 8), as the schedule has them.
+        """
+
 class VirtualBoard:
     """The robot's controller, running in virtual time: a `thigmo.emulator.board.Board`.
 
@@ -13,11 +43,14 @@ class VirtualBoard:
     0.84 s, in which received bytes are lost and all outputs are off.
     """
 
-    def __init__(self, seed: int, eeprom: bytes = b"") -> None:
+    def __init__(
+        self, seed: int, eeprom: bytes = b"", adc_bits: int = 10, frame_us: int = 832
+    ) -> None:
         """Power on, with an EEPROM of that content (4096 bytes at most); the rest is blank.
 
         The seed is of the conversions' noise and of what a cut EEPROM write leaves behind.
-        Raises ValueError for a longer image.
+        The converter has `adc_bits`, and a tick's conversions are complete `frame_us` into it.
+        Raises ValueError for a longer image, and for other than 10 to 16 bits and 1 to 999 us.
         """
 
     # As `Board` has them.

@@ -16,6 +16,7 @@ from types import FrameType
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, RunFolderError, StoppedByViewerError, ThigmoError
+from thigmo.exploration.feel import check_method
 from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
@@ -40,6 +41,7 @@ def explore(
     name: str | None = None,
     realtime: bool = False,
     protocol: Protocol = "measure",
+    method: str = "posterior",
     prior: str | os.PathLike[str] | None = None,
     operator: Operator | None = None,
     progress: Progress | None = None,
@@ -58,6 +60,8 @@ def explore(
         protocol: "measure" looks for contacts on the way up only, without waiting for young
             sensors, and sweeps a side with a contact again, to the pressure at which the contact
             is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
+        method: of `thigmo.localize`. Without intervals ("l1", "l2", "thesis") every stage's place
+            is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. It is believed as far as the readings allow.
         operator: answers what the board cannot know; the emulator brings its own.
@@ -67,12 +71,22 @@ def explore(
         ThigmoError: with the next step for the operator. The robot is vented and braked, and the
             run folder says how far it came.
     """
-    tell = progress or (lambda doing, fraction: None)
+    reached = 0.0
+
+    def tell(doing: str, fraction: float) -> None:
+        nonlocal reached
+        reached = fraction
+        if progress is not None:
+            progress(doing, fraction)
+
     given = [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     begun = started.isoformat(timespec="seconds")
-    document = RunDocument(thigmo=__version__, name=label, url=url, started=begun, seed=seed)
+    check_method(method)
+    document = RunDocument(
+        thigmo=__version__, name=label, url=url, started=begun, seed=seed, method=method
+    )
     with (
         ExitStack() as afterwards,
         _sigterm_raises(),
@@ -95,7 +109,7 @@ def explore(
             write_obstacles(kept, folder.path / PRIOR_FILE)
 
         def draw(kind: object, error: BaseException | None, trace: object) -> None:
-            tell("drawing the map", 1.0)
+            tell("drawing the map", 1.0 if error is None else reached)
             try:
                 known, radius_cm = folder.read_document(), used.body.radius_cm
                 draw_map(known, folder.map_path, radius_cm=radius_cm, prior=given)

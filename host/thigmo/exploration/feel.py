@@ -14,13 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import RobotConfig
+from thigmo.display import POINT_ESTIMATE
+from thigmo.errors import DataError
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.room import WIDEST_SHARE
 from thigmo.exploration.sighting import Sighting, arc_grid, contact_mass
 from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
-from thigmo.localization import LocalizeResult, localize
+from thigmo.localization import METHODS, LocalizeResult, localize
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
@@ -48,11 +50,12 @@ def feel(
     response: FreeResponse,
     touch: Floats,
     prior: Sequence[Obstacle] = (),
+    method: str = "posterior",
 ) -> Feeling:
     """Localize the contacts behind a peak's readings, at a body-pressure zone.
 
     `touch` (145,) says where the sweep's first touch began; `prior` are obstacles that are
-    expected. Raises DataError if no sensor is usable.
+    expected; `method` is that of `localize`. Raises DataError if no sensor is usable.
     """
     table = SensorTable.of(config)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
@@ -74,14 +77,21 @@ def feel(
         tube_radius=body.radius_cm,
         held_end=False,
         width_limit=WIDEST_SHARE * body.length_cm,
+        method=method,
     )
-    found = [c for c in result.contacts if c.status in _PLACED and c.probability > LIKELY]
+    marginals = result.marginals or (None,) * len(result.contacts)
+    found = [
+        (contact, marginal)
+        for contact, marginal in zip(result.contacts, marginals, strict=False)
+        if contact.status == POINT_ESTIMATE
+        or (contact.status in _PLACED and contact.probability > LIKELY)
+    ]
     if len(found) == 1 and result.bend[0, 1] * peak.free_curvature > 0:
         found = []  # what pulls the body further into its bend is no peg
     fold = result.parameters.get("fold_angle", 0.0)
     centers, spans = table.center_cm[use], table.span_cm[use]
     unfolded = peak.curvature[use] - free.mean - fold * fold_share(centers, spans, body.diameter_cm)
-    last = max((contact.arc for contact in found), default=0.0)
+    last = max((contact.arc for contact, _ in found), default=0.0)
     bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
     curve, arcs = centreline(bend), arc_grid(body.length_cm)
     expected = None
@@ -93,9 +103,15 @@ def feel(
         expected = boost(prior, np.array(skin), bend.length_cm)
     felt = [
         Sighting(
-            peak.side, peak.length_cm, bend, contact, contact_mass(result, contact, arcs), touch,
+            peak.side, peak.length_cm, bend, contact, contact_mass(marginal, arcs), touch,
             result.hypothesis, int(use.sum()), alone=len(found) == 1, expected=expected,
         )
-        for contact in found
+        for contact, marginal in found
     ]  # fmt: skip
     return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
+
+
+def check_method(method: str) -> None:
+    """Raises DataError if the localizer has no such method."""
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")

@@ -9,24 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, nan
 from typing import Any
 
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
+from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.feel import LIKELY
-from thigmo.exploration.met import Lean, Met
+from thigmo.exploration.met import Lean, Met, causes
 from thigmo.exploration.prior import match
 from thigmo.exploration.room import WIDEST_SHARE, Found, Room
-from thigmo.exploration.sighting import Passed, Sighting, arc_grid, shortest
+from thigmo.exploration.sighting import LEVEL, Passed, Sighting, arc_grid, shortest
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
-from thigmo.record import MapContact, Obstacle, TrueContact
+from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 
 # No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
 _REACH_CM2 = 3000.0  # of the plane, where an obstacle may be: what a 53 cm body sweeps
 _ANOTHER = 0.1  # prior odds of one more obstacle, as in the room
+_ASIDE_CM = 5.0  # a body that leans so near a stall leans on what stopped it
 _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
@@ -40,11 +42,19 @@ class ContactMap:
         self._seen: list[Sighting] = []
         self._passed: list[Passed] = []
         self._met: list[MapContact] = []
+        self.stall: Stall | None = None  # what stopped the growth
+        self._points: list[MapContact] = []  # by a method without intervals
         self._known: list[MapContact] | None = []  # None: something was added since
 
     def add(self, sighting: Sighting) -> None:
-        """Take a contact that a stage felt."""
-        self._seen.append(sighting)
+        """Take a contact that a stage felt.
+
+        One without its error is a contact of its own: nothing tells whether it is another one.
+        """
+        if sighting.contact.status == POINT_ESTIMATE:
+            self._points.append(self._place_point(sighting))
+        else:
+            self._seen.append(sighting)
         self._known = None
 
     def add_passed(self, passed: Passed) -> None:
@@ -84,14 +94,32 @@ class ContactMap:
                 lengths = {*first.merged, *second.merged, second.everted_length_cm}
                 merged = sorted(lengths - {first.everted_length_cm})
                 known[same] = replace(first, merged=merged)
-        return known
+        return known + self._points
 
-    def add_met(self, met: Met) -> None:
-        """Take what growth met."""
+    def tried(self, met: Met, *, moved_on: bool) -> None:
+        """Take a stall that was tried again at a higher body pressure.
+
+        The tip that `moved_on` lacked pressure, and nothing stands there.
+        """
+        if moved_on:
+            self.stall = causes(met, self._walls(), moved_on=True)
+        else:
+            self.add_met(met, moved_on=False)
+
+    def _walls(self) -> list[list[tuple[float, float]]]:
+        return [contact.surface for contact in self.contacts if contact.kind == "wall"]
+
+    def add_met(self, met: Met, *, moved_on: bool | None = None) -> None:
+        """Take what growth met; of a stall, whether the tip moved on at a higher pressure."""
         low, high = met.interval_cm
         radius = self._config.body.radius_cm
+        narrow = high - low <= WIDEST_SHARE * self._config.body.length_cm
+        probability, kind = 1.0, "peg"
         if isinstance(met, Lean):
             model = "growth bent the body: its zeros moved"
+            if self.stall and abs(met.arc_cm - self.stall.length_cm) < _ASIDE_CM:
+                # At the higher pressure the tip went round what had stopped it.
+                self.stall = replace(self.stall, obstacle=probability, wall=0.0, pressure=0.0)
             placed = place_contact(
                 Bend(met.length_cm, 0.0, ramp_knots([(met.arc_cm, met.force_per_cm2)])),
                 met.arc_cm,
@@ -101,22 +129,28 @@ class ContactMap:
                 curvature_se=met.curvature_se,
             )
         else:
-            model = "stalled growth: sensors that were due did not evert"
+            self.stall = causes(met, self._walls(), moved_on=moved_on)
+            probability = round(1.0 - self.stall.pressure, 4)
+            kind = "wall" if self.stall.wall > self.stall.obstacle else "peg"
+            if probability <= LIKELY:
+                return
+            model = self.stall.words
             # Anywhere in the interval along the path, and anywhere across the tip's face.
             along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
             track = [(low, 0.0), (high, 0.0)]
             placed = PlacedContact(met.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
-        narrow = high - low <= WIDEST_SHARE * self._config.body.length_cm
         contact = self._contact(
             placed,
             arc_cm=met.arc_cm,
             force_per_cm2=met.force_per_cm2,
             interval_cm=met.interval_cm,
-            status="localized" if narrow else "ambiguous",
+            status="localized" if narrow and probability >= LEVEL else "ambiguous",
             everted_length_cm=met.length_cm,
             side="",
             model=model,
             readings=met.sensors,
+            kind=kind,
+            probability=probability,
         )
         self._met.append(contact)
         self._known = None
@@ -125,6 +159,31 @@ class ContactMap:
         """A contact at its place, with the obstacle of the map that was given that it is."""
         found = MapContact(**told, **placed._asdict())
         return replace(found, known=match(self._prior, found))
+
+    def _place_point(self, sighting: Sighting) -> MapContact:
+        contact = sighting.contact
+        placed = place_contact(
+            sighting.bend,
+            contact.arc,
+            contact.force,
+            contact.interval,
+            radius_cm=self._config.body.radius_cm,
+            curvature_se=self._config.actuators.side(sighting.side).offset_se,
+        )
+        return self._contact(
+            placed,
+            arc_cm=contact.arc,
+            force_per_cm2=contact.force,
+            interval_cm=contact.interval,
+            status=contact.status,
+            everted_length_cm=sighting.length_cm,
+            side=sighting.side,
+            model=sighting.hypothesis,
+            readings=sighting.readings,
+            probability=nan,
+            peg_probability=nan,
+            wall_probability=nan,
+        )
 
     def _place(self, room: Room, found: Found) -> MapContact:
         """The obstacle where the longest body felt it."""

@@ -16,12 +16,14 @@ come back. Those that stay have moved by themselves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from thigmo.exploration.plan import FOLD_MARGIN_CM
+from thigmo.record import Stall
 from thigmo.robot import SensorTable
 from thigmo.robot.readings import Floats
 
@@ -41,6 +43,16 @@ _SIGMAS = 4.0
 # A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
 # that moved alone.
 _EXPLAINED = 0.8
+# Of what stops a growth, before anything is known: an obstacle against too little pressure, and of
+# obstacles the share of walls, by themselves and where a known wall leads there.
+_OBSTACLE_ODDS, _WALL, _WALL_KNOWN = 1.5, 0.25, 0.9
+_WALL_OFF_CM = 3.0
+# By how much a trial at the next higher body pressure, which is half as much again or more, changes
+# the odds of an obstacle.
+_MOVED_ON, _STOOD = 0.02, 30.0
+# By how much later than the line says a fold leaves a sensor (cm): one sigma where the tip stops at
+# once, and the mean where it slows.
+_LATE_CM, _SLOWED_CM, _LATE_FLOOR = 0.3, 1.5, 1e-3
 _CLEAR_CM = 1.0  # wound in so far behind the peg, the tip is clear of it
 _CAME_BACK = 0.5  # share of a bend
 # The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
@@ -57,6 +69,51 @@ class Met:
     interval_cm: tuple[float, float]  # it is within these
     sensors: int  # how many tell so
     force_per_cm2: float  # of the peg, over EI; positive bends to the left
+    # of the sensors that everted before the tip stood still: by how much later than the line says
+    late_cm: tuple[float, ...] = field(default=(), kw_only=True)
+
+
+def causes(
+    met: Met,
+    walls: Sequence[Sequence[tuple[float, float]]] = (),
+    *,
+    moved_on: bool | None = None,
+) -> Stall:
+    """What may have stopped a growth, with probabilities; known walls are lines in the room (cm).
+
+    `moved_on` says whether the tip did when the body pressure was raised; None: nobody tried.
+
+    Where the pressure is too little for the tail's friction, the tip slows before it stops, and its
+    fold leaves the last sensors later than the line says. A tip that an obstacle stops stops at
+    once. In the emulator half of the tips without pressure slow by 2 cm and more, and no reading
+    tells the others from an obstacle: only a trial at a higher body pressure would.
+    """
+    late = np.maximum(np.asarray(met.late_cm, dtype=float), 0.0)
+    odds = _OBSTACLE_ODDS
+    if late.size:
+        # Those side by side are late together, so they count as one.
+        shortest = float(late.mean())
+        at_once = np.exp(-0.5 * (shortest / _LATE_CM) ** 2) / _LATE_CM + _LATE_FLOOR
+        slowing = 0.5 * at_once + 0.5 * np.exp(-shortest / _SLOWED_CM) / _SLOWED_CM
+        odds *= float(at_once / slowing)
+    if moved_on is not None:
+        odds *= _MOVED_ON if moved_on else _STOOD
+    obstacle = odds / (1 + odds)
+    crossed = any(_crosses_path(wall, met.interval_cm) for wall in walls)
+    wall = obstacle * (_WALL_KNOWN if crossed else _WALL)
+    return Stall(
+        met.arc_cm, met.interval_cm, round(obstacle - wall, 4), round(wall, 4),
+        round(1 - obstacle, 4), moved_on,
+    )  # fmt: skip
+
+
+def _crosses_path(line: Sequence[tuple[float, float]], interval: tuple[float, float]) -> bool:
+    """Whether a wall, carried on, crosses the straight path within an interval of a stalled tip."""
+    (x0, y0), (x1, y1) = line[0], line[-1]
+    if abs(y1 - y0) < 1e-6:
+        return False
+    x = x0 - y0 * (x1 - x0) / (y1 - y0)
+    return interval[0] - _WALL_OFF_CM <= x <= interval[1] + _WALL_OFF_CM
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +150,7 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
     end = table.center_cm + table.span_cm / 2
     due = table.healthy & (start > length_cm[0]) & (end + FOLD_MARGIN_CM <= length_cm[-1] + 0.05)
     due &= np.isfinite(bend).all(axis=0)
+    late: list[float] = []
     for place in sorted(set(table.center_cm[due].tolist())):
         here = np.flatnonzero(due & (np.abs(table.center_cm - place) < _SAME_PLACE_CM))
         stalls = [_stalled(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in here]
@@ -100,8 +158,19 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
         if len(stuck) == len(here):
             tips, lows, highs = zip(*stuck, strict=True)
             tip = float(np.mean(tips))
-            return Met(tip, tip, (min(lows), max(highs)), len(here), 0.0)
+            return Met(tip, tip, (min(lows), max(highs)), len(here), 0.0, late_cm=tuple(late))
+        late = [_left_late(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in here]
     return None
+
+
+def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> float:
+    """By how much later than the line says the fold left a sensor, cm."""
+    before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
+    rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - before)
+    top = int(rise.argmax())
+    low = np.flatnonzero(rise[top:] < _PASSED * rise[top])
+    # It has left by half where the tip stands in the sensor's last quarter.
+    return float(length_cm[top + low[0]] - (0.25 * start + 0.75 * end)) if low.size else 0.0
 
 
 def _stalled(

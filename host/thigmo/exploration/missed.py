@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
+from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.map import errors, of_stage
+from thigmo.exploration.met import Met
 from thigmo.exploration.obstacles import GONE, occupancy
 from thigmo.record import (
     FalseContact,
@@ -30,6 +32,7 @@ from thigmo.robot import TRIGGER_PER_CM
 # this).
 _SAME_SIGMA = 3.0
 _FLOOR_CM = 1.0
+_AHEAD_CM = 2.0  # a peg farther from a stalled tip did not stop it
 
 
 def judged(
@@ -62,15 +65,19 @@ def judged(
     return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
 
 
-def met_ahead(pegs: Sequence[TruePeg], tip_cm: float) -> list[TrueContact]:
-    """The true contact of a tip that stalled: the near face of the peg that stands before it.
+def met_ahead(pegs: Sequence[TruePeg], met: Met, config: RobotConfig) -> list[TrueContact]:
+    """The true contact of a tip that stalled: the near face of the peg before it, if there is one.
 
     The emulated tip is stopped just short of the peg, so its body reports no contact.
     """
+    low, high = met.interval_cm
     faces = [
-        TrueContact(p.x_cm - p.radius_cm, p.y_cm, tip_cm, tip_cm, n) for n, p in enumerate(pegs)
+        TrueContact(p.x_cm - p.radius_cm, p.y_cm, met.arc_cm, met.arc_cm, n)
+        for n, p in enumerate(pegs)
+        if abs(p.y_cm) < config.body.radius_cm + p.radius_cm
+        and low - _AHEAD_CM <= p.x_cm - p.radius_cm <= high + _AHEAD_CM
     ]
-    return sorted(faces, key=lambda face: np.hypot(face.x_cm - tip_cm, face.y_cm))[:1]
+    return sorted(faces, key=lambda face: abs(face.x_cm - met.arc_cm))[:1]
 
 
 def felt_pegs(document: RunDocument) -> set[int]:
@@ -85,7 +92,10 @@ def felt_pegs(document: RunDocument) -> set[int]:
 def _same(contact: MapContact, true: TrueContact) -> bool:
     covariance = np.asarray(contact.covariance_cm2) + _FLOOR_CM**2 * np.eye(2)
     apart = np.array([contact.x_cm - true.x_cm, contact.y_cm - true.y_cm])
-    if apart @ np.linalg.solve(covariance, apart) < _SAME_SIGMA**2:
+    if (
+        contact.status != POINT_ESTIMATE
+        and apart @ np.linalg.solve(covariance, apart) < _SAME_SIGMA**2
+    ):
         return True
     low, high = contact.interval_cm
     held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM
@@ -122,6 +132,8 @@ def _why_missed(
 
 
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:
+    if not contact.side and not contact.force_per_cm2:
+        return "nothing stopped the tip: too little body pressure looks like an obstacle ahead"
     there = [t for t in truth if of_stage(t, contact.everted_length_cm, contact.side)]
     if not there:
         return "nothing touched there at the sweep's peak: an error of the map or of the sensors"

@@ -2,8 +2,9 @@
 
 Built from contacts.json alone, so that a live run, one cut short and a replay all export the same
 way. Free is where the tube has been but for one chance in a thousand, as far as its shapes' errors
-tell; occupied is where a contact is with 95 % of its posterior, and wins over free; the rest is
-unknown, and so is what lies near a contact, up to the same chance.
+tell; occupied is where a localized contact is with 95 % of its posterior, and what lies between the
+points of a wall that is one to 95 %; it wins over free. The rest is unknown, and so is what lies
+near a contact, up to the same chance.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from thigmo.record import (
     write_obstacles,
     write_ros_map,
 )
+from thigmo.record.obstacles import Point
 from thigmo.record.occupancy import FREE, OCCUPIED, UNKNOWN
 
 _RESOLUTION_CM = 0.5
@@ -38,6 +40,7 @@ _SIGMA_95 = 2.4477
 # Standard errors of a swept shape beyond which a cell is free: one in a thousand is not. Over 200
 # random rooms so few cells inside pegs that were felt are free (`thigmo bench exploration`).
 SIGMAS = 3.1
+_SURE = 0.95  # probability from which a cell is occupied
 GONE = "prior, not felt"  # source of an expected obstacle whose place was swept
 _BITS = 4  # fractions of a cell in OpenCV's drawing
 
@@ -90,10 +93,22 @@ def occupancy(
     ]
     grid.cells[free] = FREE
     there = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
-    for value, reach in ((UNKNOWN, max(sigmas, _SIGMA_95)), (OCCUPIED, _SIGMA_95)):
-        for obstacle in there:
-            grid.cells[_near_track(grid, obstacle, reach)] = value
+    for obstacle in there:
+        for line in (obstacle.track, obstacle.surface):
+            grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
+    for obstacle in there:
+        for line in _occupied_lines(obstacle):
+            grid.cells[_near_line(grid, obstacle, line, _SIGMA_95)] = OCCUPIED
     return grid, felt + rest
+
+
+def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
+    """Lines along which something stands for sure: to 95 %."""
+    sure = obstacle.status == "localized" and obstacle.probability >= _SURE
+    lines = [obstacle.track] if sure else []
+    if obstacle.probability * obstacle.wall_probability >= _SURE:
+        lines.append(obstacle.surface)
+    return lines
 
 
 def _obstacle(contact: MapContact) -> Obstacle:
@@ -113,6 +128,10 @@ def _obstacle(contact: MapContact) -> Obstacle:
         interval_cm=contact.interval_cm,
         felt_at_cm=[*contact.merged, contact.everted_length_cm],
         force_per_cm2=contact.force_per_cm2,
+        kind=contact.kind,
+        probability=contact.probability,
+        wall_probability=contact.wall_probability,
+        surface=contact.surface,
     )
 
 
@@ -128,6 +147,7 @@ def _empty_grid(
         reach = obstacle.ellipse_95.semi_major_cm
         point = np.array([[obstacle.x_cm, obstacle.y_cm]])
         points += [np.asarray(obstacle.track), point - reach, point + reach]
+        points += [np.asarray(obstacle.surface)] if obstacle.surface else []
     every = np.vstack(points)
     margin = radius_cm + _MARGIN_CM
     low = np.floor((every.min(axis=0) - margin) / _RESOLUTION_CM) * _RESOLUTION_CM
@@ -155,10 +175,14 @@ def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: 
     return canvas.astype(np.bool_)
 
 
-def _near_track(grid: OccupancyGrid, obstacle: Obstacle, sigmas: float) -> Mask:
-    """Cells that may hold the obstacle's surface: 95 % along its track, and so far across it."""
+def _near_line(
+    grid: OccupancyGrid, obstacle: Obstacle, points: Sequence[Point], sigmas: float
+) -> Mask:
+    """Cells that may hold the obstacle's surface along a line of it, and so far across it."""
+    if not points:
+        return np.zeros(grid.cells.shape, dtype=np.bool_)
     away = np.ones(grid.cells.shape, dtype=np.uint8)
-    line = _pixels(grid, np.asarray(obstacle.track))
+    line = _pixels(grid, np.asarray(points))
     cv2.polylines(away, [line], False, 0, lineType=cv2.LINE_8, shift=_BITS)
     distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     across_cm = 0.0  # standard error

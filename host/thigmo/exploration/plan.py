@@ -59,3 +59,13 @@ def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> flo
     ends = (zone.until_cm for zone in config.body.zones)
     between = (end for end in ends if length_cm + _SAME_CM < end < stage_cm - _SAME_CM)
     return next(between, stage_cm)
+
+
+def trial_zone(config: RobotConfig, zone: int) -> int | None:
+    """Zone of the next higher body pressure, at which a stalled growth is tried again.
+
+    None: the robot has no higher one with maps.
+    """
+    zones = config.body.zones
+    above = [n for n, each in enumerate(zones) if each.pressure_psi > zones[zone].pressure_psi]
+    return min(above, key=lambda n: zones[n].pressure_psi, default=None)

@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import RunFolderError
 from thigmo.record import (
     OBSTACLES_FILE,
@@ -51,6 +52,8 @@ def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats
 
 def match(prior: Sequence[Obstacle], contact: MapContact) -> int | None:
     """Index of the expected obstacle that a contact is, or None for a new one."""
+    if contact.status == POINT_ESTIMATE:
+        return None
     point = np.array([[contact.x_cm, contact.y_cm]])
     covariance = np.asarray(contact.covariance_cm2)
     apart = [float(_squared(o, point, covariance)[0]) for o in prior]
@@ -73,14 +76,18 @@ def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
 def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
     """Obstacles of a map: a run folder, its obstacles.json, or a ROS map's YAML file.
 
-    Those that the map had itself found gone are left out. Raises RunFolderError: it is neither, or
-    cannot be read.
+    Those that the map had itself found gone are left out, and places of unknown error. Raises
+    RunFolderError: it is neither, or cannot be read.
     """
     file = Path(path)
     if file.is_dir():
         file = file / OBSTACLES_FILE
     if file.suffix == ".json":
-        return [o for o in read_obstacles(file).obstacles if o.source != "prior, not felt"]
+        return [
+            o
+            for o in read_obstacles(file).obstacles
+            if o.source != "prior, not felt" and o.status != POINT_ESTIMATE
+        ]
     if file.suffix in (".yaml", ".yml"):
         return _grid_obstacles(read_ros_map(file))
     raise RunFolderError(

@@ -16,15 +16,17 @@ from typing import Any
 from thigmo import __version__
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
+from thigmo.exploration.feel import check_method
 from thigmo.exploration.met import lean, stall
 from thigmo.exploration.obstacles import export_obstacles
+from thigmo.exploration.plan import growth_zone
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.stage import Interpreter
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
-from thigmo.record import Entry, Log, RunDocument, RunFolder, Stage
+from thigmo.record import Entry, Log, RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.robot import (
     SENSORS,
@@ -85,7 +87,7 @@ class _Reader:
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._before = self.table  # the last zeroing
-        self._zone = 0
+        self.zone = 0  # of the body pressure
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
         self._events: set[int] = set()
@@ -127,7 +129,7 @@ class _Reader:
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
-                self._zone = message.zone
+                self.zone = message.zone
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
@@ -177,7 +179,7 @@ class _Reader:
         watcher = SweepWatcher(self.table, mask, length, young, self._standing)
         amplitudes = (command.left_cpsi, command.right_cpsi)
         sides = {side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0}
-        self.sweeps.append(_Sweep(self._zone, sides, t_s, watcher))
+        self.sweeps.append(_Sweep(self.zone, sides, t_s, watcher))
 
     def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
         if message.index == 0:
@@ -189,21 +191,30 @@ class _Reader:
             watcher.peaks.append(self._snapshots)
 
 
-def replay(run: str | os.PathLike[str]) -> ReplayResult:
+def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayResult:
     """Localize again from the raw record of a run folder.
 
     Writes `replay.json`, `replay.png`, `replay-obstacles.json` and `replay-map.yaml` with its
     picture into it.
+
+    Args:
+        run: its folder.
+        method: of `thigmo.localize`; that of the run if not given.
 
     Raises:
         RunFolderError: no record, or one of another protocol schema.
         ConfigError: its robot.toml cannot be read.
     """
     folder = RunFolder(run)
-    config, log = folder.read_config(), folder.read_log()
+    log = folder.read_log()  # first: a folder that is no run has none, and says so
+    config = folder.read_config()
     reader = _read(folder, config, log)
     prior = kept_prior(folder)
-    found, table = Interpreter(config, prior), SensorTable.of(config)
+    if method is not None:
+        check_method(method)
+    known = _document(folder, log)
+    known = replace(known, method=method or known.method)
+    found, table = Interpreter(config, prior, known.method), SensorTable.of(config)
     stages = []
     for looked, measured in _stages(reader.sweeps):
         sweep = looked[-1]
@@ -216,10 +227,12 @@ def replay(run: str | os.PathLike[str]) -> ReplayResult:
     if reader.backed_off:
         grown = reader.growth.profile(reader.table)
         if (stalled := stall(*grown, table)) is not None:
-            found.map.add_met(stalled)
+            # A growth at another pressure than the length's was the trial of an earlier stall.
+            usual = growth_zone(config, float(grown[0][0]), float(grown[0][-1]))
+            found.map.add_met(stalled, moved_on=None if reader.zone == usual else False)
         elif (held := lean(*grown, *reader.zeros_ahead, table)) and held.released(*reader.zeros()):
             found.map.add_met(held)
-    document = found.judged(_document(folder, log, stages))
+    document = found.judged(replace(known, stages=stages))
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
@@ -269,8 +282,8 @@ def _stages(sweeps: list[_Sweep]) -> Iterator[tuple[list[_Sweep], list[_Sweep]]]
         yield looked, measured
 
 
-def _document(folder: RunFolder, log: Log, stages: list[Stage]) -> RunDocument:
-    """The replay's document; name, truth and outcome are the run's own, if it got so far."""
+def _document(folder: RunFolder, log: Log) -> RunDocument:
+    """The replay's document without stages; name, truth, outcome are the run's own, if known."""
     recorded = log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0
     try:
         known = folder.read_document()
@@ -281,7 +294,6 @@ def _document(folder: RunFolder, log: Log, stages: list[Stage]) -> RunDocument:
         known,
         thigmo=__version__,
         outcome=f"replayed; {known.outcome}",
-        stages=stages,
         robot_time_s=recorded,
         wall_time_s=0.0,
     )

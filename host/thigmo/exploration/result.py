@@ -41,13 +41,13 @@ class ExplorationResult:
             (
                 f"{c.x_cm:.1f}, {c.y_cm:.1f}",
                 f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f}",
-                f"{c.interval_cm[0]:.1f} to {c.interval_cm[1]:.1f}",
+                c.interval_text,
                 f"{c.force_per_cm2:.2g}",
                 c.status,
             )
             for c in self.contacts
         ]
-        columns = ("x, y (cm)", "arc (cm)", "95 % interval (cm)", "force / EI (1/cm²)", "status")
+        columns = ("x, y (cm)", "arc (cm)", "95 % interval", "force / EI (1/cm²)", "status")
         table = html_table(columns, rows) if rows else ""
         return html_card(self.document.name, f"{self._said()}; {self.folder}", table)
 

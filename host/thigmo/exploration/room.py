@@ -27,8 +27,9 @@ Group = tuple[int, ...]  # sightings of one obstacle
 Masses = dict[int, Floats]  # posterior over the arcs of each of a group's sightings
 
 WIDEST_SHARE = 10 / 53  # of the body's length: a wider set is no place, as for the localizer
-# A wall is felt by this last part of the body; most touches lie within half of it.
-_TIP_CM = 1.75
+# A wall is felt by this last part of the body, or farther from the tip by so much on average: of
+# 163 emulated touches of walls 75 % lie within it, and 91 % within 5 cm of the tip.
+_TIP_CM, _AT_TIP, _BEHIND_CM = 1.75, 0.75, 4.0
 _SLIDE_CM = 0.7  # one sigma by which a contact moves along the body while a peg stands still
 _SLACK_CM = 1.75  # at the rim of an earlier tip a peg may have slid off unfelt: one tube radius
 _OVER_CM = 2.5  # what the end's face felt, a longer body's side feels up to so far beyond it
@@ -93,6 +94,7 @@ class Room:
         self._slide = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)
         self._alone = [self._arc_likelihood(each, slides=False) for each in self._seen]
         self._shared = [self._arc_likelihood(each, slides=True) for each in self._seen]
+        self._tip = [self._near_tip(each.length_cm) for each in self._seen]
         self._touch = [_touch_likelihood(each) for each in self._seen]
         self._told: dict[tuple[Group, str], tuple[float, Masses]] = {}
 
@@ -255,11 +257,10 @@ class Room:
             log, points = _LOG_WALL - np.log(len(group)), []
             masses: Masses = {}
             for i in group[:slid]:
-                middle = self._seen[i].length_cm - _TIP_CM / 2
-                tip = np.abs(self._arcs - middle) <= _TIP_CM / 2 + 1e-9
-                log += np.log(self._alone[i][tip].mean() + 1e-300)
-                masses[i] = self._alone[i] * tip / (self._alone[i] * tip).sum()
-                points.append(self._point(i, middle))
+                mass = self._alone[i] * self._tip[i]
+                log += np.log(mass.sum() + 1e-300)
+                masses[i] = mass / max(float(mass.sum()), 1e-300)
+                points.append(self._point(i, self._seen[i].length_cm - _TIP_CM / 2))
             if rest := group[slid:]:
                 beyond = self._arcs >= self._seen[group[slid - 1]].length_cm - _SLACK_CM
                 more, mass = self._peg(rest, beyond)
@@ -279,6 +280,15 @@ class Room:
             for i in group
         }
         return top + float(np.log(weight.sum())), mixed
+
+    def _near_tip(self, length_cm: float) -> Floats:
+        """Prior of the arc at which a body feels a wall, (n,), of sum one."""
+        behind = length_cm - self._arcs
+        body = behind >= -1e-9
+        at_tip = body & (behind <= _TIP_CM + 1e-9)
+        farther = body * np.exp(-behind / _BEHIND_CM)
+        share = _AT_TIP * at_tip / at_tip.sum() + (1 - _AT_TIP) * farther / farther.sum()
+        return np.asarray(share)
 
     def _point(self, i: int, arc_cm: float, bend: float | None = None) -> tuple[float, float]:
         sighting = self._seen[i]

@@ -21,7 +21,13 @@ from thigmo.exploration.measuring import held_now, held_sides, measuring_pressur
 from thigmo.exploration.met import Lean, Met, lean, stall
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import growth_target, growth_zone, next_stage, stage_lengths
+from thigmo.exploration.plan import (
+    growth_target,
+    growth_zone,
+    next_stage,
+    stage_lengths,
+    trial_zone,
+)
 from thigmo.exploration.stage import Interpreter
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
@@ -84,10 +90,12 @@ class Exploration:
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _met: Met | None = None  # by growth, and not yet on the map
     _zero_tries: int = 0
+    _raised: int | None = None  # zone whose pressure growth has needed since it stalled
+    _tried: Met | None = None  # the stall that is tried again at that pressure
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
-        self._found = Interpreter(self.config, self.prior)
+        self._found = Interpreter(self.config, self.prior, self.document.method)
         self._table = SensorTable.of(self.config)
         self._whole_cm = sum(stage_lengths(self.config))
 
@@ -168,6 +176,11 @@ class Exploration:
 
     def _pressurize(self) -> str:
         self._zone = growth_zone(self.config, self.length_cm, self._stage_cm)
+        zones = self.config.body.zones
+        if self._raised is not None and (
+            zones[self._raised].pressure_psi > zones[self._zone].pressure_psi
+        ):
+            self._zone = self._raised
         pressure = self.config.body.zones[self._zone].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
@@ -183,6 +196,10 @@ class Exploration:
             self._met = stall(*self._grown(), self._table)
             if self._met is not None:
                 return "no eversion"
+            if self._tried is not None and target == self._stage_cm:
+                self._found.map.tried(self._tried, moved_on=True)
+                self._note(stall=self._found.map.stall)
+                self._tried = None
         return "whole pitch" if target == self._stage_cm else "pressure boundary"
 
     def _grown(self) -> tuple[Floats, Floats]:
@@ -199,18 +216,27 @@ class Exploration:
         assert met is not None
         leaning = isinstance(met, Lean)
         if truth is not None:
-            ahead = truth.contacts if leaning else met_ahead(truth.pegs, met.arc_cm)
+            ahead = truth.contacts if leaning else met_ahead(truth.pegs, met, self.config)
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
         clear_cm = met.clear_cm if isinstance(met, Lean) else self._start_cm
         self.length_cm = self.robot.retract_to(min(self._start_cm, clear_cm))
         if leaning:
             return "clear of what held it"
+        if self._tried is None and (higher := trial_zone(self.config, self._zone)) is not None:
+            self._raised, self._tried, self._growth = higher, met, GrowthWatcher()
+            self._met = None
+            self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
+            return "stalled: more pressure"
         self._end_at(met)
-        return "peg ahead"
+        return "stalled"
 
     def _end_at(self, met: Met) -> None:
-        self._found.map.add_met(met)
-        self._note(outcome="peg ahead")
+        if self._tried is None or isinstance(met, Lean):
+            self._found.map.add_met(met)
+        else:
+            self._found.map.tried(met, moved_on=False)
+        stalled = None if isinstance(met, Lean) else self._found.map.stall
+        self._note(outcome="peg ahead" if stalled is None else stalled.words)
         self._judge()
 
     def _settle(self) -> str:

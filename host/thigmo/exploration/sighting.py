@@ -15,7 +15,8 @@ import numpy as np
 from thigmo.config import Side
 from thigmo.exploration.measuring import held_back
 from thigmo.exploration.workspace import Bend
-from thigmo.localization import Contact, LocalizeResult
+from thigmo.localization import Contact
+from thigmo.localization.result import Marginal
 from thigmo.robot import TRIGGER_PER_CM, Peak, SweepFrame
 from thigmo.robot.readings import Floats
 
@@ -68,17 +69,14 @@ def arc_grid(full_cm: float) -> Floats:
     return np.linspace(0.0, full_cm, round(full_cm / _GRID_CM) + 1)
 
 
-def contact_mass(result: LocalizeResult, contact: Contact, arcs: Floats) -> Floats:
-    """A contact's posterior on the grid: the localizer's own, or a normal one with its interval."""
-    if len(result.contacts) == 1:
-        step = arcs[1] - arcs[0]
-        edges = np.concatenate((arcs - 0.5 * step, [arcs[-1] + 0.5 * step]))
-        below = np.concatenate(([0.0], np.cumsum(result.probability)))
-        mass = np.diff(np.interp(edges, result.edges, below))
-    else:
-        low, high = contact.interval
-        deviation = max((high - low) / 3.92, _GRID_CM)
-        mass = np.exp(-0.5 * ((arcs - contact.arc) / deviation) ** 2)
+def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
+    """A contact's posterior on the grid; flat where a point estimate has none."""
+    if marginal is None:
+        return np.full(len(arcs), 1 / len(arcs))
+    step = arcs[1] - arcs[0]
+    edges = np.concatenate((arcs - 0.5 * step, [arcs[-1] + 0.5 * step]))
+    below = np.concatenate(([0.0], np.cumsum(marginal.mass)))
+    mass = np.diff(np.interp(edges, marginal.edges, below))
     if not mass.sum() > 0:
         mass = np.ones(len(arcs))
     normalised: Floats = mass / mass.sum()

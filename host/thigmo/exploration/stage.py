@@ -26,7 +26,8 @@ from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
-from thigmo.robot import TRIGGER_PER_CM, SensorTable, SweepResult
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
+from thigmo.robot.readings import Floats
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -44,8 +45,11 @@ _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no
 class Interpreter:
     """Reads a run's sweeps in their order, and learns from those without contact."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
+    def __init__(
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+    ) -> None:
         self._config = config
+        self._method = method
         self._prior = prior
         self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
@@ -68,7 +72,7 @@ class Interpreter:
                 _learn(self._response, each, side, zone, touch_curvature(sweep.frames, side))
             told = measured.get(side, peak)
             touch = touch_mass(sweep.frames, side)
-            feeling = feel(told, self._config, zone, self._response, touch, self._prior)
+            feeling = self._feel(told, zone, self._response, touch)
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
             if side in fired or certain:
                 feelings.append(feeling)
@@ -88,7 +92,10 @@ class Interpreter:
         response = deepcopy(self._response)
         _learn(response, so_far, peak.side, zone, touch_curvature(so_far.frames, peak.side))
         touch = touch_mass(so_far.frames, peak.side)
-        return feel(peak, self._config, zone, response, touch, self._prior)
+        return self._feel(peak, zone, response, touch)
+
+    def _feel(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> Feeling:
+        return feel(peak, self._config, zone, response, touch, self._prior, self._method)
 
     def placed(self, feeling: Feeling) -> bool:
         """Whether a feeling tells one contact's place well enough."""
@@ -128,7 +135,10 @@ class Interpreter:
 
     def judged(self, document: RunDocument) -> RunDocument:
         """The document with the map's contacts, their errors, and what was missed or is false."""
-        return judged(replace(document, contacts=self.map.contacts), self._config, self._prior)
+        known = replace(
+            document, contacts=self.map.contacts, stall=self.map.stall or document.stall
+        )
+        return judged(known, self._config, self._prior)
 
 
 def _learn(

@@ -28,7 +28,7 @@ class State(StrEnum):
     LOCALIZE = "localizing"
     MAP = "mapping"
     VENT = "venting"
-    BACK_OFF = "winding back from a peg ahead"
+    BACK_OFF = "winding back from what stopped or bent it"
     FINISH = "venting, keeping the length"
     DONE = "done"
 
@@ -53,7 +53,8 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.GROW, "pressure boundary", State.PRESSURIZE),
     Transition(State.GROW, "whole pitch", State.SETTLE),
     Transition(State.GROW, "no eversion", State.BACK_OFF),
-    Transition(State.BACK_OFF, "peg ahead", State.FINISH),
+    Transition(State.BACK_OFF, "stalled", State.FINISH),
+    Transition(State.BACK_OFF, "stalled: more pressure", State.PRESSURIZE),
     Transition(State.BACK_OFF, "clear of what held it", State.SETTLE),
     Transition(State.SETTLE, "settled", State.ZERO),
     Transition(State.ZERO, "drifting", State.SETTLE),

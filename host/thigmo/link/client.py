@@ -44,6 +44,7 @@ _IN_PROGRESS_S = 0.1
 _LATE_S = 0.05
 _SHORTEST_S = 1e-6
 _NONCES = 32
+_FOREIGN = 10  # frames of another session in a row: old ones that a bridge replays are fewer
 
 
 @dataclass(slots=True)
@@ -60,7 +61,9 @@ class _Outstanding:
     attempts: int = 0
     answer: wire.Message | None = None
     orphaned: bool = False  # the board knows the session no more
-    refused_by: int | None = None  # hash of the schema that the board speaks instead
+    refused_by: int | None = None  # hash of the schema of a board that refused a hello
+    boot: int | None = None  # nonce of that board's boot
+    cause: int = 0  # of its last reset
 
 
 class Client(Inbox, Closing):
@@ -76,6 +79,7 @@ class Client(Inbox, Closing):
         # without the closing zero, host time.
         self.taps: list[Tap] = []
         self._hello: wire.HelloReply | None = None
+        self._nonce = secrets.randbits(32)  # counts up: the board knows late copies of a hello
         self._heartbeat_s = heartbeat_s
         self._decoder = Decoder()
         self._round_trip = RoundTrip()
@@ -90,6 +94,7 @@ class Client(Inbox, Closing):
         self._nonces: deque[int] = deque(maxlen=_NONCES)
         self._stop_call: StopCall | None = None
         self._heard_s = float("-inf")
+        self._foreign = 0  # telemetry of another host's session, in a row
         self._handling = False
         if connect:
             try:
@@ -238,10 +243,15 @@ class Client(Inbox, Closing):
         for tap in self.taps:
             tap("tx", frame.strip(b"\0"), now)
 
-    def _begin(self, command: wire.Command[Any], until_s: float) -> _Outstanding:
-        """Make a command, of the running session or a hello, the outstanding one and send it."""
+    def _begin(
+        self, command: wire.Command[Any], until_s: float, *, resumes: bool = False
+    ) -> _Outstanding:
+        """Make a command the outstanding one and send it.
+
+        It is of the running session, or a hello: of none, or of the one that it resumes.
+        """
         hello = isinstance(command, wire.Hello)
-        session = 0 if hello else self.session
+        session = 0 if hello and not resumes else self.session
         self._seq = 0 if hello else (self._seq + 1) & 0xFFFF
         frame = encode(command, self._seq, session)
         self._outstanding = _Outstanding(command, frame, self._seq, session, until_s)
@@ -265,7 +275,8 @@ class Client(Inbox, Closing):
 
     def _say_hello(self, limit_s: float) -> wire.HelloReply | None:
         """Open a session; None if nobody answers in time. Raises SchemaMismatchError."""
-        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, secrets.randbits(32))
+        self._nonce = (self._nonce + 1) & 0xFFFF_FFFF
+        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, self._nonce)
         until_s = self.now() + limit_s
         outstanding = self._begin(hello, until_s)
         reply = self._settle(outstanding, until_s)
@@ -274,22 +285,35 @@ class Client(Inbox, Closing):
         if not isinstance(reply, wire.HelloReply):
             return None
         new_boot = self._hello is None or reply.boot_nonce != self._hello.boot_nonce
-        self._hello = reply
         if reply.boot_nonce not in self._nonces:
             self._nonces.append(reply.boot_nonce)
-        self._begin_session(reply.session, new_boot)
-        self._talking = self._connected = True
-        self.stats.hellos += 1
-        self.transport.start_heartbeat(reply.session, self._heartbeat_s)
+        self._open(reply, new_boot)
         return reply
 
+    def _open(self, reply: wire.HelloReply, new_boot: bool) -> None:
+        self._hello = reply
+        self._begin_session(reply.session, new_boot)
+        self._talking = self._connected = True
+        self._foreign = 0
+        self.stats.hellos += 1
+        self.transport.start_heartbeat(reply.session, self._heartbeat_s)
+
     def _resume(self, command: wire.Message, limit_s: float, until_s: float) -> None:
-        """A new session after a spoilt one, within a command's deadline."""
+        """A new session after a spoilt one, within a command's deadline; what moves moves on."""
         before = self.hello
-        if self._say_hello(until_s - self.now()) is None:
+        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, before.host_nonce)
+        outstanding = self._begin(hello, until_s, resumes=True)
+        reply = self._settle(outstanding, until_s)
+        if isinstance(reply, wire.HelloReply):
+            self._open(reply, new_boot=False)
+        elif outstanding.boot == before.boot_nonce:
+            raise failures.taken_over()
+        elif outstanding.refused_by == wire.SCHEMA_HASH:
+            raise failures.restarted(wire.ResetCause(outstanding.cause))
+        elif outstanding.refused_by is not None:
+            raise failures.other_schema(outstanding.refused_by, self.transport)
+        else:
             raise failures.timed_out(command, limit_s)
-        if self.hello.boot_nonce != before.boot_nonce:
-            raise failures.restarted(self.hello.reset_cause)
 
     # Receiving.
 
@@ -358,12 +382,13 @@ class Client(Inbox, Closing):
     def _handle(self, frame: Frame, t_s: float) -> None:
         if frame.id == wire.Telemetry.ID:
             self._strange += len(frame.payload) != wire.Telemetry.SIZE
+            self._watch_session(frame.session)
             self._take_telemetry(frame, t_s)
             return
         if frame.id == wire.Stopped.ID and self._stop_call is not None:
             self._stop_call.take(frame)
             return
-        if frame.id == wire.HelloReply.ID and self._other_board(frame.payload):
+        if frame.id == wire.HelloReply.ID and self._refused(frame.payload):
             return
         try:
             message = frame.message()
@@ -383,8 +408,8 @@ class Client(Inbox, Closing):
         elif isinstance(message, wire.Event) and frame.session == self.session:
             self._take_event(message, t_s)
 
-    def _other_board(self, payload: bytes) -> bool:
-        """Notice a refusal by a board of another schema, whose enumerations may be unknown here.
+    def _refused(self, payload: bytes) -> bool:
+        """Notice a hello's refusal, maybe by a board whose enumerations are unknown here.
 
         The layout of hello_reply is the same in every schema (`frozen` in schema.yaml).
         """
@@ -397,8 +422,19 @@ class Client(Inbox, Closing):
         if not ours or (theirs == wire.SCHEMA_HASH and payload[0] != wire.Status.REFUSED):
             return False
         outstanding.refused_by = theirs
+        outstanding.boot, outstanding.cause = int.from_bytes(payload[11:15], "little"), payload[17]
         self._outstanding = None
         return True
+
+    def _watch_session(self, session: int) -> None:
+        """Notice that the board talks to somebody else, though this host asks it nothing."""
+        if session == self.session or self._outstanding is not None or not self._talking:
+            self._foreign = 0
+            return
+        self._foreign += 1
+        if self._foreign == _FOREIGN:
+            self._talking = False
+            self._broken = failures.taken_over()
 
     def _take_announce(self, message: wire.Announce) -> None:
         self._announce = message
@@ -419,7 +455,12 @@ class Client(Inbox, Closing):
         asked = outstanding.message
         if isinstance(asked, wire.Hello):
             # Its header may be another schema's business; the nonce is what makes it ours.
-            ours = isinstance(message, wire.HelloReply) and message.host_nonce == asked.host_nonce
+            # That of a hello which resumes is as old as the conversation: its session must be new.
+            ours = (
+                isinstance(message, wire.HelloReply)
+                and message.host_nonce == asked.host_nonce
+                and message.session != outstanding.session
+            )
         else:
             ours = frame.seq == outstanding.seq and frame.session == outstanding.session
             ours = ours and isinstance(message, (asked.REPLY, wire.Ack))

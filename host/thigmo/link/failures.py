@@ -30,6 +30,14 @@ def restarted(cause: wire.ResetCause) -> BoardResetError:
     )
 
 
+def taken_over() -> LinkError:
+    """The board has a session with another host."""
+    return LinkError(
+        "another program has taken the robot over, and it stands still",
+        "close one of the two, and start again with the other",
+    )
+
+
 def other_schema(theirs: int, transport: Transport) -> SchemaMismatchError:
     """Board and host do not speak the same protocol."""
     return SchemaMismatchError(

@@ -18,7 +18,7 @@ from thigmo.link.protocol import CRC, MAX_FRAME, MAX_WIRE, MESSAGES, Message
 _HEADER = Struct("<BHH")
 _CRC = Struct("<H")
 MIN_FRAME = _HEADER.size + _CRC.size
-_crc = crcmod.predefined.mkPredefinedCrcFun(CRC)
+check_sequence = crcmod.predefined.mkPredefinedCrcFun(CRC)
 
 
 class FrameError(ValueError):
@@ -48,7 +48,7 @@ class Frame(NamedTuple):
 def encode(message: Message, seq: int, session: int) -> bytes:
     """A message as bytes on the wire, closing zero included."""
     body = _HEADER.pack(message.ID, seq, session) + message.pack()
-    stuffed: bytes = cobs.encode(body + _CRC.pack(_crc(body)))
+    stuffed: bytes = cobs.encode(body + _CRC.pack(check_sequence(body)))
     return stuffed + b"\0"
 
 
@@ -60,7 +60,7 @@ def decode(wire: bytes) -> Frame:
         raise FrameError(str(error)) from error
     if not MIN_FRAME <= len(raw) <= MAX_FRAME:
         raise FrameError(f"{len(raw)} bytes, {MIN_FRAME}..{MAX_FRAME} allowed")
-    if _crc(raw[:-2]) != raw[-2] | raw[-1] << 8:
+    if check_sequence(raw[:-2]) != raw[-2] | raw[-1] << 8:
         raise FrameError("wrong check sequence")
     kind, seq, session = _HEADER.unpack_from(raw)
     return Frame(kind, seq, session, raw[_HEADER.size : -2], wire)

@@ -13,7 +13,7 @@ from thigmo.link.message import Command, Documented, Message, OpenDocumented
 from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x0DF59729
+SCHEMA_HASH = 0x7C7BEAD7
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -64,7 +64,6 @@ class Branch(Documented):  # Which of a muscle's two maps.
 class Board(OpenDocumented):  # Where the firmware runs.
     VIRTUAL = 0  # Inside the emulator.
     MEGA = 1  # Arduino Mega 2560, real or simulated.
-    PICO = 2  # Raspberry Pi Pico under MicroPython.
     CORTEX_M3 = 3  # MicroPython on QEMU's Cortex-M3; its hardware is injected.
     UNIX = 4  # MicroPython's unix port; its hardware is injected.
 
@@ -89,7 +88,6 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     BAD_LENGTH = 2  # The message has the wrong size; flash the firmware of this host's version.
     BAD_VALUE = 3  # A value is outside its range; see the range in PROTOCOL.md.
     BAD_SESSION = 4  # The frame belongs to another conversation; say hello again.
-    BAD_SEQUENCE = 5  # The frame is stale or out of order; say hello again.
     WRONG_SCHEMA = 6  # Host and board were built from different schemas
     WRONG_STATE = 7  # The supervisor's state does not allow it
     BUSY = 8  # Another activity runs; stop it or wait for its end.
@@ -108,6 +106,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     CONTRADICTION = 23  # Parameters contradict each other, and none of those that were set runs
     NO_BASE_SENSOR = 22  # Neither base sensor can feel a contact
     HOST_SILENT = 21  # No heartbeat has arrived lately; keep the host beating, then arm again.
+    OTHER_HOST = 25  # Another program has taken the robot over; close one of the two.
     STOPPED_AGAIN = 24  # The robot was stopped once more since
 
 
@@ -182,8 +181,8 @@ class Ack(Reply, number=0x80):  # Answer of commands that return nothing else, a
 
 
 class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this session from now on.
-    status: Status  # refused when the schema differs.
-    reason: Reason  # wrong_schema, or none.
+    status: Status  # refused when the schema differs, or there is no session to go on with.
+    reason: Reason  # wrong_schema, bad_session, or none.
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
     firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
@@ -331,10 +330,11 @@ class Event(Message, number=0xE0):  # Something happened; repeated until acknowl
     value: I32  # As the code's doc says.
 
 
-class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):  # Opens a session.
+# Opens a session and resets the sequence.
+class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of this schema.
-    host_nonce: U32  # Random; echoed, so that a replayed reply is told apart.
+    host_nonce: U32  # Counts up from a random start; the same where a host goes on. Echoed.
 
 
 class GetStatus(Command[StatusReport], number=0x02): ...  # The board's whole state.

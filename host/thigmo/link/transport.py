@@ -52,6 +52,7 @@ class Transport(Protocol):
 _EMULATORS = {
     "emulator": ("thigmo.emulator.transport", "open_emulator"),
     "mega-sim": ("thigmo.emulator.mega_sim", "open_mega_sim"),
+    "micropython": ("thigmo.emulator.micropython", "open_micropython"),
 }
 DEFAULT_BAUD = 250_000  # exact on the Mega's 16 MHz; 500 k after a soak test
 

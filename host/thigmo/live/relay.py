@@ -18,7 +18,17 @@ from typing import Literal, Protocol
 from thigmo.errors import LinkError, PortError, ThigmoError
 from thigmo.link import stop_socket
 from thigmo.robot.stopping import stop_all
-from thigmo.stream import Command, Hello, Message, RemoteRun, RunState, Telemetry, attach, running
+from thigmo.stream import (
+    Command,
+    Hello,
+    Message,
+    RemoteRun,
+    RunState,
+    Telemetry,
+    Watchable,
+    attach,
+    running,
+)
 
 _MOST_WAITING = 20_000  # messages; who is that far behind loses some, and is told by the run
 _SEARCH_S = 0.3  # between two looks for a run
@@ -70,16 +80,19 @@ def _socket(url: str) -> str:
 
 
 class Watched:
-    """Attaches to a robot's runs, or to any, one after the other, the youngest first.
+    """Attaches to a robot's runs, or to any, one after the other: the one that was chosen by its
+    process, else the youngest.
 
     A thread of its own takes messages off the run's stream as they come, so that a busy server
     delays them and never the run. What it has taken is fetched in one go, many times a second.
     """
 
-    def __init__(self, url: str | None) -> None:
+    def __init__(self, url: str | None, pid: int | None = None) -> None:
         self._robot = url and _socket(url)
+        self._chosen = pid  # process whose run is looked at; None takes the youngest
         self._waiting: deque[Message | None] = deque()
         self._run: RemoteRun | None = None
+        self._ended = threading.Event()  # the run that is attached to
         self._closed = threading.Event()
         self.looked = threading.Event()  # once a run that was under way at the start is known
         self.heard_s = time.monotonic()  # when the run was last heard of
@@ -90,12 +103,41 @@ class Watched:
         """What has come since the last call, oldest first. A `Hello` begins a run, None ends it."""
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
+    def runs(self) -> list[Hello]:
+        """The runs to choose from, the youngest last."""
+        return [each.hello for each in self._runs()]
+
+    def choose(self, pid: int | None) -> None:
+        """Look at the run of a process, as soon as it is there; None takes the youngest next."""
+        self._chosen = pid
+
+    @property
+    def chosen(self) -> int | None:
+        """The process that was chosen, until its run has ended."""
+        return self._chosen
+
     def send(self, command: Command) -> None:
         """Tell the run to pause, to go on or to stop. Raises LinkError if none is under way."""
         run = self._run
         if run is None:
             raise LinkError("no run is under way", "start one with `thigmo explore`")
         run.send(command)
+
+    def stop(self, seconds: float) -> None:
+        """Stop the run, if one is under way, and wait until its emulated board has confirmed it or
+        the run has ended; from any thread. Raises LinkError if neither comes in time.
+        """
+        ended, run = self._ended, self._run
+        if run is None:
+            return
+        with suppress(LinkError):  # it has just ended
+            run.send("stop")
+        boards = [
+            each for each in stop_socket.owners(run.hello.url) if f".{run.hello.pid}-" in each
+        ]
+        confirmed = [each for each in boards if stop_socket.call(each) is not None]
+        if not confirmed and not ended.wait(seconds):
+            raise LinkError(f"the run {run.hello.name} does not answer")
 
     def close(self) -> None:
         """Look no more."""
@@ -104,7 +146,8 @@ class Watched:
 
     def _follow(self) -> None:
         while not self._closed.is_set():
-            runs = [each for each in running() if self._robot in (None, _socket(each.hello.url))]
+            chosen = self._chosen
+            runs = [each for each in self._runs() if chosen in (None, each.hello.pid)]
             with suppress(LinkError):  # it has just ended
                 if runs:
                     with attach(runs[-1].address) as run:
@@ -113,18 +156,26 @@ class Watched:
             self.looked.set()
             self._closed.wait(_SEARCH_S)
 
+    def _runs(self) -> list[Watchable]:
+        return [each for each in running() if self._robot in (None, _socket(each.hello.url))]
+
     def _read(self, run: RemoteRun) -> None:
-        self._run = run
+        self._run, self._ended = run, threading.Event()
         self._take(run.hello)
         self.looked.set()
-        # It ends, or speaks another version of the stream.
-        with suppress(EOFError, ThigmoError):
-            while not self._closed.is_set():
+        try:
+            while not self._closed.is_set() and self._chosen in (None, run.hello.pid):
                 if len(self._waiting) >= _MOST_WAITING:
                     self._closed.wait(_ROOM_S)
                 elif (message := run.get(0.2)) is not None:
                     self._take(message)
+        except EOFError:
+            self._ended.set()
+        except ThigmoError:
+            pass  # it speaks another version of the stream
         self._run = None
+        if self._chosen == run.hello.pid:
+            self._chosen = None
         self._waiting.append(None)
 
     def _take(self, message: Message) -> None:
@@ -141,7 +192,7 @@ class Facts:
     state: RunState | None = None  # last heard of it
     board: Telemetry | None = None  # last heard of it
     stop: str = ""  # why a stop would not reach the robot; empty if it would
-    stopped: str = ""  # what the last stop of this run came to; empty before the first
+    stopped: str = ""  # what the last stop came to; empty before the first
 
 
 class View(Protocol):
@@ -179,7 +230,7 @@ class Relay:
         taken = self._watched.take()
         for message in taken:
             if isinstance(message, Hello):
-                self.facts = Facts(message, under_way=True)
+                self.facts = Facts(message, under_way=True, stopped=self.facts.stopped)
                 view.tell(self.facts)  # before any message of its own
             elif message is None:
                 self.facts.under_way = False
@@ -210,7 +261,7 @@ class Relay:
             self._looked.wait(_LOOKS_WITHIN_S)
             facts = self.facts
             said = self._stop(facts)
-        facts.stopped = said
+        self.facts.stopped = said
         self._told_s = float("-inf")
         return said
 

@@ -10,7 +10,10 @@ import asyncio
 import contextlib
 import errno
 import json
+import logging
 import secrets
+import socket
+import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
@@ -19,8 +22,10 @@ from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from thigmo.errors import ThigmoError
+from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.relay import Watched, Way, stop_port, way_to
 from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
@@ -30,7 +35,8 @@ from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, 
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
-_LOOPBACK = ("127.0.0.1", "::1", "localhost")
+_MOST_VIEWERS = 16
+_LOOK_S = 2.0  # between two looks at which runs there are
 _TICK_S = 0.03
 _PULSE_S = 0.25  # the page calls its connection lost after six of them
 _MOST_ROWS_A_TICK = 40  # an emulator at full speed makes more than a chart has pixels for
@@ -49,7 +55,7 @@ class WatchOptions:
     # of a robot, if its runs only are to be watched; Start runs an exploration there
     url: str | None = None
     explore: tuple[str, ...] = ()  # further arguments of the exploration that Start runs
-    host: str = "127.0.0.1"  # address to listen at; anything but loopback needs the token
+    host: str = "127.0.0.1"  # address to listen at
     port: int | None = None  # None takes the usual one, or any that is free
     leaves: bool = False  # end when nothing runs and nobody looks any more
 
@@ -84,7 +90,7 @@ class PageServer:
 
     def __init__(self, options: WatchOptions) -> None:
         self.options = options
-        self.token = None if options.host in _LOOPBACK else secrets.token_urlsafe(16)
+        self.token = secrets.token_urlsafe(16)
         self._watched = Watched(options.url) if options.past is None else None
         self._viewers: set[Viewer] = set()
         self._operator: Viewer | None = None
@@ -92,7 +98,11 @@ class PageServer:
         self._run.past = PastRun(options.past) if options.past else None
         self._started: StartedRun | None = None
         self._way: Way = "none"
+        self._stopping = threading.Lock()
+        self._last_stop: dict[str, Any] | None = None  # it stays told, whatever runs next
+        self._choices: list[Hello] = []  # runs that could be looked at
         self._left_s = time.monotonic()  # when somebody last looked
+        self._looked_s = float("-inf")  # when the runs were last looked for
 
     # The application.
 
@@ -102,7 +112,6 @@ class PageServer:
         app.on_response_prepare.append(add_headers)
         app.router.add_get("/", self._index)
         app.router.add_get("/stream", self._stream)
-        app.router.add_post("/stop", self._stop)
         app.router.add_get("/record.json", self._record)
         app.router.add_get("/record.f32", self._readings)
         app.router.add_static("/", PAGE)
@@ -189,8 +198,20 @@ class PageServer:
             run = self._run
             if run.moving is not None:
                 run.pegs = await asyncio.to_thread(pegs, run.moving.folder)
+            if self._watched is not None:
+                await self._look_around(self._watched)
             self._tell()
             await asyncio.sleep(_PULSE_S)
+
+    async def _look_around(self, watched: Watched) -> None:
+        """See which runs there are, now and then; forget one that was started in vain."""
+        started = self._started
+        if started is not None and not started.runs and watched.chosen == started.pid:
+            watched.choose(None)
+        now_s = time.monotonic()
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            self._choices = await asyncio.to_thread(watched.runs)
 
     def _tell(self) -> None:
         for viewer in self._viewers:
@@ -219,6 +240,12 @@ class PageServer:
             "operated": self._operator not in (None, viewer),
             "viewers": len(self._viewers),
             "stop": self._way,
+            "last_stop": self._last_stop,
+            "choices": [
+                {"pid": each.pid, "name": each.name, "url": each.url, "folder": each.folder}
+                for each in self._choices
+            ],
+            "shown": run.moving.pid if run.moving else None,
             "silent_s": round(time.monotonic() - heard_s, 1),
         }
 
@@ -231,21 +258,25 @@ class PageServer:
     # Requests of the pages.
 
     async def _stream(self, request: web.Request) -> web.WebSocketResponse:
+        if len(self._viewers) >= _MOST_VIEWERS:
+            raise web.HTTPServiceUnavailable(text=f"{_MOST_VIEWERS} pages look already.")
         socket = web.WebSocketResponse(heartbeat=10.0, compress=False, max_msg_size=4096)
-        await socket.prepare(request)
         viewer = Viewer(socket)
-        self._viewers.add(viewer)
-        if self._operator is None:
-            self._operator = viewer
-        viewer.add("page", json.dumps(self._page(viewer)))
-        self._give_past(viewer)
-        sender = asyncio.create_task(viewer.send_on())
+        self._viewers.add(viewer)  # it counts from now on
+        sender: asyncio.Task[None] | None = None
         try:
+            await socket.prepare(request)
+            if self._operator is None:
+                self._operator = viewer
+            viewer.add("page", json.dumps(self._page(viewer)))
+            self._give_past(viewer)
+            sender = asyncio.create_task(viewer.send_on())
             async for message in socket:
                 if message.type is WSMsgType.TEXT:
                     await self._obey(viewer, message.data)
         finally:
-            sender.cancel()
+            if sender is not None:
+                sender.cancel()
             self._viewers.remove(viewer)
             if self._operator is viewer:
                 self._operator = None
@@ -273,6 +304,10 @@ class PageServer:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = viewer
+        elif command == "choose" and operates and self._watched is not None:
+            pid = told.get("pid")
+            if any(each.pid == pid for each in self._choices):
+                self._watched.choose(pid)
         elif command == "start" and operates:
             await self._start(realtime=told.get("realtime") is not False)
         elif command == "answer" and operates and self._started is not None:
@@ -289,26 +324,30 @@ class PageServer:
         if url is None or self._run.moving is not None or self._starting:
             return
         self._started = await asyncio.to_thread(StartedRun, url, explore, realtime=realtime)
+        if self._watched is not None:
+            self._watched.choose(self._started.pid)
 
-    async def _stop(self, request: web.Request) -> web.Response:
-        run, over = self._run.moving, self._run.over
+    def stop(self, peer: str) -> dict[str, Any]:
+        """Stop the robot for a computer at an address, from any thread, and wait for the board.
+
+        What the page is told of it.
+        """
         stopped: list[str] = []
         failed = ""
-        if run is not None and run.virtual and self._watched is not None:
+        with self._stopping:  # two who press at once are one after the other
+            run, at_s = self._run.moving, time.time()
             try:
-                self._watched.send("stop")
-                await asyncio.wait_for(over.wait(), _STOP_S)
-                stopped = [run.url]
-            except ThigmoError:
-                pass  # it has just ended
-            except TimeoutError:
-                failed = f"the run {run.name} does not answer"
-        else:
-            try:
-                stopped = await asyncio.to_thread(stop_port, run)
+                if run is not None and run.virtual and self._watched is not None:
+                    self._watched.stop(_STOP_S)
+                    stopped = [run.url]
+                else:
+                    stopped = stop_port(run)
             except ThigmoError as error:
                 failed = str(error)
-        return web.json_response({"stopped": stopped, "failed": failed})
+            if stopped or failed:
+                by = "this computer" if peer in ("127.0.0.1", "::1") else peer
+                self._last_stop = {"at_s": at_s, "by": by, "stopped": stopped, "failed": failed}
+        return {"stopped": stopped, "failed": failed}
 
     async def _looked_back(self) -> PastRun:
         """The record of the run that is to be looked at, or has just ended."""
@@ -347,29 +386,53 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
     listened at.
     """
     server = PageServer(options)
-    runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=1.0)
+    runner = web.AppRunner(
+        server.application(), access_log=None, shutdown_timeout=1.0, logger=_REQUESTS
+    )
     await runner.setup()
+    assert runner.server is not None
     try:
-        port = await _listen(runner, options)
-        name = f"[{options.host}]" if ":" in options.host else options.host
-        announce(f"http://{name}:{port}/" + (f"?token={server.token}" if server.token else ""))
-        while not (options.leaves and server.left()):
-            await asyncio.sleep(1.0)
+        with _door(runner.server, server.stop, options) as door:
+            announce(f"http://{_reached_at(options.host)}:{door.port}/?token={server.token}")
+            while not (options.leaves and server.left()):
+                await asyncio.sleep(1.0)
     finally:
         await runner.cleanup()
 
 
-async def _listen(runner: web.AppRunner, options: WatchOptions) -> int:
-    """Listen; the port that it is."""
+def _door(server: web.Server, stop: Stop, options: WatchOptions) -> Door:
     ports = (PORT, 0) if options.port is None else (options.port,)
     for port in ports:
         try:
-            await web.TCPSite(runner, options.host, port).start()
-            break
+            return Door((options.host, port), server, stop)
         except OSError as error:
             if error.errno != errno.EADDRINUSE or port == ports[-1]:
                 raise ThigmoError(
                     f"cannot serve the page at {options.host}: {error.strerror}",
                     "choose another place with --host or --port",
                 ) from error
-    return int(runner.addresses[0][1])
+    raise AssertionError("unreachable")
+
+
+def _reached_at(host: str) -> str:
+    """Where the page is opened: of all of this machine's addresses, the one that others reach."""
+    if host in ("0.0.0.0", "::"):
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family, socket.SOCK_DGRAM) as asked:
+            try:
+                # Sends nothing, but chooses an address to send from (one for documentation).
+                asked.connect(("2001:db8::1" if ":" in host else "192.0.2.1", 9))
+                host = str(asked.getsockname()[0])
+            except OSError:  # no network
+                host = "localhost"
+    return f"[{host}]" if ":" in host else host
+
+
+def _of_the_server(record: logging.LogRecord) -> bool:
+    """Whether a line of the log is of something that failed here: strangers' requests are not."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, HttpProcessingError)
+
+
+_REQUESTS = logging.getLogger("thigmo.live.requests")
+_REQUESTS.addFilter(_of_the_server)

@@ -20,7 +20,7 @@ _LINES = 20
 
 def in_the_run(url: str) -> bool:
     """Whether a robot is emulated inside the run, so that its pace can be chosen."""
-    return url.partition("://")[0] in ("emulator", "mega-sim")
+    return url.partition("://")[0] in ("emulator", "mega-sim", "micropython")
 
 
 class StartedRun:
@@ -42,6 +42,11 @@ class StartedRun:
         )
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
+
+    @property
+    def pid(self) -> int:
+        """Its process."""
+        return self._process.pid
 
     @property
     def runs(self) -> bool:

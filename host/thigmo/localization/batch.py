@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.localization.estimate import STATUSES, localizer_of
 from thigmo.localization.readings import refusal, vector
@@ -24,7 +25,7 @@ class BatchResult:
         status: (M,) as in `localize`.
         contacts: (M,) how many are listed.
         arc, force: (M, 3) of each.
-        low, high: (M, 3) ends of its 95 % interval; of the optimum set for "l1" and "l2".
+        low, high: (M, 3) ends of its 95 % interval; of the whole body for "l1" and "l2".
         localized: (M, 3) whether it is.
         probability: (M,) that there is any contact; NaN for "l1" and "l2".
         log_odds: (M,) of that; NaN for "l1" and "l2".
@@ -49,7 +50,8 @@ class BatchResult:
 
     def __repr__(self) -> str:
         count = Counter(self.status)
-        told = ", ".join(f"{count[status]} {status}" for status in STATUSES if count[status])
+        every = *STATUSES, POINT_ESTIMATE
+        told = ", ".join(f"{count[status]} {status}" for status in every if count[status])
         return f"BatchResult({len(self)} rows{': ' if told else ''}{told})"
 
 
@@ -105,8 +107,14 @@ def localize_batch(
         error = refusal(int(problem[row]), float(shows[row]), localizer.length)
         raise DataError(f"row {row}: {error.what}", error.next_step)
     arc, force, low, high, localized = np.moveaxis(of_contact, 2, 0)
+    if method != "posterior":  # no narrower interval would hold
+        low, high = np.where(np.isfinite(arc), [[[0.0]], [[localizer.length]]], np.nan)
     return BatchResult(
-        [STATUSES[int(each)] for each in status.tolist()], contacts.astype(np.int64),
+        [
+            STATUSES[int(each)] if method == "posterior" else POINT_ESTIMATE
+            for each in status.tolist()
+        ],
+        contacts.astype(np.int64),
         arc, force, low, high, localized == 1.0,
         probability, log_odds, discarded.astype(np.int64), objective,
     )  # fmt: skip

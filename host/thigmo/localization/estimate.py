@@ -8,12 +8,14 @@ told, nothing thrown out silently. `localize_batch` runs the same compiled code 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.readings import (
@@ -28,10 +30,17 @@ from thigmo.localization.readings import (
     share_of_length,
     vector,
 )
-from thigmo.localization.result import Contact, LocalizeResult, Status
+from thigmo.localization.result import (
+    Contact,
+    LocalizeResult,
+    OfBody,
+    Status,
+)
 
 MOST_CONTACTS = 3
-METHODS = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
+COMPILED = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
+METHODS = (*COMPILED, "thesis")
+_BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
 
 
@@ -81,8 +90,11 @@ def localize(
             deviation, 1/length.
         bad_reading_odds: prior odds that a given reading is bad, scalar or (N,).
         contacts: how many (0 to 3), or "auto" to let the evidence decide.
-        method: "posterior"; or "l1", "l2": exact point fits of one or two contacts, without
-            intervals.
+        method: "posterior"; or a method without intervals, whose answers say so by their status
+            `point estimate`: "l1", "l2" (exact point fits of one or two contacts), "thesis" (the
+            alternating fit of `thigmo.localization.thesis`, for the number of contacts given, one
+            for "auto"; with `critical_curvature`, also its remedies for a folded base). "thesis"
+            takes no error, and lengths in cm only.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure
             (it is proportional to it: `thigmo.mechanics.critical_moment`); infinity for a base
             that does not fold. If not given, a fold at any moment is weighed.
@@ -110,13 +122,19 @@ def localize(
         position, k.size, length,
         span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
         contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
-        end_face_odds, width_limit, number_level, within, method,
+        end_face_odds, width_limit, number_level, within,
+        "posterior" if method == "thesis" else method,
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
     found = localizer.localize(k, free, body)
     if found.problem:
         raise refusal(found.problem, found.shows, localizer.length)
+    if method == "thesis":
+        count = 1 if contacts == "auto" else int(contacts)
+        return _thesis_fit(
+            k - free, position, span, localizer.length, count, critical_curvature or math.inf
+        )
     if method != "posterior":
         return _point_fit(found, localizer.length, method)
     return _result(found, localizer.length)
@@ -180,8 +198,8 @@ def _checked(
         or not 0 <= contacts <= MOST_CONTACTS
     ):
         raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
-    if method not in METHODS:
-        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
+    if method not in COMPILED:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(COMPILED)}")
     if method != "posterior" and contacts not in ("auto", 1, 2):
         raise DataError(f"{method} fits no {contacts} contacts", "give 1 or 2, or no method")
     radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
@@ -214,27 +232,69 @@ def _checked(
         share_of_length(within, total),
         limit,
         share(number_level, "number_level"),
-        METHODS.index(method),
+        COMPILED.index(method),
         rules,
     )
 
 
 def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:
     """The global minimum of a norm of the residual, and where it is attained."""
-    contacts = tuple(
-        Contact(arc, force, interval, "ambiguous", pieces)
-        for arc, force, interval, _, pieces, *_ in found.contacts(total)
+    fitted = [(arc, force, pieces) for arc, force, _, _, pieces, *_ in found.contacts(total)]
+    return _point_result(fitted, total, method, found.objective)
+
+
+def _thesis_fit(
+    excess: npt.NDArray[np.float64],
+    position: npt.ArrayLike,
+    span: npt.ArrayLike,
+    total: float,
+    count: int,
+    critical: float,
+) -> LocalizeResult:
+    """The thesis's fit to checked readings above the free curvature."""
+    from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
+
+    if count == 0:
+        raise DataError("thesis fits no 0 contacts", "give 1 to 3, or no method")
+    read = np.isfinite(excess)
+    spans = np.broadcast_to(vector(span, "span", excess.size), excess.size)[read]
+    problem = thesis.Problem(
+        excess[read], vector(position, "position")[read], spans, total, count, critical
     )
+    arcs, forces = thesis.coupled(problem)
+    fitted = [(arc, force, ()) for arc, force in zip(arcs.tolist(), forces.tolist(), strict=True)]
+    left = thesis.objective(thesis.at_centres(problem), arcs, forces)
+    return _point_result(fitted, total, "thesis", left)
+
+
+def _point_result(
+    fitted: Sequence[tuple[float, float, tuple[Range, ...]]],
+    total: float,
+    method: str,
+    objective: float,
+) -> LocalizeResult:
+    """Places and forces without errors, as a result that nobody takes for one with errors.
+
+    The interval of such a contact is the whole body: nothing narrower would hold.
+    """
+    contacts = tuple(
+        Contact(arc, force, (0.0, total), POINT_ESTIMATE, pieces, math.nan, math.nan)
+        for arc, force, pieces in fitted
+    )
+    arcs = np.linspace(0.0, total, _BEND_POINTS)
+    bend = sum((force * np.maximum(arc - arcs, 0.0) for arc, force, _ in fitted), np.zeros(1))
     return LocalizeResult(
-        "ambiguous",
+        POINT_ESTIMATE,
         contacts,
         f"{len(contacts)} contact{'s' * (len(contacts) > 1)}, {method}",
-        "a point fit: its interval is where the minimum is attained, and no measure of error",
+        f"{method} gives a place without an interval: how far off it is, and whether there is a "
+        "contact at all, it does not say",
         math.nan,
         math.nan,
         {},
-        objective=found.objective,
+        objective=objective,
         length=total,
+        _body=OfBody(bend=bend * total),
     )
 
 

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import asdict, dataclass, field, fields
+from math import isnan
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import Bar, body_strip, draw, html_card, html_table
+from thigmo.display import (
+    POINT_ESTIMATE,
+    Bar,
+    body_strip,
+    draw,
+    html_card,
+    html_table,
+    interval_text,
+)
 from thigmo.localization import _posterior
 from thigmo.localization.readings import Range
 
@@ -17,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = npt.NDArray[np.float64]
-Status = Literal["localized", "ambiguous", "below detection", "no contact"]
+Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
 _COLUMNS = ("arc", "interval", "force / EI", "probability", "status")
 
 
@@ -29,12 +38,15 @@ class Contact:
         arc: place along the body: median of the posterior.
         force: normal force over EI, positive towards positive curvature, at `arc`.
         interval: hull of the 95 % highest-density set of where the contact nearest to `arc` lies,
-            whatever the number of contacts.
+            whatever the number of contacts; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and there is a contact with
-            95 %, whatever the number of contacts), or `ambiguous`.
-        intervals: that set; more than one piece if there are several modes.
+            95 %, whatever the number of contacts), `ambiguous`, or `point estimate` (of a method
+            that knows no error: "l1", "l2" and "thesis").
+        intervals: that set; more than one piece if there are several modes. Of "l1" and "l2": where
+            the minimum is attained, which is no measure of error.
         force_deviation: posterior standard deviation of the force.
-        probability: that there is such a contact: nearer to `arc` than to that of another one.
+        probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
+            for a `point estimate`.
         end_offset: where a contact on the end of the body bears, left of the centreline; None for
             one on the side.
     """
@@ -56,18 +68,25 @@ class Contact:
 
     @property
     def _place(self) -> str:
-        low, high = self.interval
-        return f"arc {self.arc:.4g}, {low:.4g} to {high:.4g}"
+        return f"arc {self.arc:.4g}, {self.interval_text}"
+
+    @property
+    def interval_text(self) -> str:
+        """The interval for people."""
+        return interval_text(self.status, self.interval, ".4g")
+
+    @property
+    def probability_text(self) -> str:
+        """The probability for people."""
+        return "unknown" if isnan(self.probability) else f"{self.probability:.3g}"
 
     @property
     def _cells(self) -> list[str]:
-        low, high = self.interval
         force = f"{self.force:.3g}"
         if self.force_deviation > 0.0:
             force += f" ± {self.force_deviation:.2g}"
         return [
-            f"{self.arc:.4g}", f"{low:.4g} to {high:.4g}", force, f"{self.probability:.3g}",
-            self.status,
+            f"{self.arc:.4g}", self.interval_text, force, self.probability_text, self.status,
         ]  # fmt: skip
 
 
@@ -112,8 +131,7 @@ class LocalizeResult:
         discarded: indices of readings that the likeliest explanation takes for bad.
         parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
             (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: minimum of the norm of the residual, of the point fits `l1` and `l2` only; the
-            `intervals` of their contacts are where it is attained.
+        objective: norm of the residual at the estimate, of `l1`, `l2` and `thesis` only.
         number: (4,) probability that none, one, two or three contacts move the readings by three
             standard errors or more. A weaker one is never excluded.
         length: of the body.
@@ -144,10 +162,38 @@ class LocalizeResult:
         title = f"{self.status}: {self.hypothesis}"
         if not self.contacts:
             return html_card(title, self.message)
-        bars = [Bar(c.arc, c.intervals or (c.interval,), c.status) for c in self.contacts]
+        bars = [
+            Bar(c.arc, () if c.status == POINT_ESTIMATE else c.intervals or (c.interval,), c.status)
+            for c in self.contacts
+        ]
         strip = body_strip(self.length, self.edges.tolist(), self.probability.tolist(), bars)
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
         return html_card(title, self.message, strip, table)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle: the compiled answer becomes plain arrays."""
+        state = {each.name: getattr(self, each.name) for each in fields(self)}
+        masses, joint = self._body.masses, self._body.joint
+        state["_body"] = OfBody(list(masses), self._body.bend, joint)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but the posterior along the body as plain data, for JSON or a data frame's row."""
+        return {
+            "status": self.status,
+            "contacts": [asdict(contact) for contact in self.contacts],
+            "hypothesis": self.hypothesis,
+            "hypotheses": dict(self.hypotheses),
+            "parameters": dict(self.parameters),
+            "noise": self.noise,
+            "log_odds": self.log_odds,
+            "discarded": list(self.discarded),
+            "message": self.message,
+        }
 
     def plot(self, axes: Axes | None = None, *, unit: str = "") -> Axes:
         """Draw the posterior along the body, and each contact with its interval.

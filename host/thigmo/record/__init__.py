@@ -14,6 +14,7 @@ from thigmo.record.document import (
     RunDocument,
     Shape,
     Stage,
+    Stall,
     Trigger,
     TrueContact,
     TruePeg,
@@ -33,7 +34,7 @@ from thigmo.record.obstacles import (
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.swept_shapes import outline, passed
-from thigmo.record.table import ReadingsTable, read_readings
+from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_readings
 
 __all__ = [
     "OBSTACLES_FILE",
@@ -41,6 +42,7 @@ __all__ = [
     "Ellipse",
     "Entry",
     "FalseContact",
+    "FramesTable",
     "FreeArea",
     "Log",
     "LogWriter",
@@ -55,12 +57,14 @@ __all__ = [
     "RunFolder",
     "Shape",
     "Stage",
+    "Stall",
     "Trigger",
     "TrueContact",
     "TruePeg",
     "Truth",
     "outline",
     "passed",
+    "read_frames",
     "read_log",
     "read_obstacles",
     "read_readings",

@@ -8,7 +8,15 @@ robot, y to its left.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
+from typing import Annotated
 
+from pydantic import BeforeValidator
+
+from thigmo.display import interval_text
+
+# JSON has null where a number is not known.
+Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
 
 
@@ -44,7 +52,9 @@ class MapContact:
     y_cm: float  #: of the same point
     force_per_cm2: float  #: signed, F/EI; positive pushes towards +y of the body there
     interval_cm: tuple[float, float]  #: 95 % interval of the arc
-    status: str  #: "localized" or "ambiguous"
+    #: "localized", "ambiguous", or "point estimate": of a method that knows no error, and whose
+    #: interval is therefore the whole body
+    status: str
     everted_length_cm: float  #: stage at which it was felt
     #: active muscle; empty for a peg that growth met, which stopped the tip or bent it aside
     side: str
@@ -58,19 +68,23 @@ class MapContact:
     #: index of the prior map's obstacle (prior.json) that this is; null if it is new or none given
     known: int | None = None
     kind: str = "peg"  #: "peg", or "wall": a surface along which the tip slid from stage to stage
-    probability: float = 1.0  #: that it is real
+    probability: Number = 1.0  #: that it is real; null of a point estimate, also below
     #: that just these stages felt one peg, and one wall; the rest is that they did not
-    peg_probability: float = 1.0
-    wall_probability: float = 0.0
+    peg_probability: Number = 1.0
+    wall_probability: Number = 0.0
     #: of a wall: points of its surface, one for each stage, in the order of `merged`
     surface: list[tuple[float, float]] = field(default_factory=list)
 
     def __repr__(self) -> str:
-        low, high = self.interval_cm
         return (
             f"MapContact(x {self.x_cm:.1f}, y {self.y_cm:.1f} cm; arc {self.arc_cm:.1f} of "
-            f"{self.everted_length_cm:.1f} cm, 95 % {low:.1f} to {high:.1f} cm; {self.status})"
+            f"{self.everted_length_cm:.1f} cm, 95 % {self.interval_text}; {self.status})"
         )
+
+    @property
+    def interval_text(self) -> str:
+        """The interval for people."""
+        return interval_text(self.status, self.interval_cm, ".1f", " cm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +159,34 @@ class FalseContact:
 
 
 @dataclass(frozen=True, slots=True)
+class Stall:
+    """A growth that stopped, and what may have stopped it, with probabilities."""
+
+    length_cm: float  # where the tip stood, by the best guess
+    interval_cm: tuple[float, float]  # it stood within these
+    obstacle: float  # something stands ahead
+    wall: float  # a wall does
+    pressure: float  # the body pressure was too little for the tail's friction
+    # whether the tip moved on when the body pressure was raised; null: nobody tried
+    moved_on: bool | None = None
+
+    @property
+    def words(self) -> str:
+        """For the operator."""
+        shares = sorted(
+            (
+                (self.obstacle, "an obstacle ahead"),
+                (self.wall, "a wall ahead"),
+                (self.pressure, "too little body pressure for the tail's friction"),
+            ),
+            reverse=True,
+        )
+        said = ", ".join(f"{what} ({100 * share:.0f} %)" for share, what in shares)
+        tried = "" if self.moved_on is None else ", after a trial at a higher body pressure"
+        return f"growth stalled at {self.length_cm:.1f} cm: {said}{tried}"
+
+
+@dataclass(frozen=True, slots=True)
 class RunDocument:
     """The whole of contacts.json."""
 
@@ -152,8 +194,8 @@ class RunDocument:
     name: str
     url: str
     started: str
-    #: "running", "full length", "peg ahead" (felt, or by a growth that stalled), or, with the
-    #: reason, "aborted"
+    #: "running", "full length", "peg ahead" (felt, or by a body that growth bent aside), "growth
+    #: stalled" with its possible causes, or, with the reason, "aborted"
     outcome: str = "running"
     seed: int | None = None
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
@@ -165,7 +207,9 @@ class RunDocument:
     error_cm: float | None = None  #: distance in the plane from it to the true contact point
     missed: list[MissedContact] | None = None  #: known otherwise; null if nothing else is known
     false: list[FalseContact] | None = None  #: not in the room; null without truth
+    stall: Stall | None = None  #: what stopped the growth; null if nothing did
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
+    method: str = "posterior"  #: of the localizer: `thigmo.localize`
     version: int = 1

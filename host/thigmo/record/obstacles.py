@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
+from thigmo.record.document import Number
 from thigmo.record.folder import read_json, write_whole
 
 OBSTACLES_FILE = "obstacles.json"
@@ -55,7 +56,7 @@ class Obstacle:
     # "felt" in this run; "prior", shown by the map given and not reached; "felt, prior"; "prior,
     # not felt", where the robot swept through its place
     source: str
-    status: str  # "localized" or "ambiguous", as in contacts.json
+    status: str  # "localized", "ambiguous" or "point estimate", as in contacts.json
     # direction from the body into the obstacle; None for a grid's obstacle
     normal_rad: float | None = None
     # part of the robot that it touched: "left", "right" or "tip"; empty for a grid's
@@ -66,6 +67,11 @@ class Obstacle:
     # everted lengths at which it was felt, the last measured one last
     felt_at_cm: list[float] = field(default_factory=list)
     force_per_cm2: float | None = None  # F/EI at the last measurement
+    kind: str = "peg"  # or "wall"
+    probability: Number = 1.0  # that it is real; null of a point estimate, also below
+    wall_probability: Number = 0.0  # that all its stages felt one wall
+    # of a wall: points of its surface; between them it is drawn straight
+    surface: list[Point] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)

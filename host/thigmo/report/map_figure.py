@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.display import COLORS, OTHER_COLOR
+from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.errors import RunFolderError
 from thigmo.files import whole_file
 from thigmo.record import Ellipse as Spread
@@ -31,7 +31,7 @@ _SWEPT = "#e9eff5"
 _TRUTH = "#009e73"
 _PRIOR = "#cc79a7"
 _SIZE_IN = (7.2, 6.9)  # the width of a page: nothing is scaled down in print
-_ZOOM_CM = 5.0  # half the side of what an enlarged view shows
+_LEAST_ZOOM_CM, _MOST_ZOOM_CM = 3.0, 12.0  # half the side of what an enlarged view shows
 
 
 def draw_map(
@@ -118,21 +118,32 @@ def _zooms(
         if not mine or corner.count_contains(points):
             continue
         contact = min(mine, key=lambda c: c.interval_cm[1] - c.interval_cm[0])
-        x, y = contact.x_cm - _ZOOM_CM, contact.y_cm - _ZOOM_CM
-        if corner.overlaps(Bbox.from_bounds(x, y, 2 * _ZOOM_CM, 2 * _ZOOM_CM)):
+        around = 1.4 * Spread.of(contact.covariance_cm2).semi_major_cm
+        zoom_cm = min(max(around, _LEAST_ZOOM_CM), _MOST_ZOOM_CM)
+        if side_cm < 2.5 * zoom_cm:
+            continue  # it would enlarge nothing
+        x, y = contact.x_cm - zoom_cm, contact.y_cm - zoom_cm
+        if corner.overlaps(Bbox.from_bounds(x, y, 2 * zoom_cm, 2 * zoom_cm)):
             continue
         zoom = axes.inset_axes((left, corner_cm, side_cm, side_cm), transform=axes.transData)
         room(zoom)
         zoom.set(
-            xlim=(x, x + 2 * _ZOOM_CM), ylim=(y, y + 2 * _ZOOM_CM), xticks=[], yticks=[],
+            xlim=(x, x + 2 * zoom_cm), ylim=(y, y + 2 * zoom_cm), xticks=[], yticks=[],
             aspect="equal",
         )  # fmt: skip
-        zoom.add_patch(Rectangle((x, y), 4.4, 1.1, color="white", alpha=0.85, zorder=8))
-        zoom.plot([x + 0.4, x + 2.4], [y + 0.5] * 2, color=INK, lw=2.5, zorder=9)
-        zoom.text(x + 2.7, y + 0.5, "2 cm", fontsize=8, color=INK, va="center", zorder=9)
+        unit = zoom_cm / 5  # the ruler takes the same room in every view
+        ruler = 1 if unit < 1 else 2 if unit < 2 else 4  # cm
+        room_for = (2.4 * unit + ruler, 1.1 * unit)
+        zoom.add_patch(Rectangle((x, y), *room_for, color="white", alpha=0.85, zorder=8))
+        ends = [x + 0.4 * unit, x + 0.4 * unit + ruler]
+        zoom.plot(ends, [y + 0.5 * unit] * 2, color=INK, lw=2.5, zorder=9)
+        zoom.text(
+            ends[1] + 0.3 * unit, y + 0.5 * unit, f"{ruler} cm", fontsize=8, color=INK,
+            va="center", zorder=9,
+        )  # fmt: skip
         for spine in zoom.spines.values():
             spine.set(color=MUTED, linewidth=0.8)
-        axes.indicate_inset((x, y, 2 * _ZOOM_CM, 2 * _ZOOM_CM), edgecolor=MUTED, lw=0.8, alpha=1.0)
+        axes.indicate_inset((x, y, 2 * zoom_cm, 2 * zoom_cm), edgecolor=MUTED, lw=0.8, alpha=1.0)
 
 
 def _robot(
@@ -174,10 +185,18 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
     from matplotlib.patheffects import withStroke
 
     color = COLORS.get(contact.status, OTHER_COLOR)
-    if len(contact.track) > 1:
+    placed = contact.status != POINT_ESTIMATE
+    if placed and len(contact.track) > 1:
         axes.plot(
             *np.asarray(contact.track).T, color=color, lw=5, alpha=0.45, zorder=5,
             solid_capstyle="round", label="95 % interval along the body",
+        )  # fmt: skip
+    if contact.surface:
+        # Dashed while it may be something else: then it is drawn, and not occupied.
+        sure = contact.wall_probability >= 0.95
+        axes.plot(
+            *np.asarray(contact.surface).T, color=INK, lw=2.2, zorder=6, marker="s", ms=3.5,
+            ls="-" if sure else (0, (3, 2)), label="wall" if sure else "wall, likely",
         )  # fmt: skip
     around = Spread.of(contact.covariance_cm2)
     ellipse = Ellipse(
@@ -185,16 +204,16 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color, lw=1.0,
         ls=(0, (4, 2)), zorder=5, label="95 % ellipse in the plane",
     )  # fmt: skip
-    axes.add_patch(ellipse)
-    low, high = contact.interval_cm
+    if placed:
+        axes.add_patch(ellipse)
     named = "contact" if number is None else f"{number}"
     axes.plot(
         contact.x_cm, contact.y_cm, "o", color=color, ms=7, zorder=7, linestyle="none",
         # Hollow while it is not sure: the two differ in grey as well.
         mfc=color if contact.status == "localized" else "white",
         mec="white" if contact.status == "localized" else color, mew=1.2,
-        label=f"{named}: {contact.status}, {contact.arc_cm:.1f} of "
-        f"{contact.everted_length_cm:.1f} cm (95 %: {low:.1f} to {high:.1f})",
+        label=f"{named}: {contact.kind}, {contact.status}, {contact.arc_cm:.1f} of "
+        f"{contact.everted_length_cm:.1f} cm ({'95 %: ' * placed}{contact.interval_text})",
     )  # fmt: skip
     if number is not None:
         away_x, away_y = -11 * np.cos(contact.normal_rad), -11 * np.sin(contact.normal_rad)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.display import COLORS, OTHER_COLOR
+from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.report.axes import INK, new_axes, plain, titled
 
@@ -59,15 +60,17 @@ def draw_posterior(found: LocalizeResult, axes: Axes | None = None, *, unit: str
 def _contact(axes: Axes, contact: Contact, body: float, height: float, *, point_fit: bool) -> None:
     """A contact on the body: its interval's pieces, its place, and its words."""
     color, arc = COLORS.get(contact.status, OTHER_COLOR), contact.arc
-    for low, high in contact.intervals or (contact.interval,):
+    whole = () if point_fit else (contact.interval,)
+    for low, high in contact.intervals or whole:
         axes.plot([low, high], [body, body], color=color, lw=7, solid_capstyle="butt", zorder=3)
     axes.plot(arc, body, "o", color=color, ms=8, mec="white", mew=1.2, zorder=4)
     axes.plot([arc, arc], [body, 1.04 * height], color=color, lw=0.8, ls=(0, (4, 2)))
-    low, high = contact.interval
     right = arc < 0.5 * axes.dataLim.x1
     words = f"{arc:.4g}"
-    if not point_fit:
-        words += f"  ({low:.4g} to {high:.4g}, 95 %)\n"
+    if point_fit:
+        words += f"  ({contact.interval_text})"
+    else:
+        words += f"  ({contact.interval_text}, 95 %)\n"
         words += f"probability {contact.probability:.3g}, {contact.status}"
     axes.annotate(
         words,
@@ -114,4 +117,27 @@ def draw_grid(grid: OccupancyGrid, axes: Axes | None = None) -> Axes:
         handles=[Patch(facecolor=color, edgecolor="#9aa6b2", label=name) for name, color in names],
         loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8,
     )  # fmt: skip
+    return axes
+
+
+def draw_series(moments: Sequence[float], results: Sequence[LocalizeResult]) -> Axes:
+    """Each answer's contacts over time (or line): places with their 95 % intervals.
+
+    A place without an interval is drawn alone; answers without a contact leave a gap.
+    """
+    axes = new_axes(7.6, 3.6)
+    named: set[str] = set()
+    for moment, result in zip(moments, results, strict=True):
+        for contact in result.contacts:
+            color = COLORS.get(contact.status, OTHER_COLOR)
+            label = None if contact.status in named else contact.status
+            named.add(contact.status)
+            if contact.status != POINT_ESTIMATE:
+                axes.plot([moment, moment], contact.interval, color=color, lw=1.4, alpha=0.4)
+            axes.plot(moment, contact.arc, "o", color=color, ms=3.5, label=label)
+    length = max((result.length for result in results), default=1.0)
+    axes.set(xlabel="time (s), or line of the file", ylabel="arc along the body", ylim=(0, length))
+    plain(axes)
+    if named:
+        axes.legend(fontsize=8, frameon=False)
     return axes

@@ -93,7 +93,7 @@ class Publisher:
         self.hub = Hub()
         self.hub.publish_block = self._publish_block
         self.epoch_s = time.time() - client.now()  # UTC seconds at which the link's clock was 0
-        self.supply_v = nan  # as last asked for
+        self._supply_v = nan
         self._gathered: list[TelemetryFrame] = []  # for the record
         self._kept_s = 0.0  # when the last ones went
         self._shape_s = 0.0
@@ -110,6 +110,17 @@ class Publisher:
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(table.zero_sum)
         self._out_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf)
+
+    @property
+    def supply_v(self) -> float:
+        """The board's supply, as last asked for; NaN before."""
+        return self._supply_v
+
+    @supply_v.setter
+    def supply_v(self, value: float) -> None:
+        if value != self._supply_v:
+            self._publish_block()
+            self._supply_v = value
 
     def take(self, frame: TelemetryFrame) -> None:
         """Publish a frame to whoever listens, and gather it for the record."""
@@ -167,14 +178,15 @@ class Publisher:
             "pressure_psi": np.column_stack([left, right]) / 100,
             "demand_psi": np.column_stack([raw["left_set_cpsi"], raw["right_set_cpsi"]]) / 100,
             "drive_ma": np.column_stack([raw["left_drive"], raw["right_drive"]])
-            * (_FULL_MA / _FULL_DRIVE),
+            * _FULL_MA
+            / _FULL_DRIVE,
             "curvature_per_cm": curvature,
             "expected_per_cm": np.where(hidden | np.isnan(curvature), nan, free[:, None]),
             "base_per_cm": raw["base_e5"] / 1e5,
             "free_per_cm": free,
             "length_cm": length_cm,
             "motor": raw["motor"] / _FULL_MOTOR,
-            "supply_v": np.full(len(frames), self.supply_v),
+            "supply_v": np.full(len(frames), self._supply_v),
             "flex_sum": raw["flex_sum"],
         }
         phases = map(_phase, raw["state_activity"].tolist(), raw["faults"].tolist())

@@ -42,7 +42,8 @@ def connect(
 
     Args:
         url: a serial port (`/dev/ttyACM0`, `COM3`), any pyserial URL (`socket://host:port`,
-            `rfc2217://`), `emulator://SCENE` or `mega-sim://SCENE`.
+            `rfc2217://`), `emulator://SCENE`, `mega-sim://SCENE` or
+            `micropython://SCENE`.
         config: sent to the board and verified at once; None leaves the board as it is.
         seed: of the emulator's noise.
         operator: who sets the body pressure and measures the length; None takes the emulator's

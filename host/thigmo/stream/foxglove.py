@@ -29,6 +29,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import Message as Proto
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from thigmo.display import POINT_ESTIMATE
 from thigmo.record import MapContact
 from thigmo.stream.messages import BodyShape, Contacts, Event, Grid, Log, Message
 
@@ -111,12 +112,12 @@ def _contact(name: str, contact: MapContact, stamp: Timestamp) -> SceneEntity:
     entity = SceneEntity(timestamp=stamp, frame_id=ROOM, id=name, frame_locked=True)
     place = _pose(contact.x_cm, contact.y_cm, contact.normal_rad)
     entity.spheres.append(SpherePrimitive(pose=place, size=size, color=color))
-    entity.lines.append(_line(contact.track, _CONTACT_M / 3, color))
-    low, high = contact.interval_cm
+    if contact.status != POINT_ESTIMATE:
+        entity.lines.append(_line(contact.track, _CONTACT_M / 3, color))
     for key, value in {
         "status": contact.status,
         "arc_cm": f"{contact.arc_cm:.2f}",
-        "interval_cm": f"{low:.2f} to {high:.2f}",
+        "interval_cm": contact.interval_text,
     }.items():
         entity.metadata.add(key=key, value=value)
     return entity

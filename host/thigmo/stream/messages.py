@@ -12,15 +12,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import nan
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from thigmo.errors import DataError
 from thigmo.record import MapContact, OccupancyGrid, Pose
+from thigmo.record.document import Number
 
 # JSON has no NaN.
-Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
 Pair = tuple[Number, Number]  # left, right
 Severity = Literal["info", "warning", "fault"]
 

@@ -110,14 +110,19 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
                         file = stack.enter_context(whole_file(target / f"{channel}.csv", text=True))
                         writers[channel] = csv.DictWriter(file, row)
                         writers[channel].writeheader()
-                    writers[channel].writerow(
-                        {name: "" if value != value else value for name, value in row.items()}
-                    )
+                    writers[channel].writerow({name: _cell(value) for name, value in row.items()})
     except OSError as error:
         raise RunFolderError(
             f"cannot write {error.filename or target}: {error.strerror}", "choose another folder"
         ) from error
     return [target / f"{channel}.csv" for channel in writers]
+
+
+def _cell(value: Any) -> Any:
+    """A value as it was measured: sums of binary fractions are cut where they say nothing."""
+    if not isinstance(value, float):
+        return value
+    return f"{value:.15g}" if value == value else ""
 
 
 def _rows(message: Message) -> Iterator[Row]:

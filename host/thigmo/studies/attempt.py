@@ -40,7 +40,7 @@ def attempt(
             excess, position = case.curvature[read] - case.free, case.position[read]
             span = np.full(position.size, SPAN)
             begin = None if start is None else np.full(count, start)
-            problem = Problem(excess, position, span, LENGTH, count, noise, start=begin)
+            problem = Problem(excess, position, span, LENGTH, count, noise=noise, start=begin)
             found = BASELINES[method](problem)[0].tolist()
     except ThigmoError:
         found = []

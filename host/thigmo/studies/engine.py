@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -54,6 +55,7 @@ class Claim:
     limit: float
     at_most: bool = True
     unit: str = ""
+    standard_error: float = 0.0  # of the value, by the size of its sample; NaN if it is not known
 
     @property
     def holds(self) -> bool:
@@ -69,6 +71,10 @@ class Claim:
     def __str__(self) -> str:
         sign = "<=" if self.at_most else ">="
         verdict = "holds" if self.holds else "MISSED"
+        if not self.holds and not abs(self.value - self.limit) > 2 * self.standard_error:
+            verdict = "not met, and not decided by so small a sample"
+            if math.isfinite(self.standard_error):
+                verdict += f" (+- {self.standard_error:.2g} {self.unit})"
         return (
             f"{self.text}: {self.value:.4g} {self.unit} (promised {sign} {self.limit:g}): {verdict}"
         )

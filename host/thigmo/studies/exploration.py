@@ -3,13 +3,17 @@
 Each peg is drawn where the noise-free plant says that some sweep must feel it (`emulator.reach`),
 and a robot explores that room: the default scene's, or one whose body or sensors are off what
 robot.toml says without a word of it. Empty rooms are explored as well; whatever is reported there
-is a false contact. The map for planners of every room with pegs is held against the room: cells
-inside pegs that it calls free, apart for pegs that were felt and those that were missed.
+is a false contact. So are rooms of walls, corners and gaps, of dowels apart or side by side, and
+growths that tail friction stops where nothing stands. Contacts are held against the surfaces that
+were touched, and never against what was out of reach. The map for planners of every room with pegs
+is held against the room: cells inside pegs that it calls free, apart for pegs that were felt and
+those that were missed.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, nan
 from pathlib import Path
@@ -19,14 +23,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thigmo.config import SIDES
-from thigmo.emulator.reach import random_peg
+from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
-from thigmo.exploration.map import best_contact
+from thigmo.exploration.map import best_contact, of_stage
 from thigmo.exploration.missed import felt_pegs
 from thigmo.exploration.obstacles import occupancy
-from thigmo.record import RunDocument
-from thigmo.record.occupancy import FREE
+from thigmo.mechanics import Peg
+from thigmo.record import RunDocument, Truth
+from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.report.axes import GREEN, ORANGE, RED
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
@@ -37,6 +42,7 @@ ROUND = 3  # rooms of each kind, after which all that is known is written
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
+_MOST_DOWELS = 64  # of a scene
 _BETWEEN_CM = 0.5  # pegs stand at least so far apart
 
 
@@ -51,9 +57,13 @@ class Kind:
     noise: float = 1.0  # multiple of the scene's noise and calibration errors
     peg: bool = True  # whether a peg stands in the room
     more: bool = False  # whether up to two more do, for the map
+    wall: bool = False  # whether a wall stands there instead
+    # tail friction (psi/cm) at which growth stalls somewhere; None: the scene's
+    friction: tuple[float, float] | None = None
 
 
 TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
+WALLS, STALLS = "walls, corners, gaps", "stalls, empty"
 KINDS: dict[str, Kind] = {
     TRUE: Kind(),
     MORE: Kind(more=True),
@@ -67,7 +77,13 @@ KINDS: dict[str, Kind] = {
     "empty": Kind(peg=False),
     "empty, scene noisy": Kind(scene="noisy", peg=False),
     "empty, 4 times the noise": Kind(noise=4.0, peg=False),
+    WALLS: Kind(wall=True),
+    STALLS: Kind(peg=False, friction=(0.006, 0.012)),
 }
+# Kinds that are held against surfaces, by claims of their own.
+_APART = (WALLS, STALLS)
+_NEAR_CM = 1.5  # an occupied cell so near a surface is right
+_OFF_CM = 4.0  # farther from all that was touched a contact is false, and a true one missed
 
 
 @dataclass
@@ -87,9 +103,20 @@ class Explored:
     # the best contact is localized, and its interval does not hold the true arc
     wrong: bool = False
     error_x_cm: float = nan  # of the best contact; NaN without one
+    # All contacts, against surfaces. touched, touched_missed: true contacts, each as touched last,
+    # and those of them that no contact is near
+    touched: int = 0
+    touched_missed: int = 0
+    # far: contacts that are near no surface that was touched
+    far: int = 0
+    # contacts_localized, contacts_wrong: those localized, and those of them whose interval holds
+    # no true arc
+    contacts_localized: int = 0
+    contacts_wrong: int = 0
 
     def judge(self, document: RunDocument) -> None:
         """Hold the run's best contact against the room."""
+        self._judge_surfaces(document)
         best = best_contact(document.contacts)
         if best is None:
             return
@@ -106,6 +133,45 @@ class Explored:
         self.wrong = best.status == "localized" and not held
         self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
 
+    def _judge_surfaces(self, document: RunDocument) -> None:
+        """Hold every contact against what was touched."""
+        truth = document.truth or Truth()
+        last = {contact.peg: contact for contact in truth.contacts}
+        self.touched = len(last)
+        self.touched_missed = sum(
+            not any(
+                _from_line([*c.surface, (c.x_cm, c.y_cm)], true.x_cm, true.y_cm) <= _OFF_CM
+                for c in document.contacts
+            )
+            for true in last.values()
+        )
+        pegs = [truth.pegs[peg] for peg in last]
+        for contact in document.contacts:
+            away = [
+                abs(hypot(contact.x_cm - p.x_cm, contact.y_cm - p.y_cm) - p.radius_cm) for p in pegs
+            ]
+            self.far += min(away, default=np.inf) > _OFF_CM
+            if contact.status == "localized":
+                low, high = contact.interval_cm
+                self.contacts_localized += 1
+                self.contacts_wrong += not any(
+                    of_stage(true, contact.everted_length_cm, contact.side)
+                    and low - _LENGTH_CM <= true.arc_cm <= high + _LENGTH_CM
+                    for true in truth.contacts
+                )
+
+
+def _from_line(line: Sequence[tuple[float, float]], x: float, y: float) -> float:
+    """Distance of a point from a line through points, cm."""
+    points = np.array(line)
+    if len(points) == 1:
+        return float(hypot(points[0, 0] - x, points[0, 1] - y))
+    start, way = points[:-1], np.diff(points, axis=0)
+    along = ((np.array([x, y]) - start) * way).sum(axis=1)
+    share = np.clip(along / np.maximum((way**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    away = start + share[:, None] * way - np.array([x, y])
+    return float(np.hypot(away[:, 0], away[:, 1]).min())
+
 
 class Mapped(NamedTuple):
     """A run's map against the room."""
@@ -119,6 +185,9 @@ class Mapped(NamedTuple):
     # free, swept: cells that are free, and those that the sweeps seem to cover
     free: int
     swept: int
+    # occupied, occupied_near: cells that are occupied, and those of them near a peg's surface
+    occupied: int
+    occupied_near: int
 
 
 def judge_map(document: RunDocument) -> Mapped:
@@ -132,7 +201,13 @@ def judge_map(document: RunDocument) -> Mapped:
         inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
         counts[int(index not in felt)] += inside.sum(), (inside & free).sum()
     swept = int((bold.cells == FREE).sum())
-    return Mapped._make([*counts.ravel().tolist(), int(free.sum()), swept])
+    occupied = grid.cells == OCCUPIED
+    near = np.zeros(occupied.shape, dtype=np.bool_)
+    for peg in document.truth.pegs if document.truth else ():
+        away = np.hypot(x - peg.x_cm, y - peg.y_cm) - peg.radius_cm
+        near |= np.abs(away) < _NEAR_CM
+    cells = int(occupied.sum()), int((occupied & near).sum())
+    return Mapped._make([*counts.ravel().tolist(), int(free.sum()), swept, *cells])
 
 
 def random_pegs(seed: int) -> list[PegTable]:
@@ -145,6 +220,43 @@ def random_pegs(seed: int) -> list[PegTable]:
         if all(gap > _BETWEEN_CM for gap in gaps):
             pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))
     return pegs
+
+
+def random_wall(seed: int) -> list[PegTable]:
+    """A wall, a corner, a wall with a gap, or one on each side, beside the path of growth.
+
+    Of dowels apart, or side by side as a smooth wall; the emulator's contacts have no friction.
+    """
+    robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A11])
+    while True:
+        kind, smooth = rng.choice(["wall", "corner", "gap", "two"]), rng.random() < 0.5
+        radius = 0.4 if smooth else float(rng.uniform(0.5, 1.0))
+        spacing = 0.5 if smooth else float(rng.uniform(2.0, 3.0))
+        side = float(rng.choice([-1.0, 1.0]))
+
+        def row(x: float, y: float, angle: float, length: float) -> list[tuple[float, float]]:
+            along = spacing * np.arange(max(round(length / spacing), 1) + 1)  # noqa: B023
+            return list(zip(x + along * np.cos(angle), y + along * np.sin(angle), strict=True))
+
+        def beside(way: float) -> list[tuple[float, float]]:
+            x, y = rng.uniform(10.0, 35.0), way * rng.uniform(4.0, 20.0)
+            return row(x, y, rng.uniform(-0.6, 0.6), rng.uniform(10.0, 30.0))
+
+        places = beside(side)
+        if kind == "corner":
+            (x0, y0), (x1, y1) = places[0], places[-1]
+            turn = float(np.arctan2(y1 - y0, x1 - x0)) + float(rng.choice([-1.0, 1.0])) * np.pi / 2
+            places += row(x1, y1, turn, rng.uniform(6.0, 15.0))[1:]
+        elif kind == "gap":
+            middle, gap = rng.uniform(0.3, 0.7) * len(places), rng.uniform(5.0, 10.0) / spacing
+            places = [p for n, p in enumerate(places) if abs(n - middle) > gap / 2]
+        elif kind == "two":
+            places += beside(-side)
+        clear = robot.body.radius_cm + radius + 0.3
+        pegs = [PegTable(x=x, y=y, radius=radius) for x, y in places if abs(y) > clear and x > 3.0]
+        few = 3 <= len(pegs) <= _MOST_DOWELS
+        if few and first_felt(robot, [Peg(p.x, p.y, p.radius) for p in pegs]) is not None:
+            return pegs
 
 
 Run = tuple[Explored, Mapped | None]
@@ -167,8 +279,10 @@ def visit(room: tuple[str, int]) -> Run:
             zone.deflate.amplitude *= kind.bend
         for sensor in scene.robot.sensors.column(side):
             sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
-    scene.pegs = random_pegs(seed) if kind.more else []
-    if kind.peg and not kind.more:
+    scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
+    if kind.friction is not None:
+        scene.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
+    if kind.peg and not scene.pegs:
         peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
         found.x_cm, found.y_cm, found.radius_cm = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
@@ -201,17 +315,28 @@ def run(context: Context) -> Outcome:
 def _outcome(runs: list[Run]) -> Outcome:
     found = [one for one, _ in runs]
     rows = _by_kind(found)
-    right, wrong = (
-        [m for one, m in runs if m and (one.kind in CALIBRATED) is known] for known in (True, False)
-    )
+    maps: dict[str, list[Mapped]] = {
+        name: [] for name in ("robots as calibrated", WALLS, "other robots")
+    }
+    for one, mapped in runs:
+        if mapped:
+            group = one.kind if one.kind == WALLS else "other robots"
+            maps["robots as calibrated" if one.kind in CALIBRATED else group].append(mapped)
     promised, *others = [
-        *_map_shares("maps of robots as calibrated", right),
-        *_map_shares("maps of other robots", wrong),
+        row for name, some in maps.items() for row in _map_shares(f"maps of {name}", some)
     ]
+    every = Mapped._make(
+        sum(one[n] for some in maps.values() for one in some) for n in range(len(Mapped._fields))
+    )
+    near = 100 * every.occupied_near / max(every.occupied, 1)
     return Outcome(
         {"runs": [vars(one) for one in found], "rows": rows},
         {"explorations": _figure(found)},
-        [*_claims(found), Claim(*promised, 0.1, unit="%")],
+        [
+            *_claims(found),
+            Claim(*promised, 0.1, unit="%"),
+            Claim(f"occupied cells within {_NEAR_CM:g} cm of a surface", near, 60.0, False, "%"),
+        ],
         [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others],
         rows,
     )
@@ -246,6 +371,11 @@ def _by_kind(found: list[Explored]) -> list[Record]:
             "localized_and_wrong": sum(one.wrong for one in mine),
             "aborted": sum(one.status.startswith("aborted") for one in mine),
             "median_error_x_cm": _median_x(mine),
+            **{
+                what: sum(getattr(one, what) for one in mine)
+                for what in ("touched", "touched_missed", "far", "contacts_localized",
+                             "contacts_wrong")
+            },
         }
         for kind, mine in by_kind.items()
     ]  # fmt: skip
@@ -253,7 +383,8 @@ def _by_kind(found: list[Explored]) -> list[Record]:
 
 def _claims(found: list[Explored]) -> list[Claim]:
     true = [one for one in found if one.kind == TRUE]
-    off = [one for one in found if one.kind != TRUE and not KINDS[one.kind].more]
+    off = [one for one in found if one.kind not in (TRUE, *_APART) and not KINDS[one.kind].more]
+    walls, stalls = ([one for one in found if one.kind == kind] for kind in _APART)
     claims = [Claim("as calibrated: median |x error|", _median_x(true), 3.0, unit="cm")]
     for text, some, (wrong, missed, false) in (
         ("as calibrated", true, (0.0, 0.035, 0.0)),
@@ -267,13 +398,24 @@ def _claims(found: list[Explored]) -> list[Claim]:
             Claim(f"{text}: pegs missed", share([one.missed for one in pegs]), missed),
             Claim(f"{text}: runs with false contacts", phantoms, false),
         ]
+    rooms = max(len(walls), 1)
+    wrong = sum(one.contacts_wrong for one in walls)
+    right = sum(one.contacts_localized for one in walls) - wrong
+    missed = sum(one.touched_missed for one in walls) / max(sum(o.touched for o in walls), 1)
+    claims += [
+        Claim(f"{WALLS}: contacts localized and wrong, a room", wrong / rooms, 1 / 60),
+        Claim(f"{WALLS}: contacts localized and right, a room", right / rooms, 8 / 60, False),
+        Claim(f"{WALLS}: false contacts, a room", sum(o.far for o in walls) / rooms, 0.3),
+        Claim(f"{WALLS}: contacts missed by {_OFF_CM:g} cm", missed, 0.2),
+        Claim(f"{STALLS}: localized", float(sum(o.contacts_localized for o in stalls)), 0.0),
+    ]
     return claims
 
 
 def _figure(found: list[Explored]) -> Figure:
     """Where pegs were found, and what went wrong by kind."""
     figure, (left, right) = charts.panels(1, 2, size=(6.5, 5.5))
-    pegs = [one for one in found if KINDS[one.kind].peg and not KINDS[one.kind].more]
+    pegs = [one for one in found if np.isfinite(one.x_cm)]
     for label, marker, color, those in (
         ("found", "o", GREEN, [e for e in pegs if not e.missed and not e.wrong]),
         ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.wrong]),

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -26,6 +28,7 @@ from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3
+_DEAD = 500  # viewers that never read
 _RATE_HZ = 200
 _PROMISED_S = {"p50": 0.1, "p95": 0.25}
 _EVER_MS = 120_000
@@ -41,6 +44,7 @@ with connect(sys.argv[1]) as robot:
     now = robot.now()
     hello = Hello(now, robot.epoch_s + now, robot.url, "watched", "", 0, "", False)
     with Server(robot.hub, hello, lambda command: None):
+        print("streaming", flush=True)
         robot.wait(float(sys.argv[2]))
 """
 # The second of two explorations: the first one imports.
@@ -73,15 +77,17 @@ def run(context: Context) -> Outcome:
     with tempfile.TemporaryDirectory(prefix="tg") as folder:
         sockets = {**os.environ, OTHER_PLACE: folder}
         start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
-        context.progress("readings to the screen", 0, 4)
+        context.progress("readings to the screen", 0, 5)
         ages_s, rate_hz = _ages(start, 15.0 if context.scale == "quick" else 60.0)
-        context.progress("an exploration alone", 1, 4)
+        context.progress("an exploration alone", 1, 5)
         alone = _explored(start, 0)
-        context.progress("an exploration with three pages", 2, 4)
+        context.progress("an exploration with three pages", 2, 5)
         watched = _explored(start, _VIEWERS)
-        context.progress("the share of publishing", 3, 4)
+        context.progress("the share of publishing", 3, 5)
         said, _ = start([sys.executable, "-c", _SHARE, folder]).communicate()
-    context.progress("the share of publishing", 4, 4)
+        context.progress("a stop among dead viewers", 4, 5)
+        stop_s = _stopped_s(start)
+    context.progress("a stop among dead viewers", 5, 5)
     times = ("robot_time_s", "wall_time_s")
     late = zip(_PROMISED_S.items(), np.quantile(ages_s, [0.5, 0.95]).tolist(), strict=True)
     claims = [
@@ -94,6 +100,7 @@ def run(context: Context) -> Outcome:
         Claim("readings drawn", rate_hz, 0.98 * _RATE_HZ, at_most=False, unit="1/s"),
         Claim(f"robot time that {_VIEWERS} pages cost", cost_s, 0.0, unit="s"),
         Claim(f"results that differ with {_VIEWERS} pages", float(not same), 0.0),
+        Claim(f"press to the board's confirmation, {_DEAD} dead viewers", stop_s, 1.0, unit="s"),
         Claim("share of processor time for publishing, nobody looks", float(said), 0.1),
     ]
     explorations = [
@@ -121,6 +128,48 @@ def _ages(start: Start, seconds: float) -> tuple[list[float], float]:
         times: list[float] = page.evaluate("thigmo.store.columns[0]")
         ages: list[float] = page.evaluate("thigmo.ages_s")
     return ages, (len(times) - 1) / (times[-1] - times[0])
+
+
+def _stopped_s(start: Start) -> float:
+    """From a press of Stop to the board's confirmation on the page, among viewers that never read
+    and with every core busy.
+
+    Raises:
+        DataError: the board has not confirmed it.
+    """
+    with ExitStack() as stack:
+        config = f"{stack.enter_context(tempfile.TemporaryDirectory())}/robot.toml"
+        served = _thigmo(start, "emulate", "empty", "--config", config, says="open ")
+        port = stack.enter_context(served).partition("open ")[2].partition(";")[0]
+        watch = _thigmo(start, "watch", port, "--no-browser", "--port", "0", says="http://")
+        said = stack.enter_context(watch)
+        place, _, token = said.partition("http://")[2].partition(" ")[0].partition("/?token=")
+        streaming = stack.enter_context(start([sys.executable, "-c", _STREAM, port, "300"]))
+        stack.callback(streaming.terminate)
+        assert streaming.stdout is not None
+        streaming.stdout.readline()
+        for _ in range(os.cpu_count() or 1):
+            busy = stack.enter_context(start([sys.executable, "-c", "while True: pass"]))
+            stack.callback(busy.kill)
+        host, _, at = place.partition(":")
+        head = f"HTTP/1.1\r\nHost: {place}\r\nOrigin: http://{place}\r\n"
+        look = (
+            f"GET /stream {head}Cookie: thigmo-{at}={token}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+        )
+        for _ in range(_DEAD):
+            viewer = stack.enter_context(socket.create_connection((host, int(at))))
+            viewer.sendall(look.encode())
+        time.sleep(3.0)  # of readings that nobody takes
+        began = time.monotonic()
+        with socket.create_connection((host, int(at))) as pressed:
+            pressed.sendall(f"POST /stop {head}Content-Length: 0\r\n\r\n".encode())
+            answer = b"".join(iter(lambda: pressed.recv(4096), b""))
+        took_s = time.monotonic() - began
+    if not json.loads(answer.partition(b"\r\n\r\n")[2])["stopped"]:
+        raise DataError(f"the board did not confirm the stop: {answer!r}", "look at `thigmo watch`")
+    return took_s
 
 
 def _explored(start: Start, pages: int) -> dict[str, Any]:

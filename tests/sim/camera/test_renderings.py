@@ -249,6 +249,20 @@ def test_a_body_of_which_a_part_is_not_seen_is_doubted(room, model):
     assert whole.problems == ()
 
 
+@pytest.mark.parametrize("turn", [0.7, 1.2])
+def test_a_kinked_body_is_doubted(room, model, turn):
+    """A smooth axis cannot follow it, and its tip would be off by centimetres."""
+    s = np.linspace(0, 53, 400)
+    heading = np.where(s < 25, 0.0, turn)
+    step = s[1]
+    kinked = BodyShape(np.cumsum(np.cos(heading)) * step, np.cumsum(np.sin(heading)) * step)
+    picture = render(
+        room.camera, View(kinked, (), card_decals(SHEET)), Look(), np.random.default_rng(5)
+    )
+    seen = look(picture, model, SHEET, Seen(constant=True, tip=False, obstacles=False))
+    assert any(isinstance(problem, AxisDoubtfulError) for problem in seen.problems)
+
+
 def test_an_axis_whose_flanks_are_hidden_is_doubted(room, model):
     # Things as wide as the robot's surroundings, of its own colour, lie along it.
     heap = [PegShape(x, side * 4.2, 2.4, color=BodyShape.color) for x in range(8, 50, 4)

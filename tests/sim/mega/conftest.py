@@ -10,13 +10,8 @@ from pathlib import Path
 import pytest
 
 from thigmo.emulator import mega_build
-from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.chip import Cause, Chip
-from thigmo.emulator.scene import Scene
-from thigmo.emulator.transport import EmulatorTransport
-from thigmo.link.client import Client
 from thigmo.link.image import read_hex
-from thigmo.robot.robot import Robot
 
 PRELUDE = """
 #include <avr/eeprom.h>
@@ -67,19 +62,3 @@ def compile_program(text: str, image: Path) -> None:
     flags = ["-mmcu=atmega2560", "-DF_CPU=16000000UL", "-Os", "-std=gnu11", "-Wall", "-Werror"]
     subprocess.run(["avr-gcc", *flags, str(source), "-o", str(elf)], check=True)
     subprocess.run(["avr-objcopy", "-O", "ihex", str(elf), str(image)], check=True)
-
-
-@pytest.fixture(scope="session")
-def full_length(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """The default room, the robot out to 51.5 cm and rested."""
-    scene = Scene.load("default")
-    return scene.model_copy(update={"start_length_cm": 51.5})
-
-
-@pytest.fixture(scope="session")
-def stored_config(full_length: Scene) -> bytes:
-    """An EEPROM in which the default robot's configuration was saved."""
-    board = VirtualBoard(1)
-    transport = EmulatorTransport(full_length, board, seed=1)
-    Robot(Client(transport)).configure(transport.config)
-    return board.eeprom

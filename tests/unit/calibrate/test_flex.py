@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS, Lab, merge, real_sweeps
 
+from thigmo.calibrate import thesis
 from thigmo.calibrate.figures import draw
 from thigmo.calibrate.flex import FlexResult, fit_flex
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.flex_rows import tip_curvature
 from thigmo.calibrate.regression import fit_linear
+from thigmo.calibrate.steps import fit_csv
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
@@ -373,3 +375,56 @@ def test_what_is_known_beforehand_is_never_an_outlier():
     known = np.append(np.zeros(30), 0.1)
     assert not fit_linear(design, y, known).used[-1]
     assert fit_linear(design, y, known, firm=1).used[-1]
+
+
+def test_the_thesis_s_fit_finds_the_constants_and_claims_no_error(tmp_path):
+    """Equation 2.12 from tips alone; robot.toml must not call such a scale calibrated."""
+    lab = Lab(4, sigma=1e-5)
+    config = lab.config
+    config.sensors.left[0].scale_se = 0.01  # of an earlier calibration of other constants
+    path = tmp_path / "flex.csv"
+    lab.flex(places=20).write(path, config)
+    result = fit_csv("flex", path, config, "thesis")
+    assert result.verdict.good
+    assert np.abs(errors(result, lab)).max() < 0.12  # small deflections, centres for spans
+    made = result.apply(config)
+    assert made.sensors.left[0].scale_per_ohm == result.sensors[0].scale_per_ohm
+    assert min(sensor.scale_se for sensor in made.sensors.left) == 0.15
+    draw(result, tmp_path / "flex.png")
+
+
+def test_the_thesis_s_fit_needs_the_straight_robot_and_tips():
+    lab = Lab(4)
+    with pytest.raises(DataError, match="0 rows of the straight robot"):
+        thesis.fit_flex(lab.flex(straight=0), lab.config)
+
+
+def up_and_back(lab: Lab, back: bool, loop: float) -> FlexReadings:
+    """Six sweeps a side, sensors with a loop of that half width (1/cm); `back`: down as well."""
+    up = np.linspace(0, 1, 12)
+    ramp = np.concatenate([up, up[-2::-1]]) if back else up
+    parts, n = [], len(ramp)
+    for number in range(12):
+        sign, side = ((1, "left"), (-1, "right"))[number % 2]
+        k = np.repeat(sign * 0.035 * ramp[:, None], 10, axis=1)
+        turned = k + loop * loop_turns(k, np.zeros(n, np.int64), 5e-3)
+        turned[:, slice(0, 5) if side == "left" else slice(5, 10)] *= 0.3  # the muscle's side
+        parts.append(
+            FlexReadings(
+                ("bend",) * n, np.full((n, 2), np.nan), k[:, 0], np.full(n, 1e-4), (side,) * n,
+                lab.ohm(turned), LENGTH, np.full(n, np.nan), np.full(n, number, np.int64),
+            )
+        )  # fmt: skip
+    return reduce(merge, parts)
+
+
+@pytest.mark.parametrize("loop", [3e-3, 1e-2])
+def test_bends_that_only_grow_do_not_hide_what_the_loop_took(loop):
+    lab = Lab(2, sigma=3e-4)
+    grew = fit_flex(up_and_back(lab, False, loop), lab.config)
+    assert not grew.verdict.good
+    assert any("only ever grew" in note for note in grew.verdict.notes)
+    wrong = [abs(f.scale_per_ohm / s - 1) for f, s in zip(grew.sensors, lab.scale, strict=True)]
+    assert (np.array(wrong) < 2 * np.array([fit.scale_se for fit in grew.sensors])).all()
+    both = fit_flex(up_and_back(lab, True, loop), lab.config)
+    assert not any("only ever grew" in note for note in both.verdict.notes)

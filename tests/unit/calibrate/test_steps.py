@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS
 
+from thigmo.calibrate import thesis
 from thigmo.calibrate.buckling import fit_buckling
 from thigmo.calibrate.check import CheckReadings, CheckResult, run_check
 from thigmo.calibrate.encoder import fit_encoder
@@ -55,6 +56,15 @@ def test_critical_curvature_within_three_percent_and_within_its_error():
         assert result.critical_curvature == pytest.approx(CRITICAL, rel=0.03)
         misses.append((result.critical_curvature - CRITICAL) / result.critical_se)
     assert 0.5 < np.mean(np.square(misses)) < 2.2  # five trials: Student's t
+
+
+def test_the_thesis_s_line_reads_the_critical_curvature_off_at_the_base():
+    config = RobotConfig()
+    found = [thesis.fit_buckling(*pushes(seed), config) for seed in range(30)]
+    values = [result.critical_curvature for result in found]
+    assert np.mean(values) == pytest.approx(CRITICAL, rel=0.03)
+    assert all(result.critical_se >= 0.1 * result.critical_curvature for result in found)
+    assert all(result.verdict.good and np.mean(result.excess) > 3e-3 for result in found)
 
 
 def test_gain_errors_widen_the_error_of_the_critical_curvature():

@@ -1,7 +1,8 @@
-"""A virtual board on the bench: hand-made analog inputs, and the protocol spoken by hand.
+"""A board on the bench: hand-made analog inputs, and the protocol spoken by hand.
 
-`Bench` is what the firmware's tests drive. It wires a `VirtualBoard` to inputs that a test sets,
-steps both in 5 ms, beats the heart unless told not to, and sends one command at a time.
+`Bench` is what the firmware's tests drive. It wires a virtual board, or the Mega's image, to inputs
+that a test sets, steps both in 5 ms, beats the heart unless told not to, and sends one command at a
+time.
 `FlowingAir` and `TurningSpool` close the two loops that the firmware expects closed, as simply as
 they can be.
 """
@@ -16,6 +17,8 @@ from typing import TypeVar
 import numpy as np
 
 from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.board import Board
+from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, encode
 
@@ -96,6 +99,7 @@ class Bench:
 
     seed: int = 1
     eeprom: bytes = b""
+    mega: bool = False  # the Mega's image on the simulated chip, in place of the virtual board
     noise: float = 0.8
     beating: bool = True
     # Curvature that each sensor feels, as a function of both pressures; a test may replace it.
@@ -106,7 +110,11 @@ class Bench:
     override: dict[int, float] = field(default_factory=dict)  # channel -> ideal count
 
     def __post_init__(self) -> None:
-        self.board = VirtualBoard(self.seed, self.eeprom)
+        self.board: Board = (
+            SimulatedMega(self.seed, self.eeprom, boot_loader=False)
+            if self.mega
+            else VirtualBoard(self.seed, self.eeprom)
+        )
         self.board.set_adc_noise(np.full(16, self.noise))
         self.air = FlowingAir()
         self.spool = TurningSpool()

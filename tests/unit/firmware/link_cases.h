@@ -182,7 +182,7 @@ struct Device {
   }
   void heartbeat() { ++heartbeats; }
   void stop(uint32_t nonce) { stops.push_back(nonce); }
-  void hello() {
+  void hello(bool) {
     ++hellos;
     events.resend();
   }

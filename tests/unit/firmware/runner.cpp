@@ -4,6 +4,7 @@
 
 #include "check.h"
 #include "control_cases.h"
+#include "flash_store_cases.h"
 #include "link_cases.h"
 #include "safety_cases.h"
 #include "sensing_cases.h"

@@ -63,7 +63,7 @@ def runner() -> Path:
     return compiled(
         "core",
         ["c++", *FLAGS, f"-I{HERE}", f"-I{CORE}", HERE / "runner.cpp"],
-        [HERE, HERE / "runner.cpp", CORE],
+        [HERE, HERE / "runner.cpp", CORE, ROOT / "firmware" / "micropython"],
         {"golden_vectors.h": _golden_header()},
     )
 

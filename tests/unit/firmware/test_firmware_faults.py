@@ -714,7 +714,7 @@ def test_contradictions_are_refused_and_the_running_parameters_stay() -> None:
 
 
 @pytest.mark.parametrize("busy", [bending, growing])
-def test_stop_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Bench]) -> None:
+def test_disarm_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Bench]) -> None:
     bench = busy()
     bench.seq += 1
     data = encode(wire.Disarm(), bench.seq, bench.session)
@@ -726,7 +726,7 @@ def test_stop_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Bench
     assert [e.value for e in bench.event(wire.EventCode.ACTIVITY_ABORTED)] == [R.NONE]
 
 
-def test_stop_is_accepted_in_every_state() -> None:
+def test_disarm_is_accepted_in_every_state_but_boot() -> None:
     bench = Bench()
     bench.hello()
     bench.do(wire.Disarm())

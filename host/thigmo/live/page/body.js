@@ -1,7 +1,7 @@
 // Along the body: what the localizer believes of a contact's place, over what every sensor reads
 // against what the free body would read there. Both share the axis, from the base to the tip.
 
-import { $, COLUMN, index, posterior as shown, store } from "./store.js";
+import { $, COLUMN, index, pointEstimate, posterior as shown, store } from "./store.js";
 import { line, make, sized, text, ticks } from "./svg.js";
 import { percent } from "./words.js";
 
@@ -69,7 +69,7 @@ function drawDensity({ y0, y1 }, X) {
   text(layer, PAD.left, y0 - 8, words, { fill: "var(--soft)" });
   for (const contact of contacts?.contacts ?? []) {
     const [low, high] = contact.interval_cm;
-    make("line", { x1: X(low), x2: X(high), y1: y1 + 8, y2: y1 + 8, stroke: "var(--contact)", "stroke-width": 5, "stroke-opacity": .4, "stroke-linecap": "round" }, layer);
+    if (!pointEstimate(contact)) make("line", { x1: X(low), x2: X(high), y1: y1 + 8, y2: y1 + 8, stroke: "var(--contact)", "stroke-width": 5, "stroke-opacity": .4, "stroke-linecap": "round" }, layer);
     make("circle", { cx: X(contact.arc_cm), cy: y1 + 8, r: 4, fill: "var(--contact)" }, layer);
   }
 }

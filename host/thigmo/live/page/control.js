@@ -1,18 +1,35 @@
 // Start, pause, and who operates. A second page may look while one operates; it takes over when the
 // first has gone. Every page can stop.
 
-import { $, store } from "./store.js";
+import { $, element, store } from "./store.js";
 
 export function connectControl(send, lookBack) {
   $("start").addEventListener("click", () => send({ command: "start", realtime: $("pace").value === "realtime" }));
   $("pause").addEventListener("click", () => send({ command: asked() ? "resume" : "pause" }));
   $("take").addEventListener("click", () => send({ command: "take" }));
   $("open-record").addEventListener("click", lookBack);
+  $("choice").addEventListener("change", () => send({ command: "choose", pid: Number($("choice").value) }));
   $("question").addEventListener("submit", (event) => {
     event.preventDefault();
     send({ command: "answer", text: $("answer").value });
     $("answer").value = "";
   });
+}
+
+// Several runs may share a robot's address, where it is emulated, or none was given.
+let listed = "";
+function drawChoices(page, operates) {
+  const choices = page?.choices ?? [];
+  $("choice-row").hidden = !(choices.length > 1 && page.mode === "live");
+  $("choice").disabled = !operates;
+  const key = JSON.stringify([choices, page?.shown]);
+  if (key === listed) return;
+  listed = key;
+  $("choice").replaceChildren(...choices.map(({ pid, name, url, folder }) => {
+    const option = element("option", { value: pid, title: `${url}\n${folder}` }, `${name}, process ${pid}`);
+    option.selected = pid === page.shown;
+    return option;
+  }));
 }
 
 // Whether the run waits between stages, or will.
@@ -32,6 +49,7 @@ export function drawControl(lost) {
   $("take").disabled = lost || !!page?.operated;
   $("take").textContent = page?.operated ? "Another page operates" : "Take control";
   $("open-record").hidden = !(page?.ended && page.mode === "live" && page.run?.folder);
+  drawChoices(page, operates);
   $("viewers").textContent = page?.viewers > 1 ? `${page.viewers} pages look at this robot.` : "";
   const question = page?.question ?? "";
   const fresh = question && $("question").hidden;

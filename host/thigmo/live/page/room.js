@@ -1,7 +1,7 @@
 // The room from above: what was swept, what is occupied, the robot, and its contacts with what is
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
-import { $, css, latest, posterior, store, time, COLUMN } from "./store.js";
+import { $, css, latest, pointEstimate, posterior, store, time, COLUMN } from "./store.js";
 import { line, make, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
@@ -199,12 +199,12 @@ function drawContacts({ contacts }) {
   const placed = [];
   for (const contact of contacts) {
     const x = X(contact.x_cm), y = Y(contact.y_cm), sure = contact.status === "localized";
-    if (contact.track.length > 1) {
+    if (!pointEstimate(contact) && contact.track.length > 1) {
       make("path", { d: line(contact.track.map(([u, v]) => [X(u), Y(v)])), fill: "none", stroke: "var(--contact)", "stroke-width": 6, "stroke-opacity": .38, "stroke-linecap": "round" }, layer);
     }
     const [[a, b], [, d]] = contact.covariance_cm2;
     const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
-    make("ellipse", {
+    if (!pointEstimate(contact)) make("ellipse", {
       cx: x, cy: y, fill: "var(--contact-wash)", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
       rx: SIGMA_95 * Math.sqrt(Math.max(middle + spread, 0)) * scale,
       ry: SIGMA_95 * Math.sqrt(Math.max(middle - spread, 0)) * scale,
@@ -218,6 +218,7 @@ function drawContacts({ contacts }) {
 // Where it is along the body, beside the contact, away from the robot and from other labels.
 function label(layer, contact, x, y, placed) {
   const [low, high] = contact.interval_cm.map((value) => value.toFixed(1));
+  const range = pointEstimate(contact) ? "no interval" : `95 %: ${low} to ${high} cm`;
   const up = contact.y_cm >= 0 ? -1 : 1;
   const width = 116, anchor = x + 20 + width > svg.clientWidth - 12 ? "end" : "start";
   const out = anchor === "start" ? 1 : -1, tx = x + 20 * out;
@@ -228,7 +229,7 @@ function label(layer, contact, x, y, placed) {
   make("path", { d: `M${x} ${y + up * 7}L${tx - 4 * out} ${ty + 3}`, stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
   text(group, tx, ty, `${contact.arc_cm.toFixed(1)} cm along`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
-  text(group, tx, ty + 14, `95 %: ${low} to ${high} cm`, { fill: "var(--contact)", ...halo });
+  text(group, tx, ty + 14, range, { fill: "var(--contact)", ...halo });
 }
 
 $("room-legend").innerHTML = `

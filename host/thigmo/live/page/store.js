@@ -109,6 +109,8 @@ function mostBent(shapes, side) {
   return found;
 }
 
+// A contact of a method that knows no error: nothing of it is drawn but its place.
+export const pointEstimate = (contact) => contact.status === "point estimate";
 export const time = (t_s) => t_s - (store.origin ?? 0);
 export const latest = (column) => store.columns[column][index()];
 

@@ -1,6 +1,6 @@
 // What is told in words: the header, banners, contacts and events.
 
-import { $, COLUMN, element, latest, store, time } from "./store.js";
+import { $, COLUMN, element, latest, pointEstimate, store, time } from "./store.js";
 
 const ICONS = {
   info: '<svg class="icon" viewBox="0 0 12 12" aria-label="info"><circle cx="6" cy="6" r="3" fill="var(--faint)"/></svg>',
@@ -36,9 +36,19 @@ export function drawWords(lost) {
   $("clock").textContent = any ? fixed(store.now, 1) : "–";
   $("length").textContent = any ? fixed(latest(COLUMN.length), 1) : "–";
   $("phase").textContent = board.state ? board.state.replaceAll("_", " ") : "–";
+  $("last-stop").textContent = lastStop();
   drawContactRows();
   drawEvents();
   drawBanners(lost);
+}
+
+// Who stopped last, and what came of it: it stays told, whatever runs next.
+function lastStop() {
+  const stop = store.page?.last_stop;
+  if (!stop) return "";
+  const at = new Date(1000 * stop.at_s).toLocaleTimeString();
+  const came = stop.failed ? `not confirmed: ${stop.failed}` : `confirmed by ${stop.stopped.join(", ")}`;
+  return `Last stop: ${at}, pressed on ${stop.by}, ${came}.`;
 }
 
 function doing(lost) {
@@ -67,10 +77,11 @@ function drawContactRows() {
   $("contact-rows").replaceChildren(...found.map((contact) => {
     const row = element("tr");
     const [low, high] = contact.interval_cm.map((value) => fixed(value, 1));
+    const range = pointEstimate(contact) ? "no interval;" : `${low} to ${high}`;
     const certain = Number.isFinite(contact.probability) ? `, ${percent(contact.probability)}` : "";
     row.innerHTML = `
       <td><b>${fixed(contact.x_cm, 1)}, ${fixed(contact.y_cm, 1)}</b></td>
-      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${low} to ${high} of ${fixed(contact.everted_length_cm, 0)}</span></td>
+      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${range} of ${fixed(contact.everted_length_cm, 0)}</span></td>
       <td>${Number.isFinite(contact.force_per_cm2) ? contact.force_per_cm2.toExponential(1).replaceAll("-", "−") : "–"}</td>`;
     const chip = element("span", { class: "chip" }, `${contact.status}${certain}`);
     if (contact.status !== "localized") chip.classList.add("ambiguous");
@@ -124,7 +135,8 @@ function drawBanners(lost) {
   }
   if (document.body.dataset.stop === "stopped" && !lost) {
     const robot = page?.run?.virtual === false ? ` --robot ${page.run.url}` : "";
-    told.push(["note", "Stopped: the robot is vented and braked, and keeps its length.", `Look at it, then \`thigmo clear${robot}\` lets it move again.`]);
+    const by = page?.last_stop ? ` by ${page.last_stop.by}` : "";
+    told.push(["note", `Stopped${by}: the robot is vented and braked, and keeps its length.`, `Look at it, then \`thigmo clear${robot}\` lets it move again.`]);
   }
   for (const fault of board.faults) {
     const event = events.findLast((each) => each.severity === "fault" && each.name === fault);

@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from thigmo.studies.baselines import alternating, general
-from thigmo.studies.baselines.problem import Array, Problem
+from thigmo.localization import thesis
+from thigmo.localization.thesis import Array
+from thigmo.studies.baselines import general
+from thigmo.studies.baselines.problem import Problem
 
 Baseline = Callable[[Problem], tuple[Array, Array]]
 
 BASELINES: dict[str, Baseline] = {
-    "alternating": alternating.alternating,
-    "alternating-2-norm": partial(alternating.alternating, norm=2),
-    "alternating-trust-constr": alternating.alternating_trust_constr,
-    "coordinate": partial(alternating.alternating, barriers=()),
-    "clamped": alternating.clamped,
-    "coupled": alternating.coupled,
+    "alternating": thesis.alternating,
+    "alternating-2-norm": partial(thesis.alternating, norm=2),
+    "alternating-trust-constr": general.alternating_trust_constr,
+    "coordinate": partial(thesis.alternating, barriers=()),
+    "clamped": thesis.clamped,
+    "coupled": thesis.coupled,
     "grid": general.grid,
     **{name: partial(general.optimised, name) for name in general.OPTIMISERS},
     "pwlf": general.pwlf,

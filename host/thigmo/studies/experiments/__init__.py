@@ -9,6 +9,7 @@ the whole emulator. `evaluate.py` sets the methods against each other on either.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -27,7 +28,8 @@ Experiment = Callable[[int, int, Context], Outcome]
 
 def _of_robot(item: tuple[str, int, int, int]) -> list[Trial]:
     name, trials, seed, robot = item
-    return Specimen(frozen(), np.random.default_rng([seed, robot])).trials(name, trials)
+    taken = Specimen(frozen(), np.random.default_rng([seed, robot])).trials(name, trials)
+    return [replace(trial, robot=robot) for trial in taken]
 
 
 def _static(name: str, robots: int, trials: int, context: Context) -> Outcome:

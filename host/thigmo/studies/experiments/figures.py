@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -234,7 +235,7 @@ def _pressed(experiment: str, title: str) -> Figure:
             text = "" if more else told + (", folded" if one.folds else "")
             body = pushed(one.arcs_cm, one.forces, fold_rad=one.fold(frozen().fold_rad))
             drawn[text].append((one.place, body))
-    return _drawn(drawn, title, 3.4)
+    return _drawn(drawn, title, 4.2)
 
 
 def _fold() -> Figure:
@@ -272,7 +273,7 @@ def _drawn(drawn: Mapping[str, Bodies], title: str, height: float) -> Figure:
         for color, (label, body) in zip(CYCLE, bodies, strict=False):
             _body(axis, body, color, label)
         axis.set(xlabel="x (cm)", ylabel="y (cm)", aspect="equal")
-        axis.set_title(text, fontsize=9)
+        axis.set_title(fill(text, 44), fontsize=9)
     charts.legend_below(figure)  # the labels of all panels are the same
     return figure
 

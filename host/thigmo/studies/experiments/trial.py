@@ -157,6 +157,7 @@ class Trial:
     length_cm: float = thesis.LENGTH_CM  # everted length
     critical: float = thesis.CRITICAL  # contact curvature at which the base folds, 1/cm
     radius_cm: float = thesis.DIAMETER_CM / 2  # of the tube
+    robot: int = 0  # number of the simulated robot, whose errors its trials share
 
     @property
     def curvature(self) -> Floats:

@@ -131,7 +131,7 @@ def test_rows_are_fitted_as_if_alone(contacts: int, norm: Norm) -> None:
     assert len(together) == len(rows)
     for m, row in enumerate(rows / 53.0):
         alone = thigmo.localize(row, contacts=contacts, **given)
-        assert together.status[m] == alone.status == "ambiguous"
+        assert together.status[m] == alone.status == "point estimate"
         assert together.contacts[m] == len(alone.contacts) == contacts
         assert together.objective[m] == alone.objective
         assert np.isnan(together.probability[m])

@@ -1,9 +1,10 @@
-"""One firmware, two machines: fed the same conversions, edges and bytes, they say the same bytes.
+"""One firmware, four machines: fed the same conversions, edges and bytes, they say the same bytes.
 
 A session on the emulator (confirm, arm, grow, zero, sweep) is recorded at the virtual board's
 edge: conversions by (tick, channel, count), encoder positions, bytes of the host. Replayed into a
-virtual board and into the simulated Mega, whose image another compiler made for another processor,
-it must bring the same telemetry, byte for byte, and the same answers.
+virtual board, into the simulated Mega, whose image another compiler made for another processor,
+and into MicroPython on this machine and on a Cortex-M3, it must bring the same telemetry, byte for
+byte, and the same answers. A finer converter with another frame time is a second profile.
 """
 
 from __future__ import annotations
@@ -15,15 +16,25 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from thigmo.emulator import mega_build
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.mega_sim import ENCODER, SimulatedMega
+from thigmo.emulator.micropython import MicroPythonBoard, Processor
+from thigmo.emulator.micropython_build import missing
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.robot.robot import Robot
 
+Trace = npt.NDArray[np.int64]
 BOOT_MS = 840  # the boot loader's, on the virtual board
+
+
+@pytest.fixture(scope="module")
+def mega_simulator() -> None:
+    if reason := mega_build.missing():
+        pytest.skip(f"simulated Mega: {reason}")
 
 
 @dataclass
@@ -63,11 +74,15 @@ class Recorder:
         self.board.step(ticks)
 
 
-@pytest.fixture(scope="module")
-def recorded(stored_config: bytes, full_length: Scene) -> tuple[list[Step], npt.NDArray[np.int64]]:
-    board = Recorder(VirtualBoard(5, stored_config))
+MEGA = (10, 832)  # converter bits, frame time in us
+FINE = (12, 320)  # two MCP3208
+
+
+def session(scene: Scene, store: bytes, profile: tuple[int, int]) -> tuple[list[Step], Trace]:
+    """A session's steps and conversions."""
+    board = Recorder(VirtualBoard(5, store, *profile))
     board.record_trace(True)
-    robot = Robot(Client(EmulatorTransport(full_length, board, seed=5)))
+    robot = Robot(Client(EmulatorTransport(scene, board, seed=5)))
     robot.wait(0.3)
     robot.set_parameter("drift_limit_e5", [5000])
     robot.set_parameter("zero_ms", [200])
@@ -82,8 +97,13 @@ def recorded(stored_config: bytes, full_length: Scene) -> tuple[list[Step], npt.
     return board.steps, board.recorded_trace()
 
 
-def replay_virtual(eeprom: bytes, steps: list[Step], trace: npt.NDArray[np.int64]) -> bytes:
-    board = VirtualBoard(5, eeprom)
+@pytest.fixture(scope="module")
+def recorded(stored_config: bytes, full_length: Scene) -> tuple[list[Step], Trace]:
+    return session(full_length, stored_config, MEGA)
+
+
+def replay(board: VirtualBoard | MicroPythonBoard, steps: list[Step], trace: Trace) -> bytes:
+    """What a board says to a recorded session."""
     board.feed_trace(trace)
     board.step(BOOT_MS)
     for step in steps:
@@ -94,7 +114,7 @@ def replay_virtual(eeprom: bytes, steps: list[Step], trace: npt.NDArray[np.int64
     return board.read()
 
 
-def replay_mega(mega: SimulatedMega, steps: list[Step], trace: npt.NDArray[np.int64]) -> bytes:
+def replay_mega(mega: SimulatedMega, steps: list[Step], trace: Trace) -> bytes:
     mega.feed_trace(trace)
     before = steps[0].encoder[0]
     mega.set_encoder(before, before)
@@ -118,24 +138,49 @@ def messages(stream: bytes) -> dict[str, list[bytes]]:
     return kinds
 
 
-def test_telemetry_is_identical_byte_for_byte(
-    stored_config: bytes, recorded: tuple[list[Step], npt.NDArray[np.int64]]
-) -> None:
-    steps, trace = recorded
-    virtual = messages(replay_virtual(stored_config, steps, trace))
-    mega = messages(replay_mega(SimulatedMega(5, stored_config), steps, trace))
+def assert_same(said: bytes, reference: bytes) -> None:
+    """Two boards said the same, but for what their own clocks measure."""
+    board, virtual = messages(said), messages(reference)
     # By device time: a frame may be dropped for want of room on the line, or cut off at the end.
-    here, there = ({p[:4]: p for p in board["Telemetry"]} for board in (virtual, mega))
+    there, here = ({p[:4]: p for p in one["Telemetry"]} for one in (board, virtual))
     assert len(here) > 1000
     assert len(here.keys() ^ there.keys()) <= 3
     assert all(here[time] == there[time] for time in here.keys() & there.keys())
     # Not the status report: one of its bits says whether the line dropped telemetry.
     for name in ("Ack", "Event", "Snapshot", "SensorReport", "ParameterValue"):
-        assert mega.get(name, []) == virtual.get(name, []), name
+        assert board.get(name, []) == virtual.get(name, []), name
+
+
+def micropython(on: Processor, store: bytes, profile: tuple[int, int]) -> MicroPythonBoard:
+    if reason := missing(on):
+        pytest.skip(reason)
+    return MicroPythonBoard(5, store, on=on, adc_bits=profile[0], frame_us=profile[1])
+
+
+def test_the_image_of_the_mega_says_the_same_byte_for_byte(
+    mega_simulator: None, stored_config: bytes, recorded: tuple[list[Step], Trace]
+) -> None:
+    steps, trace = recorded
+    said = replay_mega(SimulatedMega(5, stored_config), steps, trace)
+    assert_same(said, replay(VirtualBoard(5, stored_config), steps, trace))
+
+
+@pytest.mark.parametrize("on", ["unix", "cortex-m3"])
+@pytest.mark.parametrize("profile", [MEGA, FINE], ids=["mega", "fine"])
+def test_micropython_says_the_same_byte_for_byte(
+    on: Processor, profile: tuple[int, int], stored_config: bytes, full_length: Scene
+) -> None:
+    board = micropython(on, stored_config, profile)
+    steps, trace = session(full_length, stored_config, profile)
+    reference = replay(VirtualBoard(5, stored_config, *profile), steps, trace)
+    said = replay(board, steps, trace)
+    assert_same(said, reference)
+    # Their passes and lines are the virtual board's as well: nothing is dropped, nothing is later.
+    assert messages(said)["Telemetry"] == messages(reference)["Telemetry"]
 
 
 def test_the_simulated_mega_repeats_itself(
-    stored_config: bytes, recorded: tuple[list[Step], npt.NDArray[np.int64]]
+    mega_simulator: None, stored_config: bytes, recorded: tuple[list[Step], Trace]
 ) -> None:
     steps, trace = recorded
     first, again = (

@@ -1,4 +1,4 @@
-"""The thesis's own solver, as faithful as its text allows, and variants of it.
+"""The thesis's own solver (`localize(..., method="thesis")`), as faithful as its text allows.
 
 Source: M. Bryant, Tactile Perception for Growing Robots via Discrete Curvature Measurements, 2022,
 section 2.5. Its model (equation 2.9) is taken at the centre of each sensor, whatever the span, its
@@ -11,28 +11,23 @@ minima; exact coordinate descent (no barriers: each step the best a of all) stal
 along which f and a trade, where neither alone can improve. The step in f is exact here, which is
 the most that the interior point could reach. `clamped` and `coupled` are the thesis's two remedies
 for a folded base (section 3.2).
+
+Lengths are cm and curvatures 1/cm, for the solver's tolerance and barriers are lengths.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
+import numpy.typing as npt
+from scipy.optimize import minimize
 
-from thigmo.studies.baselines.problem import (
-    Array,
-    Problem,
-    best_forces,
-    in_order,
-    influence,
-    objective,
-    starting_arcs,
-)
-
+Array = npt.NDArray[np.float64]
+CRITICAL_PER_CM = 0.01108  # mean of five trials, section 3.2
 _TOLERANCE_CM = 0.5
 _MOST_ROUNDS = 100
 # MATLAB's first barrier of 0.1 on an objective in 1/mm, as one in 1/cm.
@@ -42,12 +37,83 @@ _STEPS = (32, 16, 8, 4, 2, 1)  # nodes; the first is 2 % of the length
 _SWEEPS = 8
 
 
-def _at_centres(problem: Problem) -> Problem:
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Readings of one frame."""
+
+    curvature: Array  # (N,) readings above free curvature, finite, 1/cm
+    position: Array  # (N,) sensor centres, cm
+    span: Array  # (N,) active lengths, cm
+    length: float  # everted length, cm
+    contacts: int = 1  # how many to find, 1 to 3
+    # contact curvature at which the base folds, 1/cm
+    critical_curvature: float = CRITICAL_PER_CM
+    # (contacts,) arcs from which the methods that need it start, cm; the thesis's (even fractions
+    # of the length, the last one at the tip) if not given
+    start: Array | None = None
+
+
+def influence(problem: Problem, arcs: Array) -> Array:
+    """(N, K) readings for unit forces at K arcs: lever arms, averaged over each sensor's span."""
+    reach = arcs - (problem.position - problem.span / 2)[:, None]
+    span = problem.span[:, None]
+    inside = 0.5 * reach**2 / np.maximum(span, 1e-12)
+    beyond = arcs - problem.position[:, None]
+    return np.asarray(np.where(reach <= 0, 0.0, np.where(reach >= span, beyond, inside)))
+
+
+def objective(problem: Problem, arcs: Array, forces: Array) -> float:
+    """The 1-norm of readings minus model (thesis, equation 2.10)."""
+    return float(np.abs(problem.curvature - influence(problem, arcs) @ forces).sum())
+
+
+def single_forces(problem: Problem, arcs: Array) -> Array:
+    """For each of K arcs the force that a single contact there has: a weighted median, (K,)."""
+    weight = influence(problem, arcs)
+    ratio = problem.curvature[:, None] / np.where(weight > 0.0, weight, np.inf)
+    order = np.argsort(ratio, axis=0)
+    summed = np.take_along_axis(weight, order, 0).cumsum(axis=0)
+    middle = (summed < 0.5 * summed[-1]).sum(axis=0)
+    rank = np.take_along_axis(order, middle[None, :], 0)
+    return np.asarray(np.take_along_axis(ratio, rank, 0)[0])
+
+
+def best_forces(problem: Problem, arcs: Array) -> Array:
+    """Forces that minimise the 1-norm for contacts at given arcs.
+
+    One contact: the weighted median. Several: a least-absolute-deviation optimum passes through
+    as many readings as there are forces, so all such subsets are tried.
+    """
+    if arcs.size == 1:
+        return single_forces(problem, arcs)
+    phi = influence(problem, arcs)
+    subsets = np.array(list(combinations(range(problem.curvature.size), arcs.size)))
+    regular = np.abs(np.linalg.det(phi[subsets])) >= 1e-9
+    through = np.linalg.solve(phi[subsets[regular]], problem.curvature[subsets[regular]][..., None])
+    tried = np.vstack([np.zeros((1, arcs.size)), through[..., 0]])
+    misfit = np.abs(problem.curvature - tried @ phi.T).sum(axis=1)
+    return np.asarray(tried[misfit.argmin()])
+
+
+def starting_arcs(problem: Problem) -> Array:
+    """A copy of the problem's start, or the thesis's."""
+    if problem.start is not None:
+        return np.array(problem.start, dtype=np.float64)
+    return problem.length * np.arange(1, problem.contacts + 1) / problem.contacts
+
+
+def in_order(arcs: Array, forces: Array) -> tuple[Array, Array]:
+    """Contacts from the base on."""
+    order = np.argsort(arcs)
+    return arcs[order], forces[order]
+
+
+def at_centres(problem: Problem) -> Problem:
     """The same readings as the thesis takes them: of the curvature at each sensor's centre."""
     return replace(problem, span=np.zeros_like(problem.span))
 
 
-def _alternate(
+def alternate(
     arcs: Array, forces_at: Callable[[Array], Array], moved: Callable[[Array, Array], Array]
 ) -> tuple[Array, Array]:
     """Forces with the arcs fixed, then arcs with the forces fixed, until these stay."""
@@ -67,7 +133,7 @@ def alternating(
     Its norm is the 1-norm. Barriers are followed one after the other; without any it is exact
     coordinate descent.
     """
-    problem = _at_centres(problem)
+    problem = at_centres(problem)
     nodes = problem.length * np.arange(1, _NODES) / _NODES
     levers = influence(problem, nodes)
     walls = np.outer(barriers, np.log(nodes) + np.log(problem.length - nodes))
@@ -100,7 +166,7 @@ def alternating(
         return np.asarray(nodes[at])
 
     start = np.abs(nodes - starting_arcs(problem)[:, None]).argmin(axis=1)
-    return _alternate(nodes[start], forces_at, moved)
+    return alternate(nodes[start], forces_at, moved)
 
 
 def _downhill(values: list[float], at: int) -> int:
@@ -114,29 +180,6 @@ def _downhill(values: list[float], at: int) -> int:
             else:
                 break
     return at
-
-
-def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
-    """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
-
-    The speed that users of the thesis's method see. In cm, where it takes half as long as in mm
-    with the same error. Source: scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J.
-    Optim. 9, 1999).
-    """
-    cut = _at_centres(problem)
-    bounds = Bounds(np.zeros(cut.contacts), np.full(cut.contacts, cut.length))
-
-    def cost(arcs: Array, forces: Array) -> float:
-        return objective(cut, arcs, forces)
-
-    def moved(arcs: Array, forces: Array) -> Array:
-        with warnings.catch_warnings():
-            # The objective has kinks; SciPy warns of the flat quasi-Newton updates they cause.
-            warnings.simplefilter("ignore", UserWarning)
-            found = minimize(cost, arcs, args=(forces,), method="trust-constr", bounds=bounds)
-        return np.asarray(np.clip(found.x, 0.0, cut.length))
-
-    return _alternate(starting_arcs(cut), lambda arcs: best_forces(cut, arcs), moved)
 
 
 def _clamp_base(problem: Problem) -> tuple[Problem, float]:
@@ -161,7 +204,7 @@ def coupled(problem: Problem) -> tuple[Array, Array]:
     held, base = _clamp_base(problem)
     if problem.contacts != 1 or abs(base) <= problem.critical_curvature:
         return alternating(held)
-    cut = _at_centres(held)
+    cut = at_centres(held)
     moment = np.sign(base) * problem.critical_curvature
 
     def cost(x: Array) -> float:

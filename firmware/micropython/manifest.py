@@ -1,0 +1,3 @@
+# Frozen into the images whose hardware is injected; a Pico keeps these files on its file system.
+module("main.py", base_path="$(MPY_LIB_DIR)/robot")  # noqa: F821
+module("pins.py", base_path="$(MPY_LIB_DIR)/robot")  # noqa: F821

@@ -1,0 +1,261 @@
+// The controller on injected hardware, and the messages of the stream.
+//
+// Little-endian. From the host:
+//   'I' cause u8, latched u8, nonce u32, adc_bits u8, frame_us u16, flash 8192   power or reset
+//   'S' ticks u8, flags u8, supply_mv u16, count u16, bytes of the line, then for each tick the
+//       counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the main loop hangs
+//   'C' bytes u32                        power fails in that byte written to flash from now on
+//   'G'                                  what is kept
+// To the host:
+//   'R'                                  the controller has started
+//   'S' flags u8, drive 2 x i16, motor i16, count u16, bytes of the line; flags: 1 runs, 2 powered,
+//       4 the watchdog bites, 8 pays out, 16 muscle air, 32 body air
+//   'G' latched u8, nonce u32, erasures 2 x u32, flash 8192, the store's bytes 2048
+#include <new>
+
+#include "controller.h"
+#include "injected_board.h"
+#include "stream.h"
+
+namespace {
+
+using namespace thigmo;
+
+constexpr uint16_t kFlashSize = 2 * kFlashSector;
+constexpr uint8_t kMostTicks = 10;
+constexpr uint16_t kTickBytes = 2 * kAdcSlots + 4 * kPasses;
+constexpr uint16_t kStepHeader = 7;
+constexpr uint16_t kMostLine = 4096;
+
+// One machine: a chip's flash, what its RAM keeps, and the controller while it lives. All zeros at
+// first: no start-up code of the Cortex-M3 runs constructors.
+struct Machine {
+  InjectedFlash flash;
+  bool stopped;  // latched; which stop that was
+  uint32_t stop_nonce;
+  protocol::ResetCause cause;
+  uint8_t adc_bits;
+  uint16_t frame_us;
+  volatile bool known;  // its hardware has been described
+  bool again;           // the program has begun before, without a reset
+  uint32_t tick;        // since the controller began
+  volatile bool alive;
+  alignas(InjectedBoard) uint8_t board[sizeof(InjectedBoard)];
+  alignas(Robot<InjectedBoard>) uint8_t robot[sizeof(Robot<InjectedBoard>)];
+  uint8_t received[kFlashSize + kStepHeader + kMostLine];
+  uint32_t filled;
+  uint8_t answer[kFlashSize + kEepromUsed + 32];
+};
+Machine machine;
+
+StopLatch kept() {
+  StopLatch stop;
+  stop.latched = machine.stopped;
+  stop.nonce = machine.stop_nonce;
+  return stop;
+}
+
+InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(machine.board); }
+Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(machine.robot); }
+
+template <typename T>
+T take(const uint8_t*& at) {
+  T value;
+  memcpy(&value, at, sizeof value);
+  at += sizeof value;
+  return value;
+}
+
+template <typename T>
+void put(uint8_t*& at, T value) {
+  memcpy(at, &value, sizeof value);
+  at += sizeof value;
+}
+
+void end() {
+  machine.alive = false;  // with the board, its outputs are gone: the pins float, pulled down
+}
+
+// Instants of the main loop's passes in a tick, one of them when the conversions are complete.
+void pass_times(uint16_t* at) {
+  const uint16_t others[] = {250, 500, 990};
+  uint8_t i = 0;
+  bool placed = false;
+  for (const uint16_t other : others) {
+    if (!placed && machine.frame_us < other) {
+      at[i++] = machine.frame_us;
+      placed = true;
+    }
+    at[i++] = other;
+  }
+  if (!placed) at[i] = machine.frame_us;
+}
+
+void step(const uint8_t* at) {
+  const uint8_t ticks = take<uint8_t>(at);
+  const uint8_t flags = take<uint8_t>(at);
+  const uint16_t supply_mv = take<uint16_t>(at);
+  const uint16_t count = take<uint16_t>(at);
+  const uint8_t* const line = at;
+  at += count;
+  uint16_t instants[kPasses];
+  pass_times(instants);
+  bool bites = false;
+  if (machine.alive) {
+    board().inputs(supply_mv, (flags & 1) != 0);
+    board().sent(line, count);
+  }
+  for (uint8_t i = 0; i < ticks && machine.alive; ++i) {
+    uint16_t counts[kAdcSlots];
+    memcpy(counts, at, sizeof counts);
+    at += sizeof counts;
+    const uint32_t begun = machine.tick * 1000;
+    int32_t encoder = 0;
+    for (uint8_t pass = 0; pass < kPasses && machine.alive; ++pass) {
+      encoder = take<int32_t>(at);
+      board().at(begun + instants[pass], encoder);
+      if (instants[pass] == machine.frame_us) board().convert(machine.tick, counts);
+      if ((flags & 2) == 0) robot().loop();
+      machine.stopped = board().kept_stop().latched;
+      machine.stop_nonce = board().kept_stop().nonce;
+      if (!machine.flash.powered) end();
+    }
+    if (!machine.alive) break;
+    ++machine.tick;
+    board().at(machine.tick * 1000, encoder);
+    if (board().watchdog_bites()) {
+      bites = true;
+      end();
+    }
+  }
+  uint8_t* out = machine.answer;
+  put<uint8_t>(out, 'S');
+  uint8_t* const told = out++;
+  const bool alive = machine.alive;
+  *told = static_cast<uint8_t>((alive ? 1 : 0) | (machine.flash.powered ? 2 : 0) | (bites ? 4 : 0));
+  if (alive) {
+    *told = static_cast<uint8_t>(*told | (board().pays_out() ? 8 : 0) |
+                                 (board().air_on(0) ? 16 : 0) | (board().air_on(1) ? 32 : 0));
+  }
+  for (uint8_t side = 0; side < kSides; ++side) {
+    put<int16_t>(out, alive ? board().duty(side) : static_cast<int16_t>(-1));
+  }
+  put<int16_t>(out, alive ? board().motor_duty() : static_cast<int16_t>(0));
+  uint8_t* const length = out;
+  out += 2;
+  // Bytes that were on their way when the controller ended have left.
+  while (board().to_host().size() != 0) put<uint8_t>(out, board().to_host().pop());
+  const uint16_t bytes = static_cast<uint16_t>(out - length - 2);
+  memcpy(length, &bytes, sizeof bytes);
+  stream_send(machine.answer, static_cast<uint32_t>(out - machine.answer));
+}
+
+void describe(const uint8_t* at) {
+  machine.cause = static_cast<protocol::ResetCause>(take<uint8_t>(at));
+  machine.stopped = take<uint8_t>(at) != 0;
+  machine.stop_nonce = take<uint32_t>(at);
+  machine.adc_bits = take<uint8_t>(at);
+  machine.frame_us = take<uint16_t>(at);
+  memcpy(machine.flash.cells, at, kFlashSize);
+  machine.flash.cut_after = UINT32_MAX;
+  machine.flash.powered = true;
+  new (machine.board)
+      InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits, machine.cause, kept());
+  machine.known = true;
+}
+
+void give() {
+  uint8_t* out = machine.answer;
+  put<uint8_t>(out, 'G');
+  put<uint8_t>(out, machine.stopped);
+  put<uint32_t>(out, machine.stop_nonce);
+  for (const uint32_t erased : machine.flash.erased) put<uint32_t>(out, erased);
+  memcpy(out, machine.flash.cells, kFlashSize);
+  out += kFlashSize;
+  for (uint16_t i = 0; i < kEepromUsed; ++i) *out++ = board().eeprom_read(i);
+  stream_send(machine.answer, static_cast<uint32_t>(out - machine.answer));
+}
+
+// Bytes of the message that begins with these, as far as they tell.
+uint32_t message_size(const uint8_t* at, uint32_t filled) {
+  switch (at[0]) {
+    case 'I':
+      return 10 + kFlashSize;
+    case 'S': {
+      if (filled < kStepHeader) return kStepHeader;
+      uint16_t count;
+      memcpy(&count, at + 5, sizeof count);
+      return kStepHeader + count + static_cast<uint32_t>(at[1]) * kTickBytes;
+    }
+    case 'C':
+      return 5;
+    default:
+      return 1;
+  }
+}
+
+}  // namespace
+
+extern "C" {
+
+void injected_receive(const uint8_t* bytes, uint32_t count) {
+  while (count != 0) {
+    uint32_t whole = machine.filled == 0 ? 1 : message_size(machine.received, machine.filled);
+    if (whole > sizeof machine.received) {
+      machine.filled = 0;  // no host sends that
+      return;
+    }
+    const uint32_t taken = whole - machine.filled < count ? whole - machine.filled : count;
+    memcpy(machine.received + machine.filled, bytes, taken);
+    machine.filled += taken;
+    bytes += taken;
+    count -= taken;
+    if (machine.filled < message_size(machine.received, machine.filled)) continue;
+    machine.filled = 0;
+    const uint8_t* at = machine.received + 1;
+    switch (machine.received[0]) {
+      case 'I':
+        describe(at);
+        break;
+      case 'S':
+        if (machine.known) step(at);
+        break;
+      case 'C':
+        machine.flash.cut_after = take<uint32_t>(at);
+        break;
+      case 'G':
+        give();
+        break;
+    }
+  }
+}
+
+const char* thigmo_begin(const int8_t*) {
+  const char* const problem = stream_open();
+  if (problem != nullptr) return problem;
+  while (!machine.known) {
+    if (!stream_wait()) return "the injected hardware has gone";
+  }
+  stream_lock();
+  new (machine.board)
+      InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
+                    machine.again ? protocol::ResetCause::kExternal : machine.cause, kept());
+  new (machine.robot) Robot<InjectedBoard>(board());
+  robot().begin();
+  machine.tick = 0;
+  machine.again = true;
+  machine.alive = true;
+  const uint8_t started = 'R';
+  stream_send(&started, 1);
+  stream_unlock();
+  return nullptr;
+}
+
+void thigmo_end(void) {
+  stream_lock();
+  end();
+  stream_unlock();
+}
+
+bool thigmo_wait(void) { return stream_wait() && machine.alive; }
+}

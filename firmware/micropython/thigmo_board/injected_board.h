@@ -1,0 +1,222 @@
+// A board whose hardware comes over a stream, in virtual time: the Board policy (core/board.h) of
+// the unix port and of QEMU's Cortex-M3.
+//
+// What is virtual here is what the Pico has in silicon: the line's rate, the flash's cells, the
+// pins. Store, journal, rings and the controller's life are the Pico's own code.
+#ifndef THIGMO_MICROPYTHON_INJECTED_BOARD_H_
+#define THIGMO_MICROPYTHON_INJECTED_BOARD_H_
+
+#include <stdint.h>
+#include <string.h>
+
+#include "../../core/robot.h"
+#include "../../core/sensing/narrowing.h"
+#include "flash_store.h"
+
+#if defined(__arm__)
+#define THIGMO_INJECTED_KIND kCortexM3
+#else
+#define THIGMO_INJECTED_KIND kUnix
+#endif
+
+namespace thigmo {
+
+constexpr uint8_t kPasses = 4;  // of the main loop in a tick
+
+// Bytes in order; kSize is a power of two.
+template <uint16_t kSize>
+class Ring {
+ public:
+  uint16_t size() const { return static_cast<uint16_t>(in_ - out_); }
+  bool push(uint8_t byte) {
+    if (size() == kSize) return false;
+    bytes_[in_++ % kSize] = byte;
+    return true;
+  }
+  const uint8_t& front() const { return bytes_[out_ % kSize]; }
+  uint8_t pop() { return bytes_[out_++ % kSize]; }
+  void clear() { out_ = in_; }
+
+ private:
+  uint8_t bytes_[kSize];
+  uint16_t in_ = 0, out_ = 0;
+};
+
+// Two sectors of NOR flash whose power can fail at any byte.
+class InjectedFlash {
+ public:
+  const uint8_t* data() const { return cells; }
+
+  void erase(uint8_t sector) {
+    for (uint16_t i = 0; i < kFlashSector; ++i) {
+      if (!byte_survives()) return;
+      cells[sector * kFlashSector + i] = 0xFF;
+    }
+    ++erased[sector];
+  }
+
+  void program(uint32_t address, const uint8_t* page) {
+    for (uint16_t i = 0; i < kFlashPage; ++i) {
+      if (page[i] != 0xFF && !byte_survives()) return;
+      cells[address + i] = static_cast<uint8_t>(cells[address + i] & page[i]);
+    }
+  }
+
+  uint8_t cells[2 * kFlashSector];
+  uint32_t erased[2];
+  uint32_t cut_after;  // bytes until the power fails; UINT32_MAX = never
+  bool powered;
+
+ private:
+  bool byte_survives() {
+    if (!powered) return false;
+    if (cut_after == UINT32_MAX) return true;
+    powered = cut_after-- != 0;
+    return powered;
+  }
+};
+
+class InjectedBoard {
+ public:
+  static constexpr protocol::Board kKind = protocol::Board::THIGMO_INJECTED_KIND;
+  static constexpr uint32_t kByteUs = 40;  // 250 kbaud, 8N1
+  static constexpr uint32_t kAirHoldUs = 60000;
+  static constexpr uint32_t kNever = UINT32_MAX;
+
+  InjectedBoard(InjectedFlash& flash, uint16_t frame_us, uint8_t adc_bits,
+                protocol::ResetCause cause, StopLatch stop)
+      : store_(flash), narrowing_(adc_bits), frame_us_(frame_us), cause_(cause), stop_(stop) {
+    store_.begin();
+  }
+
+  // --- what the stream says --------------------------------------------------------------------
+  // A pass of the main loop follows, at this time since the start; `from_host` has what was sent.
+  void at(uint32_t now_us, int32_t encoder) {
+    now_us_ = now_us;
+    encoder_ = encoder;
+    move_lines();
+  }
+  void inputs(uint16_t supply_mv, bool estop) {
+    supply_mv_ = supply_mv;
+    estop_ = estop;
+  }
+  void convert(uint32_t tick, const uint16_t* count) {
+    if (frames_ == kAdcFrames) return;
+    AdcFrame* const frame = &frame_[(first_ + frames_++) % kAdcFrames];
+    frame->tick = tick;
+    memcpy(frame->count, count, sizeof frame->count);
+    narrowing_.apply(frame);
+  }
+  void sent(const uint8_t* bytes, uint16_t count) {
+    if (from_host_.size() == 0) arrival_us_ = later(arrival_us_) + kByteUs;
+    for (uint16_t i = 0; i < count; ++i) from_host_.push(bytes[i]);
+  }
+  Ring<4096>& to_host() { return to_host_; }
+
+  int16_t duty(uint8_t side) const { return drive_[side]; }  // -1 = off
+  int16_t motor_duty() const { return motor_; }
+  bool pays_out() const { return pays_out_; }
+  bool air_on(uint8_t enable) const {
+    return air_us_[enable] != kNever && now_us_ - air_us_[enable] < kAirHoldUs;
+  }
+  bool watchdog_bites() const { return now_us_ - kicked_us_ > 1000ul * kWatchdogMs; }
+
+  // --- what the core does (core/board.h) -------------------------------------------------------
+  uint32_t micros() { return now_us_; }
+  uint16_t micros16() { return static_cast<uint16_t>(now_us_); }
+  uint16_t frame_us() { return frame_us_; }
+  const AdcFrame* take_frame() {
+    if (frames_ == 0) return nullptr;
+    const AdcFrame* const frame = &frame_[first_];
+    first_ = static_cast<uint8_t>((first_ + 1) % kAdcFrames);
+    --frames_;
+    return frame;
+  }
+  void drive(uint8_t side, int16_t duty) { drive_[side] = duty; }
+  void drive_off(uint8_t side) { drive_[side] = -1; }
+  void motor(int16_t duty) {
+    motor_ = duty;
+    pays_out_ = duty > 0;
+  }
+  void brake() { motor_ = 0; }
+  void air(bool muscles, bool body) {
+    if (muscles) air_us_[0] = now_us_;
+    if (body) air_us_[1] = now_us_;
+  }
+  int32_t encoder_count() { return encoder_; }
+  uint16_t encoder_errors() { return 0; }  // counts are given, not decoded
+  uint16_t supply_mv() { return supply_mv_; }
+  bool estop() { return estop_; }
+
+  uint8_t rx_waiting(const uint8_t** first) {
+    *first = &rx_.front();
+    return rx_.size() == 0 ? 0 : 1;
+  }
+  void rx_drop(uint8_t count) {
+    for (; count != 0; --count) rx_.pop();
+  }
+  uint16_t rx_overruns() { return overruns_; }
+  uint16_t tx_free() { return static_cast<uint16_t>(kTxRing - 1 - tx_.size()); }
+  uint16_t tx_pending() { return tx_.size(); }
+  void tx_write(const uint8_t* bytes, uint8_t count) {
+    if (tx_.size() == 0) departure_us_ = later(departure_us_) + kByteUs;
+    for (; count != 0; --count) tx_.push(*bytes++);
+  }
+
+  bool eeprom_ready() { return true; }
+  uint8_t eeprom_read(uint16_t address) { return store_.read(address); }
+  void eeprom_write(uint16_t address, uint8_t value) { store_.write(address, value); }
+  void eeprom_commit() { store_.commit(); }
+
+  protocol::ResetCause reset_cause() { return cause_; }
+  StopLatch kept_stop() { return stop_; }
+  void keep_stop(StopLatch stop) { stop_ = stop; }
+  void task(uint8_t) {}
+  void kick_watchdog() { kicked_us_ = now_us_; }
+
+ private:
+  uint32_t later(uint32_t time_us) const { return time_us > now_us_ ? time_us : now_us_; }
+
+  void move_lines() {
+    while (from_host_.size() != 0 && arrival_us_ <= now_us_) {
+      const uint8_t byte = from_host_.pop();
+      if (rx_.size() == kRxRing - 1) {
+        ++overruns_;
+      } else {
+        rx_.push(byte);
+      }
+      if (from_host_.size() != 0) arrival_us_ += kByteUs;
+    }
+    while (tx_.size() != 0 && departure_us_ <= now_us_) {
+      to_host_.push(tx_.pop());
+      if (tx_.size() != 0) departure_us_ += kByteUs;
+    }
+  }
+
+  FlashStore<InjectedFlash> store_;
+  Narrowing narrowing_;
+  const uint16_t frame_us_;
+  const protocol::ResetCause cause_;
+  StopLatch stop_;
+  uint32_t now_us_ = 0;
+  uint32_t kicked_us_ = 0;
+  uint32_t arrival_us_ = 0;    // when the first byte on the way to the board is whole
+  uint32_t departure_us_ = 0;  // when the first byte on the way to the host is whole
+  uint32_t air_us_[2] = {kNever, kNever};
+  int32_t encoder_ = 0;
+  uint16_t supply_mv_ = 5000;
+  uint16_t overruns_ = 0;
+  int16_t drive_[kSides] = {-1, -1};
+  int16_t motor_ = 0;
+  bool pays_out_ = true;
+  bool estop_ = true;
+  uint8_t first_ = 0, frames_ = 0;
+  AdcFrame frame_[kAdcFrames];
+  Ring<4096> from_host_, to_host_;
+  Ring<kRxRing> rx_;
+  Ring<kTxRing> tx_;
+};
+
+}  // namespace thigmo
+
+#endif  // THIGMO_MICROPYTHON_INJECTED_BOARD_H_

@@ -1,0 +1,17 @@
+# The module for ports that are built with make: unix and qemu.
+THIGMO_BOARD_DIR := $(USERMOD_DIR)
+
+SRC_USERMOD_C += $(THIGMO_BOARD_DIR)/module.c
+SRC_USERMOD_LIB_CXX += $(THIGMO_BOARD_DIR)/injected.cpp
+
+CFLAGS_USERMOD += -I$(THIGMO_BOARD_DIR)
+CXXFLAGS_USERMOD += -I$(THIGMO_BOARD_DIR) -std=c++14 -Wall -Wextra -Werror -O2
+CXXFLAGS_USERMOD += -fno-exceptions -fno-rtti -fno-threadsafe-statics
+
+ifeq ($(QEMU_ARCH),arm)
+SRC_USERMOD_LIB_C += $(THIGMO_BOARD_DIR)/stream_mps2.c
+CXXFLAGS_USERMOD += -mthumb -mcpu=cortex-m3 -mfloat-abi=soft -ffunction-sections -fdata-sections
+else
+SRC_USERMOD_LIB_C += $(THIGMO_BOARD_DIR)/stream_unix.c
+LDFLAGS_USERMOD += -lpthread
+endif

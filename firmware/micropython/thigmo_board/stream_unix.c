@@ -1,0 +1,65 @@
+// The unix port's stream: a socket whose number is in THIGMO_HARDWARE, read by a thread of its own.
+#include <errno.h>
+#include <pthread.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+#include "stream.h"
+
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+static int hardware = -1;
+static volatile bool gone;
+
+static void* receive(void* unused) {
+  (void)unused;
+  static uint8_t bytes[4096];
+  for (;;) {
+    const ssize_t count = read(hardware, bytes, sizeof bytes);
+    if (count < 0 && errno == EINTR) continue;
+    if (count <= 0) break;
+    pthread_mutex_lock(&lock);
+    injected_receive(bytes, (uint32_t)count);
+    pthread_mutex_unlock(&lock);
+  }
+  gone = true;
+  return NULL;
+}
+
+const char* stream_open(void) {
+  if (hardware >= 0) return NULL;
+  const char* number = getenv("THIGMO_HARDWARE");
+  if (number == NULL) {
+    return "no hardware here: connect the host to micropython://SCENE, which starts this program";
+  }
+  hardware = atoi(number);
+  // Signals are Python's: its thread takes Ctrl-C.
+  sigset_t all, before;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);
+  pthread_t thread;
+  const int failed = pthread_create(&thread, NULL, receive, NULL);
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  return failed ? "the controller's thread cannot be started" : NULL;
+}
+
+void stream_send(const uint8_t* bytes, uint32_t count) {
+  while (count != 0) {
+    const ssize_t sent = write(hardware, bytes, count);
+    if (sent < 0 && errno == EINTR) continue;
+    if (sent <= 0) {
+      gone = true;
+      return;
+    }
+    bytes += sent;
+    count -= (uint32_t)sent;
+  }
+}
+
+void stream_lock(void) { pthread_mutex_lock(&lock); }
+void stream_unlock(void) { pthread_mutex_unlock(&lock); }
+
+bool stream_wait(void) {
+  usleep(1000);
+  return !gone;
+}

@@ -1,0 +1,138 @@
+"""The thesis's own fits of flex sensors and of the fold, for robots on which it is repeated.
+
+Source: M. Bryant, 2022, sections 2.3 and 3.2. A tip pushed aside to y tells the force by a small
+deflection, F/EI = 3 y / x^3 (2.12); the beam's curvature at each sensor's centre (2.9) is regressed
+on its resistance above that of the straight robot, which gives one constant a sensor (2.4). The
+critical curvature is read off at the base from a line through the curvatures of the sensors that do
+not buckle, the mean over the trials. Neither states an error. So robot.toml keeps the error of an
+uncalibrated sensor, and a tenth for the fold, until `flex` and `buckling` themselves are run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.calibrate.buckling import BucklingResult
+from thigmo.calibrate.columns import Array, constants_of, places_of
+from thigmo.calibrate.flex import FlexFit, FlexResult
+from thigmo.calibrate.flex_data import FlexReadings
+from thigmo.calibrate.flex_lines import LOOP_WIDTHS
+from thigmo.calibrate.flex_rows import model_rows
+from thigmo.calibrate.verdict import Verdict
+from thigmo.config import FlexSensor, RobotConfig
+from thigmo.errors import DataError
+
+_LEAST_PLACES = 3
+_SCALE_SE = float(FlexSensor.model_fields["scale_se"].default)
+_FOLD_SE = 0.1  # relative; gains err alike in all trials, and do not show in their scatter
+
+
+@dataclass(frozen=True)
+class ThesisFlexResult(FlexResult):
+    """Constants without errors."""
+
+    def write(self, config: RobotConfig) -> None:
+        """Scales and zeros; errors are those of sensors that nobody has calibrated, at least."""
+        for fit in self.sensors:
+            sensor = config.sensors.column(fit.side)[fit.index]
+            sensor.healthy = fit.healthy
+            if fit.healthy:
+                sensor.scale_per_ohm, sensor.zero_ohm = fit.scale_per_ohm, fit.zero_ohm
+                sensor.scale_se = max(sensor.scale_se, _SCALE_SE)
+
+
+def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
+    """One constant a sensor, from rows of the straight robot and of its tip pushed aside."""
+    rows = model_rows(readings, config)
+    straight = np.array(readings.kind) == "straight"
+    tips = rows.tips & rows.good
+    if not straight.any() or tips.sum() < _LEAST_PLACES:
+        raise DataError(
+            f"{int(straight.sum())} rows of the straight robot, {int(tips.sum())} usable tip "
+            "places",
+            f"the thesis's fit takes one or more, and {_LEAST_PLACES} or more",
+        )
+    (center,) = constants_of(config, "center_cm")
+    x, y = readings.tip_cm[tips].T
+    force = 3.0 * y / x**3  # over EI
+    model = force[:, None] * np.clip(x[:, None] - center, 0.0, None)
+    rows.model[tips] = model
+    fits = []
+    for number, (side, index) in enumerate(places_of(config)):
+        at_rest = rows.ohm[straight, number]
+        change = rows.ohm[tips, number] - (np.nanmean(at_rest) if np.isfinite(at_rest).any() else 0)
+        used = np.isfinite(change)
+        power = float(change[used] @ change[used])
+        if not rows.on_body[number]:
+            reason = "not everted at this length"
+        elif used.sum() < _LEAST_PLACES or not np.isfinite(at_rest).any():
+            reason = "has too few readings in range: check its wire"
+        elif power <= 0.0:
+            reason = "does not answer to bending: check its pouch and its wire"
+        else:
+            reason = ""
+        if reason:
+            fits.append(FlexFit(side, index, False, reason, int(used.sum())))
+            continue
+        scale = float(change[used] @ model[used, number]) / power
+        left = model[used, number] - scale * change[used]
+        fits.append(
+            FlexFit(
+                side,
+                index,
+                True,
+                f"{scale:.3g} 1/cm per ohm, {int(used.sum())} places",
+                int(used.sum()),
+                scale_per_ohm=scale,
+                zero_ohm=float(np.nanmean(at_rest)),
+                noise=float(np.sqrt(np.mean(left**2))),
+            )
+        )
+    everted = [fit for fit, on in zip(fits, rows.on_body, strict=True) if on]
+    healthy = sum(fit.healthy for fit in everted)
+    verdict = Verdict(
+        2 * healthy >= len(everted) > 0,
+        f"constants of {healthy} of {len(everted)} sensors by (2.12), from {int(tips.sum())} tip "
+        f"places; it states no errors, so {100 * _SCALE_SE:.0f} % is kept for each",
+        (*rows.notes, *(f"left out sensor {f.name}, which {f.reason}" for f in everted
+                        if not f.healthy)),
+    )  # fmt: skip
+    return ThesisFlexResult(tuple(fits), verdict, rows, LOOP_WIDTHS[1])
+
+
+def fit_buckling(
+    curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
+) -> BucklingResult:
+    """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
+    center, span, healthy = constants_of(config, "center_cm", "span_cm", "healthy")
+    if curvature.shape[1] != len(center):
+        what = f"{curvature.shape[1]} columns for {len(center)} sensors"
+        raise DataError(what, "use this robot's file")
+    near = center - span / 2 < config.body.diameter_cm
+    beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
+    each, excess = np.full((2, len(curvature)), np.nan)
+    for trial, row in enumerate(curvature):
+        pick = beyond & np.isfinite(row)
+        if len(np.unique(center[pick])) < 2:
+            continue
+        line = np.polynomial.Polynomial.fit(center[pick], row[pick], 1)
+        each[trial] = abs(line(0.0))
+        base = (healthy > 0) & near & np.isfinite(row)
+        if base.any():
+            beam = np.sign(line(0.0)) * line(center[base])
+            excess[trial] = float(np.mean(np.sign(line(0.0)) * row[base] - beam))
+    kept = each[np.isfinite(each)]
+    if not kept.size:
+        raise DataError("no trial has two sensors beyond the fold", "calibrate the flex sensors")
+    mean = float(kept.mean())
+    scatter = float(kept.std(ddof=1) / np.sqrt(kept.size)) if kept.size > 1 else 0.0
+    lost = tuple(
+        f"trial {n + 1} left out, too few readings" for n in np.flatnonzero(~np.isfinite(each))
+    )
+    reason = f"{mean:.5f} 1/cm, by a line through the sensors beyond the fold, {kept.size} trials"
+    return BucklingResult(
+        mean, max(scatter, _FOLD_SE * mean), each, excess, body_pressure_psi,
+        Verdict(kept.size >= 3, reason + ("" if kept.size >= 3 else "; take three or more"), lost),
+    )  # fmt: skip

@@ -1,0 +1,401 @@
+"""`micropython://SCENE`: the controller as a MicroPython module, inside the emulator.
+
+`MicroPythonBoard` starts MicroPython's unix port, or QEMU's Cortex-M3 with `?on=cortex-m3`, runs
+the robot's main.py there, and is that program's hardware: it injects conversions, encoder and the
+line's bytes, and takes outputs, in lockstep (messages in firmware/micropython/thigmo_board).
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.emulator._board import Analog
+from thigmo.emulator.micropython_build import image
+from thigmo.emulator.transport import EmulatorTransport, parse_url
+from thigmo.errors import PortError
+from thigmo.link.framing import check_sequence
+from thigmo.link.protocol import ResetCause
+
+if TYPE_CHECKING:
+    from thigmo.link.transport import Transport
+
+Floats = npt.NDArray[np.float64]
+Processor = Literal["unix", "cortex-m3"]
+
+BOOT_MS = 840  # as the Mega's boot loader takes, so that runs on both can be compared
+STORE_SIZE = 2048  # bytes of the core's store, of which the flash keeps an image
+FLASH_SIZE = 8192
+_PAGE = 256
+_START_S = 20.0  # of the wall clock, within which the program must have started
+_MOST_TICKS = 10  # in one message
+_STEP = struct.Struct("<BhhhH")
+_KEPT = struct.Struct("<BIII")
+_RUNS, _POWERED, _BITES, _OUT, _MUSCLE_AIR, _BODY_AIR = (1 << n for n in range(6))
+
+
+def flash_of(store: bytes) -> bytes:
+    """The flash that holds a store's bytes: one image (firmware/micropython, flash_store.h)."""
+    if not store:
+        return b"\xff" * FLASH_SIZE
+    whole = store[:STORE_SIZE].ljust(STORE_SIZE, b"\xff")
+    header = struct.pack("<IH", 1, check_sequence(whole))
+    header += struct.pack("<H", check_sequence(header))
+    return (header.ljust(_PAGE, b"\xff") + whole).ljust(FLASH_SIZE, b"\xff")
+
+
+class MicroPythonBoard:
+    """The controller under MicroPython, as the emulator's `Board`.
+
+    Time passes only in `step`; a program that has ended keeps its outputs off and is silent.
+
+    Args:
+        seed: of the conversions' noise.
+        store: the core's bytes, as `eeprom` gives them; the rest is blank.
+        on: the processor that runs MicroPython.
+        program: what Python runs; None: the robot's main.py.
+        adc_bits: of the converter.
+        frame_us: into a tick, when its conversions are complete.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        store: bytes = b"",
+        *,
+        on: Processor = "unix",
+        program: str | None = None,
+        adc_bits: int = 10,
+        frame_us: int = 832,
+    ) -> None:
+        self._program = program or "import main"
+        self._image = image(on)
+        self._on: Processor = on
+        self._profile = (adc_bits, frame_us)
+        self._passes = np.array(sorted({250, 500, 990, frame_us})) * 1e-3
+        self._analog = Analog(seed, adc_bits, frame_us)
+        self._flash = flash_of(store)
+        self._stop = (0, 0)  # whether one is latched, its nonce
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+        self._console = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the board
+        self._sent = bytearray()
+        self._received = bytearray()
+        self._supply_mv = 5000
+        self._estop = self._hung = False
+        self._encoder = (0.0, 0.0)
+        self._encoder_origin = np.int32(0)
+        self._now_ms = 0
+        self._ticks = 0  # of the running firmware
+        self._direction = 1
+        self.boots = 0
+        self.power_on(ResetCause.POWER_ON)
+
+    # --- life -------------------------------------------------------------------------------------
+    def power_on(self, cause: ResetCause) -> None:
+        """Begin a start for a cause; the program runs when the boot time is over."""
+        self._kill()
+        if cause is ResetCause.POWER_ON:
+            self._stop = (0, 0)
+        self._cause = cause
+        self._boot_left = BOOT_MS  # until the program runs
+        self._hung = False
+        self._powered = True
+        self._off()
+        self._sent.clear()
+
+    def _off(self) -> None:
+        self._running = False
+        self._drive = (-1, -1)
+        self.motor = 0
+        self.air = (False, False)
+
+    def _start(self) -> None:
+        mine, its = socket.socketpair()
+        with its:
+            self._process = self._launch(its)
+        mine.settimeout(_START_S)
+        self._socket = mine
+        adc_bits, frame_us = self._profile
+        described = struct.pack("<BBIBH", self._cause, *self._stop, adc_bits, frame_us)
+        self._tell(b"I" + described + self._flash)
+        started, problem = b"", ""
+        end = time.monotonic() + _START_S
+        while not started and not problem and time.monotonic() < end:
+            if select.select([mine], [], [], 0.05)[0]:
+                started = mine.recv(1)
+                problem = "" if started else "it has ended"
+            else:
+                problem = next((x for x in self.console().splitlines() if "Error:" in x), "")
+        if started != b"R":
+            self._kill(keep=False)
+            raise PortError(
+                f"MicroPython has not started the controller: {problem or 'it is silent'}",
+                "see firmware/micropython/README.md, and correct main.py and pins.py",
+            )
+        self._ticks = 0
+        self._running = True
+        self.boots += 1
+
+    def _launch(self, its: socket.socket) -> subprocess.Popen[bytes]:
+        if self._on == "unix":
+            return subprocess.Popen(
+                [self._image, "-X", "heapsize=128k", "-i", "-c", self._program],
+                env=os.environ | {"THIGMO_HARDWARE": str(its.fileno())},
+                pass_fds=(its.fileno(),), stdin=subprocess.PIPE,
+                stdout=self._console, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+        monitor, its_monitor = socket.socketpair()
+        with its_monitor, monitor:
+            process = subprocess.Popen(
+                [
+                    "qemu-system-arm", "-machine", "mps2-an385", "-nodefaults", "-display", "none",
+                    "-semihosting-config", "enable=on,target=native", "-kernel", self._image,
+                    "-chardev", "stdio,id=prompt,signal=off", "-serial", "chardev:prompt",
+                    "-chardev", f"socket,id=hardware,fd={its.fileno()}",
+                    "-serial", "chardev:hardware",
+                    "-chardev", f"socket,id=monitor,fd={its_monitor.fileno()}",
+                    "-mon", "chardev=monitor",
+                ],
+                pass_fds=(its.fileno(), its_monitor.fileno()), stdin=subprocess.PIPE,
+                stdout=self._console, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            self._process = process
+            end = time.monotonic() + _START_S
+            # It looks at a serial line that was off when the bytes came only after some event.
+            while b">>> " not in os.pread(self._console.fileno(), 4096, 0):
+                if process.poll() is not None or time.monotonic() > end:
+                    return process
+                time.sleep(0.01)
+            # The port has no file system to start main.py from: its prompt is told.
+            self.type(self._program.replace("\n", "\r").encode() + b"\r")
+            while b"import" not in os.pread(self._console.fileno(), 4096, 0):
+                monitor.sendall(b"\n")
+                if process.poll() is not None or time.monotonic() > end:
+                    return process
+                time.sleep(0.01)
+        return process
+
+    def type(self, keys: bytes) -> None:
+        """Type at Python's prompt."""
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(keys)
+        self._process.stdin.flush()
+
+    def interrupt(self) -> None:
+        """Ctrl-C at Python's prompt."""
+        if self._on == "unix":  # where the terminal makes a signal of it
+            assert self._process is not None
+            self._process.send_signal(signal.SIGINT)
+        else:
+            self.type(b"\x03")
+
+    def console(self) -> str:
+        """What Python has printed so far."""
+        return os.pread(self._console.fileno(), 1 << 20, 0).decode(errors="replace")
+
+    def _tell(self, message: bytes) -> None:
+        assert self._socket is not None
+        self._socket.sendall(message)
+
+    def _hear(self, count: int) -> bytes:
+        assert self._socket is not None
+        heard = bytearray()
+        while len(heard) < count:
+            piece = self._socket.recv(count - len(heard))
+            if not piece:
+                raise ConnectionError("MicroPython has ended")
+            heard += piece
+        return bytes(heard)
+
+    def _kill(self, *, keep: bool = True) -> None:
+        if self._process is None:
+            return
+        with suppress(OSError):  # it has ended; what it kept was taken before
+            if keep:
+                self._keep()
+        assert self._socket is not None
+        self._socket.close()
+        self._process.kill()
+        self._process.wait()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._process = self._socket = None
+
+    def __del__(self) -> None:
+        if hasattr(self, "_process"):
+            self._kill(keep=False)
+
+    def _keep(self) -> bytes:
+        """Take flash, latch and store out of the machine; returns the store."""
+        self._tell(b"G")
+        self._hear(1)
+        latched, nonce, *self.erasures = _KEPT.unpack(self._hear(_KEPT.size))
+        self._stop = (latched, nonce)
+        self._flash = self._hear(FLASH_SIZE)
+        return self._hear(STORE_SIZE)
+
+    # --- time -------------------------------------------------------------------------------------
+    def step(self, ticks: int) -> None:
+        """Run for so many milliseconds."""
+        done = 0
+        while done < ticks:
+            count = min(ticks - done, self._boot_left or _MOST_TICKS)
+            if self._boot_left:
+                self._sent.clear()  # nobody takes it
+                self._boot_left -= count
+                if not self._boot_left:
+                    self._start()
+            elif self._process is not None:
+                self._exchange(done, count, ticks)
+            done += count
+            self._now_ms += count
+        self._analog.settle()
+        self._encoder = (self._encoder[1], self._encoder[1])
+
+    def _exchange(self, begun: int, count: int, ticks: int) -> None:
+        """So many milliseconds of the program, from the `begun`-th of a step of `ticks`."""
+        counts = self._analog.frames(self._ticks, count, begun, 1.0 / ticks)
+        at, to = self._encoder
+        shares = (begun + np.arange(count)[:, None] + self._passes) * (1.0 / ticks)
+        places = np.floor(at + (to - at) * shares).astype("<i4")
+        if self._ticks == 0:  # the controller counts from where it began
+            self._encoder_origin = places[0, 0]
+        places -= self._encoder_origin
+        rows = np.hstack([counts.astype("<u2").view("u1"), places.view("u1")])
+        flags = self._estop | self._hung << 1
+        line = bytes(self._sent)
+        self._sent.clear()
+        message = struct.pack("<BBHH", count, flags, self._supply_mv, len(line))
+        try:
+            self._tell(b"S" + message + line + rows.tobytes())
+            while self._hear(1) == b"R":  # the program has begun again, in this step or before
+                self.boots += 1
+            told, *drive, motor, length = _STEP.unpack(self._hear(_STEP.size))
+            self._received += self._hear(length)
+        except OSError:  # Python itself has ended, and the pins float
+            self._off()
+            return
+        self._running = bool(told & _RUNS)
+        # A controller that begins anew in the next step begins with tick 0.
+        self._ticks = self._ticks + count if self._running else 0
+        self._powered = bool(told & _POWERED)
+        self._drive = (drive[0], drive[1])
+        self.motor = motor
+        if motor:
+            self._direction = 1 if told & _OUT else -1
+        self.air = (bool(told & _MUSCLE_AIR), bool(told & _BODY_AIR))
+        if told & _BITES:
+            self.power_on(ResetCause.WATCHDOG)
+
+    @property
+    def now_us(self) -> int:
+        """Time since construction, us."""
+        return self._now_ms * 1000
+
+    # --- serial line ------------------------------------------------------------------------------
+    def write(self, data: bytes) -> None:
+        """Bytes from the host; they reach the board one after another, 40 us each."""
+        self._sent += data
+
+    def read(self) -> bytes:
+        """Bytes that have reached the host since the last call."""
+        data = bytes(self._received)
+        self._received.clear()
+        return data
+
+    # --- inputs -----------------------------------------------------------------------------------
+    def set_analog(self, counts: Floats) -> None:
+        """Ideal counts in 1/1024 of the reference, shape (16, 2): at the step's start and end."""
+        self._analog.set_levels(np.ascontiguousarray(counts, dtype=np.float64))
+
+    def set_adc_noise(self, sigma: Floats) -> None:
+        """White noise of a conversion in 1/1024 of the reference, shape (16,)."""
+        self._analog.set_noise(np.ascontiguousarray(sigma, dtype=np.float64))
+
+    def feed_trace(self, rows: npt.NDArray[np.int64]) -> None:
+        """Replace conversions by recorded ones, shape (n, 3): tick, channel, count."""
+        self._analog.feed(rows)
+
+    def set_encoder(self, start: float, end: float) -> None:
+        """Encoder position (x4 counts) at the next step's start and end."""
+        self._encoder = (start, end)
+
+    def set_supply_mv(self, millivolt: int) -> None:
+        """Supply voltage."""
+        self._supply_mv = millivolt
+
+    def set_estop(self, pressed: bool) -> None:
+        """Emergency stop."""
+        self._estop = pressed
+
+    # --- outputs ----------------------------------------------------------------------------------
+    @property
+    def drive(self) -> tuple[int, int]:
+        """Transducer duties, 0..1599."""
+        left, right = self._drive
+        return max(left, 0), max(right, 0)
+
+    @property
+    def drive_enabled(self) -> tuple[bool, bool]:
+        """Whether each transducer's output is connected."""
+        left, right = self._drive
+        return left >= 0, right >= 0
+
+    @property
+    def braked(self) -> bool:
+        """The motor driver brakes while its PWM input is low."""
+        return self.motor == 0
+
+    @property
+    def direction(self) -> int:
+        """1 pays out, -1 winds in."""
+        return self._direction
+
+    @property
+    def running(self) -> bool:
+        """Whether the controller runs."""
+        return self._running
+
+    @property
+    def powered(self) -> bool:
+        """False after a power cut, until `reset`."""
+        return self._powered
+
+    # --- faults and the store ---------------------------------------------------------------------
+    @property
+    def eeprom(self) -> bytes:
+        """The core's store: STORE_SIZE bytes."""
+        return self._keep() if self._process is not None else b""
+
+    def cut_power_after(self, n_bytes: int) -> None:
+        """Cut the power once so many more bytes have been written to the flash."""
+        self._tell(b"C" + struct.pack("<I", n_bytes))
+
+    def reset(self, cause: int) -> None:
+        """Restart for a `ResetCause`."""
+        self.power_on(ResetCause(cause))
+
+    def hang(self) -> None:
+        """The controller's loop stops; the watchdog will bite."""
+        self._hung = True
+
+
+def open_micropython(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
+    """Open `micropython://SCENE?seed=N&on=unix|cortex-m3`."""
+    scene, used, options = parse_url(url, seed, on=("unix", "cortex-m3"))
+    on: Processor = "cortex-m3" if options["on"] == "cortex-m3" else "unix"
+    board = MicroPythonBoard(used, on=on)
+    return EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)

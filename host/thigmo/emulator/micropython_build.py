@@ -1,0 +1,65 @@
+"""Builds MicroPython with the controller in it, from firmware/micropython.
+
+The sources come from Debian's packages and the images go to build/micropython, so only a checkout
+(not a bare installation of the Python package) can build them. Nothing is built that is up to date.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+
+from thigmo.errors import PortError
+from thigmo.link.image import ROOT
+
+SOURCES = ROOT / "firmware" / "micropython"
+BUILD = ROOT / "build" / "micropython"
+IMAGES = {
+    "unix": BUILD / "unix" / "micropython",
+    "cortex-m3": BUILD / "cortex-m3" / "firmware.elf",
+}
+_TOOLS = {
+    "unix": ("make", "gcc", "g++", "python3", "apt-get", "tar", "xz"),
+    "cortex-m3": ("arm-none-eabi-g++", "qemu-system-arm"),
+}
+
+
+def missing(kind: str) -> str:
+    """What keeps an image from being built and run here, in words; empty when nothing does."""
+    if not (SOURCES / "Makefile").exists():
+        return "MicroPython with the controller is built in a source checkout only"
+    needed = {*_TOOLS["unix"], *_TOOLS[kind]}
+    absent = sorted(tool for tool in needed if shutil.which(tool) is None)
+    return f"MicroPython for {kind} needs {', '.join(absent)}" if absent else ""
+
+
+@cache
+def image(kind: str) -> Path:
+    """The image of a kind: unix or cortex-m3; PortError if it cannot be built here."""
+    build = f"`make -C firmware/micropython {kind}`"
+    if reason := missing(kind):
+        raise PortError(
+            reason, f"install that, run {build} in a source checkout, or use emulator://"
+        )
+    BUILD.mkdir(parents=True, exist_ok=True)
+    with (BUILD / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = subprocess.run(
+            ["make", "--silent", "-C", str(SOURCES), kind],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+    if done.returncode:
+        lines = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+        problem = next((line for line in lines if "rror" in line), "no message")
+        raise PortError(
+            f"MicroPython for {kind} cannot be built: {problem.strip()}",
+            f"run {build} to see why",
+        )
+    return IMAGES[kind]

@@ -1,0 +1,151 @@
+"""Whatever Python does, outputs go off first: Ctrl-C, Ctrl-D, errors, a full heap, mpremote."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from conftest import Bench  # type: ignore[import-not-found]
+
+from thigmo.emulator.micropython import MicroPythonBoard, Processor
+from thigmo.errors import LinkError, PortError
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+
+Make = Callable[..., Bench]
+ON: list[Processor] = ["unix", "cortex-m3"]
+
+# Programs that never give the interrupt to anybody: only the module can put outputs off.
+SWALLOWS = """import thigmo_board, pins
+try:
+    thigmo_board.run(pins.PINS)
+except BaseException as error:
+    print("swallowed", type(error))
+    while True: pass
+"""
+RAISES = """import thigmo_board, pins
+calls = 0
+def each():
+    global calls
+    calls += 1
+    if calls > 3000: raise ValueError("a lamp that broke")
+thigmo_board.run(pins.PINS, each)
+"""
+FILLS = """import thigmo_board, pins
+calls = 0
+hog = []
+def each():
+    global calls
+    calls += 1
+    while calls > 3000: hog.append(bytearray(5000))
+thigmo_board.run(pins.PINS, each)
+"""
+
+
+@pytest.mark.parametrize("on", ON)
+def test_ctrl_c_puts_outputs_off(bench: Make, on: Processor) -> None:
+    robot = bench(on)
+    robot.press()
+    robot.board.interrupt()
+    robot.until(lambda: not robot.board.running)
+    assert robot.off
+    robot.until(lambda: "KeyboardInterrupt" in robot.board.console())
+
+
+def test_outputs_are_off_though_the_program_swallows_ctrl_c(bench: Make) -> None:
+    robot = bench(program=SWALLOWS)
+    robot.press()
+    robot.board.interrupt()
+    robot.until(lambda: "swallowed" in robot.board.console())
+    robot.transport.pass_time(0.01)
+    assert robot.off
+    assert not robot.board.running
+
+
+@pytest.mark.parametrize(
+    ("program", "error"), [(RAISES, "ValueError: a lamp that broke"), (FILLS, "MemoryError")]
+)
+def test_an_error_beside_the_controller_puts_outputs_off(
+    bench: Make, program: str, error: str
+) -> None:
+    robot = bench(program=program)
+    robot.press()
+    robot.until(lambda: error in robot.board.console())
+    robot.transport.pass_time(0.01)
+    assert robot.off
+    assert not robot.board.running
+
+
+def test_a_program_that_has_ended_is_a_silent_board(bench: Make) -> None:
+    robot = bench()
+    robot.press()
+    robot.board.interrupt()
+    robot.until(lambda: not robot.board.running)
+    with pytest.raises(LinkError):
+        robot.client.request(wire.GetStatus())
+
+
+def test_mpremote_that_comes_in_finds_outputs_off_and_a_raw_prompt(bench: Make) -> None:
+    robot = bench("cortex-m3")
+    robot.press()
+    robot.board.type(b"\r\x03\x03")  # as mpremote enters the raw prompt
+    robot.until(lambda: not robot.board.running)
+    assert robot.off
+    robot.board.type(b"\r\x01")
+    robot.until(lambda: "raw REPL; CTRL-B to exit" in robot.board.console())
+    robot.board.type(b"print(6 * 7)\x04")
+    robot.until(lambda: "OK42" in robot.board.console())
+    assert robot.off
+
+
+def test_after_a_soft_reset_the_program_begins_again_and_a_stop_stays(bench: Make) -> None:
+    robot = bench("cortex-m3")
+    robot.press()
+    robot.client.stop()
+    stop_nonce = robot.client.request(wire.GetStatus()).stop_nonce
+    assert stop_nonce
+    robot.board.interrupt()
+    robot.until(lambda: not robot.board.running)
+    robot.board.type(b"\x04")  # Ctrl-D
+    robot.until(lambda: "soft reboot" in robot.board.console())
+    robot.board.type(b"import main\r")
+    robot.until(lambda: robot.board.running)
+    assert robot.board.boots == 2
+    client = Client(robot.transport)
+    assert client.hello.reset_cause is wire.ResetCause.EXTERNAL
+    status = client.request(wire.GetStatus())
+    assert status.stop_nonce == stop_nonce
+    assert robot.off
+
+
+@pytest.mark.parametrize("on", ON)
+def test_bytes_of_the_link_are_no_keys_at_the_prompt(bench: Make, on: Processor) -> None:
+    robot = bench(on)
+    robot.press()
+    before = robot.board.console()
+    robot.transport.write(b"\x03\x04\x01\x02\x03\r" * 40)
+    robot.robot.wait(0.5)
+    assert robot.board.running
+    assert robot.board.console() == before
+    assert robot.board.drive_enabled == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("edit", "complaint"),
+    [
+        ("pins.PINS['estop'] = 0", "'estop' and 'link_tx' share pin 0"),
+        ("pins.PINS['estop'] = 30", "pin 'estop' is not 0 to 29"),
+        ("del pins.PINS['estop']", "pins lacks 'estop'"),
+        ("pins.PINS['lamp'] = 22", "pins has a name that the board does not know"),
+        ("pins.PINS = 7", "pins is a dictionary"),
+    ],
+)
+def test_a_wrong_pin_map_starts_nothing_and_says_why(
+    bench: Make, edit: str, complaint: str
+) -> None:
+    bench()
+    board = MicroPythonBoard(5, program=f"import pins\n{edit}\nimport main")
+    with pytest.raises(PortError, match=complaint):
+        board.step(900)
+    assert board.drive_enabled == (False, False)
+    assert not board.running

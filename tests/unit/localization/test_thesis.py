@@ -1,0 +1,79 @@
+"""The thesis's fit as a method of `localize`: its numbers, and that nobody takes them for sure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import thigmo
+from thigmo.errors import DataError
+from thigmo.localization import thesis
+
+X = np.tile([5.0, 15.0, 25.0, 35.0, 45.0], 2)
+
+
+def pressed(arc: float, moment: float = 0.009) -> np.ndarray:
+    return np.asarray(moment / arc * np.clip(arc - X, 0.0, None))
+
+
+@pytest.mark.parametrize("arc", [39.75, 45.0])
+def test_it_finds_a_clean_contact_and_claims_nothing(arc: float) -> None:
+    found = thigmo.localize(pressed(arc), X, length=53, span=5.5, method="thesis")
+    (contact,) = found.contacts
+    assert contact.arc == pytest.approx(arc, abs=1.5)
+    assert contact.force == pytest.approx(0.009 / arc, rel=0.1)
+    assert found.status == contact.status == "point estimate"
+    assert contact.interval == (0.0, 53.0)
+    assert math.isnan(contact.probability)
+    assert "no interval" in repr(found)
+    assert "no interval" in found._repr_html_()
+    assert found.bend[0, 1] == pytest.approx(contact.force * contact.arc)
+    found.plot()
+
+
+def test_several_contacts_are_those_of_the_solver() -> None:
+    y = pressed(53.0, 0.012) - pressed(20.0, 0.008)
+    found = thigmo.localize(y, X, length=53, span=5.5, contacts=2, method="thesis")
+    arcs, forces = thesis.alternating(thesis.Problem(y, X, np.full(10, 5.5), 53.0, 2))
+    assert [contact.arc for contact in found.contacts] == arcs.tolist()
+    assert [contact.force for contact in found.contacts] == forces.tolist()
+
+
+def test_a_folded_base_is_coupled_where_the_critical_curvature_is_given() -> None:
+    y = pressed(30.0, 0.01108) + 0.02 * (X < 6)  # the fold lies under the base sensors
+    plain = thigmo.localize(y, X, length=53, method="thesis").contacts[0]
+    coupled = thigmo.localize(
+        y, X, length=53, method="thesis", critical_curvature=0.01108
+    ).contacts[0]
+    assert abs(coupled.arc - 30.0) < 0.5 * abs(plain.arc - 30.0)
+    assert coupled.force * coupled.arc == pytest.approx(0.01108)
+
+
+def test_missing_readings_are_left_out() -> None:
+    y = pressed(39.75)
+    y[3] = math.nan
+    rest = np.isfinite(y)
+    found = thigmo.localize(y, X, length=53, span=5.5, method="thesis")
+    without = thigmo.localize(y[rest], X[rest], length=53, span=5.5, method="thesis")
+    assert found.contacts[0].arc == without.contacts[0].arc
+
+
+def test_what_it_cannot_do_is_said() -> None:
+    with pytest.raises(DataError, match="0 contacts"):
+        thigmo.localize(pressed(30.0), X, length=53, contacts=0, method="thesis")
+    with pytest.raises(DataError, match="unknown method 'thesis'"):
+        thigmo.localize_batch(pressed(30.0)[None], X, length=53, method="thesis")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="a reading is infinite"):
+        thigmo.localize(np.full(10, np.inf), X, length=53, method="thesis")
+
+
+@pytest.mark.parametrize("method", ["l1", "l2"])
+def test_point_fits_claim_nothing_either(method: str) -> None:
+    found = thigmo.localize(pressed(30.0), X, length=53, span=5.5, method=method)
+    assert found.status == "point estimate"
+    assert found.contacts[0].interval == (0.0, 53.0)
+    batch = thigmo.localize_batch(pressed(30.0)[None], X, length=53, span=5.5, method=method)
+    assert batch.status == ["point estimate"]
+    assert not batch.localized.any()
