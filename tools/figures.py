@@ -267,6 +267,14 @@ def _budgets(found: dict[str, Any]) -> list[Row]:
     ]
 
 
+def _boards(found: dict[str, Any]) -> list[Row]:
+    return [
+        (f"{board}: {column}", value, "")
+        for board, row in found.items()
+        for column, value in row.items()
+    ]
+
+
 def _number(value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or "unbounded"
@@ -325,6 +333,7 @@ SOURCES: dict[str, Source] = {
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
     "soak": Source((".venv/bin/python", "tools/soak.py", "--json"), _budgets, {}),
+    "boards": Source((".venv/bin/python", "tools/boards.py", "--json"), _boards, {}),
 }
 
 

@@ -192,7 +192,7 @@ def power() -> schemdraw.Drawing:
     _rail(d, (12.4, y), "+24 V AIR")
     _text(d, (13.4, y + 0.2), "J10.1, J11.1: transducers")
     _text(d, (13.4, y - 0.4), "J12.1, J13.1, J14.1: valves")
-    _text(d, (3.2, y - 0.9), "S1 is drawn released; pressed, both contacts open")
+    _text(d, (3.2, y - 0.9), "S1 is drawn released; pressed, all contacts open")
 
     y = -5.2
     _rail(d, (3.0, y + 0.6), "5 V of the Mega")
@@ -209,13 +209,14 @@ def power() -> schemdraw.Drawing:
     y = -9.2
     _tag(d, (3.0, y), "PS2 12 V, J3.1")
     _part(d, elm.Fuse, (3.0, y), (6.4, y), "F2 3 A slow")
-    _wire(d, (6.4, y), (9.6, y))
+    _wire(d, (6.4, y), (8.6, y))
+    _part(d, elm.Switch, (8.6, y), (10.6, y), "K1, K2")
+    _wire(d, (10.6, y), (11.4, y))
     _part(d, elm.Capacitor2, (7.4, y), (7.4, y - 1.1), "C41 1000 µF 35 V")
     _dot(d, (7.4, y))
     _ground(d, (7.4, y - 1.1))
     _box(d, (11.4, y - 3.7), (4.6, 4.7), "")
     _text(d, (13.7, y + 0.6), "A2 MD10C", "center")
-    _wire(d, (9.6, y), (11.4, y))
     for name, at in (("POWER +", y), ("POWER -", y - 0.7)):
         _text(d, (11.6, at), name)
     _wire(d, (11.4, y - 0.7), (10.6, y - 0.7))
@@ -238,10 +239,81 @@ def power() -> schemdraw.Drawing:
     y = -14.4
     for row, line in enumerate((
         "Star ground: PS1 -, PS2 -, A2 POWER - and Mega GND meet at one screw, beside A2.",
-        "J2 and J3 are of different kinds: 24 V must not fit the motor. The emergency stop",
-        "leaves the motor its supply: a bridge without power does not brake.",
+        "J2 and J3 are of different kinds: 24 V must not fit the motor. S1C, K1 and K2 are in",
+        "the drawing of the brake. A robot without them: from F2 to POWER + directly.",
     )):  # fmt: skip
         _text(d, (0.0, y - 0.6 * row), line)
+    return d
+
+
+def brake() -> schemdraw.Drawing:
+    """Contacts in the motor's supply, and the brake behind them."""
+    d = _sheet("MOTOR'S CONTACTS AND BRAKE. Drawn without current: contacts open, brake closed")
+    y = -2.6
+    _tag(d, (3.0, y), "from F2, 12 V")
+    _wire(d, (3.0, y), (5.0, y))
+    _part(d, elm.Switch, (5.0, y), (8.4, y), "K1")
+    _part(d, elm.Switch, (8.4, y), (11.8, y), "K2")
+    _wire(d, (11.8, y), (17.6, y))
+    _text(d, (17.8, y + 0.2), "+12 V MOTOR, to A2 POWER +")
+    _text(d, (17.8, y - 0.4), "and BR1 (J16.1)")
+    _part(d, elm.Resistor, (13.0, y), (13.0, y - 2.2), "R44 150R 2 W", "bottom")
+    _ground(d, (13.0, y - 2.2))
+    _part(d, elm.Resistor, (16.2, y), (16.2, y - 2.0), "R45 10k", "bottom")
+    _part(d, elm.Resistor, (16.2, y - 2.0), (16.2, y - 4.0), "R46 4.7k", "bottom")
+    _ground(d, (16.2, y - 4.0))
+    _wire(d, (16.2, y - 2.0), (18.4, y - 2.0))
+    d.add(elm.Tag(width=2.4).right().at((18.4, y - 2.0)).label("Mega 27"))
+    _dot(d, (4.0, y), (13.0, y), (16.2, y), (16.2, y - 2.0))
+
+    top, low = y - 1.6, y - 4.6
+    _wire(d, (4.0, y), (4.0, top), (4.6, top))
+    _part(d, _Stop, (4.6, top), (7.8, top), "S1C, J15.5-6")
+    _wire(d, (7.8, top), (9.4, top))
+    _part(d, elm.Inductor2, (9.4, top), (9.4, low), "K1 coil", "bottom")
+    _part(d, elm.Diode, (7.8, low), (7.8, low + 1.5), "D40", "top")
+    _part(d, elm.Zener, (7.8, top), (7.8, low + 1.5), "D41 24 V", "top")
+    _wire(d, (7.8, low), (9.4, low))
+    _ground(d, (9.4, low))
+    _dot(d, (7.8, top))
+
+    y = -12.2
+    for x, pin, names, coil, plug, rail in (
+        (0.0, "Mega 28", ("R47", "C44", "D47", "D48", "C42", "R64", "R49", "Q41", "D42", "D43"),
+         "K2 coil", "", "12 V, from F2"),
+        (14.8, "Mega 29", ("R48", "C45", "D49", "D50", "C43", "R65", "R50", "Q51", "D44", "D45"),
+         "BR1", "J16.2", "+12 V MOTOR"),
+    ):  # fmt: skip
+        pull, pump, up, over, hold, leak, gate, fet_name, diode, zener = names
+        d.add(elm.Tag(width=1.8).left().at((x + 1.8, y)).label(pin))
+        _wire(d, (x + 1.8, y), (x + 2.2, y))
+        _part(d, elm.Resistor, (x + 2.2, y), (x + 2.2, y - 2.2), f"{pull} 10k", "bottom")
+        _part(d, elm.Capacitor, (x + 2.2, y), (x + 4.4, y), f"{pump} 220 nF")
+        _part(d, elm.Schottky, (x + 4.4, y - 2.2), (x + 4.4, y), up, "bottom")
+        _part(d, elm.Schottky, (x + 4.4, y), (x + 6.4, y), over)
+        _part(d, elm.Capacitor, (x + 6.4, y), (x + 6.4, y - 2.2), f"{hold} 470 nF", "bottom")
+        _part(d, elm.Resistor, (x + 8.8, y), (x + 8.8, y - 2.2), f"{leak} 47k", "bottom")
+        _wire(d, (x + 6.4, y), (x + 8.8, y))
+        _part(d, elm.Resistor, (x + 8.8, y), (x + 10.6, y), f"{gate} 1k")
+        for at in (2.2, 4.4, 6.4, 8.8):
+            _ground(d, (x + at, y - 2.2))
+        _dot(d, (x + 2.2, y), (x + 4.4, y), (x + 6.4, y), (x + 8.8, y))
+        drain = (x + 12.0, y + 0.75)
+        fet = d.add(elm.NFet().theta(0).reverse().at(drain))
+        _wire(d, (x + 10.6, y), (fet.gate.x, fet.gate.y))
+        _text(d, (drain[0] + 0.3, y), fet_name)
+        _ground(d, (fet.source.x, fet.source.y))
+        low, high = y + 1.2, y + 4.0
+        _wire(d, drain, (drain[0], low))
+        _part(d, elm.Inductor2, (drain[0], low), (drain[0], high), coil, "bottom")
+        _part(d, elm.Diode, (drain[0] - 1.6, low), (drain[0] - 1.6, low + 1.4), diode, "top")
+        _part(d, elm.Zener, (drain[0] - 1.6, high), (drain[0] - 1.6, low + 1.4), f"{zener} 24 V")
+        _wire(d, (drain[0], low), (drain[0] - 1.6, low))
+        _wire(d, (drain[0], high), (drain[0] - 1.6, high))
+        _dot(d, (drain[0], low), (drain[0], high))
+        _rail(d, (drain[0], high), rail)
+        _text(d, (drain[0] + 0.2, low - 0.3), plug)
+    _text(d, (0.0, y - 3.8), "Q41, Q51 IRLZ44N. D40, D42, D44 1N4007. D47 to D50 BAT85.")
     return d
 
 
@@ -296,6 +368,8 @@ def sensors() -> schemdraw.Drawing:
         _text(d, (18.0, at + 0.2), name)
         _text(d, (21.8, at), where)
     _text(d, (14.0, y - 3.0), "A leads B while paying out; pull-ups are in the Mega")
+    _text(d, (14.0, y - 3.6), "in A and B, at the Mega: R71, R72 1k, C71, C72 1 nF to GND,")
+    _text(d, (14.0, y - 4.2), "then two inverters each of U2 (74HC14)")
     _text(d, (0.2, -11.0), "A12 is spare: R63 100k to GND")
     return d
 
@@ -363,6 +437,7 @@ DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "power": power,
     "current-stage": current_stage,
     "enable": enable,
+    "brake": brake,
     "sensors": sensors,
     "air": air,
 }

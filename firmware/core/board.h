@@ -88,6 +88,14 @@ struct StopLatch {
 // allows for it (config/configuration.h).
 constexpr uint16_t kWatchdogMs = 250;
 
+// What the board holds on for as long as its program runs.
+struct Enables {
+  bool muscles;  // air
+  bool body;
+  bool motor;  // the contact in the motor's supply
+  bool brake;  // the brake's coil: released
+};
+
 // Bytes of EEPROM that the core uses, from address 0: boot counter and two configuration slots.
 // (config/store.h lays them out; a binding may use what lies beyond.)
 constexpr uint16_t kEepromUsed = 2048;
@@ -122,15 +130,16 @@ class BoardPolicy {
   // at least one control period (5 ms) before the sign changes; set DIR then.
   void motor(int16_t duty);
   void brake();  // PWM 0, driver braking
-  // Once a tick: which air enables are wanted. A binding toggles a wanted enable's pin and leaves
-  // the other alone, so that a program that stops, stops the air (docs/hardware/electronics.md).
-  void air(bool muscles, bool body);
+  // Once a tick: which enables are wanted. A binding toggles a wanted enable's pin and leaves the
+  // others alone, so that a program that stops, stops air and motor (docs/hardware/electronics.md).
+  void enable(Enables wanted);
 
   // --- inputs ------------------------------------------------------------------------------------
   int32_t encoder_count();    // x4 counts since start, positive = paying out; wraps
   uint16_t encoder_errors();  // illegal transitions since start: edges lost, or noise; wraps
   uint16_t supply_mv();  // latest measurement, against a reference of 1.1 V; 10 Hz or so suffice
   bool estop();          // true = pressed (or its wire broken); not debounced
+  bool motor_power();    // true = the motor's driver has its supply, behind all contacts
 
   // --- UART --------------------------------------------------------------------------------------
   // How many received bytes lie at `first`, the oldest of them; more may wait elsewhere. They stay

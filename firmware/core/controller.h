@@ -51,6 +51,7 @@ struct Inputs {
   uint16_t supply_mv;
   uint16_t rx_overruns;
   bool estop;
+  bool motor_power;
 };
 
 struct Outputs {
@@ -124,6 +125,7 @@ class Controller {
   uint16_t faults() const { return faults_.latched(); }
   int32_t length_um() const { return length_um_; }
   bool body_air() const { return body_air_; }
+  Enables enables() const;
   StopLatch stop_latch() const { return stop_; }
 
  private:
@@ -155,6 +157,14 @@ class Controller {
   static constexpr int16_t kTestDriveMost = 400;  // 5 mA: 5.6 psi of a 2..60 psi transducer
   static constexpr int16_t kTestMotorMost = kMotorFull / 4;
   static constexpr uint16_t kTestMostMs = 500;
+  // At arming the motor pulls at the closed brake with twice what a body can pull, and some.
+  static constexpr int32_t kProofN = 20;
+  static constexpr uint16_t kProofMs = 400;
+  static constexpr int32_t kProofUm = 1000;  // the tip may go so far
+  // A contact and what it feeds follow their enable within this.
+  static constexpr uint16_t kPowerMs = 300;
+  // The emergency stop's own contact cuts the motor's supply: the enable waits for so long, to see.
+  static constexpr uint16_t kStopProofMs = 100;
 
   bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
   uint32_t t_us() const { return tick_ * 1000u + frame_us_; }
@@ -177,8 +187,20 @@ class Controller {
   bool testing(protocol::Output output) const {
     return activity_ == Activity::kTesting && test_.output == output;
   }
+  // A transducer's current, its muscle's valve held or not.
+  bool testing(uint8_t side) const {
+    return testing(static_cast<protocol::Output>(side)) || (testing_vent() && vent_side() == side);
+  }
+  bool testing_vent() const {
+    return testing(protocol::Output::kLeftVent) || testing(protocol::Output::kRightVent);
+  }
+  uint8_t vent_side() const { return test_.output == protocol::Output::kRightVent ? 1 : 0; }
   void spool_step();
   void watch_motion(int16_t duty);
+  void watch_power();
+  bool brake_fitted() const { return config_.get(Param::kBrakeFitted) != 0; }
+  bool power_wanted() const;
+  void prove_brake();
   void stall(protocol::StallCause cause);
   uint16_t follow_length();
   void body_step();
@@ -253,6 +275,9 @@ class Controller {
   uint32_t zeroing_tick_ = 0;
   protocol::TestOutput test_ = {};
   uint32_t test_tick_ = 0;
+  uint32_t power_tick_ = 0;  // when the motor's supply was last switched
+  uint32_t stop_tick_ = 0;   // when the emergency stop was pressed
+  int32_t proof_count_ = 0;
   StopLatch stop_;
   int32_t encoder_ = 0;
   int32_t zero_count_ = 0;   // encoder at everted length 0
@@ -294,6 +319,11 @@ class Controller {
   bool config_valid_ = false;
   bool estop_ = false;
   bool slipping_ = false;
+  bool motor_power_ = false;
+  bool power_was_wanted_ = false;
+  bool power_wrong_ = false;  // there where it must not be, or missing
+  bool proving_ = false;      // the brake
+  bool proving_stop_ = false;
   bool averaging_ = false;
   bool telemetry_due_ = false;
   bool body_air_ = false;

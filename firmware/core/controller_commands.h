@@ -27,8 +27,22 @@ inline void Controller::greet(bool same_host) {
 inline Outcome Controller::arm() {
   const Outcome allowed = permit(Permit::kArm);
   if (allowed.reason != Reason::kNone) return allowed;
+  const bool was_safe = state_ == State::kSafe;
   supervise(bit(Signal::kArm));
+  if (was_safe && state_ == State::kReady && brake_fitted()) prove_brake();
   return kAccepted;
+}
+
+// The motor pays out against the closed brake. What it cannot turn now, the body cannot later.
+inline void Controller::prove_brake() {
+  const int32_t push = kProofN * kMotorFull / config_.get(Param::kMotorStallN);
+  const int32_t duty = config_.get(Param::kSpoolDeadZone) + push;
+  test_ = {protocol::Output::kMotor, static_cast<int16_t>(lesser<int32_t>(duty, derived_.top_duty)),
+           kProofMs};
+  test_tick_ = tick_;
+  proof_count_ = encoder_;
+  proving_ = true;
+  start(Activity::kTesting);
 }
 
 inline Outcome Controller::vent() {
@@ -208,7 +222,9 @@ inline Outcome Controller::test_output(const protocol::TestOutput& wanted) {
   const int16_t most = motor ? kTestMotorMost : kTestDriveMost;
   if (magnitude(static_cast<int32_t>(wanted.level)) > most) return {Reason::kOverLimit, most};
   if (wanted.duration_ms > kTestMostMs) return {Reason::kOverLimit, kTestMostMs};
-  if (activity_ == Activity::kTesting && wanted.output != test_.output) return {Reason::kBusy, 0};
+  if (activity_ == Activity::kTesting && (proving_ || wanted.output != test_.output)) {
+    return {Reason::kBusy, 0};
+  }
   test_ = wanted;
   test_tick_ = tick_;
   if (activity_ == Activity::kIdle) start(Activity::kTesting);

@@ -27,6 +27,11 @@ inline void Controller::sense(const Inputs& in) {
     scale_supply();
   }
   rx_overruns_ = in.rx_overruns;
+  motor_power_ = in.motor_power;
+  if (in.estop && !estop_ && brake_fitted() && power_wanted()) {
+    stop_tick_ = tick_;
+    proving_stop_ = true;
+  }
   estop_ = in.estop;
   const bool odd = (in.frame->tick & 1) != 0;
   const uint16_t* count = in.frame->count;
@@ -64,6 +69,7 @@ THIGMO_NOINLINE inline void Controller::decide() {
     post(protocol::EventCode::kPeak, peak_side_, kPeakReadings);
   }
   if (estop_) raise(Fault::kEstop, 0);
+  watch_power();
   supervise(0);
   uint16_t period = static_cast<uint16_t>(config_.get(Param::kTelemetryMs));
   if (winding() && (period == 0 || period > kWindingTelemetryMs)) period = kWindingTelemetryMs;
@@ -130,9 +136,7 @@ __attribute__((always_inline)) inline void Controller::pressure_step(uint8_t sid
                        static_cast<int16_t>(config_.get(Param::kReversalCpsi, side)),
                        derived_.reversal_inverse_q24[side]);
   // Under test the output is what the host says, and the loop stands by.
-  const int16_t duty = testing(static_cast<protocol::Output>(side))
-                           ? test_.level
-                           : loop_[side].step(measured, config_, derived_);
+  const int16_t duty = testing(side) ? test_.level : loop_[side].step(measured, config_, derived_);
   outputs_.drive[side] = may_energise(state_) ? duty : PressureLoop::kOff;
 
   const bool over = measured > config_.get(Param::kOverPressureCpsi) && !sensor.wire_doubtful();
@@ -176,7 +180,15 @@ inline void Controller::spool_step() {
 // Before the next duty is known, of the one since the last step. A driver under test is watched by
 // whoever tests it.
 inline void Controller::watch_motion(int16_t duty) {
-  if (activity_ == Activity::kTesting) return motion_.restart(encoder_);
+  if (activity_ == Activity::kTesting) {
+    motion_.restart(encoder_);
+    if (proving_ && magnitude(encoder_ - proof_count_) > derived_.counts(kProofUm)) {
+      outputs_.motor = 0;
+      length_known_ = false;
+      raise(Fault::kSpoolSlip, static_cast<uint8_t>(protocol::SlipCause::kBrake));
+    }
+    return;
+  }
   const bool growing = activity_ == Activity::kGrowing;
   motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing, config_, derived_);
   if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
@@ -185,6 +197,40 @@ inline void Controller::watch_motion(int16_t duty) {
   if (jumps > kJumps && jumps > magnitude(encoder_ - moved_from_) >> 5) {
     stall(protocol::StallCause::kJumps);
   }
+}
+
+// The motor has its supply while it moves by command, and else none: what its driver does then does
+// not matter, and the brake holds. A robot without contacts and brake has no use for the enable.
+inline bool Controller::power_wanted() const {
+  return may_energise(state_) && (winding() || testing(protocol::Output::kMotor));
+}
+
+inline Enables Controller::enables() const {
+  const bool armed = may_energise(state_);
+  const bool power = power_wanted();
+  return {armed && !testing_vent(), armed && body_air_, power || proving_stop_, power && !proving_};
+}
+
+// Whether the contacts do what they are told, and the emergency stop's what it must.
+inline void Controller::watch_power() {
+  if (!brake_fitted()) return;
+  if (proving_stop_ && tick_ - stop_tick_ >= kStopProofMs) {
+    proving_stop_ = false;
+    power_tick_ = tick_;
+    if (estop_ && motor_power_) {
+      raise(Fault::kSpoolSlip, static_cast<uint8_t>(protocol::SlipCause::kStop));
+    }
+  }
+  const bool wanted = power_wanted();
+  if (wanted != power_was_wanted_) {
+    power_was_wanted_ = wanted;
+    power_tick_ = tick_;
+  }
+  if (tick_ - power_tick_ < kPowerMs) return;
+  power_wrong_ = motor_power_ != wanted;
+  if (!power_wrong_) return;
+  raise(Fault::kSpoolSlip, static_cast<uint8_t>(wanted ? protocol::SlipCause::kUnpowered
+                                                       : protocol::SlipCause::kSupply));
 }
 
 // The supervisor ends the activity.
@@ -469,7 +515,7 @@ inline uint16_t Controller::causes() const {
   put(Fault::kPressureStuck, stuck);
   put(Fault::kFlexOpen, open);
   put(Fault::kFlexShort, shorted);
-  put(Fault::kSpoolSlip, slipping_);
+  put(Fault::kSpoolSlip, slipping_ || power_wrong_);
   put(Fault::kBrownOut, !is(Condition::kSupplyGood));
   put(Fault::kBadConfig, !config_valid_);
   put(Fault::kEstop, estop_);
@@ -499,7 +545,7 @@ inline void Controller::watch_faults() {
     if (flex_.shorted(i)) raise(Fault::kFlexShort, i);
   }
   if (slipping_) {
-    raise(Fault::kSpoolSlip, length_um_);
+    raise(Fault::kSpoolSlip, static_cast<uint8_t>(protocol::SlipCause::kTurned));
     length_known_ = false;
   }
   if (!is(Condition::kSupplyGood)) raise(Fault::kBrownOut, supply_mv_);
@@ -541,6 +587,7 @@ inline void Controller::make_safe(Reason reason) {
   }
   outputs_.motor = 0;
   body_air_ = false;
+  proving_ = false;
   averaging_ = false;
   zeroing_next_ = 0;
   snapshots_.cancel_peak();
@@ -551,9 +598,10 @@ inline void Controller::make_safe(Reason reason) {
 
 inline void Controller::end_test() {
   for (uint8_t side = 0; side < kSides; ++side) {
-    if (testing(static_cast<protocol::Output>(side))) outputs_.drive[side] = PressureLoop::kOff;
+    if (testing(side)) outputs_.drive[side] = PressureLoop::kOff;
   }
   outputs_.motor = 0;
+  proving_ = false;
   finish_activity(protocol::EventCode::kActivityDone, length_um_);
 }
 

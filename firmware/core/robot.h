@@ -84,7 +84,8 @@ class Robot {
                        board_.encoder_errors(),
                        board_.supply_mv(),
                        board_.rx_overruns(),
-                       board_.estop()};
+                       board_.estop(),
+                       board_.motor_power()};
     commands_.timing().rx_overruns = in.rx_overruns;
     board_.task(static_cast<uint8_t>(Task::kSense));
     controller_.sense(in);
@@ -94,7 +95,7 @@ class Robot {
     controller_.decide();
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     write_outputs();
-    board_.air(may_energise(controller_.state()), controller_.body_air());
+    board_.enable(controller_.enables());
     board_.task(static_cast<uint8_t>(Task::kTelemetry));
     if (controller_.telemetry_due()) {
       protocol::Telemetry telemetry;

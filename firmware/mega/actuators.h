@@ -1,4 +1,4 @@
-// Transducers (timer 5, 10 kHz, 1600 steps), motor (timer 4, 20 kHz, 800 steps), air enables.
+// Transducers (timer 5, 10 kHz, 1600 steps), motor (timer 4, 20 kHz, 800 steps), enables.
 //
 // Fast PWM holds its pin high for OCR + 1 cycles, so even OCR = 0 gives a spike each period. A true
 // zero therefore disconnects the compare output and leaves the port bit, always low, on the pin.
@@ -66,8 +66,10 @@ class Actuators {
 
   // Writing a one to PIN toggles the port bit (data sheet 13.2.2). Program, not timer: what a timer
   // toggles goes on when the program hangs.
-  static void air(bool muscles, bool body) {
-    PINA = static_cast<uint8_t>((muscles ? kMuscleAir : 0) | (body ? kBodyAir : 0));
+  static void enable(Enables wanted) {
+    PINA =
+        static_cast<uint8_t>((wanted.muscles ? kMuscleAir : 0) | (wanted.body ? kBodyAir : 0) |
+                             (wanted.motor ? kMotorEnable : 0) | (wanted.brake ? kBrakeEnable : 0));
   }
 
   static void brake() {

@@ -69,11 +69,12 @@ class MegaBoard {
   static void drive_off(uint8_t side) { Actuators::drive_off(side); }
   static void motor(int16_t duty) { Actuators::motor(duty); }
   static void brake() { Actuators::brake(); }
-  static void air(bool muscles, bool body) { Actuators::air(muscles, body); }
+  static void enable(Enables wanted) { Actuators::enable(wanted); }
 
   static int32_t encoder_count() { return Encoder::count(); }
   static uint16_t encoder_errors() { return Encoder::errors(); }
   static bool estop() { return (PINA & kEstop) != 0; }
+  static bool motor_power() { return (PINA & kMotorPower) != 0; }
   // From the bandgap against AVcc: 1.1 V, +-10 % from chip to chip (data sheet 31.7); the core
   // scales it by what this chip's was found to be.
   static uint16_t supply_mv() {

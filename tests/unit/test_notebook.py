@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -210,3 +212,16 @@ def test_a_run_draws_its_map_on_the_axes_given(run: thigmo.ExplorationResult) ->
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(thigmo.ThigmoError, match="give a run folder"):
         thigmo.open_run(tmp_path)
+
+
+@pytest.mark.parametrize("method", ["posterior", "l1", "thesis"])
+def test_a_result_survives_pickle_and_is_plain_data(method: str) -> None:
+    felt = thigmo.localize(TOUCHED, X, length=53, span=5.5, method=method)
+    again = pickle.loads(pickle.dumps(felt))
+    assert repr(again) == repr(felt)
+    assert again.edges.tolist() == felt.edges.tolist()
+    assert again.probability.tolist() == felt.probability.tolist()
+    assert again.bend.tolist() == felt.bend.tolist()
+    plain = json.loads(json.dumps(felt.to_dict()))
+    assert plain["contacts"][0]["arc"] == felt.contacts[0].arc
+    assert plain["status"] == felt.status

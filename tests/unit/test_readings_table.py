@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from thigmo.errors import DataError
-from thigmo.record import read_readings
+from thigmo.record import read_frames, read_readings
 
 
 def _write(path: Path, text: str) -> Path:
@@ -33,16 +35,15 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("position,curvature\n", "no rows"),
         ("position,bend\n5,0.01\n", "no column `curvature`"),
         ("5,0.01\n15,0.01\n", "no column `position`"),
-        ("position,curvature\n5,nan\n", "line 2: curvature is nan"),
+        ("position,curvature\nnan,0.01\n", "line 2: position is nan"),
         ("position,curvature\n5,0.01\n15,inf\n", "line 3: curvature is inf"),
         ("position,curvature\n5,wide\n", "line 2: curvature is 'wide'"),
         ("position,curvature\n5\n", "line 2: 1 cells for 2 columns"),
-        ("position;curvature\n5;0,01\n", "by semicolons"),
-        ("position\tcurvature\n5\t0.01\n", "by tabs"),
+        ("position;curvature\n5;0,01,2\n", "'0,01,2', not a number"),
         ('position,curvature\n5,"0,01"\n', "points in numbers, not commas"),
         ("position,curvature\n5,0,01\n", "decimal commas?"),
         ("position,curvature\n5,\n15,\n", "`curvature` is empty"),
-        ("position,curvature\n5,0.01\n15,\n", "line 3: curvature is nan"),
+        ("position,curvature\n5,0.01\n,0.02\n", "line 3: position is nan"),
         ("position,curvature\n" + "5,0.01\n" * 3000, "more than 2000 rows"),
         ("position,Position,curvature\n5,5,0.01\n", "'position' appears twice"),
         ("position|curvature\n5|0.01\n", "by bars"),
@@ -84,3 +85,41 @@ def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
             read_readings(tmp_path / "b.csv")
     with pytest.raises(DataError, match="cannot read"):
         read_readings(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "position;curvature;span\n5;0,0104;5,5\n15;0.0083;5,5\n",
+        "# of a spreadsheet\n\nposition\tcurvature\tspan\n5\t0,0104\t5.5\n15\t0,0083\t5,5\n",
+    ],
+)
+def test_semicolons_tabs_and_decimal_commas_are_read(tmp_path: Path, text: str) -> None:
+    table = read_readings(_write(tmp_path, text))
+    assert table.position.tolist() == [5.0, 15.0]
+    assert table.curvature.tolist() == [0.0104, 0.0083]
+    assert table.span is not None
+    assert table.span.tolist() == [5.5, 5.5]
+    assert table.lines[-1] == text.count("\n")
+
+
+def test_a_sensor_that_was_not_read_is_nan(tmp_path: Path) -> None:
+    table = read_readings(_write(tmp_path, "position,curvature\n5,0.01\n15,\n25,nan\n"))
+    assert np.isnan(table.curvature).tolist() == [False, True, True]
+
+
+def test_the_standard_input_is_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("position,curvature\n5,0.01\n15,0.02\n"))
+    assert read_readings("-").curvature.tolist() == [0.01, 0.02]
+
+
+def test_frames_stand_in_rows(tmp_path: Path) -> None:
+    file = _write(tmp_path, "t_s;K0;k1;note\n0,5;0,01;0,02;a\n1;0,03;;b\n")
+    frames = read_frames(file, {"k1": 15.0, "K0": 5.0})
+    assert frames.position.tolist() == [15.0, 5.0]
+    assert frames.time_s is not None
+    assert frames.time_s.tolist() == [0.5, 1.0]
+    assert np.isnan(frames.curvature[1, 0])
+    assert frames.curvature[:, 1].tolist() == [0.01, 0.03]
+    with pytest.raises(DataError, match="no column `k2`"):
+        read_frames(file, {"k2": 25.0})

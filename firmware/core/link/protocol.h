@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x7C7BEAD7u;
+constexpr uint32_t kSchemaHash = 0x088C3BEEu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -56,8 +56,11 @@ enum class Output : uint8_t {
   kLeftTransducer = 0,   // Current of the left transducer, 20 mA/1599.
   kRightTransducer = 1,  // Current of the right transducer, 20 mA/1599.
   kMotor = 2,            // Duty of the spool motor, 1/800 of full, positive pays out.
+  kLeftVent =
+      3,  // Current of the left transducer, while the muscles' enable is off: Y1 must empty it.
+  kRightVent = 4,  // The same on the right: Y2.
 };
-constexpr uint8_t kOutputCount = 3;
+constexpr uint8_t kOutputCount = 5;
 
 // A muscle and its column of sensors.
 enum class Side : uint8_t {
@@ -185,6 +188,18 @@ enum class StallCause : uint8_t {
   kEverted = 3,  // Two sensors have passed the tip before the encoder has come so far.
 };
 constexpr uint8_t kStallCauseCount = 4;
+
+// By what a spool_slip was noticed (value of its event).
+enum class SlipCause : uint8_t {
+  kTurned = 0,  // The spool turned without a command.
+  kBrake = 1,   // The brake did not hold the motor's proof at arming: it is worn, released by hand,
+                // or stuck open.
+  kSupply = 2,  // The motor has its supply where it must not: K2's contact is stuck, or its enable.
+  kUnpowered = 3,  // The motor has no supply where it must have it: check 12 V, F2, the emergency
+                   // stop's contact S1C, K1 and K2.
+  kStop = 4,  // The emergency stop did not cut the motor's supply: K1's contact is stuck, or S1C.
+};
+constexpr uint8_t kSlipCauseCount = 5;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
@@ -412,8 +427,8 @@ struct GetStatus {
   }
 };
 
-// Leave safe for ready. Refused while a fault is latched, the configuration is bad or no heartbeat
-// arrives.
+// Leave safe for ready. With a brake, the motor then pulls at it for 0.4 s (activity testing).
+// Refused while a fault is latched, the configuration is bad or no heartbeat arrives.
 struct Arm {
   static constexpr uint8_t kId = kArm;
   static constexpr uint8_t kSize = 0;
@@ -1443,17 +1458,21 @@ enum class Param : uint16_t {
   kTouchNSM = 90,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
                    // root of its stiffness times the mass that the turning motor is to the line.
                    // Default: 5 N/mm and 40 kg. (N s/m)
-  kHeartbeatMs = 91,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+  kBrakeFitted =
+      91,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
+           // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
+           // 0: a robot without them; its motor keeps its supply when it is stopped.
+  kHeartbeatMs = 92,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
                       // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 92,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+  kSupplyMinMv = 93,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
                       // that is 10 % off. (mV)
-  kReferenceMv = 93,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+  kReferenceMv = 94,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
                       // supply / supply_mv as the board reports it. (mV)
   kTelemetryMs =
-      94,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+      95,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
 };
-constexpr uint16_t kParamCount = 95;
+constexpr uint16_t kParamCount = 96;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1549,6 +1568,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {5, 2000, 147},              // motor_stall_n
     {5, 2000, 100},              // line_rating_n
     {0, 20000, 450},             // touch_n_s_m
+    {0, 1, 0},                   // brake_fitted
     {50, 10000, 500},            // heartbeat_ms
     {3000, 5500, 4250},          // supply_min_mv
     {950, 1250, 1100},           // reference_mv
@@ -1559,7 +1579,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 55;
+constexpr uint8_t kParamKeys = 56;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {1, 10},  // flex_enabled
     {2, 10},  // flex_center_um
@@ -1612,6 +1632,7 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {53, 1},  // motor_stall_n
     {54, 1},  // line_rating_n
     {55, 1},  // touch_n_s_m
+    {56, 1},  // brake_fitted
     {46, 1},  // heartbeat_ms
     {47, 1},  // supply_min_mv
     {50, 1},  // reference_mv

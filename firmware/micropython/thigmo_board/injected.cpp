@@ -3,13 +3,15 @@
 // Little-endian. From the host:
 //   'I' cause u8, latched u8, nonce u32, adc_bits u8, frame_us u16, flash 8192   power or reset
 //   'S' ticks u8, flags u8, supply_mv u16, count u16, bytes of the line, then for each tick the
-//       counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the main loop hangs
+//       counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the main loop hangs,
+//       4 the motor has its supply
 //   'C' bytes u32                        power fails in that byte written to flash from now on
 //   'G'                                  what is kept
 // To the host:
 //   'R'                                  the controller has started
 //   'S' flags u8, drive 2 x i16, motor i16, count u16, bytes of the line; flags: 1 runs, 2 powered,
-//       4 the watchdog bites, 8 pays out, 16 muscle air, 32 body air
+//       4 the watchdog bites, 8 pays out, 16 muscle air, 32 body air, 64 motor's supply, 128 brake
+//       open
 //   'G' latched u8, nonce u32, erasures 2 x u32, flash 8192, the store's bytes 2048
 #include <new>
 
@@ -40,13 +42,13 @@ struct Machine {
   bool again;           // the program has begun before, without a reset
   uint32_t tick;        // since the controller began
   volatile bool alive;
-  alignas(InjectedBoard) uint8_t board[sizeof(InjectedBoard)];
-  alignas(Robot<InjectedBoard>) uint8_t robot[sizeof(Robot<InjectedBoard>)];
   uint8_t received[kFlashSize + kStepHeader + kMostLine];
   uint32_t filled;
   uint8_t answer[kFlashSize + kEepromUsed + 32];
 };
 Machine machine;
+alignas(InjectedBoard) uint8_t board_storage[sizeof(InjectedBoard)];
+alignas(Robot<InjectedBoard>) uint8_t robot_storage[sizeof(Robot<InjectedBoard>)];
 
 StopLatch kept() {
   StopLatch stop;
@@ -55,8 +57,8 @@ StopLatch kept() {
   return stop;
 }
 
-InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(machine.board); }
-Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(machine.robot); }
+InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(board_storage); }
+Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(robot_storage); }
 
 template <typename T>
 T take(const uint8_t*& at) {
@@ -102,7 +104,7 @@ void step(const uint8_t* at) {
   pass_times(instants);
   bool bites = false;
   if (machine.alive) {
-    board().inputs(supply_mv, (flags & 1) != 0);
+    board().inputs(supply_mv, (flags & 1) != 0, (flags & 4) != 0);
     board().sent(line, count);
   }
   for (uint8_t i = 0; i < ticks && machine.alive; ++i) {
@@ -135,7 +137,8 @@ void step(const uint8_t* at) {
   *told = static_cast<uint8_t>((alive ? 1 : 0) | (machine.flash.powered ? 2 : 0) | (bites ? 4 : 0));
   if (alive) {
     *told = static_cast<uint8_t>(*told | (board().pays_out() ? 8 : 0) |
-                                 (board().air_on(0) ? 16 : 0) | (board().air_on(1) ? 32 : 0));
+                                 (board().enabled(0) ? 16 : 0) | (board().enabled(1) ? 32 : 0) |
+                                 (board().enabled(2) ? 64 : 0) | (board().enabled(3) ? 128 : 0));
   }
   for (uint8_t side = 0; side < kSides; ++side) {
     put<int16_t>(out, alive ? board().duty(side) : static_cast<int16_t>(-1));
@@ -159,7 +162,7 @@ void describe(const uint8_t* at) {
   memcpy(machine.flash.cells, at, kFlashSize);
   machine.flash.cut_after = UINT32_MAX;
   machine.flash.powered = true;
-  new (machine.board)
+  new (board_storage)
       InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits, machine.cause, kept());
   machine.known = true;
 }
@@ -237,10 +240,10 @@ const char* thigmo_begin(const int8_t*) {
     if (!stream_wait()) return "the injected hardware has gone";
   }
   stream_lock();
-  new (machine.board)
+  new (board_storage)
       InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
                     machine.again ? protocol::ResetCause::kExternal : machine.cause, kept());
-  new (machine.robot) Robot<InjectedBoard>(board());
+  new (robot_storage) Robot<InjectedBoard>(board());
   robot().begin();
   machine.tick = 0;
   machine.again = true;

@@ -81,6 +81,7 @@ class InjectedBoard {
   static constexpr protocol::Board kKind = protocol::Board::THIGMO_INJECTED_KIND;
   static constexpr uint32_t kByteUs = 40;  // 250 kbaud, 8N1
   static constexpr uint32_t kAirHoldUs = 60000;
+  static constexpr uint32_t kMotorHoldUs = 30000;
   static constexpr uint32_t kNever = UINT32_MAX;
 
   InjectedBoard(InjectedFlash& flash, uint16_t frame_us, uint8_t adc_bits,
@@ -96,7 +97,8 @@ class InjectedBoard {
     encoder_ = encoder;
     move_lines();
   }
-  void inputs(uint16_t supply_mv, bool estop) {
+  void inputs(uint16_t supply_mv, bool estop, bool motor_power) {
+    motor_power_ = motor_power;
     supply_mv_ = supply_mv;
     estop_ = estop;
   }
@@ -116,8 +118,10 @@ class InjectedBoard {
   int16_t duty(uint8_t side) const { return drive_[side]; }  // -1 = off
   int16_t motor_duty() const { return motor_; }
   bool pays_out() const { return pays_out_; }
-  bool air_on(uint8_t enable) const {
-    return air_us_[enable] != kNever && now_us_ - air_us_[enable] < kAirHoldUs;
+  // Of muscles, body, motor, brake.
+  bool enabled(uint8_t which) const {
+    const uint32_t hold_us = which < 2 ? kAirHoldUs : kMotorHoldUs;
+    return enabled_us_[which] != kNever && now_us_ - enabled_us_[which] < hold_us;
   }
   bool watchdog_bites() const { return now_us_ - kicked_us_ > 1000ul * kWatchdogMs; }
 
@@ -139,14 +143,17 @@ class InjectedBoard {
     pays_out_ = duty > 0;
   }
   void brake() { motor_ = 0; }
-  void air(bool muscles, bool body) {
-    if (muscles) air_us_[0] = now_us_;
-    if (body) air_us_[1] = now_us_;
+  void enable(Enables wanted) {
+    if (wanted.muscles) enabled_us_[0] = now_us_;
+    if (wanted.body) enabled_us_[1] = now_us_;
+    if (wanted.motor) enabled_us_[2] = now_us_;
+    if (wanted.brake) enabled_us_[3] = now_us_;
   }
   int32_t encoder_count() { return encoder_; }
   uint16_t encoder_errors() { return 0; }  // counts are given, not decoded
   uint16_t supply_mv() { return supply_mv_; }
   bool estop() { return estop_; }
+  bool motor_power() { return motor_power_; }
 
   uint8_t rx_waiting(const uint8_t** first) {
     *first = &rx_.front();
@@ -202,7 +209,7 @@ class InjectedBoard {
   uint32_t kicked_us_ = 0;
   uint32_t arrival_us_ = 0;    // when the first byte on the way to the board is whole
   uint32_t departure_us_ = 0;  // when the first byte on the way to the host is whole
-  uint32_t air_us_[2] = {kNever, kNever};
+  uint32_t enabled_us_[4] = {kNever, kNever, kNever, kNever};
   int32_t encoder_ = 0;
   uint16_t supply_mv_ = 5000;
   uint16_t overruns_ = 0;
@@ -210,6 +217,7 @@ class InjectedBoard {
   int16_t motor_ = 0;
   bool pays_out_ = true;
   bool estop_ = true;
+  bool motor_power_ = false;
   uint8_t first_ = 0, frames_ = 0;
   AdcFrame frame_[kAdcFrames];
   Ring<4096> from_host_, to_host_;

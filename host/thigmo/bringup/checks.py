@@ -13,7 +13,7 @@ from typing import Literal, Protocol
 
 from thigmo.bringup.push import TRANSDUCERS, duty_of, push
 from thigmo.config import SIDES
-from thigmo.errors import ThigmoError
+from thigmo.errors import RobotFaultError, ThigmoError
 from thigmo.link.protocol import Output
 from thigmo.robot import SENSORS, Robot
 
@@ -27,6 +27,9 @@ _TEST_S = 1.5
 _RISE_PSI = (0.8, 5.0)
 _NO_RISE_PSI = 0.4
 _VENT_S = 4.0
+_BODY_S = 15.0  # to fill it through its throttle
+_LIMP_S = 3.0
+_STOP_S = 8.0
 _TURN_DUTIES = (100, 150, 200)  # of 800
 _TURN_S = 0.3
 _TURN_CM = 0.03
@@ -43,6 +46,15 @@ class Attendant(Protocol):
 
     def press_emergency_stop(self, pressed: bool) -> None:
         """Press the emergency stop, or release it; return when it is done."""
+
+    def press_emergency_stop_soon(self) -> None:
+        """Press the emergency stop two seconds after this returns."""
+
+    def valves_fitted(self) -> bool:
+        """Say whether valves Y1 to Y3 are there."""
+
+    def body_is_limp(self) -> bool:
+        """Say whether the body has lost its air."""
 
     def spool_turned(self) -> Turned:
         """Say how the spool turned since the last question: it paid out, wound in, or neither."""
@@ -191,6 +203,79 @@ def _valves(robot: Robot, attendant: Attendant) -> Found:
             return  # the board may have latched it: it drives no other now
 
 
+_VENTS = (Output.LEFT_VENT, Output.RIGHT_VENT)
+
+
+def _enables(robot: Robot, attendant: Attendant) -> Found:
+    """Each valve must empty what it is for while the transducer's current still flows."""
+    if not attendant.valves_fitted():
+        yield "valves Y1 to Y3", "none: 0 mA alone empties the muscles, V1 the body", ""
+        return
+    robot.arm(body_air=False)
+    robot.vent()
+    current = duty_of(_TEST_MA)
+    for side in range(len(SIDES)):
+        empty = _psi(robot)[side]
+        push(robot, TRANSDUCERS[side], current, _TEST_S)
+        full = _psi(robot)[side]
+        robot.vent(wait=False)
+        push(robot, _VENTS[side], current, _TEST_S)
+        left = _psi(robot)[side]
+        robot.vent(wait=False)
+        robot.wait(_VENT_S)
+        what, cure = f"{full:.1f} psi; without its enable {left:.1f} psi at {_TEST_MA} mA", ""
+        if full - empty < _NO_RISE_PSI:
+            what, cure = "no pressure to empty", "go on from stage valves"
+        elif left - empty > _NO_RISE_PSI:
+            cure = f"Y{side + 1} sticks or is bridged, or Q21 is shorted: check J{12 + side}"
+        yield f"Y{side + 1}", what, cure
+    attendant.ready("Set PR1 to 0.5 psi: the body fills and must stand firm")
+    robot.body_air(True)
+    robot.wait(_BODY_S)
+    firm = not attendant.body_is_limp()
+    robot.body_air(False)
+    robot.wait(_LIMP_S)
+    limp = attendant.body_is_limp()
+    what, cure = "fills the body, and empties it without its enable", ""
+    if not firm:
+        what, cure = "the body does not fill", "check PR1, NV1, Y3 (J14) and pin 26"
+    elif not limp:
+        what, cure = "the body keeps its air without the enable", "check Y3, Q31 and J14"
+    yield "Y3", what, cure
+
+
+def _brake(robot: Robot, attendant: Attendant) -> Found:
+    """Arming has proved that the brake holds; the motor's turn, that it opens."""
+    if not robot.parameter("brake_fitted")[0]:
+        what = "none (brake = false in robot.toml): the emergency stop leaves the motor its supply"
+        yield "brake", f"{what}; keep hands away and shut V1", ""
+        return
+    robot.make_safe()
+    robot.arm(body_air=False)  # a brake that slips and a contact that sticks are its faults
+    robot.wait(0.5)
+    yield "brake", "holds 20 N against the motor; K2 cuts its supply", ""
+    attendant.press_emergency_stop_soon()
+    faults: tuple[str, ...] = ()
+    try:
+        push(robot, Output.MOTOR, 1, _STOP_S)  # gives the motor its supply, and moves nothing
+        robot.vent(wait=False)
+    except RobotFaultError as error:
+        faults = error.faults
+    robot.wait(0.5, despite_faults=True)
+    faults = (*faults, *robot.status().faults)
+    attendant.press_emergency_stop(False)
+    what, cure = "its own contact cuts the motor's supply", ""
+    if "estop" not in faults:
+        what, cure = "was not pressed, or not seen", "try again: `--from brake`"
+    elif "spool_slip" in faults:
+        what = "leaves the motor its supply"
+        cure = "check S1C at J15.5-6, and K1: its contact sticks, or it is bridged"
+    else:
+        robot.wait(0.2, despite_faults=True)
+        robot.clear_faults()
+    yield "emergency stop", what, cure
+
+
 def _motor(robot: Robot, attendant: Attendant) -> Found:
     attendant.ready(
         "Body air off. Turn the 12 V on; the tail is free, or has 5 cm of line to spare"
@@ -238,7 +323,7 @@ def _home(robot: Robot, attendant: Attendant) -> Found:
 
 _CHECKS: dict[str, Callable[[Robot, Attendant], Found]] = {
     "board": _board, "supply": _supply, "estop": _estop, "pressure": _pressure, "flex": _flex,
-    "valves": _valves, "motor": _motor, "home": _home,
+    "valves": _valves, "enables": _enables, "motor": _motor, "brake": _brake, "home": _home,
 }  # fmt: skip
 STAGES = tuple(_CHECKS)
 

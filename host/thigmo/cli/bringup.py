@@ -31,6 +31,21 @@ class _TerminalAttendant:
     def press_emergency_stop(self, pressed: bool) -> None:
         self.ready(f"{'Press' if pressed else 'Release'} the emergency stop")
 
+    def press_emergency_stop_soon(self) -> None:
+        self.ready("Have the emergency stop in your hand. Press it two seconds after Enter")
+
+    def valves_fitted(self) -> bool:
+        return self._yes("Are the valves Y1, Y2 and Y3 fitted")
+
+    def body_is_limp(self) -> bool:
+        return self._yes("Is the body limp now")
+
+    def _yes(self, question: str) -> bool:
+        answer = ""
+        while answer not in ("y", "n"):
+            answer = self._console.ask(f"{question}? (y/n)").strip().lower()[:1]
+        return answer == "y"
+
     def spool_turned(self) -> Turned:
         """Ask how the spool turned; before it has been driven, only for attention."""
         if not self._told:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,7 @@ from thigmo.cli.output import JsonOption, MethodOption, print_json
 
 if TYPE_CHECKING:
     from thigmo.localization import LocalizeResult
-    from thigmo.record import ReadingsTable
+    from thigmo.record import FramesTable, ReadingsTable
 
 # Readings to try the command on.
 EXAMPLE = Path(__file__).parents[1] / "record" / "example.csv"
@@ -20,7 +19,11 @@ EXAMPLE = Path(__file__).parents[1] / "record" / "example.csv"
 
 def localize(
     file: Annotated[
-        Path, typer.Argument(help="CSV with columns position, curvature[, span]; or `example`.")
+        Path,
+        typer.Argument(
+            help="CSV with columns position, curvature[, span]; `-` for the standard input; or "
+            "`example`."
+        ),
     ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
     span: Annotated[float, typer.Option(help="Active length of the sensors, if no column.")] = 0.0,
@@ -57,12 +60,22 @@ def localize(
     ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
     method: MethodOption = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            help="For a frame in each row: its columns with their sensors' positions, k0=5,k1=15. "
+            "Prints one answer a row, as CSV; a column t_s is kept."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="With --columns: a figure of the answers over time.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""
     import thigmo
     from thigmo.errors import DataError
-    from thigmo.record import read_readings
+    from thigmo.record import ReadingsTable, read_frames, read_readings
 
     if not length > 0 or length == float("inf"):
         raise DataError(f"--length is {length:g}", "give the body's length, above 0")
@@ -72,7 +85,13 @@ def localize(
         raise DataError("--side is given, and --config is not given", "give the robot.toml too")
     if file == Path("example") and not file.exists():
         file = EXAMPLE
-    table = read_readings(file)
+    if plot is not None and columns is None:
+        raise DataError("--plot draws answers over time", "give --columns, too")
+    frames = None if columns is None else read_frames(file, _frames(columns))
+    if frames is None:
+        table = read_readings(file)
+    else:  # the sensors are the same in every row
+        table = ReadingsTable(frames.position, frames.curvature[0], None, frames.lines[:1])
     told = {} if config is None else _calibrated(config, side, table, length)
     flags = {
         "noise": noise,
@@ -84,16 +103,16 @@ def localize(
         "bad_reading_odds": bad_reading_odds,
     }
     told |= {name: value for name, value in flags.items() if value is not None}
-    result = thigmo.localize(
-        table.curvature,
-        table.position,
-        length=length,
-        span=span if table.span is None else table.span,
-        free_curvature=free_curvature,
-        contacts="auto" if contacts == "auto" else int(contacts),
-        method=method or "posterior",
-        **told,
-    )
+    told |= {
+        "span": span if table.span is None else table.span,
+        "free_curvature": free_curvature,
+        "contacts": "auto" if contacts == "auto" else int(contacts),
+        "method": method or "posterior",
+    }
+    if frames is not None:
+        _answer_rows(frames, plot, length, as_json, told)
+        return
+    result = thigmo.localize(table.curvature, table.position, length=length, **told)
     if as_json:
         print_json(_facts(result, table))
     else:
@@ -134,21 +153,69 @@ def _calibrated(
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
-    """A localizer's result as plain data."""
-    return {
-        "status": result.status,
-        "contacts": [asdict(contact) for contact in result.contacts],
-        "hypothesis": result.hypothesis,
-        "hypotheses": dict(result.hypotheses),
-        "parameters": dict(result.parameters),
-        "noise": result.noise,
-        "log_odds": result.log_odds,
+    """A localizer's result as plain data, its bad readings by their lines."""
+    return result.to_dict() | {
         "discarded": [
             {"line": table.lines[reading], "position": float(table.position[reading])}
             for reading in result.discarded
-        ],
-        "message": result.message,
+        ]
     }
+
+
+def _frames(columns: str) -> dict[str, float]:
+    """Columns by name, with the positions of their sensors."""
+    from thigmo.errors import DataError
+
+    found = {}
+    for part in columns.split(","):
+        name, _, place = part.rpartition("=")
+        try:
+            found[name.strip()] = float(place)
+        except ValueError:
+            name = ""
+        if not name.strip():
+            raise DataError(
+                f"--columns has {part!r}", "give NAME=POSITION for each sensor: k0=5,k1=15"
+            )
+    return found
+
+
+def _answer_rows(
+    table: FramesTable, plot: Path | None, length: float, as_json: bool, options: dict[str, Any]
+) -> None:
+    """One answer for each frame, and a figure over time."""
+    import thigmo
+    from thigmo.errors import DataError
+
+    results = []
+    for line, row in zip(table.lines, table.curvature, strict=True):
+        try:
+            results.append(thigmo.localize(row, table.position, length=length, **options))
+        except DataError as error:
+            raise DataError(f"line {line}: {error.what}", error.next_step) from error
+    times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
+    if plot is not None:
+        from thigmo.report import draw_series
+
+        with DataError.from_os(f"cannot write {plot}", "choose another folder"):
+            when = table.lines if table.time_s is None else table.time_s.tolist()
+            if (figure := draw_series(when, results).get_figure(root=True)) is not None:
+                figure.savefig(plot)
+    if as_json:
+        print_json([
+            {"line": line, "t_s": time, **result.to_dict()}
+            for line, time, result in zip(table.lines, times, results, strict=True)
+        ])  # fmt: skip
+        return
+    typer.echo("line,t_s,status,contacts,arc,low,high,force,probability")
+    for line, time, result in zip(table.lines, times, results, strict=True):
+        head = f"{line},{'' if time is None else f'{time:.9g}'},{result.status}"
+        if not result.contacts:
+            typer.echo(f"{head},0,,,,,")
+        for number, contact in enumerate(result.contacts, start=1):
+            values = (contact.arc, *contact.interval, contact.force, contact.probability)
+            cells = ("" if value != value else f"{value:.6g}" for value in values)
+            typer.echo(f"{head},{number},{','.join(cells)}")
 
 
 def _show(result: LocalizeResult, table: ReadingsTable) -> None:

@@ -71,6 +71,7 @@ class VirtualBoard:
     def set_supply_mv(self, supply_mv: int) -> None: ...
     def set_encoder_errors(self, errors: int) -> None: ...
     def set_estop(self, pressed: bool) -> None: ...
+    def set_motor_power(self, on: bool) -> None: ...
     def reset(self, cause: int) -> None:
         """Restart the chip (also after a power cut), with a `ResetCause`; else ValueError."""
 
@@ -81,6 +82,7 @@ class VirtualBoard:
     motor: int
     braked: bool
     air: tuple[bool, bool]
+    motor_enables: tuple[bool, bool]
     eeprom: bytes
 
     # Its own.

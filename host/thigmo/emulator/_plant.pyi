@@ -38,7 +38,9 @@ class Spool:
     """Motor and line, at rest."""
 
     def __init__(self, **constants: float) -> None: ...
-    def advance(self, duty: int, shorted: bool, stuck: bool, pull_n: float, /) -> None:
+    def advance(
+        self, duty: int, shorted: bool, stuck: bool, pull_n: float, brake_n: float, /
+    ) -> None:
         """Go one step at a duty of -800..800, under the tail's tension, which pays out."""
     damping: float  # force per line speed, N s/cm
     sliding_n: float  # friction of the moving line

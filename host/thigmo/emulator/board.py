@@ -52,6 +52,9 @@ class Board(Protocol):
     def set_estop(self, pressed: bool, /) -> None:
         """Emergency stop input."""
 
+    def set_motor_power(self, on: bool, /) -> None:
+        """Input that shows the motor's supply, behind its contacts."""
+
     @property
     def drive(self) -> tuple[int, int]:
         """Transducer duties, left and right, 0..1599 = 0..20 mA."""
@@ -71,6 +74,10 @@ class Board(Protocol):
     @property
     def air(self) -> tuple[bool, bool]:
         """Whether the air enables of muscles and body are held on by their pins' edges."""
+
+    @property
+    def motor_enables(self) -> tuple[bool, bool]:
+        """Whether the enables of the motor's supply and of the brake's coil are held on so."""
 
     @property
     def eeprom(self) -> bytes:

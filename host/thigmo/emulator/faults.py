@@ -25,6 +25,7 @@ _DEFAULTS = {
     "flex_noisy": 40.0,  # counts, one sigma
     "motor_shorted": 800.0,  # duty
     "encoder_share": 0.7,  # of the counts are seen
+    "reference_off": 0.8,  # of the converter's reference is left
     "spool_slip": 2.0,  # cm/s of line to which a failing brake lets it run
     "brown_out": 3800.0,  # mV
     "power_cut_saving": 100.0,  # bytes written before the cut
@@ -115,6 +116,16 @@ class FaultInjector:
                 plant.encoder_share = value if on else 1.0
             case "tail_jam":
                 plant.tail_jammed = on
+            case "line_snapped":
+                plant.line_snapped = on
+            case "brake_open" | "brake_closed":
+                plant.brake_stuck = (fault.kind == "brake_open") if on else None
+            case "contact_welded":
+                plant.contact_welded = on
+            case "reference_off":
+                # The supply is measured by the same converter, and seems less by as much.
+                plant.reference = value if on else 1.0
+                board.set_supply_mv(round(self._supply * plant.reference))
             case "spool_slip":
                 plant.slip_cm_s = value if on else 0.0
             case "host_silent":
@@ -131,5 +142,6 @@ class FaultInjector:
                 board.reset(int(ResetCause.POWER_ON))
             case "estop":
                 board.set_estop(on)
+                plant.estop = on
             case "hang" if on:
                 board.hang()

@@ -46,7 +46,11 @@ class Lockstep:
         if not self.faults.powered:
             plant.step((0, 0), (False, False), 0, True)
             return
-        plant.step(board.drive, board.drive_enabled, board.motor, board.braked, board.air)
+        plant.step(
+            board.drive, board.drive_enabled, board.motor, board.braked, board.air,
+            board.motor_enables,
+        )  # fmt: skip
+        board.set_motor_power(plant.motor_power)
         if self._exchange_ms == STEP_MS:
             board.set_analog(plant.analog)
             board.set_encoder(*plant.encoder)

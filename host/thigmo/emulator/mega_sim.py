@@ -41,8 +41,10 @@ ESTOP = ("A", 0)
 DRIVES = (("L", 3), ("L", 4))  # OC5A, OC5B
 MOTOR_PWM = ("H", 3)  # OC4A
 MOTOR_DIRECTION = ("H", 4)
-AIR = (("A", 2), ("A", 4))  # muscles, body
-AIR_HOLD_CYCLES = 60 * CYCLES_PER_MS  # a charge pump's longest (docs/hardware/electronics.md)
+ENABLES = (("A", 2), ("A", 4), ("A", 6), ("A", 7))  # muscles, body, motor, brake
+MOTOR_POWER = ("A", 5)
+# A charge pump's longest (docs/hardware/electronics.md).
+HOLD_CYCLES = tuple(ms * CYCLES_PER_MS for ms in (60, 60, 30, 30))
 
 
 class SimulatedMega:
@@ -82,8 +84,8 @@ class SimulatedMega:
         self.boots = 0  # how often the firmware has started
         self._origin = 0
         self._line_open = True
-        self._air_levels = [False, False]
-        self._air_edges = [-AIR_HOLD_CYCLES] * 2
+        self._enable_levels = [False] * len(ENABLES)
+        self._enable_edges = [-hold for hold in HOLD_CYCLES]
         chip = self.chip
         for address, data in read_hex(image or mega_build.firmware_hex(baud)):
             chip.write("flash", address, data)
@@ -95,6 +97,7 @@ class SimulatedMega:
         chip.line_baud(baud)
         self.set_adc_noise(np.zeros(CHANNELS))
         self.set_estop(False)
+        self.set_motor_power(False)
         self._power_on()
 
     def _power_on(self) -> None:
@@ -120,10 +123,12 @@ class SimulatedMega:
                 self.boots += 1
             self._origin = chip.tick_origin
             self._exchange_bytes()
-            for enable, pin in enumerate(AIR):  # once a tick is as often as the firmware toggles
-                if (level := self._level(pin)) != self._air_levels[enable]:
-                    self._air_levels[enable] = level
-                    self._air_edges[enable] = self._grid
+            for enable, pin in enumerate(
+                ENABLES
+            ):  # once a tick is as often as the firmware toggles
+                if (level := self._level(pin)) != self._enable_levels[enable]:
+                    self._enable_levels[enable] = level
+                    self._enable_edges[enable] = self._grid
 
     def _exchange_bytes(self) -> None:
         down, (data, _) = b"", self.chip.take()
@@ -200,6 +205,10 @@ class SimulatedMega:
         """Emergency stop: a closed contact to ground that opens when pressed."""
         self.chip.drive_pin(*ESTOP, pressed)
 
+    def set_motor_power(self, on: bool) -> None:
+        """Input that shows the motor's supply, behind its contacts."""
+        self.chip.drive_pin(*MOTOR_POWER, on)
+
     # --- outputs ----------------------------------------------------------------------------------
     def _level(self, pin: tuple[str, int]) -> bool:
         """Level of an output pin; inputs are pulled down on the board."""
@@ -247,8 +256,15 @@ class SimulatedMega:
     @property
     def air(self) -> tuple[bool, bool]:
         """Whether the air enables of muscles and body are held on by their pins' edges."""
-        muscles, body = (self._grid - edge < AIR_HOLD_CYCLES for edge in self._air_edges)
-        return muscles, body
+        return self._held(0), self._held(1)
+
+    @property
+    def motor_enables(self) -> tuple[bool, bool]:
+        """Whether the enables of the motor's supply and of the brake's coil are held on so."""
+        return self._held(2), self._held(3)
+
+    def _held(self, enable: int) -> bool:
+        return self._grid - self._enable_edges[enable] < HOLD_CYCLES[enable]
 
     # --- faults and the store ---------------------------------------------------------------------
     @property

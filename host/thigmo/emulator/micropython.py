@@ -42,7 +42,9 @@ _START_S = 20.0  # of the wall clock, within which the program must have started
 _MOST_TICKS = 10  # in one message
 _STEP = struct.Struct("<BhhhH")
 _KEPT = struct.Struct("<BIII")
-_RUNS, _POWERED, _BITES, _OUT, _MUSCLE_AIR, _BODY_AIR = (1 << n for n in range(6))
+_RUNS, _POWERED, _BITES, _OUT, _MUSCLE_AIR, _BODY_AIR, _MOTOR_SUPPLY, _BRAKE_OPEN = (
+    1 << n for n in range(8)
+)
 
 
 def flash_of(store: bytes) -> bytes:
@@ -93,7 +95,7 @@ class MicroPythonBoard:
         self._sent = bytearray()
         self._received = bytearray()
         self._supply_mv = 5000
-        self._estop = self._hung = False
+        self._estop = self._hung = self._motor_power = False
         self._encoder = (0.0, 0.0)
         self._encoder_origin = np.int32(0)
         self._now_ms = 0
@@ -119,7 +121,7 @@ class MicroPythonBoard:
         self._running = False
         self._drive = (-1, -1)
         self.motor = 0
-        self.air = (False, False)
+        self.air = self.motor_enables = (False, False)
 
     def _start(self) -> None:
         mine, its = socket.socketpair()
@@ -275,7 +277,7 @@ class MicroPythonBoard:
             self._encoder_origin = places[0, 0]
         places -= self._encoder_origin
         rows = np.hstack([counts.astype("<u2").view("u1"), places.view("u1")])
-        flags = self._estop | self._hung << 1
+        flags = self._estop | self._hung << 1 | self._motor_power << 2
         line = bytes(self._sent)
         self._sent.clear()
         message = struct.pack("<BBHH", count, flags, self._supply_mv, len(line))
@@ -297,6 +299,7 @@ class MicroPythonBoard:
         if motor:
             self._direction = 1 if told & _OUT else -1
         self.air = (bool(told & _MUSCLE_AIR), bool(told & _BODY_AIR))
+        self.motor_enables = (bool(told & _MOTOR_SUPPLY), bool(told & _BRAKE_OPEN))
         if told & _BITES:
             self.power_on(ResetCause.WATCHDOG)
 
@@ -340,6 +343,10 @@ class MicroPythonBoard:
     def set_estop(self, pressed: bool) -> None:
         """Emergency stop."""
         self._estop = pressed
+
+    def set_motor_power(self, on: bool) -> None:
+        """Input that shows the motor's supply, behind its contacts."""
+        self._motor_power = on
 
     # --- outputs ----------------------------------------------------------------------------------
     @property

@@ -138,7 +138,8 @@ struct Spool {
   double line_n = 0.0;   // pull on the line; at a stop, with the momentum that it takes up
 
   // pull_n: the tail's tension, which pays out.
-  void advance(int duty, bool shorted, bool stuck, double pull_n) {
+  // brake_n: friction of a closed brake.
+  void advance(int duty, bool shorted, bool stuck, double pull_n, double brake_n) {
     const double drive = stall_n * duty / kDutyFull + pull_n;
     line_n = pull_n;
     const double wound_n = std::max(-stall_n * duty / kDutyFull, 0.0);
@@ -147,13 +148,13 @@ struct Spool {
       if (drive < 0.0) return;
     }
     const double friction =
-        sliding_n + (holding_n - sliding_n) * std::exp(-std::fabs(speed) / kStickingCmS);
+        brake_n + sliding_n + (holding_n - sliding_n) * std::exp(-std::fabs(speed) / kStickingCmS);
     if (speed == 0.0 && std::fabs(drive) <= friction) return;
     const double way = speed != 0.0 ? speed : drive;
     const double taken = damping * (shorted ? 1.0 : kOpenWindings);
     const double goal = (drive - std::copysign(friction, way)) / taken;
     speed = goal + (speed - goal) * std::exp(-kStepS / (lag_s * damping / taken));
-    if (speed * way <= 0.0 && std::fabs(drive) <= holding_n) speed = 0.0;
+    if (speed * way <= 0.0 && std::fabs(drive) <= holding_n + brake_n) speed = 0.0;
     if (stuck) speed = 0.0;
     line_cm += speed * kStepS;
     if (line_cm < stop_cm) {

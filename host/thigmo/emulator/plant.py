@@ -53,6 +53,22 @@ class Truth:
     centreline: Floats  # columns s, heading, curvature without fold, x, y; shape (n, 5)
 
 
+class _Switch:
+    """A contact or brake that follows its coil after a time."""
+
+    def __init__(self, on_s: float, off_s: float) -> None:
+        self._after_s = {True: on_s, False: off_s}
+        self._since_s = 0.0
+        self.on = False
+
+    def step(self, coil: bool) -> bool:
+        """Go one step; whether it is on."""
+        self._since_s = 0.0 if coil is self.on else self._since_s + STEP_S
+        if coil is not self.on and self._since_s >= self._after_s[coil]:
+            self.on, self._since_s = coil, 0.0
+        return self.on
+
+
 class Plant:
     """Robot and room of a scene, random by `seed` (None takes the scene's)."""
 
@@ -76,6 +92,11 @@ class Plant:
         self.motor_forced: int | None = None  # duty that a failed driver gives the motor
         self.encoder_share = 1.0  # of the counts that the encoder shows: 0 = it stands still
         self._encoder_missed = 0.0
+        self.line_snapped = False  # nothing holds the body back
+        self.estop = False  # pressed: its own contact cuts the motor's supply, if there is a brake
+        self.contact_welded = False  # that of the motor's enable
+        self.brake_stuck: bool | None = None  # open, closed, or as its coil says
+        self.reference = 1.0  # share of the converter's reference that is left
         self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
         self.flex_noise: dict[int, float] = {}  # counts, by sensor, left base first
         # What ails the pressure sensors: psi at which they stand, factor, psi added, psi of noise.
@@ -109,6 +130,9 @@ class Plant:
             touch_n_s_cm=s.touch_n_s_m / 100,
             line_cm=robot.spool.payout_ratio * scene.start_length_cm,
         )  # fmt: skip
+        b = scene.brake
+        self._contacts = _Switch(b.contact_s, b.contact_s)
+        self._brake = _Switch(b.opens_s, b.closes_s)
         self.length_cm = scene.start_length_cm
         self._sensors = self._make_sensors()
         self._centers = np.array([sensor.center_cm for sensor in self._sensors])
@@ -283,6 +307,7 @@ class Plant:
         motor: int,
         braked: bool,
         air: tuple[bool, bool] = (False, False),
+        motor_enables: tuple[bool, bool] = (False, False),
     ) -> None:
         """Advance by 10 ms under a `Board`'s outputs; `analog` and `encoder` then hold its inputs.
 
@@ -304,9 +329,11 @@ class Plant:
             motor = -motor
         if self.motor_forced is not None:
             motor = self.motor_forced
-        if self.motor_lost:
+        brake_n = self._switch_motor(*motor_enables)
+        if self.motor_lost or not self.motor_power:
             motor, braked = 0, False
-        self._spool.advance(motor, braked or motor != 0, self.spool_stall, self.pull_n)
+        pull_n = 0.0 if self.line_snapped else self.pull_n
+        self._spool.advance(motor, braked or motor != 0, self.spool_stall, pull_n, brake_n)
         after = self._encoder()
         if self.encoder_share != 1.0:
             lost = (1.0 - self.encoder_share) * (after - before)
@@ -318,6 +345,21 @@ class Plant:
         if moved or length != self.length_cm or isnan(self._solved_g):
             self._solve(length)
         self._sense()
+
+    @property
+    def motor_power(self) -> bool:
+        """Whether the motor's driver has its supply."""
+        return self._contacts.on or not self._robot.spool.brake
+
+    def _switch_motor(self, supply: bool, release: bool) -> float:
+        """Move contacts and brake for one step; returns the pull that the brake takes, N."""
+        if not self._robot.spool.brake:
+            return 0.0
+        powered = self._contacts.step((supply or self.contact_welded) and not self.estop)
+        open_ = self._brake.step(powered and release)
+        if self.brake_stuck is not None:
+            open_ = self.brake_stuck
+        return 0.0 if open_ else self.scene.brake.holds_n
 
     @property
     def pull_n(self) -> float:
@@ -347,7 +389,7 @@ class Plant:
         """Length that line, body pressure and tail allow."""
         robot, body = self._robot, self.scene.body
         paid = self._spool.line_cm / robot.spool.payout_ratio
-        most = min(paid, robot.body.length_cm)
+        most = min(robot.body.length_cm if self.line_snapped else paid, robot.body.length_cm)
         if most <= self.length_cm:
             return float(most)
         over = self.body_psi - body.growth_psi - body.growth_psi_per_cm * self.length_cm
@@ -413,6 +455,8 @@ class Plant:
             analog[i, 1] += sigma * self._rng.standard_normal()
         for channel, count in self.stuck.items():
             analog[channel, 1] = count
+        if self.reference != 1.0:
+            np.minimum(analog[:, 1] / self.reference, SHORT_COUNT, out=analog[:, 1])
 
     def adc_noise(self) -> Floats:
         """White noise of a conversion in counts, shape (16,)."""

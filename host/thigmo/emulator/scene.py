@@ -111,6 +111,15 @@ class SpoolMotor(Model):
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 
+class Brake(Model):
+    """The spool's spring-applied brake, where `[robot.spool] brake` says that there is one."""
+
+    holds_n: Positive = 150.0  # pull on the line, at rest and while it slides
+    closes_s: Positive = 0.04  # from the end of its current
+    opens_s: Positive = 0.06
+    contact_s: Positive = 0.015  # of the contacts in the motor's supply
+
+
 class Supply(Model):
     """Electric supply of the board."""
 
@@ -171,6 +180,11 @@ FaultKind = Literal[
     "encoder_lost",
     "encoder_share",
     "tail_jam",
+    "line_snapped",
+    "brake_open",
+    "brake_closed",
+    "contact_welded",
+    "reference_off",
     "host_silent",
     "brown_out",
     "power_cut",
@@ -223,6 +237,7 @@ class Scene(Model):
     body: BodyDynamics = Field(default_factory=BodyDynamics)
     flex: Flex = Field(default_factory=Flex)
     spool: SpoolMotor = Field(default_factory=SpoolMotor)
+    brake: Brake = Field(default_factory=Brake)
     supply: Supply = Field(default_factory=Supply)
     enables: Enables = Field(default_factory=Enables)
     operator: OperatorTable = Field(default_factory=OperatorTable)

@@ -19,7 +19,7 @@ from thigmo.config import RobotConfig
 from thigmo.emulator.board import Board
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS, Truth
-from thigmo.emulator.scene import Scene
+from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.errors import ConfigError, LinkError
 from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Beat, Heart
@@ -56,7 +56,21 @@ class EmulatedOperator:
     def press_emergency_stop(self, pressed: bool) -> None:
         """Press or release the emergency stop."""
         self._transport.lockstep.board.set_estop(pressed)
+        self._plant.estop = pressed
         self._transport.pass_time(0.1)
+
+    def press_emergency_stop_soon(self) -> None:
+        """Press the emergency stop in two seconds."""
+        fault = FaultTable(kind="estop", at_s=self._transport.now() + 2.0, duration_s=3.0)
+        self._transport.lockstep.faults.inject(fault)
+
+    def valves_fitted(self) -> bool:
+        """Whether Y1, Y2 and Y3 are there."""
+        return self._transport.scene.enables.fitted
+
+    def body_is_limp(self) -> bool:
+        """Whether the body has lost its air."""
+        return self._plant.body_psi < 0.2
 
     def spool_turned(self) -> Literal["out", "in", "not"]:
         """How the spool has turned since the last such question."""

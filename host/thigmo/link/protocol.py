@@ -13,7 +13,7 @@ from thigmo.link.message import Command, Documented, Message, OpenDocumented
 from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x7C7BEAD7
+SCHEMA_HASH = 0x088C3BEE
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -21,7 +21,7 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-PARAMETER_COUNT = 95
+PARAMETER_COUNT = 96
 
 
 class State(Documented):  # The supervisor's states.
@@ -49,6 +49,9 @@ class Output(Documented):  # What `test_output` drives.
     LEFT_TRANSDUCER = 0  # Current of the left transducer, 20 mA/1599.
     RIGHT_TRANSDUCER = 1  # Current of the right transducer, 20 mA/1599.
     MOTOR = 2  # Duty of the spool motor, 1/800 of full, positive pays out.
+    # Current of the left transducer, while the muscles' enable is off: Y1 must empty it.
+    LEFT_VENT = 3
+    RIGHT_VENT = 4  # The same on the right: Y2.
 
 
 class Side(Documented):  # A muscle and its column of sensors.
@@ -135,6 +138,18 @@ class StallCause(Documented):  # By what a spool_stall was noticed (value of its
     SLOW = 1  # The encoder shows less speed than the motor must have at its duty.
     JUMPS = 2  # The encoder's signals jump: edges are lost, or there is noise.
     EVERTED = 3  # Two sensors have passed the tip before the encoder has come so far.
+
+
+class SlipCause(Documented):  # By what a spool_slip was noticed (value of its event).
+    TURNED = 0  # The spool turned without a command.
+    # The brake did not hold the motor's proof at arming: it is worn, released by hand, or stuck
+    # open.
+    BRAKE = 1
+    SUPPLY = 2  # The motor has its supply where it must not: K2's contact is stuck, or its enable.
+    # The motor has no supply where it must have it: check 12 V, F2, the emergency stop's contact
+    # S1C, K1 and K2.
+    UNPOWERED = 3
+    STOP = 4  # The emergency stop did not cut the motor's supply: K1's contact is stuck, or S1C.
 
 
 # Condition bits that the supervisor's transition table reads, by bit number.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from math import isnan
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -169,6 +169,31 @@ class LocalizeResult:
         strip = body_strip(self.length, self.edges.tolist(), self.probability.tolist(), bars)
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
         return html_card(title, self.message, strip, table)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle: the compiled answer becomes plain arrays."""
+        state = {each.name: getattr(self, each.name) for each in fields(self)}
+        masses, joint = self._body.masses, self._body.joint
+        state["_body"] = OfBody(list(masses), self._body.bend, joint)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but the posterior along the body as plain data, for JSON or a data frame's row."""
+        return {
+            "status": self.status,
+            "contacts": [asdict(contact) for contact in self.contacts],
+            "hypothesis": self.hypothesis,
+            "hypotheses": dict(self.hypotheses),
+            "parameters": dict(self.parameters),
+            "noise": self.noise,
+            "log_odds": self.log_odds,
+            "discarded": list(self.discarded),
+            "message": self.message,
+        }
 
     def plot(self, axes: Axes | None = None, *, unit: str = "") -> Axes:
         """Draw the posterior along the body, and each contact with its interval.

@@ -7,6 +7,7 @@ readable when the run is cut short.
 """
 
 from thigmo.record.document import (
+    RUNNING,
     FalseContact,
     MapContact,
     MissedContact,
@@ -21,7 +22,7 @@ from thigmo.record.document import (
     Truth,
 )
 from thigmo.record.folder import RunFolder, write_whole
-from thigmo.record.log import Entry, Log, LogWriter, read_log
+from thigmo.record.log import Entry, Log, LogWriter, Note, read_log
 from thigmo.record.obstacles import (
     OBSTACLES_FILE,
     PRIOR_FILE,
@@ -34,19 +35,22 @@ from thigmo.record.obstacles import (
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
 from thigmo.record.swept_shapes import outline, passed
-from thigmo.record.table import ReadingsTable, read_readings
+from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_readings
 
 __all__ = [
     "OBSTACLES_FILE",
     "PRIOR_FILE",
+    "RUNNING",
     "Ellipse",
     "Entry",
     "FalseContact",
+    "FramesTable",
     "FreeArea",
     "Log",
     "LogWriter",
     "MapContact",
     "MissedContact",
+    "Note",
     "Obstacle",
     "ObstacleMap",
     "OccupancyGrid",
@@ -63,6 +67,7 @@ __all__ = [
     "Truth",
     "outline",
     "passed",
+    "read_frames",
     "read_log",
     "read_obstacles",
     "read_readings",

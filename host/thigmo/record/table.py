@@ -1,16 +1,21 @@
 """Readings as a lab has them: a CSV with a header, numbers and a few words.
 
-Read line by line, so that a file of many frames is refused at its first line too many. What
-spreadsheets of other countries write (semicolons, decimal commas) is named with its cure.
+Read line by line, so that a file of many frames is refused at its first line too many. The header
+says what separates columns: commas, or, as spreadsheets of many countries write them, semicolons or
+tabs, with which numbers may have decimal commas. The name `-` is the standard input.
 """
 
 from __future__ import annotations
 
 import csv
 import os
+import sys
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +25,7 @@ from thigmo.files import whole_file
 
 Array = NDArray[np.float64]
 
+_SEPARATORS = (",", ";", "\t")
 _MOST_ROWS = 1_000_000
 _MOST_READINGS = 2000  # of one frame
 
@@ -35,19 +41,23 @@ class Table:
     columns: Mapping[str, Sequence[str]]
     name: str  # of the file
     lines: Sequence[int]  # of each row in the file, from 1
+    decimal_commas: bool = False  # columns are not separated by commas: numbers may have them
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], *, most_rows: int = _MOST_ROWS) -> Table:
-        """Read a CSV file; lines that start with # are comments.
+        """Read a CSV file, or the standard input (`-`); lines that start with # are comments.
 
         Raises DataError: unreadable, empty, ragged, too long, or separated by something else.
         """
         header: list[str] = []
         rows: list[list[str]] = []
         lines: list[int] = []
+        mark = ","
         try:
-            with Path(path).open(newline="", encoding="utf-8-sig") as file:
-                reader = csv.reader(file)
+            with _opened(path) as file:
+                above, first = _first_line(file)
+                mark = max(_SEPARATORS, key=first.count)
+                reader = csv.reader(chain([first], file), delimiter=mark)
                 for row in reader:
                     cells = [cell.strip() for cell in row]
                     if not any(cells) or cells[0].startswith("#"):
@@ -57,9 +67,9 @@ class Table:
                         _check_header(path, header)
                         continue
                     if len(cells) != len(header):
-                        raise _ragged(path, reader.line_num, header, cells)
+                        raise _ragged(path, above + reader.line_num, header, cells)
                     rows.append(cells)
-                    lines.append(reader.line_num)
+                    lines.append(above + reader.line_num)
                     if len(rows) > most_rows:
                         raise DataError(
                             f"{path} has more than {most_rows} rows", "cut out those of one frame"
@@ -72,9 +82,8 @@ class Table:
             raise DataError(f"{path} is empty", "give a header line and one line a reading")
         if not rows:
             raise DataError(f"{path} has a header and no rows", "add a row, or delete the file")
-        return cls(
-            {key: [row[k] for row in rows] for k, key in enumerate(header)}, str(path), lines
-        )
+        columns = {key: [row[k] for row in rows] for k, key in enumerate(header)}
+        return cls(columns, str(path), lines, mark != ",")
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
@@ -89,6 +98,8 @@ class Table:
         for number, (cell, line) in enumerate(zip(cells, self.lines, strict=True)):
             where, cure = f"{self.name}, line {line}: {column}", "correct it, or leave that row out"
             try:
+                if self.decimal_commas and cell.count(",") == 1 and "." not in cell:
+                    cell = cell.replace(",", ".")
                 found[number] = float(cell) if cell else np.nan
             except ValueError as error:
                 if cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdecimal():
@@ -133,15 +144,15 @@ def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
 
     Whether they can be those of a body (places, units) is the localizer's to say. Raises DataError,
     which names file, line and column: unreadable, empty, too long, a missing or empty column, or a
-    value that is no finite number.
+    value that is no finite number. An empty curvature, or NaN, is a sensor that was not read.
     """
     table = Table.read(path, most_rows=_MOST_READINGS)
-    position, curvature = _readings(table, "position"), _readings(table, "curvature")
+    position, curvature = _readings(table, "position"), _readings(table, "curvature", missing=True)
     span = _readings(table, "span") if "span" in table else None
     return ReadingsTable(position, curvature, span, tuple(table.lines))
 
 
-def _readings(table: Table, name: str) -> Array:
+def _readings(table: Table, name: str, *, missing: bool = False) -> Array:
     if name not in table:
         raise MissingColumnError(
             f"{table.name}: no column `{name}` in its header ({', '.join(table.columns)})",
@@ -150,10 +161,37 @@ def _readings(table: Table, name: str) -> Array:
     if not any(table.columns[name]):
         raise DataError(f"{table.name}: the column `{name}` is empty", "fill it, or leave it out")
     values = table.numbers(name)
-    for row in np.flatnonzero(np.isnan(values))[:1]:
+    for row in np.flatnonzero(np.isnan(values))[:1] if not missing else []:
         where = f"{table.name}, line {table.lines[row]}"
         raise DataError(f"{where}: {name} is nan", "leave that row out")
     return values
+
+
+@dataclass(frozen=True, slots=True)
+class FramesTable:
+    """Frames of the same sensors, a row each."""
+
+    position: Array  # (N,) of the sensors
+    curvature: Array  # (M, N); NaN where a sensor was not read
+    time_s: Array | None  # (M,); None without a column `t_s`
+    lines: tuple[int, ...]  # of the file, from 1
+
+
+def read_frames(path: str | os.PathLike[str], columns: Mapping[str, float]) -> FramesTable:
+    """Read a CSV with a frame in each row, of the `columns` that are named with their positions.
+
+    Raises DataError as `read_readings` does.
+    """
+    table = Table.read(path)
+    for name in columns:
+        if name.lower() not in table:
+            raise MissingColumnError(
+                f"{table.name}: no column `{name}` in its header ({', '.join(table.columns)})",
+                "name columns that it has: --columns NAME=POSITION,NAME=POSITION",
+            )
+    curvature = np.column_stack([table.numbers(name.lower()) for name in columns])
+    time_s = table.numbers("t_s") if "t_s" in table else None
+    return FramesTable(np.array([*columns.values()]), curvature, time_s, tuple(table.lines))
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[object]]) -> None:
@@ -172,19 +210,33 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[obj
             writer.writerow([cell(value) for value in row])
 
 
+def _opened(path: str | os.PathLike[str]) -> AbstractContextManager[IO[str]]:
+    """A text file, or the standard input."""
+    if str(path) == "-":
+        return nullcontext(sys.stdin)
+    return Path(path).open(newline="", encoding="utf-8-sig")
+
+
+def _first_line(file: IO[str]) -> tuple[int, str]:
+    """The first line that is neither empty nor a comment, and how many stand above it."""
+    above = 0
+    for line in file:
+        if line.strip() and not line.lstrip().startswith("#"):
+            return above, line
+        above += 1
+    return above, ""
+
+
 def _short(cell: str) -> str:
     """A cell on one line; an unclosed quotation mark makes one of all that follows."""
     return repr(cell if len(cell) <= 40 else f"{cell[:37]}...")
 
 
 def _check_header(path: str | os.PathLike[str], header: Sequence[str]) -> None:
-    if len(header) == 1:
-        for name, mark in (("semicolons", ";"), ("tabs", "\t"), ("bars", "|")):
-            if mark in header[0]:
-                raise DataError(
-                    f"{path} separates its columns by {name}",
-                    "export it with commas between columns and points in numbers",
-                )
+    if len(header) == 1 and "|" in header[0]:
+        raise DataError(
+            f"{path} separates its columns by bars", "export it with commas or semicolons"
+        )
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:
         raise DataError(f"{path}: the column '{twice}' appears twice", "rename one of them")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.display import COLORS, OTHER_COLOR
+from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.report.axes import INK, new_axes, plain, titled
 
@@ -116,4 +117,27 @@ def draw_grid(grid: OccupancyGrid, axes: Axes | None = None) -> Axes:
         handles=[Patch(facecolor=color, edgecolor="#9aa6b2", label=name) for name, color in names],
         loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8,
     )  # fmt: skip
+    return axes
+
+
+def draw_series(moments: Sequence[float], results: Sequence[LocalizeResult]) -> Axes:
+    """Each answer's contacts over time (or line): places with their 95 % intervals.
+
+    A place without an interval is drawn alone; answers without a contact leave a gap.
+    """
+    axes = new_axes(7.6, 3.6)
+    named: set[str] = set()
+    for moment, result in zip(moments, results, strict=True):
+        for contact in result.contacts:
+            color = COLORS.get(contact.status, OTHER_COLOR)
+            label = None if contact.status in named else contact.status
+            named.add(contact.status)
+            if contact.status != POINT_ESTIMATE:
+                axes.plot([moment, moment], contact.interval, color=color, lw=1.4, alpha=0.4)
+            axes.plot(moment, contact.arc, "o", color=color, ms=3.5, label=label)
+    length = max((result.length for result in results), default=1.0)
+    axes.set(xlabel="time (s), or line of the file", ylabel="arc along the body", ylim=(0, length))
+    plain(axes)
+    if named:
+        axes.legend(fontsize=8, frameon=False)
     return axes

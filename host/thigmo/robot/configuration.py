@@ -45,6 +45,10 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "payout_q8": [round(spool.payout_ratio * 256)],
         "spool_speed_um_s": [round(spool.max_speed_cm_s * 1e4)],
         "spool_accel_um_s2": [round(spool.acceleration_cm_s2 * 1e4)],
+        "line_speed_um_s": [round(spool.line_speed_cm_s * 1e4)],
+        "motor_stall_n": [round(spool.stall_n)],
+        "line_rating_n": [round(spool.line_rating_n)],
+        "brake_fitted": [int(spool.brake)],
     }
 
 

@@ -126,8 +126,9 @@ class Supervised(Connected):
         channel = self._fault_channels.get(first)
         if first in _OF_A_MUSCLE and channel is not None:
             what += f" ({SIDES[channel]} muscle)"
-        if first == wire.Fault.SPOOL_STALL and channel in list(wire.StallCause):
-            what += f" ({wire.StallCause(channel).doc.rstrip('.')})"
+        causes = {wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause}
+        if first in causes and channel is not None:
+            what += f" ({causes[first](channel).doc.rstrip('.')})"
         if first in _BAD_SENSOR:
             flags = _BAD_SENSOR[first] | _ENABLED
             reports = (self._client.request(wire.GetSensor(n)) for n in range(SENSORS))
@@ -172,8 +173,14 @@ class Supervised(Connected):
             # While an operator was asked nothing was heard of the board, and the heart held still.
             self.wait(2.0 * PERIOD_S)
             self._request(wire.Arm())
+        while self.status().activity == wire.Activity.TESTING.key:  # the brake is being proved
+            self.wait(0.1)
         if body_air:
-            self._request(wire.BodyAir(1))
+            self.body_air(True)
+
+    def body_air(self, open_: bool) -> None:
+        """Hold the body's air enable, or let it go; only while armed."""
+        self._request(wire.BodyAir(int(open_)))
 
     def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
         """Drive one output as it is; the board ends it by itself unless repeated, or at `vent`.

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -36,9 +36,17 @@ QUIET_S = 0.5  # outputs that have been off for so long stay off
 RECOVERY_S = 4.0
 _SEED = 5
 
+SAFE_CM = 2.0  # of growth after a single failure, where a brake is fitted
+RATING_N = 100.0  # of the line
+
+Fit = Literal["bare", "valves", "brake"]
+
 RELIEF = "supply regulator and relief valve bound the pressure; the e-stop drops the air enable"
 NO_DRIVE = "none needed: nothing is driven"
-BRAKE = "power-off brake, or venting the body"
+BRAKE = "the brake, or venting the body"
+SHORT = "the brake and the contacts in the motor's supply; else the e-stop empties the body"
+PULLS = SHORT + "; a line that holds 271 N"
+SNAPPED = "valve Y3 empties the body; a line of a rating that nothing reaches"
 NO_HARM = "none needed: outputs are sound; the localizer weighs such readings"
 
 
@@ -51,7 +59,7 @@ class Failure:
     kind: str
     options: dict[str, Any] = field(default_factory=dict, hash=False)
     valve: bool = False  # the air itself fails: no output of the board changes the pressure
-    spool: bool = False  # the spool itself fails: no output of the board changes its motion
+    spool: bool = False  # the spool itself fails: no duty of the board changes its motion
     covered: str = ""  # what covers it where no signal shows it, or where the firmware cannot act
 
 
@@ -79,8 +87,21 @@ FAILURES = (
     Failure("motor unpowered, windings open", "motor_lost", spool=True, covered=BRAKE),
     Failure("motor jammed", "spool_stall", covered=NO_DRIVE),
     Failure("motor driver short, full speed out", "motor_shorted", {"value": 800}, spool=True,
-            covered="the e-stop empties the body; a power-off brake"),
+            covered=SHORT),
+    Failure("motor driver short, full speed in", "motor_shorted", {"value": -800}, spool=True,
+            covered=PULLS),
     Failure("encoder dead", "encoder_lost", covered=NO_DRIVE),
+    Failure("encoder loses three counts of ten", "encoder_share", {"value": 0.7},
+            covered=NO_DRIVE),
+    Failure("line snapped", "line_snapped", spool=True, covered=SNAPPED),
+    Failure("tail jammed", "tail_jam", covered=NO_DRIVE),
+    Failure("brake stuck open", "brake_open",
+            covered="each arming proves the brake; the contacts still cut the motor's supply"),
+    Failure("brake stuck closed", "brake_closed", covered=NO_DRIVE),
+    Failure("contact in the motor's supply welded", "contact_welded",
+            covered="the driver obeys; the brake"),
+    Failure("converter's reference 20 % low", "reference_off"),
+    Failure("converter's reference 5 % low", "reference_off", {"value": 0.95}, covered=NO_HARM),
     Failure("brake slips, 2 cm/s of line", "spool_slip", spool=True, covered=BRAKE),
     Failure("supply dip, 3.8 V", "brown_out"),
     Failure("board's power lost for 1 s", "power_cut", {"duration_s": 1.0}),
@@ -104,11 +125,14 @@ QUICK = ("ready", "growing", "pressing")
 
 @dataclass(frozen=True)
 class Case:
-    """A failure in a state, with or without valves that empty the robot; and a second failure."""
+    """A failure in a state; and a second one.
+
+    `fit`: without valves that empty the robot, with them, or with them and a brake at the spool.
+    """
 
     failure: Failure
     state: str
-    fitted: bool = False
+    fit: Fit = "bare"
     second: Failure | None = None
 
 
@@ -123,6 +147,9 @@ class Visit:
     peak_psi: float
     steady_psi: float
     moved_cm: float  # farthest that the tip grew from where the failure found it
+    # beyond_cm: farthest that the true length was beyond both that and what the encoder shows
+    beyond_cm: float
+    pull_n: float  # most on the line
     recovers: bool  # once the failure is over, faults clear and the robot arms, without a reset
 
 
@@ -130,17 +157,19 @@ BoardFor = Callable[[bytes], Board]
 _virtual_board: BoardFor = partial(VirtualBoard, _SEED)
 
 
-def _scene(fitted: bool = False) -> Scene:
+def _scene(fit: Fit = "bare") -> Scene:
     scene = Scene.load("empty").model_copy(update={"start_length_cm": START_CM})
     scene.belief = type(scene.belief)()
-    scene.enables = scene.enables.model_copy(update={"fitted": fitted})
+    scene.enables = scene.enables.model_copy(update={"fitted": fit != "bare"})
+    scene.robot = scene.robot.model_copy(deep=True)
+    scene.robot.spool.brake = fit == "brake"
     return scene
 
 
 @cache
-def stored() -> bytes:
+def stored(fit: Fit = "bare") -> bytes:
     """The store of a configured board."""
-    transport = EmulatorTransport(_scene(), _virtual_board(b""), seed=_SEED)
+    transport = EmulatorTransport(_scene(fit), _virtual_board(b""), seed=_SEED)
     Robot(Client(transport)).configure(transport.config)
     return transport.lockstep.board.eeprom
 
@@ -148,7 +177,7 @@ def stored() -> bytes:
 def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 10) -> Visit:
     """Break one thing in one state, on a board of that store, and watch."""
     transport = EmulatorTransport(
-        _scene(case.fitted), board_for(stored()), seed=_SEED, exchange_ms=exchange_ms
+        _scene(case.fit), board_for(stored(case.fit)), seed=_SEED, exchange_ms=exchange_ms
     )
     lockstep, plant = transport.lockstep, transport.lockstep.plant
     client = Client(transport)
@@ -156,7 +185,7 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
     robot.wait(0.5)
     robot.set_parameter("trigger_e5", [10_000])
     robot.arm()
-    if case.fitted:
+    if case.fit != "bare":
         robot.wait(FILL_S)
     robot.confirm_length(START_CM, settled=True)
     robot.select_zone(0)
@@ -170,6 +199,7 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
         lockstep.faults.inject(FaultTable.model_validate(table))
     transport.pass_time(lead_s)
     decoder, board, length = Decoder(), lockstep.board, plant.length_cm
+    shown_cm, known = length, length  # by the encoder
     faults, announced = 0, False
     rows = []
     while transport.now() < begins + LASTS_S - 0.02:
@@ -177,10 +207,15 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
         for frame in decoder.feed(transport.read(0.01)):
             message = frame.message()
             announced |= isinstance(message, wire.Announce)
-            faults |= message.faults if isinstance(message, wire.Telemetry) else 0
+            if isinstance(message, wire.Telemetry):
+                faults |= message.faults
+                shown_cm = message.length_um / 1e4
+        known = max(known, shown_cm if not faults else known)
         unsafe = board.motor != 0 or any(board.drive_enabled)
-        rows.append((t_s - begins, unsafe, max(plant.muscle_psi), plant.length_cm - length))
-    after_s, on, psi, moved_cm = np.array(rows).T
+        grown = plant.length_cm
+        psi_now = max(plant.muscle_psi)
+        rows.append((t_s - begins, unsafe, psi_now, grown - length, grown - known, plant.line_n))
+    after_s, on, psi, moved_cm, beyond_cm, pull_n = np.array(rows).T
     last_s = float(after_s[on > 0].max(initial=0.0))
     noticed = ", ".join(f.key for f in wire.Fault.from_mask(faults))
     noticed = noticed or ("reset" if announced else "")
@@ -190,6 +225,8 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
         peak_psi=float(psi.max()),
         steady_psi=float(psi[after_s > LASTS_S - STEADY_S].max()),
         moved_cm=float(moved_cm.max(initial=0.0)),
+        beyond_cm=float(beyond_cm.max(initial=0.0)),
+        pull_n=float(pull_n.max()),
         recovers=_recovers(transport),
     )
 
@@ -211,14 +248,20 @@ def _recovers(transport: EmulatorTransport) -> bool:
 
 
 def run(context: Context) -> Outcome:
-    """The campaign: every failure in every state, without the valves and with them.
+    """The campaign: every failure in every state, bare, with valves, with valves and brake.
 
-    Quick: in three of the states, and in growth with the valves.
+    Quick: in three of the states, and in growth with valves and brake.
     """
     quick = context.scale == "quick"
     states, fitted = (QUICK, ("growing",)) if quick else (tuple(STATES), tuple(STATES))
-    cases = [Case(failure, state) for failure in FAILURES for state in states]
-    cases += [Case(failure, state, True) for failure in FAILURES for state in fitted]
+    of_brake = ("brake_open", "brake_closed", "contact_welded")
+    cases = [
+        Case(failure, state, fit)
+        for fit in ("bare", "valves", "brake")
+        for failure in FAILURES
+        for state in (states if fit == "bare" else fitted)
+        if fit == "brake" or failure.kind not in of_brake
+    ]
     return outcome(cases, context.map(visit, cases, "failures"))
 
 
@@ -229,6 +272,7 @@ def _line(case: Case, one: Visit) -> Record:
         "failure": failure.name, "state": case.state, "noticed_as": one.noticed or "not noticed",
         "safe_s": "" if one.safe_s is None else one.safe_s, "peak_psi": round(one.peak_psi, 1),
         "steady_psi": round(one.steady_psi, 1), "grown_cm": round(one.moved_cm, 2),
+        "pull_n": round(one.pull_n),
         "covered_by": failure.covered if bare else "",
     }  # fmt: skip
 
@@ -238,10 +282,15 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     pairs = list(zip(cases, visits, strict=True))
     tables: dict[str, Sequence[Record]] = {}
     for case, one in pairs:
-        name = "failures_with_valves" if case.fitted else "failures"
+        name = {
+            "bare": "failures", "valves": "failures_with_valves",
+            "brake": "failures_with_valves_and_brake",
+        }[case.fit]  # fmt: skip
         tables[name] = [*tables.get(name, ()), _line(case, one)]
     seen = [(c, v) for c, v in pairs if v.noticed]
-    air = [v for c, v in seen if not c.failure.valve or c.fitted]
+    air = [v for c, v in seen if not c.failure.valve or c.fit != "bare"]
+    braked = [(c, v) for c, v in pairs if c.fit == "brake"]
+    obeys = [v for c, v in pairs if c.failure.kind != "motor_shorted"]
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
     blind = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
     unseen = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
@@ -253,7 +302,11 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
         ("growth after host or firmware dies", [v.moved_cm for v in host], 2.0, "cm"),
         ("growth after the encoder dies", [v.moved_cm for v in blind], 2.0, "cm"),
         ("growth after a noticed failure, where valves empty the body",
-         [v.moved_cm for c, v in seen if c.fitted], EMPTIED_CM, "cm"),
+         [v.moved_cm for c, v in seen if c.fit == "valves" and c.failure.kind != "line_snapped"],
+         EMPTIED_CM, "cm"),
+        ("growth that was not asked for, where a brake is fitted and the line whole",
+         [v.beyond_cm for c, v in braked if c.failure.kind != "line_snapped"], SAFE_CM, "cm"),
+        ("pull on the line where the driver obeys", [v.pull_n for v in obeys], RATING_N, "N"),
         ("time to safe of a noticed failure whose spool works",
          [v.safe_s or 0.0 for c, v in seen if not c.failure.spool], 8.0, "s"),
         ("noticed failures after which an output stays on",

@@ -51,11 +51,12 @@ class Board {
     motor_ = duty;
   }
   void brake() { motor_ = 0; }
-  void air(bool muscles, bool body) { require(muscles || !body); }
+  void enable(thigmo::Enables wanted) { require(wanted.motor || !wanted.brake); }
   int32_t encoder_count() { return encoder; }
   uint16_t encoder_errors() { return 0; }
   uint16_t supply_mv() { return supply; }
   bool estop() { return pressed; }
+  bool motor_power() { return false; }
   uint8_t rx_waiting(const uint8_t** first) {
     *first = rx_ + rx_out_;
     return static_cast<uint8_t>((rx_in_ < rx_out_ ? 0 : rx_in_) - rx_out_);

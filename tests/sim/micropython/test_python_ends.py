@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from conftest import Bench  # type: ignore[import-not-found]
+from python_bench import Bench
 
 from thigmo.emulator.micropython import MicroPythonBoard, Processor
 from thigmo.errors import LinkError, PortError

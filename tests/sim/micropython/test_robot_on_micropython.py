@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from conftest import Bench  # type: ignore[import-not-found]
+from python_bench import Bench
 
 import thigmo
 from thigmo.emulator.micropython import STORE_SIZE, MicroPythonBoard

@@ -106,7 +106,7 @@ def test_every_fit_names_the_column_that_a_csv_lacks(tmp_path):
         ("a,b\n1\n", "line 2: 1 cells for 2 columns"),
         ("a,a\n1,2\n", "twice"),
         ("a\nword\n", "line 2: a is 'word', not a number"),
-        ("# lab\n\na;b\n1;2\n", "by semicolons"),
+        ("# lab\n\na|b\n1|2\n", "by bars"),
     ],
 )
 def test_malformed_tables_name_the_line(tmp_path, text, message):

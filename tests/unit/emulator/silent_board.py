@@ -15,6 +15,7 @@ class SilentBoard:
         self.motor = 0
         self.braked = True
         self.air = (False, False)
+        self.motor_enables = (False, False)
         self.eeprom = b""
         self.now_us = 0
         self.written = bytearray()
@@ -53,6 +54,9 @@ class SilentBoard:
 
     def set_estop(self, pressed: bool, /) -> None:
         self.estop.append(pressed)
+
+    def set_motor_power(self, on: bool, /) -> None:
+        self.motor_power = on
 
     def cut_power_after(self, n_bytes: int, /) -> None:
         self.cuts.append(n_bytes)
