@@ -79,7 +79,7 @@ def as_planned(experiment: str, folder: Folder) -> dict[str, Any]:
         assert row["true_arcs_cm"] == pytest.approx(trial.arcs_cm, abs=1.6)
         assert np.sign(row["true_forces"][-1]) <= 0  # the first of each is on the left side
     notes = read_log(folder.path / "run-1.mcap").notes
-    assert [note["key"] for _, note in notes] == [trial.key for trial in planned]
+    assert [note.facts["key"] for note in notes] == [trial.key for trial in planned]
     evaluated = evaluate(experiment, trials(Folder(folder.path))).record()["rows"]
     assert all(row["trials"] in (len(planned) / 2, 4, 2) for row in evaluated)
     return {row["condition"]: row for row in evaluated}

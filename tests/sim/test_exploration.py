@@ -81,7 +81,7 @@ def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
     assert int(log.metadata["schema_hash"], 16) == wire.SCHEMA_HASH
     kinds = {type(decode(entry.frame).message()) for entry in log.entries}
     assert {wire.Sweep, wire.Telemetry, wire.Snapshot, wire.Event, wire.GrowTo} <= kinds
-    states = [note["state"] for _, note in log.notes if note["topic"] == "state"]
+    states = [note.facts["state"] for note in log.notes if note.facts["topic"] == "state"]
     assert states[:3] == ["CONFIGURE", "CONFIRM", "ARM"]
     assert states[-1] == "FINISH"
 
@@ -150,7 +150,7 @@ def test_a_replay_of_a_damaged_record_uses_what_is_whole_and_says_so(
 def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -> None:
     again = replay(default.folder)
     notes = RunFolder(default.folder).read_log().notes
-    measured = sum(note["state"] == "MEASURE" for _, note in notes)
+    measured = sum(note.facts["state"] == "MEASURE" for note in notes)
     assert again.sweeps == 12 + measured  # two sides at six stages
     assert again.bad_frames == 0
     (live,), (replayed,) = default.document.contacts, again.document.contacts

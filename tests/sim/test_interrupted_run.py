@@ -84,7 +84,7 @@ def exploring(served: ServedRobot, folder: Path, room: Scene) -> Iterator[subpro
     [
         (signal.SIGINT, "aborted: interrupted by the operator"),
         (signal.SIGTERM, "aborted: terminated"),
-        (signal.SIGKILL, "running"),
+        (signal.SIGKILL, "killed"),
     ],
 )
 def test_a_run_cut_short_in_mid_sweep_leaves_a_safe_robot_and_a_readable_folder(

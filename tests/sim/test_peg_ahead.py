@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from thigmo.emulator.scene import PegTable, Scene
-from thigmo.exploration import explore, replay, run
+from thigmo.exploration import explore, reducer, replay
 from thigmo.exploration.met import Lean
 from thigmo.record import OBSTACLES_FILE, read_obstacles
 from thigmo.studies.rooms import explored
@@ -100,7 +100,7 @@ def test_zeros_that_moved_by_themselves_end_no_run(
         bend = np.where(grown[-1].direction >= 0, 2e-4 * lever, np.nan)
         return Lean(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
 
-    monkeypatch.setattr(run, "lean", moved)
+    monkeypatch.setattr(reducer, "lean", moved)
     scene = Scene.load("default")
     scene.start_length_cm = 30.0
     scene.pegs = []

@@ -18,6 +18,7 @@ from thigmo.record import (
     Entry,
     LogWriter,
     MapContact,
+    Note,
     RunDocument,
     RunFolder,
     Shape,
@@ -53,7 +54,7 @@ def test_frames_notes_and_metadata_survive_in_order(tmp_path: Path, whole: bytes
     assert [e.frame for e in log.entries] == _frames(1000)
     assert [e.direction for e in log.entries[:6]] == ["tx", "rx", "rx", "rx", "rx", "tx"]
     assert log.entries[200].t_s == pytest.approx(1.0)
-    assert log.notes == [(5.0, {"topic": "state", "state": "SWEEP"})]
+    assert log.notes == [Note(5.0, {"topic": "state", "state": "SWEEP"})]
     assert log.metadata == {"thigmo": "1"}
     assert not log.truncated
 
@@ -194,6 +195,7 @@ def test_the_document_survives_a_round_trip(tmp_path: Path) -> None:
         name="n",
         url="emulator://default",
         started="now",
+        outcome="full length",
         contacts=[contact],
         stages=[
             Stage(

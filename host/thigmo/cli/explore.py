@@ -47,6 +47,13 @@ def explore(
             "YAML file. It is believed as far as the readings allow.",
         ),
     ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            help="Run folder of an exploration that was cut short: goes on from what it had "
+            "learnt, swept and felt, on the same robot, whose everted length is measured again."
+        ),
+    ] = None,
     watch: Annotated[
         bool, typer.Option("--watch", help="Open the page on which the run is seen and stopped.")
     ] = False,
@@ -63,11 +70,17 @@ def explore(
 
     if robot is not None and scene is not None:
         raise ConfigError("--robot and --scene are both given", "give one of them")
-    url = f"emulator://{scene or 'default'}" if robot is None else robot
+    url = f"emulator://{scene}" if scene else robot
+    if resume is not None and method is not None:
+        raise ConfigError("a run that is resumed keeps its method", "leave --method out")
+    if resume is None:
+        url = url or "emulator://default"
     if watch:
         from thigmo.cli.watch import open_page
+        from thigmo.exploration import open_run
 
-        open_page(url, out, config)
+        where = url or open_run(resume or "").document.url
+        open_page(where, out, config)
     ending.outlive_terminal()
     console = Console(quiet=as_json, piped=piped)
     with console.progress() as show, console.interruptible():
@@ -81,6 +94,7 @@ def explore(
             protocol=protocol,
             method=method or "posterior",
             prior=prior,
+            resume=resume,
             operator=console,
             progress=show,
         )

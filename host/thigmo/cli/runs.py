@@ -11,7 +11,13 @@ import typer
 from thigmo.cli.output import JsonOption, MethodOption, print_json, robot_option, show
 
 _OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
-_OF_THE_HOST = ("thigmo", "url", "seed", "started")  # in a record's metadata; the rest: the board's
+_OF_THE_HOST = (
+    "thigmo",
+    "url",
+    "seed",
+    "started",
+    "protocol",
+)  # in a record's metadata; the rest: the board's
 
 
 def replay(
@@ -97,6 +103,7 @@ def _run_info(path: Path) -> dict[str, Any]:
             **{each: getattr(document, each) for each in _OF_THE_RUN},
             "stages_cm": [stage.everted_length_cm for stage in document.stages],
             "contacts": len(document.contacts),
+            "length_cm": document.length_cm,
             "robot_time_s": document.robot_time_s,
             "wall_time_s": document.wall_time_s,
         }

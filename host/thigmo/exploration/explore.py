@@ -15,11 +15,12 @@ from types import FrameType
 
 from thigmo import __version__
 from thigmo.config import RobotConfig
-from thigmo.errors import ConfigError, RunFolderError, StoppedByViewerError, ThigmoError
+from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.feel import check_method
 from thigmo.exploration.live import RunControl
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
+from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import PRIOR_FILE, ObstacleMap, RunDocument, RunFolder, write_obstacles
 from thigmo.report import draw_map
@@ -33,7 +34,7 @@ _ENDINGS: dict[type[BaseException], str] = {
 
 
 def explore(
-    url: str = "emulator://default",
+    url: str | None = None,
     *,
     config: RobotConfig | None = None,
     seed: int | None = None,
@@ -43,6 +44,7 @@ def explore(
     protocol: Protocol = "measure",
     method: str = "posterior",
     prior: str | os.PathLike[str] | None = None,
+    resume: str | os.PathLike[str] | None = None,
     operator: Operator | None = None,
     progress: Progress | None = None,
 ) -> ExplorationResult:
@@ -51,7 +53,8 @@ def explore(
     Gives the contacts in the room, and where the record is.
 
     Args:
-        url: where the robot is (`thigmo.connect`).
+        url: where the robot is (`thigmo.connect`); None: where that of the run to be resumed is,
+            else `emulator://default`.
         config: robot.toml; an emulated robot's may be left out: it is what its lab would know.
         seed: of the emulator's noise.
         out: folder in which the run folder is made.
@@ -64,6 +67,9 @@ def explore(
             is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. It is believed as far as the readings allow.
+        resume: folder of a run that was cut short, to go on from what it had learnt, swept and
+            felt, with its constants, map, protocol and method. An emulated robot begins anew, and
+            so at its first length.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: told what the robot is doing.
 
@@ -79,7 +85,15 @@ def explore(
         if progress is not None:
             progress(doing, fraction)
 
-    given = [] if prior is None else read_prior(prior)
+    past = None if resume is None else interrupted(resume, config)
+    if past is not None:
+        if prior is not None:
+            raise DataError("a run that is resumed keeps the map it was given", "leave --map out")
+        url, name, config = url or past.document.url, name or past.document.name, past.config
+        protocol = "thesis" if past.protocol == "thesis" else "measure"
+        seed, method = past.document.seed if seed is None else seed, past.document.method
+    url = url or "emulator://default"
+    given = past.prior if past else [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     begun = started.isoformat(timespec="seconds")
@@ -87,6 +101,13 @@ def explore(
     document = RunDocument(
         thigmo=__version__, name=label, url=url, started=begun, seed=seed, method=method
     )
+    if past is not None:
+        document = replace(
+            past.knows.found.judged(document),
+            stages=list(past.knows.stages),
+            truth=past.document.truth,
+            resumes=str(past.folder.path),
+        )
     with (
         ExitStack() as afterwards,
         _sigterm_raises(),
@@ -103,8 +124,11 @@ def explore(
                 "makes one",
             )
         folder = RunFolder.create(out, label, started.astimezone())
+        afterwards.enter_context(folder.hold())
         used.save(folder.path / "robot.toml")
-        if prior is not None:
+        if past is not None:
+            folder.keep_records_of(past.folder)
+        if given:
             kept = ObstacleMap("prior", "", "given", used.body.radius_cm, given)
             write_obstacles(kept, folder.path / PRIOR_FILE)
 
@@ -125,6 +149,7 @@ def explore(
             "url": url,
             "seed": "" if seed is None else str(seed),
             "started": begun,
+            "protocol": protocol,
             **robot.identity,
         }
         control, now_s, place = RunControl(), robot.now(), str(folder.path.resolve())
@@ -139,7 +164,10 @@ def explore(
         ):
             robot.record_frames(log.frame)
             robot.while_waiting(log.check)
-            run = Exploration(robot, used, folder, log, document, tell, protocol, given, control)
+            run = Exploration(
+                robot, used, folder, log, document, tell, protocol, given, control,
+                past.knows if past else None,
+            )  # fmt: skip
             _walk(run)
     return ExplorationResult(run.document, folder.path)
 

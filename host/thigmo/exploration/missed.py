@@ -32,6 +32,7 @@ from thigmo.robot import TRIGGER_PER_CM
 # this).
 _SAME_SIGMA = 3.0
 _FLOOR_CM = 1.0
+_SURFACE_CM = 2.5  # a wall's line is no straighter than this, between points of its surface
 _AHEAD_CM = 2.0  # a peg farther from a stalled tip did not stop it
 
 
@@ -89,6 +90,18 @@ def felt_pegs(document: RunDocument) -> set[int]:
     }
 
 
+def from_line(line: Sequence[tuple[float, float]], x: float, y: float) -> float:
+    """Distance of a point from a line through points, cm."""
+    points = np.array(line)
+    if len(points) == 1:
+        return float(np.hypot(points[0, 0] - x, points[0, 1] - y))
+    start, way = points[:-1], np.diff(points, axis=0)
+    along = ((np.array([x, y]) - start) * way).sum(axis=1)
+    share = np.clip(along / np.maximum((way**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    away = start + share[:, None] * way - np.array([x, y])
+    return float(np.hypot(away[:, 0], away[:, 1]).min())
+
+
 def _same(contact: MapContact, true: TrueContact) -> bool:
     covariance = np.asarray(contact.covariance_cm2) + _FLOOR_CM**2 * np.eye(2)
     apart = np.array([contact.x_cm - true.x_cm, contact.y_cm - true.y_cm])
@@ -97,6 +110,8 @@ def _same(contact: MapContact, true: TrueContact) -> bool:
         and apart @ np.linalg.solve(covariance, apart) < _SAME_SIGMA**2
     ):
         return True
+    if contact.surface and from_line(contact.surface, true.x_cm, true.y_cm) < _SURFACE_CM:
+        return contact.side == true.side
     low, high = contact.interval_cm
     held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM
     return held and of_stage(true, contact.everted_length_cm, contact.side)
@@ -127,8 +142,17 @@ def _why_missed(
         return "not told apart from another contact of the same sweep"
     if found:
         return "placed elsewhere, beyond three standard deviations of its interval"
-    said = [t.message for t in stage.triggers if t.side == missed.side and t.message]
-    return f"below detection: {said[-1]}" if said else "felt, and not localized at its last stage"
+    for contact in document.contacts:
+        lengths = [abs(length - missed.everted_length_cm) for length in contact.merged]
+        if contact.side == missed.side and min(lengths, default=np.inf) < 1.0:
+            return (
+                f"felt, and taken for the {contact.kind} that other stages felt at "
+                f"{contact.x_cm:.1f}, {contact.y_cm:.1f} cm"
+            )
+    said = [
+        f"{t.status}: {t.message}" for t in stage.triggers if t.side == missed.side and t.message
+    ]
+    return said[-1] if said else "felt, and not localized at its last stage"
 
 
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:

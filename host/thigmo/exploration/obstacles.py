@@ -2,7 +2,7 @@
 
 Built from contacts.json alone, so that a live run, one cut short and a replay all export the same
 way. Free is where the tube has been but for one chance in a thousand, as far as its shapes' errors
-tell; occupied is where a localized contact is with 95 % of its posterior, and what lies between the
+tell; occupied is what lies within a standard deviation of a localized contact, or between the
 points of a wall that is one to 95 %; it wins over free. The rest is unknown, and so is what lies
 near a contact, up to the same chance.
 """
@@ -98,17 +98,27 @@ def occupancy(
             grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
     for obstacle in there:
         for line in _occupied_lines(obstacle):
-            grid.cells[_near_line(grid, obstacle, line, _SIGMA_95)] = OCCUPIED
+            grid.cells[_near_line(grid, obstacle, line, 1.0)] = OCCUPIED
     return grid, felt + rest
 
 
 def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
-    """Lines along which something stands for sure: to 95 %."""
-    sure = obstacle.status == "localized" and obstacle.probability >= _SURE
-    lines = [obstacle.track] if sure else []
+    """Lines along which something stands for sure: to 95 %, and within a standard deviation."""
+    lines = []
+    if obstacle.status == "localized" and obstacle.probability >= _SURE:
+        lines.append(_core(obstacle) if obstacle.normal_rad is not None else obstacle.track)
     if obstacle.probability * obstacle.wall_probability >= _SURE:
         lines.append(obstacle.surface)
     return lines
+
+
+def _core(obstacle: Obstacle) -> list[Point]:
+    """The points of a contact's track that are within a standard deviation of its place."""
+    away = np.asarray(obstacle.track) - (obstacle.x_cm, obstacle.y_cm)
+    inverse = np.linalg.inv(np.asarray(obstacle.covariance_cm2))
+    near = np.einsum("pi,ij,pj->p", away, inverse, away) <= 1.0
+    core = [point for point, inside in zip(obstacle.track, near, strict=True) if inside]
+    return core or [(obstacle.x_cm, obstacle.y_cm)]
 
 
 def _obstacle(contact: MapContact) -> Obstacle:
@@ -182,7 +192,8 @@ def _near_line(
     if not points:
         return np.zeros(grid.cells.shape, dtype=np.bool_)
     away = np.ones(grid.cells.shape, dtype=np.uint8)
-    line = _pixels(grid, np.asarray(points))
+    # OpenCV draws no line of one point.
+    line = _pixels(grid, np.asarray([*points, points[-1]]))
     cv2.polylines(away, [line], False, 0, lineType=cv2.LINE_8, shift=_BITS)
     distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     across_cm = 0.0  # standard error

@@ -14,11 +14,10 @@ from typing import Any, Literal
 
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError
-from thigmo.exploration.feel import Feeling
 from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
-from thigmo.exploration.met import Lean, Met, lean, stall
+from thigmo.exploration.met import Lean
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import (
@@ -28,7 +27,7 @@ from thigmo.exploration.plan import (
     stage_lengths,
     trial_zone,
 )
-from thigmo.exploration.stage import Interpreter
+from thigmo.exploration.reducer import Profile, Reducer
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
@@ -42,7 +41,6 @@ from thigmo.robot import (
     rising_period_s,
     sweep_period_s,
 )
-from thigmo.robot.readings import Floats
 from thigmo.robot.state import together
 from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
 
@@ -75,27 +73,22 @@ class Exploration:
     protocol: Protocol = "measure"  # how a contact is measured
     prior: Sequence[Obstacle] = ()  # obstacles of a map of the room
     control: RunControl = field(default_factory=RunControl)  # whether viewers want it to wait
+    knows: Reducer | None = None  # of the run that this one resumes
     state: State = State.CONFIGURE
     length_cm: float = 0.0  # everted length
     _stage_cm: float = 0.0
     _start_cm: float = 0.0  # length at which the stage's growth began
-    _straight_cm: float = 0.0  # up to this length the body is known not to be held bent
     _zone: int = 0
     _body_psi: float | None = None  # what the operator last set
     _swept: bool = False
-    _looked: SweepResult = field(default_factory=SweepResult)  # for contacts
-    _measured: SweepResult | None = None
-    _feelings: list[Feeling] = field(default_factory=list)
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
-    _met: Met | None = None  # by growth, and not yet on the map
     _zero_tries: int = 0
-    _raised: int | None = None  # zone whose pressure growth has needed since it stalled
-    _tried: Met | None = None  # the stall that is tried again at that pressure
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
-        self._found = Interpreter(self.config, self.prior, self.document.method)
+        self._knows = self.knows or Reducer(self.config, self.prior, self.document.method)
+        self._found = self._knows.found
         self._table = SensorTable.of(self.config)
         self._whole_cm = sum(stage_lengths(self.config))
 
@@ -151,6 +144,7 @@ class Exploration:
         self.live.tell(Log, "info", "the operator measures the everted length")
         self.length_cm = self.robot.operator.everted_length_cm()
         self.robot.confirm_length(self.length_cm)
+        self._swept = self._knows.swept(self.length_cm)
         return "length known"
 
     def _arm(self) -> str:
@@ -177,10 +171,9 @@ class Exploration:
     def _pressurize(self) -> str:
         self._zone = growth_zone(self.config, self.length_cm, self._stage_cm)
         zones = self.config.body.zones
-        if self._raised is not None and (
-            zones[self._raised].pressure_psi > zones[self._zone].pressure_psi
-        ):
-            self._zone = self._raised
+        raised = self._knows.raised
+        if raised is not None and zones[raised].pressure_psi > zones[self._zone].pressure_psi:
+            self._zone = raised
         pressure = self.config.body.zones[self._zone].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
@@ -193,16 +186,14 @@ class Exploration:
         target = growth_target(self.config, self.length_cm, self._stage_cm)
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
-            self._met = stall(*self._grown(), self._table)
-            if self._met is not None:
+            if self._knows.grown(self._grown()) is not None:
                 return "no eversion"
-            if self._tried is not None and target == self._stage_cm:
-                self._found.map.tried(self._tried, moved_on=True)
+            if self._knows.tried is not None and target == self._stage_cm:
+                self._knows.moved_on()
                 self._note(stall=self._found.map.stall)
-                self._tried = None
         return "whole pitch" if target == self._stage_cm else "pressure boundary"
 
-    def _grown(self) -> tuple[Floats, Floats]:
+    def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
         return self._growth.profile(SensorTable.of(self.config, self.robot.oversample))
 
@@ -212,7 +203,7 @@ class Exploration:
         There every sensor is where the encoder says. A tip that was stopped is told by the encoder,
         and a body that is held bent by sensors only: those are asked again.
         """
-        met, truth = self._met, self.robot.truth()
+        met, truth = self._knows.met, self.robot.truth()
         assert met is not None
         leaning = isinstance(met, Lean)
         if truth is not None:
@@ -222,20 +213,17 @@ class Exploration:
         self.length_cm = self.robot.retract_to(min(self._start_cm, clear_cm))
         if leaning:
             return "clear of what held it"
-        if self._tried is None and (higher := trial_zone(self.config, self._zone)) is not None:
-            self._raised, self._tried, self._growth = higher, met, GrowthWatcher()
-            self._met = None
+        higher = trial_zone(self.config, self._zone)
+        if self._knows.tried is None and higher is not None:
+            self._knows.tries_more_pressure(higher)
+            self._growth = GrowthWatcher()
             self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
             return "stalled: more pressure"
-        self._end_at(met)
+        self._end_at_met()
         return "stalled"
 
-    def _end_at(self, met: Met) -> None:
-        if self._tried is None or isinstance(met, Lean):
-            self._found.map.add_met(met)
-        else:
-            self._found.map.tried(met, moved_on=False)
-        stalled = None if isinstance(met, Lean) else self._found.map.stall
+    def _end_at_met(self) -> None:
+        stalled = self._knows.ended_at_met()
         self._note(outcome="peg ahead" if stalled is None else stalled.words)
         self._judge()
 
@@ -252,21 +240,20 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        if isinstance(self._met, Lean):
-            return self._released(self._met)
+        if isinstance(self._knows.met, Lean):
+            return self._released()
         if self._swept:
             return "zeroed after sweep"
-        if self._stage_cm > self._straight_cm:
-            self._met = lean(*self._grown(), *self.robot.zeros(), self._table)
-        return "zeroed after growth" if self._met is None else "held bent"
+        if self._stage_cm > self._knows.straight_cm:
+            self._knows.zeroed(self._grown(), self.robot.zeros())
+        return "zeroed after growth" if self._knows.met is None else "held bent"
 
-    def _released(self, held: Lean) -> str:
+    def _released(self) -> str:
         """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
-        self._met = None
-        if held.released(*self.robot.zeros()):
-            self._end_at(held)
+        if self._knows.let_go(self.robot.zeros()):
+            self._end_at_met()
             return "straight again: peg ahead"
-        self._swept, self._straight_cm = True, held.length_cm
+        self._swept = True
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
@@ -287,15 +274,16 @@ class Exploration:
         thesis = self.protocol == "thesis"
         period_s = sweep_period_s if thesis else rising_period_s
         self._known = set()
-        self._looked = self.robot.sweep(
+        looked = self.robot.sweep(
             left_psi=self.config.actuators.left.max_pressure_psi,
             right_psi=self.config.actuators.right.max_pressure_psi,
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self._swept, self._measured = True, None
-        fired = held_sides(self._looked)
+        self._swept = True
+        self._knows.has_looked(looked, self._zone)
+        fired = held_sides(looked)
         if not fired:
             return "no contact"
         if thesis:
@@ -344,49 +332,49 @@ class Exploration:
         return "every sensor known"
 
     def _measure(self) -> str:
-        fired = held_sides(self._looked) - self._known
-        frames = self._looked.frames
+        fired = held_sides(self._knows.looked) - self._known
+        frames = self._knows.looked.frames
         left, right = (
             measuring_pressure(frames, side, self.config, self._zone) if side in fired else 0.0
             for side in SIDES
         )
         self.robot.vent()
-        self._measured = self.robot.sweep(
+        measured = self.robot.sweep(
             left_psi=left,
             right_psi=right,
             period_s=sweep_period_s(self.config, self._zone, top_psi=max(left, right)),
             rising_only=True,
             enough=self._tell_feeling,
         )
+        self._knows.has_measured(measured)
         return "measured"
 
     def _localize(self) -> str:
-        self._feelings = self._found.feel(self._looked, self._measured, self._zone)
-        for feeling in self._feelings:
+        feelings = self._knows.localized()
+        for feeling in feelings:
             self.live.feels(self.length_cm, feeling)
-        if not self._feelings:
+        if not feelings:
             nothing = "nothing was felt at this stage"
             self.live.tell(Posterior, "", self.length_cm, (), (), "no contact", "", nothing)
-        return "contact" if any(feeling.felt for feeling in self._feelings) else "none"
+        return "contact" if any(feeling.felt for feeling in feelings) else "none"
 
     def _map(self) -> str:
-        self._found.add(self._feelings)
+        self._knows.mapped()
         self._note(contacts=self._found.map.contacts)
         self.live.tell(Contacts, tuple(self.document.contacts))
         return "mapped"
 
     def _vent(self) -> str:
         self.robot.vent()
-        stage = self._found.entry(
-            self.robot.now(), self.length_cm, self._looked, self._feelings, self._zone
-        )
-        self._note(stages=[*self.document.stages, stage], truth=self._truth())
+        truth = self._truth()
+        self._knows.ended(self.robot.now(), self.length_cm)
+        self._note(stages=list(self._knows.stages), truth=truth)
         self._judge()
         return "vented, thesis protocol" if self.protocol == "thesis" else "vented"
 
     def _truth(self) -> Truth | None:
         """The room's truth so far, with each side's contacts when it was measured."""
-        looked, measured = self._looked.truth, self._measured
+        looked, measured = self._knows.looked.truth, self._knows.measured
         if looked is None:
             return self.document.truth
         sides = {peak.side for peak in measured.peaks} if measured else set()

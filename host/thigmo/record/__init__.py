@@ -7,6 +7,7 @@ readable when the run is cut short.
 """
 
 from thigmo.record.document import (
+    RUNNING,
     FalseContact,
     MapContact,
     MissedContact,
@@ -21,7 +22,7 @@ from thigmo.record.document import (
     Truth,
 )
 from thigmo.record.folder import RunFolder, write_whole
-from thigmo.record.log import Entry, Log, LogWriter, read_log
+from thigmo.record.log import Entry, Log, LogWriter, Note, read_log
 from thigmo.record.obstacles import (
     OBSTACLES_FILE,
     PRIOR_FILE,
@@ -39,6 +40,7 @@ from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_re
 __all__ = [
     "OBSTACLES_FILE",
     "PRIOR_FILE",
+    "RUNNING",
     "Ellipse",
     "Entry",
     "FalseContact",
@@ -48,6 +50,7 @@ __all__ = [
     "LogWriter",
     "MapContact",
     "MissedContact",
+    "Note",
     "Obstacle",
     "ObstacleMap",
     "OccupancyGrid",

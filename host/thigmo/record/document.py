@@ -15,6 +15,8 @@ from pydantic import BeforeValidator
 
 from thigmo.display import interval_text
 
+RUNNING, KILLED = "running", "killed"
+
 # JSON has null where a number is not known.
 Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
@@ -195,8 +197,9 @@ class RunDocument:
     url: str
     started: str
     #: "running", "full length", "peg ahead" (felt, or by a body that growth bent aside), "growth
-    #: stalled" with its possible causes, or, with the reason, "aborted"
-    outcome: str = "running"
+    #: stalled" with its possible causes, with the reason "aborted", or "killed" (its process ended
+    #: without a word; length and times are the record's)
+    outcome: str = RUNNING
     seed: int | None = None
     contacts: list[MapContact] = field(default_factory=list)  #: in the order of their discovery
     stages: list[Stage] = field(default_factory=list)
@@ -212,4 +215,5 @@ class RunDocument:
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
     method: str = "posterior"  #: of the localizer: `thigmo.localize`
+    resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
     version: int = 1

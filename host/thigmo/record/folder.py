@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
@@ -16,8 +19,15 @@ from pydantic import TypeAdapter, ValidationError
 from thigmo import files
 from thigmo.config import RobotConfig, invalid_entry
 from thigmo.errors import RunFolderError
-from thigmo.record.document import RunDocument
-from thigmo.record.log import Log, LogWriter, read_log
+from thigmo.link.framing import FrameError, decode
+from thigmo.link.protocol import Telemetry
+from thigmo.record.document import KILLED, RUNNING, RunDocument
+from thigmo.record.log import Entry, Log, LogWriter, read_log
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
 
 T = TypeVar("T")
 _CHUNK_BYTES = 65_536  # half a second of frames and decoded channels
@@ -65,22 +75,90 @@ class RunFolder:
         """Read `run.mcap`."""
         return read_log(self.path / "run.mcap")
 
+    def read_logs(self) -> list[Log]:
+        """Read `run.mcap` and, before it, the records of the runs that it resumes, oldest first."""
+        return [read_log(path) for path in self._records()]
+
+    def _records(self) -> list[Path]:
+        earlier = sorted(self.path.glob("earlier-*.mcap"), key=lambda path: len(path.name))
+        return [*earlier, self.path / "run.mcap"]
+
+    def keep_records_of(self, resumed: RunFolder) -> None:
+        """Copy the records of a run that this one resumes."""
+        for number, record in enumerate(resumed._records(), 1):
+            write_whole(self.path / f"earlier-{number}.mcap", record.read_bytes())
+
     def write_document(self, document: RunDocument, name: str = "contacts.json") -> None:
         """Write contacts.json whole or not at all."""
         write_whole(self.path / name, _DOCUMENT.dump_json(document, indent=2) + b"\n")
 
     def read_document(self) -> RunDocument:
-        """Read contacts.json."""
-        return read_json(
+        """Read contacts.json; a run whose process ended without a word says so."""
+        document = read_json(
             _DOCUMENT,
             self.path / "contacts.json",
             missing="give a run folder",
             invalid="run `thigmo replay` on the folder",
         )
+        return (
+            self._killed(document) if document.outcome == RUNNING and not self._held else document
+        )
+
+    def _killed(self, document: RunDocument) -> RunDocument:
+        """The document with the length and the times that the record ends with."""
+        document = replace(document, outcome=KILLED)
+        with suppress(RunFolderError):  # it has no record
+            entries = self.read_log().entries
+            if entries:
+                seconds = entries[-1].t_s - entries[0].t_s
+                length_cm = _last_length_cm(entries)
+                document = replace(document, robot_time_s=round(seconds, 3), length_cm=length_cm)
+        with suppress(OSError, ValueError):
+            ended_s = (self.path / "run.mcap").stat().st_mtime
+            seconds = ended_s - datetime.fromisoformat(document.started).timestamp()
+            document = replace(document, wall_time_s=round(max(seconds, 0.0), 3))
+        return document
+
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Mark the run as under way, for as long as this process lives at most."""
+        if fcntl is None:
+            yield
+            return
+        folder = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(folder)
+
+    @property
+    def _held(self) -> bool:
+        """Whether a process holds it; on Windows that is not known, and taken for granted."""
+        if fcntl is None:
+            return True
+        folder = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        finally:
+            os.close(folder)
+        return False
 
     def read_config(self) -> RobotConfig:
         """Read robot.toml as it was used. Raises ConfigError if it is missing or malformed."""
         return RobotConfig.load(self.path / "robot.toml")
+
+
+def _last_length_cm(entries: Sequence[Entry]) -> float:
+    """The everted length by the last telemetry; 0 without."""
+    for entry in reversed(entries):
+        with suppress(FrameError):
+            frame = decode(entry.frame)
+            if frame.id == Telemetry.ID:
+                return Telemetry.unpack(frame.payload).length_um / 1e4
+    return 0.0
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -53,14 +53,31 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
+class Note:
+    """A fact of the run."""
+
+    t_s: float  # as an entry's
+    facts: dict[str, Any]  # its `topic`, and what was told
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
     """A record that was read."""
 
-    entries: list[Entry]  # in time order
-    notes: list[tuple[float, dict[str, Any]]]  # in time order
+    told: list[Entry | Note]  # in the order in which they were kept
     metadata: dict[str, str]  # facts of the run, as they were given to the writer
     truncated: bool = False  # the end is missing: the writer was killed
     gaps: int = 0  # places before the end at which something is missing: the file is damaged
+
+    @property
+    def entries(self) -> list[Entry]:
+        """The frames, in their order."""
+        return [each for each in self.told if isinstance(each, Entry)]
+
+    @property
+    def notes(self) -> list[Note]:
+        """The notes, in their order."""
+        return [each for each in self.told if isinstance(each, Note)]
 
     @property
     def missing(self) -> str:
@@ -215,12 +232,11 @@ def read_log(path: Path) -> Log:
     found = read_mcap(path, {*_TOPICS, _NOTES})
     told = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(told) if told.isdecimal() else 0
-    entries: list[Entry] = []
-    notes: list[tuple[float, dict[str, Any]]] = []
+    items: list[Entry | Note] = []
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
         if topic == _NOTES:
-            notes.append((t_s, json.loads(data)))
+            items.append(Note(t_s, json.loads(data)))
         else:
-            entries.append(Entry(t_s, _TOPICS[topic], data))
-    return Log(entries, notes, found.metadata, found.truncated, found.gaps)
+            items.append(Entry(t_s, _TOPICS[topic], data))
+    return Log(items, found.metadata, found.truncated, found.gaps)

@@ -16,17 +16,18 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from thigmo.config import SIDES
 from thigmo.errors import RunFolderError
-from thigmo.files import whole_file
 from thigmo.record import LogWriter
 from thigmo.record.mcap_file import read_mcap
 from thigmo.stream.blocks import TelemetryBlock
 from thigmo.stream.hub import Hub
 from thigmo.stream.messages import (
+    CHANNELS,
     RECORDED,
     BodyShape,
     Contacts,
@@ -99,18 +100,21 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
     """
     target = Path(folder)
     messages = read_messages(run, set(RECORDED) - {Grid.CHANNEL})
-    writers: dict[str, csv.DictWriter[str]] = {}
+    writers: dict[str, Any] = {}  # of the csv module
     try:
         target.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             for message in messages:
                 channel = message.CHANNEL
-                for row in _rows(message):
+                own = _values(message)
+                for entry in _entries(message):
                     if channel not in writers:
-                        file = stack.enter_context(whole_file(target / f"{channel}.csv", text=True))
-                        writers[channel] = csv.DictWriter(file, row)
-                        writers[channel].writeheader()
-                    writers[channel].writerow({name: _cell(value) for name, value in row.items()})
+                        file = stack.enter_context(
+                            (target / f"{channel}.csv").open("w", newline="")
+                        )
+                        writers[channel] = csv.writer(file)
+                        writers[channel].writerow([*_names(message), *entry])
+                    writers[channel].writerow([_cell(value) for value in (*own, *entry.values())])
     except OSError as error:
         raise RunFolderError(
             f"cannot write {error.filename or target}: {error.strerror}", "choose another folder"
@@ -120,26 +124,46 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
 
 def _cell(value: Any) -> Any:
     """A value as it was measured: sums of binary fractions are cut where they say nothing."""
-    if not isinstance(value, float):
+    if type(value) is not float:
         return value
     return f"{value:.15g}" if value == value else ""
 
 
-def _rows(message: Message) -> Iterator[Row]:
-    """A message's fields in columns; a tuple has one for each side, or each place of a side."""
-    row: Row = {}
-    for name in (each.name for each in fields(message) if each.name not in _APART):
+@cache
+def _own(channel: str) -> tuple[str, ...]:
+    """Names of the fields that each row of a message has."""
+    return tuple(each.name for each in fields(CHANNELS[channel]) if each.name not in _APART)
+
+
+def _names(message: Message) -> list[str]:
+    """Columns of a message's fields; a tuple has one for each side, or each place of a side."""
+    names = []
+    for name in _own(message.CHANNEL):
+        value = getattr(message, name)
+        if name == "faults" or not isinstance(value, tuple):
+            names.append(name)
+            continue
+        a_side = len(value) // len(SIDES)
+        names += [
+            f"{name}_{side}" + (f"_{place}" if a_side > 1 else "")
+            for side in SIDES
+            for place in range(a_side)
+        ]
+    return names
+
+
+def _values(message: Message) -> list[Any]:
+    """What stands in these columns."""
+    values: list[Any] = []
+    for name in _own(message.CHANNEL):
         value = getattr(message, name)
         if name == "faults":
-            row[name] = " ".join(value)
+            values.append(" ".join(value))
         elif isinstance(value, tuple):
-            a_side = len(value) // len(SIDES)
-            for number, one in enumerate(value):
-                side, place = SIDES[number // a_side], number % a_side
-                row[f"{name}_{side}" + (f"_{place}" if a_side > 1 else "")] = one
+            values += value
         else:
-            row[name] = value
-    return ({**row, **entry} for entry in _entries(message))
+            values.append(value)
+    return values
 
 
 def _entries(message: Message) -> Iterator[Row]:

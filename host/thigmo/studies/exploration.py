@@ -13,7 +13,6 @@ those that were missed.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, nan
 from pathlib import Path
@@ -27,7 +26,7 @@ from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
 from thigmo.exploration.map import best_contact, of_stage
-from thigmo.exploration.missed import felt_pegs
+from thigmo.exploration.missed import felt_pegs, from_line
 from thigmo.exploration.obstacles import occupancy
 from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
@@ -140,7 +139,7 @@ class Explored:
         self.touched = len(last)
         self.touched_missed = sum(
             not any(
-                _from_line([*c.surface, (c.x_cm, c.y_cm)], true.x_cm, true.y_cm) <= _OFF_CM
+                from_line([*c.surface, (c.x_cm, c.y_cm)], true.x_cm, true.y_cm) <= _OFF_CM
                 for c in document.contacts
             )
             for true in last.values()
@@ -159,18 +158,6 @@ class Explored:
                     and low - _LENGTH_CM <= true.arc_cm <= high + _LENGTH_CM
                     for true in truth.contacts
                 )
-
-
-def _from_line(line: Sequence[tuple[float, float]], x: float, y: float) -> float:
-    """Distance of a point from a line through points, cm."""
-    points = np.array(line)
-    if len(points) == 1:
-        return float(hypot(points[0, 0] - x, points[0, 1] - y))
-    start, way = points[:-1], np.diff(points, axis=0)
-    along = ((np.array([x, y]) - start) * way).sum(axis=1)
-    share = np.clip(along / np.maximum((way**2).sum(axis=1), 1e-12), 0.0, 1.0)
-    away = start + share[:, None] * way - np.array([x, y])
-    return float(np.hypot(away[:, 0], away[:, 1]).min())
 
 
 class Mapped(NamedTuple):

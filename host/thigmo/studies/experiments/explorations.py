@@ -27,7 +27,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
-from thigmo.exploration.replay import recorded_sweeps
+from thigmo.exploration.recorded import recorded_sweeps
 from thigmo.exploration.run import Progress
 from thigmo.exploration.run import Protocol as Way
 from thigmo.record import RunDocument, RunFolder

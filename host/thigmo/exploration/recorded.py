@@ -1,0 +1,269 @@
+"""Reads a run's steps and readings off its record, for the replay and for a run that is resumed.
+
+The notes say what the run did, and when; the frames that crossed the link hold what it read: zeros,
+lengths, peaks and triggers, by the same watchers as live. Nothing is taken from contacts.json.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.errors import RunFolderError
+from thigmo.exploration.plan import trial_zone
+from thigmo.exploration.reducer import Profile, Reducer
+from thigmo.link import protocol as wire
+from thigmo.link.clock import DeviceClock
+from thigmo.link.framing import FrameError, decode
+from thigmo.link.inbox import TelemetryFrame
+from thigmo.record import Entry, Log, Note, Obstacle, RunFolder
+from thigmo.robot import (
+    SENSORS,
+    GrowthWatcher,
+    SensorTable,
+    StandingWatch,
+    SweepFrame,
+    SweepResult,
+    SweepWatcher,
+    mask_of,
+    peak_frame,
+)
+from thigmo.robot.readings import Floats
+
+_OVERSAMPLE = wire.PARAMETERS["oversample_log2"].index
+_ENABLED = wire.PARAMETERS["flex_enabled"].index
+_ZEROED = 1 << 2  # of sensor_report.flags
+_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
+
+
+@dataclass
+class RecordedSweep:
+    """A sweep as it is read off the frames."""
+
+    zone: int
+    sides: set[Side]
+    t_s: float
+    watcher: SweepWatcher
+
+
+class _Frames:
+    """Reads the board's state off its frames, as the robot object does live."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self.table = SensorTable.of(config)
+        self._enabled = self.table.healthy.copy()
+        self._standing: StandingWatch | None = None
+        self._clock = DeviceClock()
+        self._before = self.table  # the last zeroing
+        self.zone = 0  # of the body pressure
+        self._status: wire.StatusReport | None = None
+        self._snapshots: list[SweepFrame] = []
+        self._events: set[int] = set()
+        self._last_sweep = (0, 0)
+        self._swept = True  # the last sweep came to its end
+        self._growing = self._peaked = False
+        self.growth = GrowthWatcher()  # of the stage
+        self.sweeps: list[RecordedSweep] = []
+        self.bad = 0
+
+    def take(self, entry: Entry) -> None:
+        """Take one frame of the record, in its order."""
+        watcher = self.sweeps[-1].watcher if self.sweeps else None
+        try:
+            frame = decode(entry.frame)
+            message = frame.message()
+        except FrameError:
+            self.bad += 1
+            return
+        match message:
+            case wire.Telemetry():
+                device_us = self._clock.unwrap(message.t_us)
+                told = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
+                if self._standing is not None:
+                    self._standing.telemetry(told)
+                if self._growing:
+                    self.growth.telemetry(told)
+                elif watcher:
+                    watcher.telemetry(told)
+            case wire.GrowTo():
+                self._growing = True
+            case wire.Hello():
+                self._events.clear()
+            case wire.SelectZone():
+                self.zone = message.zone
+            case wire.StatusReport():
+                self._status = message
+            case wire.Arm():
+                self._standing = StandingWatch(self._config, self.table.oversample)
+            case wire.ParameterValue() if 0 <= message.index - _ENABLED < SENSORS:
+                self._enabled[message.index - _ENABLED] = message.value
+            case wire.ParameterValue() if message.index == _OVERSAMPLE:
+                self.table = replace(self.table, oversample=1 << message.value)
+            case wire.ZeroSensors():
+                self._before = self.table
+            case wire.SensorReport() if message.flags & _ZEROED:
+                self.table = self.table.zeroed({message.sensor: message.zero_sum_q8 / 256})
+            case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
+                # A repeat of the same command, whose reply was lost, is no other sweep.
+                self._last_sweep = (frame.session, frame.seq)
+                self._begin(message, entry.t_s)
+            case wire.Event() if message.number not in self._events:
+                self._events.add(message.number)
+                if message.code == wire.EventCode.CONTACT and watcher:
+                    watcher.triggered(message, self._device_s(message.t_us))
+                self._peaked |= message.code == wire.EventCode.PEAK
+                if message.code == wire.EventCode.ACTIVITY_DONE:
+                    self._swept, self._growing = True, False
+            case wire.Vent() if watcher and not self._swept:
+                watcher.rising = True  # cut short after its peak, or on the way up
+                watcher.stopped |= not self._peaked
+                self._swept = True
+            case wire.Snapshot() if watcher and message.index < message.count:
+                self._snapshot(message, watcher)
+
+    def profile(self) -> Profile:
+        """Lengths of the stage's growth, and what the sensors read at each."""
+        return self.growth.profile(self.table)
+
+    def zeros(self) -> tuple[Floats, Floats]:
+        """The zeros before the last zeroing and after it, as `Robot.zeros`."""
+        return self._before.zeros, self.table.zeros
+
+    def _device_s(self, t_us: int) -> float:
+        return self._clock.unwrap(t_us) * 1e-6
+
+    def _begin(self, command: wire.Sweep, t_s: float) -> None:
+        self._swept = self._growing = self._peaked = False
+        status = self._status
+        mask, young, length = 0, 0, 0.0
+        if status:
+            young = status.everted_mask & mask_of(self.table.healthy & ~self._enabled)
+            mask = status.everted_mask & status.settled_mask & status.zeroed_mask
+            length = status.length_um / 1e4
+        watcher = SweepWatcher(self.table, mask, length, young, self._standing)
+        amplitudes = (command.left_cpsi, command.right_cpsi)
+        sides = {side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0}
+        self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
+
+    def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
+        if message.index == 0:
+            self._snapshots = []
+        if message.index != len(self._snapshots):
+            return  # the reply to a repeated request
+        self._snapshots.append(peak_frame(message, self._device_s(message.t_us)))
+        if len(self._snapshots) == message.count:
+            watcher.peaks.append(self._snapshots)
+
+
+class RecordedRun:
+    """A run as its records tell it: its own, and before it those of the runs that it resumes.
+
+    Attributes:
+        logs: its records (`RunFolder.read_logs`), oldest first.
+        known: what the run knew at the end of its record.
+        sweeps: of all records.
+        bad: frames that could not be decoded.
+
+    Raises RunFolderError: a record of another protocol schema.
+    """
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        logs: list[Log],
+        config: RobotConfig,
+        prior: Sequence[Obstacle] = (),
+        method: str = "posterior",
+    ) -> None:
+        self._config = config
+        self.logs = logs
+        self.known = Reducer(config, prior, method)
+        self.sweeps: list[RecordedSweep] = []
+        self.bad = 0
+        for log in self.logs:
+            _check(folder, log)
+            self._read(log, _Frames(config))
+
+    def _read(self, log: Log, frames: _Frames) -> None:
+        taken = 0
+        for item in log.told:
+            if isinstance(item, Entry):
+                frames.take(item)
+            elif item.facts["topic"] == "state":
+                new = _last_length(frames.sweeps[taken:])
+                taken = len(frames.sweeps) if self._step(item, frames, new) else taken
+        self.sweeps += frames.sweeps
+        self.bad += frames.bad
+
+    def _step(self, note: Note, frames: _Frames, new: list[RecordedSweep]) -> bool:
+        """Take a step of the run; whether it has used the sweeps that are new since the last."""
+        known = self.known
+        match note.facts["state"], note.facts["outcome"]:
+            case "PLAN", _:
+                frames.growth = GrowthWatcher()
+            case "GROW", "no eversion":
+                known.grown(frames.profile())
+            case "ZERO", "held bent":
+                known.zeroed(frames.profile(), frames.zeros())
+            case "ZERO", "as before: the zeros moved" if known.met:
+                known.let_go(frames.zeros())
+            case "GROW", "whole pitch":
+                known.moved_on()
+            case "BACK_OFF", "stalled: more pressure":
+                higher = trial_zone(self._config, frames.zone)
+                known.tries_more_pressure(frames.zone if higher is None else higher)
+                frames.growth = GrowthWatcher()
+            case ("BACK_OFF", "stalled" | "peg ahead") | ("ZERO", "straight again: peg ahead"):
+                known.ended_at_met()
+            case "SWEEP", _ if new:
+                known.has_looked(_joined(new), new[-1].zone)
+                return True
+            case "MEASURE", _ if new:
+                known.has_measured(_joined(new))
+                return True
+            case "LOCALIZE", _ if known.looked.peaks:
+                known.localized()
+            case "MAP", _:
+                known.mapped()
+            case "VENT", _ if known.looked.peaks:
+                known.ended(note.t_s, frames.sweeps[-1].watcher.length_cm)
+        return False
+
+
+def _joined(sweeps: list[RecordedSweep]) -> SweepResult:
+    return SweepResult.joined([each.watcher.result() for each in sweeps])
+
+
+def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
+    """Those at the length of the last: where notes are lost, an earlier stage's are before them."""
+    if not sweeps:
+        return []
+    length_cm = sweeps[-1].watcher.length_cm
+    return [each for each in sweeps if abs(each.watcher.length_cm - length_cm) < _SAME_CM]
+
+
+def _check(folder: RunFolder, log: Log) -> None:
+    schema = log.metadata.get("schema_hash", "")
+    theirs = log.metadata.get("thigmo", "of its time")
+    if schema != f"{wire.SCHEMA_HASH:08x}":
+        raise RunFolderError(
+            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
+            f"{wire.SCHEMA_HASH:08x}",
+            f"replay it with thigmo {theirs}",
+        )
+
+
+def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
+    """The sweeps in a run's raw record, in their order, for who wants to localize otherwise.
+
+    Raises as `replay` does.
+    """
+    folder = RunFolder(run)
+    frames, log = _Frames(folder.read_config()), folder.read_log()
+    _check(folder, log)
+    for entry in log.entries:
+        frames.take(entry)
+    return [sweep.watcher.result() for sweep in frames.sweeps]

@@ -1,0 +1,132 @@
+"""What a run knows, step by step: one reducer for the live run, its replay and its resumption.
+
+The live run tells it each step with what the sensors gave. A replay takes the same steps off the
+run's notes, and the same readings off the frames of its link (`recorded`). So a replay knows at
+each moment what the run knew, and a run that is resumed goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from thigmo.config import RobotConfig
+from thigmo.exploration.feel import Feeling
+from thigmo.exploration.met import Lean, Met, lean, stall
+from thigmo.exploration.stage import Interpreter
+from thigmo.record import Obstacle, Stage, Stall
+from thigmo.robot import SensorTable, SweepResult
+from thigmo.robot.readings import Floats
+
+_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
+
+Profile = tuple[Floats, Floats]
+"""Lengths of a growth, and what the sensors read at each (`GrowthWatcher.profile`)."""
+
+
+class Reducer:
+    """Takes a run's steps in their order.
+
+    Attributes:
+        found: what the sweeps have taught, and the map.
+        stages: those that were swept to their end.
+        looked: the stage's sweep for contacts.
+        measured: its second sweep, which measures one; None without.
+        feelings: what the stage's sweeps told.
+        met: by growth, and not yet on the map.
+        tried: the stall that is tried again at a higher body pressure.
+        raised: zone whose pressure growth has needed since it stalled.
+        straight_cm: up to this length the body is known not to be held bent.
+    """
+
+    def __init__(
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+    ) -> None:
+        self._table = SensorTable.of(config)
+        self._zone = 0
+        self.found = Interpreter(config, prior, method)
+        self.stages: list[Stage] = []
+        self.looked = SweepResult()
+        self.measured: SweepResult | None = None
+        self.feelings: list[Feeling] = []
+        self.met: Met | None = None
+        self.tried: Met | None = None
+        self.raised: int | None = None
+        self.straight_cm = 0.0
+
+    # Growth.
+
+    def grown(self, profile: Profile) -> Met | None:
+        """The stage has grown so far: what has stopped the tip, if anything."""
+        self.met = stall(*profile, self._table)
+        return self.met
+
+    def zeroed(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Met | None:
+        """The stage has grown, and its sensors are zeroed: what holds the body bent, if anything.
+
+        `zeros`: before and after.
+        """
+        self.met = lean(*profile, *zeros, self._table)
+        return self.met
+
+    def let_go(self, zeros: tuple[Floats, Floats]) -> bool:
+        """The tip was wound in from what held the body bent, and the sensors were zeroed again.
+
+        Whether the body is straight again; if not, the zeros have moved by themselves.
+        """
+        held = self.met
+        assert isinstance(held, Lean)
+        if held.released(*zeros):
+            return True
+        self.met, self.straight_cm = None, held.length_cm
+        return False
+
+    def tries_more_pressure(self, zone: int) -> None:
+        """What stopped the tip is tried again, at the body pressure of a zone."""
+        self.tried, self.met, self.raised = self.met, None, zone
+
+    def moved_on(self) -> None:
+        """At the higher pressure the stage has grown to its end."""
+        if self.tried is not None:
+            self.found.map.tried(self.tried, moved_on=True)
+        self.tried = None
+
+    def ended_at_met(self) -> Stall | None:
+        """The run has ended at what growth met, which goes on the map; what a stall may be."""
+        met, self.met = self.met, None
+        if met is None:
+            return None
+        if self.tried is None or isinstance(met, Lean):
+            self.found.map.add_met(met)
+        else:
+            self.found.map.tried(met, moved_on=False)
+        return None if isinstance(met, Lean) else self.found.map.stall
+
+    # A stage's sweeps.
+
+    def has_looked(self, sweep: SweepResult, zone: int) -> None:
+        """A sweep for contacts has ended, in a zone of body pressure."""
+        self.looked, self.measured, self.feelings, self._zone = sweep, None, [], zone
+
+    def has_measured(self, sweep: SweepResult) -> None:
+        """The sides with a contact were swept again."""
+        self.measured = sweep
+
+    def localized(self) -> list[Feeling]:
+        """What the stage's sweeps tell."""
+        self.feelings = self.found.feel(self.looked, self.measured, self._zone)
+        return self.feelings
+
+    def mapped(self) -> None:
+        """What was felt goes on the map."""
+        self.found.add(self.feelings)
+
+    def ended(self, t_s: float, length_cm: float) -> None:
+        """The stage is over, at a length."""
+        t_s = round(t_s, 6)  # a record's times are whole nanoseconds
+        entry = self.found.entry(t_s, length_cm, self.looked, self.feelings, self._zone)
+        self.stages.append(entry)
+        self.looked, self.measured, self.feelings = SweepResult(), None, []
+
+    def swept(self, length_cm: float) -> bool:
+        """Whether a stage at this length was swept to its end."""
+        return any(abs(each.everted_length_cm - length_cm) <= _SAME_CM for each in self.stages)
