@@ -55,7 +55,8 @@ sensor that lies hides what it ought to show. Hardware alone covers these:
 
 - A pressure sensor that is frozen, and a valve that sticks open: the supply regulator and the
   relief valve bound the pressure.
-- A dead encoder, and a passive brake that slips, or a driver that is shorted: the brake BR1, or the emergency stop, which empties the body.
+- A dead encoder, and a passive brake that slips, or a driver that is shorted: the brake BR1, or the
+  emergency stop, which empties the body.
 
 The promises, over all rows of both tables:
 

@@ -93,7 +93,7 @@ def worse(state: str, pairs: list[tuple[Failure, Failure]]) -> dict[str, str]:
         # Nothing is driven: what turns the spool is seen by the encoder alone. docs/faults.md names
         # what covers these.
         ("ready", {"encoder_lost + motor_shorted", "encoder_lost + spool_slip"}),
-        # Stopped late, by the stall of the dead encoder: half a centimetre more than the short alone.
+        # Stopped by the stall of the dead encoder, so a little later than the short alone.
         ("growing", {"encoder_lost + motor_shorted"}),
     ],
 )
