@@ -42,7 +42,9 @@ class ReadingErrors:
         Args:
             added_noise: further noise of this frame's readings, such as creep; scalar or (N,).
         """
-        told = {each.name: getattr(self, each.name) for each in fields(self)}
+        # Nothing holds the end of a robot that everts.
+        told: dict[str, Any] = {"held_end": False}
+        told |= {each.name: getattr(self, each.name) for each in fields(self)}
         frame = np.square(told.pop("zero_error")) + np.square(added_noise)
         return told | {"noise": np.sqrt(self.noise**2 + frame)}
 

@@ -368,7 +368,9 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     out.contacts.push_back(std::move(felt));
   }
   if (count == 0 || (asked && out.touched < 0.5)) {
-    const bool hint = out.touched > 2.0 * priors.excluded || count > 0;
+    // What moves no reading can never be excluded, and is no hint.
+    const bool hint = 1.0 - out.number[0] > 2.0 * priors.excluded || count > 0 ||
+                      (!readings.known && readings.frame.size() == 1);
     out.status = hint ? Status::below_detection : Status::no_contact;
   } else {
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),

@@ -23,6 +23,7 @@ from thigmo.localization.readings import (
     check_layout,
     columns,
     everted_length,
+    grip,
     positive,
     refusal,
     share,
@@ -62,7 +63,8 @@ def localize(
     critical_curvature: float | None = None,
     critical_curvature_error: float = priors.CRITICAL_ERROR,
     tube_radius: float | None = None,
-    held_end: bool | None = None,
+    held_end: bool | float | None = None,
+    end_face_odds: float | None = None,
     width_limit: float | None = None,
     number_level: float = 0.0,
     within: Range | None = None,
@@ -94,12 +96,14 @@ def localize(
             for "auto"; with `critical_curvature`, also its remedies for a folded base). "thesis"
             takes no error, and lengths in cm only.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure
-            (it is proportional to it: `thigmo.mechanics.critical_moment`); None for a
-            base that does not fold.
+            (it is proportional to it: `thigmo.mechanics.critical_moment`); infinity for a base
+            that does not fold. If not given, a fold at any moment is weighed.
         critical_curvature_error: its relative standard error.
         tube_radius: radius of the body; 1.75/53 of the length if not given.
-        held_end: whether something holds the end, so that it may bear any couple and be pulled. If
-            not given, that is possible only where no tube radius is.
+        held_end: whether something holds the end, so that it may bear any couple and be pulled; or
+            the prior odds of that against a contact on the side. If not given, it is weighed.
+        end_face_odds: prior odds of a contact on the face of the end, against one on the side: 0 if
+            it cannot be touched there, the usual ones if not given.
         width_limit: widest 95 % interval that counts as localized; 10/53 of the length (10 cm of
             the 53 cm body) if not given.
         number_level: probability that the number of contacts must have before any of them counts
@@ -118,7 +122,8 @@ def localize(
         position, k.size, length,
         span, noise, gain_error, offset_error, map_error, shared_errors, bad_reading_odds,
         contacts, critical_curvature, critical_curvature_error, tube_radius, held_end,
-        width_limit, number_level, within, "posterior" if method == "thesis" else method,
+        end_face_odds, width_limit, number_level, within,
+        "posterior" if method == "thesis" else method,
     )  # fmt: skip
     free = vector(free_curvature, "free_curvature", k.size)
     body = free if body_curvature is None else vector(body_curvature, "body_curvature", k.size)
@@ -164,7 +169,8 @@ def _checked(
     critical_curvature: float | None = None,
     critical_curvature_error: float = priors.CRITICAL_ERROR,
     tube_radius: float | None = None,
-    held_end: bool | None = None,
+    held_end: bool | float | None = None,
+    end_face_odds: float | None = None,
     width_limit: float | None = None,
     number_level: float = 0.0,
     within: Range | None = None,
@@ -178,6 +184,10 @@ def _checked(
     white = np.zeros(0) if noise is None else vector(noise, "noise", count)
     if noise is not None and not white.size:
         raise DataError("noise is empty", "give one standard deviation, or None if it is unknown")
+    if (white == 0.0).any():
+        raise DataError(
+            "noise is 0", "give the standard deviation of a reading, or None if it is unknown"
+        )
     widths, gains = vector(span, "span", count), vector(gain_error, "gain_error", count)
     odds = vector(bad_reading_odds, "bad_reading_odds", count)
     if count:
@@ -196,10 +206,11 @@ def _checked(
     if tube_radius is not None:
         radius = max(positive(tube_radius, "tube_radius"), 1e-6 * total)
     moment = math.inf
-    if critical_curvature is not None:
+    if critical_curvature is not None and critical_curvature != math.inf:
         moment = max(positive(critical_curvature, "critical_curvature") * total, 1e-6)
     if width_limit is not None:
         limit = positive(width_limit, "width_limit") / total
+    held, held_odds = grip(held_end)
     return _posterior.Localizer(
         x,
         widths,
@@ -213,7 +224,10 @@ def _checked(
         radius,
         moment,
         max(positive(critical_curvature_error, "critical_curvature_error"), 1e-3),
-        int(tube_radius is None) if held_end is None else 2 * int(held_end),
+        critical_curvature is None,
+        held,
+        math.nan if end_face_odds is None else positive(end_face_odds, "end_face_odds"),
+        held_odds,
         -1 if contacts == "auto" else int(contacts),
         share_of_length(within, total),
         limit,
@@ -314,7 +328,7 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
     if status == "no contact":
         return "the readings are those of the free body" + bad
     if status == "below detection":
-        return "a contact is not certain; average more readings or bend further" + bad
+        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
     felt = f"{count} felt with probability {found.number[count]:.2f}"
     if count < MOST_CONTACTS:
         felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
@@ -324,5 +338,5 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
     if found.touched < 1.0 - priors.EXCLUDED:
         return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
     if found.end_open:
-        return f"something may hold the end: give tube_radius or held_end; {felt}{bad}"
+        return f"something may hold the end: give held_end; {felt}{bad}"
     return f"the readings do not fix the place, see `intervals`; {felt}{bad}"

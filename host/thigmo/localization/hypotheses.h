@@ -19,9 +19,12 @@ namespace thigmo {
 
 struct Settings {
   double critical, critical_error;  // base moment that folds it, and its relative standard error
+  bool folds_perhaps;               // at a moment that is not known
   double radius;                    // of the tube
   // Whether something holds the end, so that it bears any couple: surely, surely not, or perhaps.
   enum class Held { no, perhaps, yes } held_end;
+  // Log prior odds, against a contact on the side, of one on the end and of a held end; NaN: usual.
+  double log_end, log_held;
   int contacts;  // how many there are known to be, or -1
   Window within;
   double width_limit;
@@ -48,7 +51,7 @@ class Weighing {
  public:
   static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
-  static constexpr int kPairCells = 30, kTripleCells = 16;
+  static constexpr int kPairCells = 24, kTripleCells = 12;
   static constexpr double kNegligible = 0.01;  // probability of three contacts, which are left out
   static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
   static constexpr std::size_t kMostSuspects = 5;  // bad readings weighed beside one explanation
@@ -96,7 +99,8 @@ class Weighing {
     const Nodes bent = found[one].curvature;
     const bool held = settings_.held_end == Settings::Held::yes;
     const bool turned = std::max(readings.turn, turn_of(bent)) > priors_.end_turn;
-    if (frame_.size() > 1 && (turned || held)) end(bent, held);
+    const bool face = settings_.log_end > -INFINITY || std::isnan(settings_.log_end);
+    if (frame_.size() > 1 && ((turned && face) || held)) end(bent, held);
     const double moment = std::abs(bent[0] - frame_.rest[0]);
     if (settings_.critical < INFINITY &&
         (misfit || moment > priors_.near_fold * settings_.critical)) {
@@ -107,9 +111,7 @@ class Weighing {
     if (several) two = weigh_two();
     // Noise that is not known hides a misfit.
     const bool poor = readings.known ? misfit : two > found[one].log_weight;
-    // A moment that few contacts have may be a kink.
-    const bool strong = moment > priors_.strong && settings_.critical == INFINITY;
-    if (poor || strong) hinge(bent, strong);
+    hinge(bent, true);
     // What bends a straight body so far may hold its end.
     const bool held_perhaps =
         poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
@@ -248,9 +250,10 @@ class Weighing {
   void end(const Nodes& start, bool held) {
     double weight = contact_;
     const bool bends = readings.turn > priors_.end_turn;
-    if (!held) weight += bends ? priors_.end : priors_.end_straight;
+    const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
+    if (!held) weight += odds(settings_.log_end, bends ? priors_.end : priors_.end_straight);
     if (held && settings_.held_end == Settings::Held::perhaps) {
-      weight += bends ? priors_.held : priors_.held_straight;
+      weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
     }
     add_end(white_, start, held, weight, -1);
     const Hypothesis& plain = found.back();
@@ -299,8 +302,8 @@ class Weighing {
     return true;
   }
 
-  // `folds`: the base may have folded, for a moment that folds most bodies acts there.
-  void hinge(const Nodes& start, bool folds) {
+  // Kinks anywhere, or only near the base.
+  void hinge(const Nodes& start, bool anywhere) {
     Row edges = frame_.low;
     edges.insert(edges.end(), frame_.high.begin(), frame_.high.end());
     std::sort(edges.begin(), edges.end());
@@ -308,7 +311,8 @@ class Weighing {
     Columns columns;
     for (std::size_t e = 1; e < edges.size(); ++e) {
       const double middle = 0.5 * (edges[e - 1] + edges[e]);
-      if (edges[e] - edges[e - 1] < kPoint) continue;
+      const bool near = middle < 4.0 * settings_.radius;
+      if (edges[e] - edges[e - 1] < kPoint || (!anywhere && !near)) continue;
       Row column;
       int first = 0, covered = 0;
       for (int i = 0; i < frame_.size(); ++i) {
@@ -329,7 +333,9 @@ class Weighing {
       free.at = place[h];
       free.curvature = frame_.rest;
       free.numbers = 1;
-      if (folds && place[h] < 4.0 * settings_.radius) log_odds[h] = priors_.base_fold;
+      if (settings_.folds_perhaps && place[h] < 4.0 * settings_.radius) {
+        log_odds[h] += priors_.base_fold - priors_.hinge - std::log(4.0 * settings_.radius);
+      }
     }
     if (place.empty()) return;
     const double one = contact_ + std::log(unfolded_), least = best() + priors_.hopeless;

@@ -224,14 +224,14 @@ inline Row middles(Window window, int cells) {
   return place;
 }
 
-// Cells that hold all but nothing of a mass, widened by one: where a finer grid is laid.
-inline Window support(const double* mass, int cells, Window window, double outside) {
+// Cells that hold all but nothing of a mass, widened by some: where a finer grid is laid.
+inline Window support(const double* mass, int cells, Window window, double outside, int more) {
   int first = 0, last = cells - 1;
   while (first < last && mass[first] < outside) ++first;
   while (last > first && mass[last] < outside) --last;
   const double width = (window.far - window.near) / cells;
-  return {window.near + std::max(first - 1, 0) * width,
-          window.near + std::min(last + 2, cells) * width};
+  return {window.near + std::max(first - more, 0) * width,
+          window.near + std::min(last + 1 + more, cells) * width};
 }
 
 // What every load that was fitted tells.
@@ -508,17 +508,22 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
     body.shape().add_moment(body.shape().at(out.place[out.top]), out.force[out.top], out.curvature);
     if (!body.settle(out.curvature)) continue;
     const bool resolved = out.mass[out.top] < kResolved || out.width < 1e-7;
-    const Window finer = support(out.mass.data(), cells, part, kOutside);
+    const Window finer = support(out.mass.data(), cells, part, kOutside, 1);
     if (!resolved && finer.far - finer.near < 0.7 * (part.far - part.near)) {
       part = finer;
       continue;
     }
     if (!rivals || out.misfit > rivals->misfit) return out;
+    OneContact wide = out;  // beside another explanation the contact may lie anywhere
+    if (part.near > 0.0 || part.far < 1.0) {
+      wide.place = middles({0.0, 1.0}, cells), wide.width = 1.0 / cells;
+      if (!grid.weigh(body.levers(wide.place), wide)) return out;
+    }
     const Row gain = grid.gains(rivals->column);
     const double least = std::max(rivals->best, out.log_evidence) + rivals->hopeless;
     for (int e = 0; e < rivals->column.size(); ++e) {
-      if (out.log_evidence + gain[e] + rivals->log_odds[e] < least) continue;
-      OneContact other = out;
+      if (wide.log_evidence + gain[e] + rivals->log_odds[e] < least) continue;
+      OneContact other = wide;
       if (grid.weigh_beside(rivals->column[e], other)) beside->emplace_back(e, std::move(other));
     }
     return out;
@@ -858,7 +863,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
     for (std::size_t j = 0; j < each.size(); ++j) {
       const Row& mass = each[j];
       if (*std::max_element(mass.begin(), mass.end()) < coarse) continue;
-      const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside);
+      const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside, 2);
       if (part.far - part.near < 0.75 * (window[j].far - window[j].near) && sets.width[j] > 1e-6) {
         window[j] = part;
         finer = true;

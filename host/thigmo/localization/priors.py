@@ -36,10 +36,10 @@ END_STRAIGHT = -7.0
 HELD = -1.0
 HELD_STRAIGHT = 0.0
 # Of one more contact, of a kink anywhere on the body.
-ANOTHER = -1.7
+ANOTHER = -2.0
 HINGE = -5.0
-# Of a kink near the base, where the contact alone would bear a moment that folds most bodies.
-BASE_FOLD = 0.0
+# Of a fold near the base, where the caller does not say at which moment the body folds.
+BASE_FOLD = -2.0
 # Odds that a given reading is bad, where the caller does not say.
 BAD_READING = 1e-3
 # Standard deviation of a bad reading; one that is stuck departs by its free curvature as well.
@@ -51,8 +51,6 @@ ANGLE = 0.5
 CRITICAL_ERROR = 0.1
 # Share of the critical moment from which a fold is weighed.
 NEAR_FOLD = 0.75
-# Moment from which a hinge is weighed beside a contact: twice that which folds the body of 53 cm.
-STRONG = 1.2
 # Tube radius where the caller gives none: that of the 53 cm body.
 TUBE_RADIUS = 1.75 / 53.0
 

@@ -12,8 +12,8 @@ struct Priors {
   Row moments, noise_levels;
   double least_lever, contact, end, end_straight, held, held_straight, another, hinge, base_fold,
       bad_deviation, angle;
-  double near_fold, strong, straight, end_turn, shape_rests, level, excluded, held_excluded,
-      five_sigma, noise_factor, noise_odds;
+  double near_fold, straight, end_turn, shape_rests, level, excluded, held_excluded, five_sigma,
+      noise_factor, noise_odds;
   double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure, felt;
 };
 

@@ -55,6 +55,16 @@ def share(value: float, name: str) -> float:
     return number
 
 
+def grip(held_end: bool | float | None) -> tuple[int, float]:
+    """0, 1 or 2 where the end is not, perhaps or surely held, and the odds; NaN: the usual ones."""
+    if held_end is None:
+        return 1, math.nan
+    if isinstance(held_end, (bool, np.bool_)):
+        return 2 * int(held_end), math.nan
+    odds = positive(held_end, "held_end")
+    return int(odds > 0.0), odds
+
+
 def everted_length(length: float) -> float:
     """The length, if it is one; a DataError if not."""
     total = positive(length, "length")

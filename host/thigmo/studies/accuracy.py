@@ -24,7 +24,7 @@ from thigmo.studies import touches
 from thigmo.studies.charts import curves, legend_below, panels
 from thigmo.studies.engine import Claim, Context, Outcome, parts, share
 from thigmo.studies.rod import Floats, solve
-from thigmo.studies.scenes import LENGTH, RADIUS, SIGMA, SPAN
+from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
 from thigmo.studies.touches import BENT, GROUPS, TOUCHED, Scenes, holds
 
 BATCH = 250  # scenes that a process takes at a time: many are drawn faster than few
@@ -143,7 +143,7 @@ def ask(frame: Frame, told: dict[str, Any]) -> LocalizeResult:
     """What `localize` answers, told so much beside what it is always told."""
     return localize(
         frame.curvature, frame.position, length=LENGTH, span=SPAN, free_curvature=frame.free,
-        noise=SIGMA, tube_radius=RADIUS, **frame.told, **told,
+        noise=SIGMA, **ROBOT, **frame.told, **told,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, localize
 from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.scenes import LENGTH, SIGMA, SPAN, Case
+from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN, Case
 
 FAILURE_CM = 10.0
 
@@ -32,7 +32,7 @@ def attempt(
         if method in METHODS:
             result = localize(
                 case.curvature, case.position, length=LENGTH, span=SPAN, free_curvature=case.free,
-                noise=noise, contacts=count, method=method,
+                noise=noise, contacts=count, method=method, **ROBOT,
             )  # fmt: skip
             found = [contact.arc for contact in result.contacts]
         else:

@@ -1,9 +1,10 @@
 """Every load but one touch in the middle of a known body: what `localize` answers then.
 
 How many contacts there are (none, read by few sensors or of unknown noise; one; two, opposed or on
-one side), touches near the base that one or two sensors see, rods that are held at their end, and
-bodies with a kink. Truth is the large-deflection rod. What a frame can tell is decided by that rod
-too (`misfit_of_one_contact`), so that a promise counts only the frames that it speaks of.
+one side or anywhere; three), touches near the base that one or two sensors see, rods that are held
+at their end, folds of which nothing is said, and bodies with a kink. Truth is the large-deflection
+rod. What a frame can tell is decided by that rod too
+(`misfit_of_one_contact`), so that a promise counts only the frames that it speaks of.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from thigmo.localization import arc_bounds, localize
 from thigmo.studies import touches
 from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
 from thigmo.studies.rod import Floats, solve
-from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
+from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 from thigmo.studies.touches import Draw, Scenes, holds, signs, straight
 
 BATCH = 50  # frames of one group that a process takes at a time
@@ -33,6 +34,10 @@ LAYOUTS = (1.0, 2.75, 5.0, 7.25)  # centres of the first sensors, cm
 PAIRS = ((-0.016, 0.02), (-0.02, 0.03), (-0.03, 0.04))  # moments at the base, 1/cm
 TOLD_APART_CM, TOO_CLOSE_CM = 18.5, 13.0
 PLACED_CM = 2.5  # bound of the places of two contacts that sensors tell apart
+DENSE: Floats = np.linspace(2.75, 50.25, 20)
+APART_CM = 8.0  # least distance of contacts that lie anywhere
+FOLD_CM = 4.0  # where a fold is that the first sensors see
+NOTHING_SAID: dict[str, Any] = {"held_end": None, "critical_curvature": None}
 ROD_CM, ROD_NOISE = 24.0, SIGMA * LENGTH / 24.0  # as noisy as the robot, for its length
 BENT, MOST_TURN = np.deg2rad(45.0), np.deg2rad(100.0)
 
@@ -133,6 +138,31 @@ def _layout(first: float) -> Floats:
     return np.tile(first + 10.0 * np.arange(5), 2)
 
 
+def anywhere(
+    number: int, bent: bool, position: Floats, rng: np.random.Generator, count: int
+) -> Scenes:
+    """Contacts anywhere, each of a moment of its own to either side."""
+    free = signs(rng, count) * rng.uniform(0.002, 0.04, count) if bent else np.zeros(count)
+    room = LENGTH - 12.0 - APART_CM * (number - 1)
+    arcs = 12.0 + np.sort(rng.uniform(0.0, room, (count, number)), axis=1)
+    arcs += APART_CM * np.arange(number)
+    side = rng.choice([-1.0, 1.0], (count, number))
+    moments = side * rng.uniform(0.3, 1.0, (count, number)) * CRITICAL
+    return _read(arcs, moments / arcs, position, free)
+
+
+def folded(bent: bool, rng: np.random.Generator, count: int) -> Scenes:
+    """One contact that has folded the base, where the first sensors see it."""
+    free = signs(rng, count) * rng.uniform(0.02, touches.MOST_FREE, count) * bent
+    side = -np.sign(free) if bent else signs(rng, count)
+    arcs = np.stack([np.full(count, FOLD_CM), rng.uniform(15.0, LENGTH, count)], axis=1)
+    forces, kinks = np.zeros((2, count, 2))
+    forces[:, 1] = side * CRITICAL / arcs[:, 1]
+    kinks[:, 0] = side * rng.uniform(0.1, 0.8, count)
+    scenes = _read(arcs, forces, COLUMN if bent else BOTH, free, kinks)
+    return replace(scenes, arcs=arcs[:, 1:])
+
+
 def held_rod(rng: np.random.Generator, count: int) -> Scenes:
     """Rods that something holds at their end, by a force and a couple; NaN: no sensor there.
 
@@ -199,10 +229,22 @@ def _groups() -> dict[str, Group]:
                 if gap == TOO_CLOSE_CM or bound < PLACED_CM:
                     name = f"{gap:g} cm apart, first sensor at {first:g} cm, {moments[1]:g} 1/cm"
                     groups[name] = Group(partial(pair, gap, first, moments))
-    groups["rod held at its end"] = Group(
-        held_rod, options={"length": ROD_CM, "span": 0.0, "noise": ROD_NOISE, "tube_radius": None},
-        noise=ROD_NOISE,
-    )  # fmt: skip
+    rod = {"length": ROD_CM, "span": 0.0, "noise": ROD_NOISE, "held_end": None}
+    for radius, name in ((None, "rod held at its end"), (0.8, "rod held, radius told")):
+        groups[name] = Group(held_rod, options=rod | {"tube_radius": radius}, noise=ROD_NOISE)
+    for held in (0.0, 0.9):
+        for position in (DENSE, COLUMN):
+            name = f"two anywhere, bent, {position.size} readings, number {held:g}"
+            groups[name] = Group(
+                partial(anywhere, 2, True, position), options={"number_level": held}
+            )
+    groups["three anywhere, straight, 20 readings"] = Group(partial(anywhere, 3, False, DENSE))
+    for bent in (False, True):
+        body = "bent" if bent else "straight"
+        groups[f"folded, {body}, nothing said"] = Group(partial(folded, bent), options=NOTHING_SAID)
+    for name, draw in (("pressed", touches.pressed), ("bent", touches.bent)):
+        for said, options in (("all said", {}), ("nothing said", NOTHING_SAID)):
+            groups[f"{name}, {said}"] = Group(draw, options=options)
     return groups
 
 
@@ -223,7 +265,7 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
         free = np.square((frames - scenes.free[:, None]) / SIGMA).sum(axis=1)
         stands_out = free - least
     fits = least < chi2.isf(0.01, scenes.position.size - 2)
-    told = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS, **group.options}
+    told = {"length": LENGTH, "span": SPAN, "noise": SIGMA, **ROBOT, **group.options}
     seen = []
     turns = np.abs(scenes.curvature.mean(axis=1)) * told["length"]
     for frame, free, arcs, out, fit, turn in zip(
@@ -318,6 +360,29 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
               share([f.off_cm > 0.05 * ROD_CM for f in rods]), 0.0),
         Claim("of the rods that turn by 45 degrees or more: localized so far from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods if f.turn >= BENT]), 0.0),
+        Claim("rod held, radius told: localized more than 5 % of its length from there",
+              share([f.off_cm > 0.05 * ROD_CM for f in seen["rod held, radius told"]]), 0.0),
+        Claim("two anywhere, bent, 20 readings: localized and wrong",
+              share([f.wrong for f in seen["two anywhere, bent, 20 readings, number 0"]]), 0.13),
+        at_least("of these, frames with a localized contact",
+                 share([f.localized for f in seen["two anywhere, bent, 20 readings, number 0"]]),
+                 0.5),
+        Claim("two anywhere, bent, 5 readings: localized and wrong",
+              share([f.wrong for f in seen["two anywhere, bent, 5 readings, number 0"]]), 0.08),
+        Claim("two anywhere, the number held to 90 %: localized and wrong, most",
+              max(share([f.wrong for f in frames]) for name, frames in seen.items()
+                  if name.endswith("number 0.9")), 0.075),
+        Claim("three anywhere, straight, 20 readings: localized and wrong",
+              share([f.wrong for f in seen["three anywhere, straight, 20 readings"]]), 0.15),
+        Claim("folds of which nothing is said: localized and wrong, most",
+              most(some("folded"), lambda f: f.wrong), 0.05),
+        at_least("nothing said: least share of the localized contacts that are with all said",
+                 min(share([f.localized for f in seen[f"{name}, nothing said"]])
+                     / max(share([f.localized for f in seen[f"{name}, all said"]]), 1e-9)
+                     for name in ("pressed", "bent")), 2.0 / 3.0),
+        at_least("nothing said: least coverage",
+                 min(_coverage(seen[f"{name}, nothing said"]) for name in ("pressed", "bent")),
+                 0.93),
         Claim("kinks of 3 standard errors or more: not told, and a contact localized",
               share([f.localized and not f.hinge for f in told]), 0.0),
         Claim("of these, localized where nothing is", share([f.wrong for f in told]), 0.03),

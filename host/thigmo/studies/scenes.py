@@ -9,6 +9,7 @@ how hard a peg in a room bears.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,10 @@ RADIUS = 1.75
 FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
+# What every caller of `localize` who has a robot says of it: scenes fold only where they say so.
+ROBOT: dict[str, Any] = {
+    "tube_radius": RADIUS, "held_end": False, "critical_curvature": float("inf"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from thigmo.localization import ContactFilter, LocalizeResult, localize
 from thigmo.studies.engine import Claim, Context, Outcome, parts, share
 from thigmo.studies.pegs import Rooms, rooms
 from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, SIGMA, SPAN
+from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, ROBOT, SIGMA, SPAN
 
 MOST = 0.05  # free curvature (1/cm) that an inflation can reach
 FRAMES = 8
@@ -86,7 +86,7 @@ def _last(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
     known: dict[str, Any] = {**told}
     if "zero_error" in told:
         known["shared_errors"] = known.pop("zero_error") * np.eye(COLUMN.size)
-    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY, **known)
+    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY | ROBOT, **known)
 
 
 def _all(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:

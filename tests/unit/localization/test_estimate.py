@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -24,7 +25,8 @@ def felt(arcs, forces, position=BOTH, **scene):
 
 
 def find(curvature, position=BOTH, **options):
-    options = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": 1.75} | options
+    robot = {"length": LENGTH, "span": SPAN, "tube_radius": 1.75, "held_end": False}
+    options = robot | {"noise": SIGMA, "critical_curvature": math.inf} | options
     return thigmo.localize(curvature, position, **options)
 
 
@@ -198,6 +200,8 @@ def test_units_of_length_do_not_matter(unit, noise):
         noise=None if noise is None else noise / unit,
         free_curvature=0.01 / unit,
         tube_radius=1.75 * unit,
+        held_end=False,
+        critical_curvature=math.inf,
     )
     assert (there.status, there.hypothesis) == (here.status, here.hypothesis)
     for one, other in zip(here.contacts, there.contacts, strict=True):
@@ -304,14 +308,15 @@ def test_what_a_contact_explains_is_listed_even_if_sensors_are_said_to_be_bad():
 
 
 @pytest.mark.parametrize("force", [2.2e-4, 3e-4])  # bends of 0.26 and 0.36 rad
-def test_a_bent_rod_may_be_held_at_its_end_unless_it_is_a_tube(force):
+def test_a_bent_rod_may_be_held_at_its_end_unless_it_is_said_not_to_be(force):
     reading = felt(49.0, force, COLUMN)
-    tube, any_rod = find(reading, COLUMN), find(reading, COLUMN, tube_radius=None)
-    assert tube.status == "localized"
+    free, any_rod = find(reading, COLUMN), find(reading, COLUMN, held_end=None)
+    assert free.status == "localized"
     assert any_rod.status == "ambiguous"
     assert any_rod.hypotheses["end wrench"] > 0.005
-    assert "tube_radius or held_end" in any_rod.message
-    assert find(reading, COLUMN, tube_radius=None, held_end=False).status == "localized"
+    assert "give held_end" in any_rod.message
+    unlikely = find(reading, COLUMN, held_end=1e-4)
+    assert unlikely.hypotheses["end wrench"] < 0.1 * any_rod.hypotheses["end wrench"]
 
 
 @pytest.mark.parametrize("force", [-2e-4, -4e-4])
@@ -330,3 +335,25 @@ def test_a_kink_under_a_sensor_is_told_from_a_bad_reading_or_beside_it(force, se
         assert answer.discarded == (sensor,)
         assert f"or the body is kinked there (probability {share:.2f})" in answer.message
         assert share > 0.3
+
+
+def test_a_fold_at_a_moment_that_nobody_gives_is_weighed_and_none_is_not():
+    clean = felt(40.0, 2.5e-4) + np.tile([0.3 / SPAN, 0.0, 0.0, 0.0, 0.0], 2)
+    noisy = clean + SIGMA * np.random.default_rng(5).standard_normal(10)
+    unsaid = find(noisy, critical_curvature=None)
+    assert unsaid.hypotheses["one contact, hinge"] > 0.5
+    low, high = unsaid.contacts[-1].interval
+    assert low < 40.0 < high
+    plain = 2e-4 * np.maximum(16.6 - BOTH, 0.0)
+    assert find(plain).hypotheses.get("one contact, hinge", 0.0) < 0.01
+
+
+def test_an_empty_frame_of_two_sensors_has_no_contact():
+    rng = np.random.default_rng(6)
+    two = COLUMN[:2]
+    statuses = Counter(find(SIGMA * rng.standard_normal(2), two).status for _ in range(200))
+    assert statuses["no contact"] > 180
+
+
+def test_one_reading_of_unknown_noise_is_not_called_free():
+    assert find([0.004], [25.0], noise=None).status == "below detection"

@@ -43,7 +43,7 @@ def test_any_finite_input_is_answered(data):
     position[0] = 0.5 * length
     span = length * data.draw(st.sampled_from([0.0, 1e-7, 0.1, 1.0]))
     free = data.draw(st.sampled_from([0.0, 1.5, -20.0])) / length
-    noise = data.draw(st.sampled_from([None, 0.0, 0.03, 1e3]))
+    noise = data.draw(st.sampled_from([None, 1e-6, 0.03, 1e3]))
     noise = None if noise is None else noise / length
     contacts = data.draw(st.sampled_from(["auto", "auto", 0, 1, 2]))
     critical = data.draw(st.sampled_from([None, 0.6 / length, 0.0]))

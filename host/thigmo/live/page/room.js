@@ -226,7 +226,9 @@ function label(layer, contact, x, y, placed) {
   while (placed.some((at) => Math.abs(at.y - ty) < 32 && Math.abs(at.x - tx) < width)) ty += up * 8;
   placed.push({ x: tx, y: ty });
   const group = make("g", { "text-anchor": anchor }, layer);
-  make("path", { d: `M${x} ${y + up * 7}L${tx - 4 * out} ${ty + 3}`, stroke: "var(--contact)", "stroke-width": 1 }, group);
+  // It ends at an upright bar: a stroke that ends before a number is its minus sign.
+  const bar = tx - 6 * out;
+  make("path", { d: `M${x} ${y + up * 7}L${bar} ${ty + 3}M${bar} ${ty - 9}V${ty + 16}`, fill: "none", stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
   text(group, tx, ty, `${contact.arc_cm.toFixed(1)} cm along`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
   text(group, tx, ty + 14, range, { fill: "var(--contact)", ...halo });

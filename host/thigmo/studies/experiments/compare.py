@@ -81,7 +81,8 @@ def alone(trial: Trial) -> Answer:
 def _told(trial: Trial) -> dict[str, Any]:
     return {
         "length": trial.length_cm, "span": trial.span, "offset_error": trial.offset_error,
-        "critical_curvature": trial.critical, "tube_radius": trial.radius_cm,
+        "critical_curvature": np.inf if trial.critical is None else trial.critical,
+        "tube_radius": trial.radius_cm, "held_end": False,
     }  # fmt: skip
 
 
