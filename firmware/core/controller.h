@@ -120,7 +120,6 @@ class Controller {
   EventQueue& events() { return events_; }
   uint32_t now() const { return tick_; }
   State state() const { return state_; }
-  bool period_begins() const { return phase_ == 0; }  // in the tick that was worked on
   Activity activity() const { return activity_; }
   uint16_t conditions() const { return conditions_; }
   uint16_t faults() const { return faults_.latched(); }

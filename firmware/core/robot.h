@@ -55,7 +55,6 @@ class Robot {
 
  private:
   static constexpr int16_t kNever = INT16_MIN;  // no output has this value
-  static constexpr Outputs kUnwritten = {{kNever, kNever}, kNever};
 
   static constexpr uint8_t kReceiveBytes = 40;
 
@@ -94,8 +93,6 @@ class Robot {
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
-    // A pin or a timer that a disturbance has changed is right again a control period later.
-    if (controller_.period_begins()) written_ = kUnwritten;
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     write_outputs();
     board_.enable(controller_.enables());
@@ -107,7 +104,7 @@ class Robot {
     }
   }
 
-  // Hands changed outputs to the board, and all of them once in a control period.
+  // Hands changed outputs to the board.
   void write_outputs() {
     const Outputs& out = controller_.outputs();
     for (uint8_t side = 0; side < kSides; ++side) {
@@ -159,12 +156,9 @@ class Robot {
   Session session_;
   ConfigStore store_;
   Commands commands_;
-  Outputs written_ = kUnwritten;
+  Outputs written_ = {{kNever, kNever}, kNever};
   bool named_ = false;
 };
-
-template <typename Board>
-constexpr Outputs Robot<Board>::kUnwritten;
 
 }  // namespace thigmo
 
